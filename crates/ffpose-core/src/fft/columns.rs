@@ -1,0 +1,183 @@
+//! The columns of a grid: forward transform, what is done with the spectrum, and inverse, one column at a time in cache.
+//!
+//! A packed weight, and a gradient sum, holds for each column its places in turn. The places of a column of DC and Nyquist
+//! packed together are `W(0), N(0), W(1), N(1), ...` up to row frequency `H / 2`; both are Hermitian in it.
+
+use super::fused::Fused;
+use super::middle::{Accumulate, Middle, Product};
+use super::pair::{join, split};
+use super::transform::Transform;
+use crate::simd::{Algorithm, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter};
+
+/// How the columns of one tile are transformed.
+pub(crate) struct Columns<T> {
+    isa: Isa,
+    transform: Transform<T>,
+    fused: Option<Fused>,
+    count: usize,
+    /// Column 0 is two real columns.
+    packed_pair: bool,
+}
+
+impl<T: Element> Columns<T> {
+    pub(crate) fn new(isa: Isa, length: usize, count: usize, packed_pair: bool) -> Self {
+        let transform = Transform::new(isa, length);
+        Self { isa, fused: Fused::of(&transform), transform, count, packed_pair }
+    }
+
+    pub(crate) fn transform(&self) -> &Transform<T> {
+        &self.transform
+    }
+
+    /// Complex vectors from one column to the next: room for the places of column 0, and odd, since an even number would meet
+    /// the same few sets of the cache.
+    pub(crate) fn pitch(&self) -> usize {
+        self.first_places() | 1
+    }
+
+    /// Numbers in all columns.
+    pub(crate) fn len(&self) -> usize {
+        self.numbers(self.count * self.pitch())
+    }
+
+    /// Places of column 0.
+    fn first_places(&self) -> usize {
+        if self.packed_pair { 2 * (self.transform.len() / 2 + 1) } else { self.transform.len() }
+    }
+
+    /// Numbers in a packed weight.
+    pub(crate) fn packed_len(&self) -> usize {
+        self.numbers(self.first_places() + (self.count - 1) * self.transform.len())
+    }
+
+    /// Numbers of scratch that a run needs.
+    pub(crate) fn work_len(&self) -> usize {
+        self.numbers(self.first_places() + self.transform.work_len())
+    }
+
+    /// Numbers in complex vectors.
+    fn numbers(&self, vectors: usize) -> usize {
+        2 * self.isa.lanes::<T>() * vectors
+    }
+
+    /// `spectrum · weight`, or `spectrum · conj weight`, for all columns.
+    pub(crate) fn filter<const CONJUGATE: bool>(
+        &self,
+        spectrum: &mut [T],
+        weight: &[T],
+        work: &mut [T],
+    ) {
+        let middle = Product::<T, CONJUGATE>(Tile::dense(weight, self.isa.lanes::<T>()));
+        self.through::<_, true>(spectrum, middle, work);
+    }
+
+    /// `sum += conj(x) · grad`, and `grad · conj weight` if there is a weight; else `grad` is lost. `x` is transformed.
+    pub(crate) fn gradient(
+        &self,
+        grad: &mut [T],
+        x: &mut [T],
+        weight: Option<&[T]>,
+        sum: &mut [T],
+        work: &mut [T],
+    ) {
+        let lanes = self.isa.lanes::<T>();
+        self.through::<_, false>(x, (), work);
+        let accumulate = Accumulate { x: Tile::dense(x, lanes), sum: TileMut::dense(sum, lanes) };
+        match weight {
+            Some(weight) => {
+                let product = Product::<T, true>(Tile::dense(weight, lanes));
+                self.through::<_, true>(grad, (accumulate, product), work);
+            }
+            None => self.through::<_, false>(grad, accumulate, work),
+        }
+    }
+
+    /// Forward transform, `middle`, and inverse. Without inverse the spectrum stays, a pair as its places.
+    fn through<M: Middle<T>, const INVERSE: bool>(
+        &self,
+        spectrum: &mut [T],
+        mut middle: M,
+        work: &mut [T],
+    ) {
+        let (isa, transform, length) =
+            (self.isa, &self.transform, self.numbers(self.transform.len()));
+        let mut columns = spectrum.chunks_exact_mut(self.numbers(self.pitch())).enumerate();
+        if self.packed_pair
+            && let Some((_, column)) = columns.next()
+        {
+            transform.forward(&mut column[..length], work);
+            isa.run(PairStep::<T, M, INVERSE> {
+                outputs: transform.outputs(),
+                column,
+                places: work,
+                middle: &mut middle,
+            });
+            if INVERSE {
+                transform.inverse(&mut column[..length], work);
+            }
+        }
+        let place = |column| {
+            if column == 0 { 0 } else { self.first_places() + (column - 1) * transform.len() }
+        };
+        for (column, line) in columns {
+            let (line, position, place) =
+                (&mut line[..length], column * self.pitch(), place(column));
+            if INVERSE && let Some(fused) = self.fused {
+                fused.run(isa, transform.passes(), line, &mut middle, position, place);
+                continue;
+            }
+            transform.forward(line, work);
+            isa.run(Step { line, middle: &mut middle, position, place });
+            if INVERSE {
+                transform.inverse(line, work);
+            }
+        }
+    }
+}
+
+/// `middle` on a column.
+struct Step<'a, T, M> {
+    line: &'a mut [T],
+    middle: &'a mut M,
+    position: usize,
+    place: usize,
+}
+
+impl<T: Element, M: Middle<T>> Algorithm<T> for Step<'_, T, M> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        for (i, z) in complex_vectors::<V>(self.line).iter_mut().enumerate() {
+            [*z] = self.middle.apply(self.position + i, self.place + i, [*z]);
+        }
+    }
+}
+
+/// `middle` on the packed column 0, and its real columns packed again if the inverse follows, else left as places.
+struct PairStep<'a, T, M, const INVERSE: bool> {
+    outputs: &'a [usize],
+    column: &'a mut [T],
+    places: &'a mut [T],
+    middle: &'a mut M,
+}
+
+impl<T: Element, M: Middle<T>, const INVERSE: bool> Algorithm<T> for PairStep<'_, T, M, INVERSE> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let (column, places) =
+            (complex_vectors::<V>(self.column), complex_vectors::<V>(self.places));
+        let length = self.outputs.len();
+        for k in 0..=length / 2 {
+            let (position, mirror) = (self.outputs[k], self.outputs[(length - k) % length]);
+            let both = self.middle.apply(2 * k, 2 * k, split(column[position], column[mirror]));
+            if INVERSE {
+                (column[position], column[mirror]) = join(both);
+            } else {
+                scatter(places, 2 * k, 1, both);
+            }
+        }
+        if !INVERSE {
+            let count = length / 2 * 2 + 2;
+            column[..count].copy_from_slice(&places[..count]);
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! Real lines of length `P Q` to half spectra and back: `P` across, then the rows that this leaves.
+//!
+//! `P` even, `Q` coprime to it: no twiddles (Good–Thomas). Both powers of two: twiddles between (Cooley–Tukey). The real DFTs across
+//! leave `P / 2` rows of `Q`: row 0 is two real lines, the others are complex. Slot `s Q + k` of the spectrum is frequency `k` of
+//! row `s`, with row 0 as [`TwoReal`] has it.
+
+use super::butterfly::{Codelet, Dft, turn};
+use super::passes::remainders;
+use super::real::{RealDft, TwoReal};
+use super::unroll::unroll;
+use crate::simd::{Complex, Tile, TileMut, Vector, gather, scatter};
+
+/// A line of `P Q`; `ROWS` is `P / 2`.
+pub(crate) struct Line<const P: usize, const Q: usize, const ROWS: usize>;
+
+impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
+{
+    const LENGTH: usize = P * Q;
+    const COPRIME: bool = Q % 2 == 1;
+
+    /// The frequency of each slot.
+    pub(crate) fn frequencies() -> Vec<usize> {
+        let across = <Codelet as RealDft<P, ROWS>>::frequencies();
+        let join = |p, q| if Self::COPRIME { remainders(P, p, Q, q) } else { p + P * q };
+        let zeroth = <Codelet as TwoReal<Q>>::frequencies();
+        let zeroth = zeroth.into_iter().map(|(line, q)| join(line * P / 2, q));
+        zeroth.chain(across[1..].iter().flat_map(|&p| (0..Q).map(move |q| join(p, q)))).collect()
+    }
+
+    /// Where element `p` of column `q` is on the line.
+    #[inline(always)]
+    fn column(q: usize) -> [usize; P] {
+        let mut points = [0; P];
+        for (p, point) in points.iter_mut().enumerate() {
+            *point = if Self::COPRIME { (Q * p + P * q) % Self::LENGTH } else { Q * p + q };
+        }
+        points
+    }
+
+    /// The frequency modulo `P` of a row, for its twiddles.
+    #[inline(always)]
+    fn row_frequency(row: usize) -> usize {
+        const EIGHT: [usize; 4] = [0, 2, 1, 5];
+        if P == 8 { EIGHT[row] } else { row }
+    }
+
+    /// The line from point `first` of `image` on, to `spectrum[position]`, `spectrum[position + pitch]`, ...
+    #[inline(always)]
+    pub(crate) fn forward<V: Vector>(
+        image: Tile<'_, V::Element>,
+        first: usize,
+        spectrum: &mut [Complex<V>],
+        position: usize,
+        pitch: usize,
+        work: &mut [Complex<V>],
+    ) {
+        let work = &mut work[..ROWS * Q];
+        unroll!(q in 0..Q {
+            let column = image.gather_at::<V, P>(first, Self::column(q), Self::LENGTH);
+            scatter(work, q, Q, <Codelet as RealDft<P, ROWS>>::real_dft(column));
+        });
+        let zeroth = <Codelet as TwoReal<Q>>::two_real_dft(gather(work, 0, 1));
+        scatter(spectrum, position, pitch, zeroth);
+        unroll!(row in 1..ROWS {
+            let mut line = gather::<_, Q>(work, row * Q, 1);
+            if !Self::COPRIME {
+                for q in 1..Q {
+                    line[q] = turn::<V, 64>(line[q], 64 / Self::LENGTH * q * Self::row_frequency(row));
+                }
+            }
+            scatter(spectrum, position + row * Q * pitch, pitch, <Codelet as Dft<Q>>::dft(line));
+        });
+    }
+
+    /// Undoes [`forward`](Self::forward) up to a factor `P Q`, for spectra whose slots after the first are doubled.
+    #[inline(always)]
+    pub(crate) fn inverse<V: Vector>(
+        spectrum: &[Complex<V>],
+        position: usize,
+        pitch: usize,
+        image: &mut TileMut<'_, V::Element>,
+        first: usize,
+        work: &mut [Complex<V>],
+    ) {
+        let work = &mut work[..ROWS * Q];
+        let zeroth = gather(spectrum, position, pitch);
+        scatter(work, 0, 1, <Codelet as TwoReal<Q>>::two_real_idft(zeroth));
+        unroll!(row in 1..ROWS {
+            let mut line = <Codelet as Dft<Q>>::idft(gather(spectrum, position + row * Q * pitch, pitch));
+            if !Self::COPRIME {
+                for q in 1..Q {
+                    let turns = 64 / Self::LENGTH * q * Self::row_frequency(row);
+                    line[q] = turn::<V, 64>(line[q].swap(), turns).swap();
+                }
+            }
+            scatter(work, row * Q, 1, line);
+        });
+        unroll!(q in 0..Q {
+            let column = <Codelet as RealDft<P, ROWS>>::real_idft(gather(work, q, Q));
+            image.scatter_at::<V, P>(first, Self::column(q), Self::LENGTH, column);
+        });
+    }
+}

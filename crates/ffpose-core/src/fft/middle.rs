@@ -1,0 +1,97 @@
+//! What is done with a spectrum between a transform and its inverse.
+
+use crate::simd::{Complex, Element, Tile, TileMut, Vector};
+
+/// A step on complex vectors, in registers; steps are joined as pairs.
+pub(crate) trait Middle<T: Element> {
+    /// The new values of the `R` vectors that are number `position` and following of the spectrum and number `place` and
+    /// following of a packed weight.
+    fn apply<V: Vector<Element = T>, const R: usize>(
+        &mut self,
+        position: usize,
+        place: usize,
+        spectrum: [Complex<V>; R],
+    ) -> [Complex<V>; R];
+}
+
+/// Nothing.
+impl<T: Element> Middle<T> for () {
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const R: usize>(
+        &mut self,
+        _: usize,
+        _: usize,
+        spectrum: [Complex<V>; R],
+    ) -> [Complex<V>; R] {
+        spectrum
+    }
+}
+
+impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const R: usize>(
+        &mut self,
+        position: usize,
+        place: usize,
+        spectrum: [Complex<V>; R],
+    ) -> [Complex<V>; R] {
+        let spectrum = self.0.apply(position, place, spectrum);
+        self.1.apply(position, place, spectrum)
+    }
+}
+
+/// The product with a packed weight, or with its conjugate.
+pub(crate) struct Product<'a, T, const CONJUGATE: bool>(pub(crate) Tile<'a, T>);
+
+impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> {
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const R: usize>(
+        &mut self,
+        _: usize,
+        place: usize,
+        mut spectrum: [Complex<V>; R],
+    ) -> [Complex<V>; R] {
+        let (re, im) = parts::<V, R>(self.0, place);
+        for i in 0..R {
+            let weight = Complex::new(re[i], im[i]);
+            spectrum[i] =
+                if CONJUGATE { spectrum[i].times_conj(weight) } else { spectrum[i].times(weight) };
+        }
+        spectrum
+    }
+}
+
+/// `sum += conj(x) · spectrum`; the spectrum itself is passed on.
+pub(crate) struct Accumulate<'a, T> {
+    /// By position.
+    pub(crate) x: Tile<'a, T>,
+    /// By place.
+    pub(crate) sum: TileMut<'a, T>,
+}
+
+impl<T: Element> Middle<T> for Accumulate<'_, T> {
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const R: usize>(
+        &mut self,
+        position: usize,
+        place: usize,
+        spectrum: [Complex<V>; R],
+    ) -> [Complex<V>; R] {
+        let (x_re, x_im) = parts::<V, R>(self.x, position);
+        let (mut re, mut im) = parts::<V, R>(self.sum.reader(), place);
+        for i in 0..R {
+            let g = spectrum[i];
+            re[i] = x_im[i].mul_add(g.im, x_re[i].mul_add(g.re, re[i]));
+            im[i] = x_im[i].neg_mul_add(g.re, x_re[i].mul_add(g.im, im[i]));
+        }
+        self.sum.scatter(2 * place, 2, re);
+        self.sum.scatter(2 * place + 1, 2, im);
+        spectrum
+    }
+}
+
+/// Real and imaginary parts of complex vectors number `first` and following, in a tile where they are alternate points.
+#[inline(always)]
+fn parts<V: Vector, const R: usize>(tile: Tile<'_, V::Element>, first: usize) -> ([V; R], [V; R]) {
+    (tile.gather(2 * first, 2), tile.gather(2 * first + 1, 2))
+}

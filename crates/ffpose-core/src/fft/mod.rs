@@ -1,0 +1,41 @@
+//! Transforms across vector lanes, and the spectral filters made of them.
+//!
+//! Lanes hold independent transforms, so that no transform shuffles inside a vector and any length takes any number of lanes.
+
+#![allow(clippy::inline_always)] // what is not inlined is compiled without the instruction set
+#![allow(clippy::needless_range_loop)] // indices say which numbers meet; closures would not be inlined
+
+mod butterfly;
+mod chirp;
+mod columns;
+mod fused;
+mod grid;
+mod lines;
+mod middle;
+mod pack;
+mod pair;
+mod passes;
+mod prime;
+mod real;
+mod roots;
+mod rows;
+#[cfg(test)]
+mod tests;
+mod transform;
+mod unroll;
+
+use std::sync::Arc;
+
+use grid::Grid;
+
+use crate::kernel::Kernel;
+use crate::simd::Isa;
+use crate::{Layout, Real, Shape};
+
+/// The kernel for a shape, if there is one.
+pub(crate) fn plan<T: Real>(isa: Isa, shape: Shape) -> Option<Arc<dyn Kernel<T>>> {
+    match shape.layout {
+        Layout::Grid => Some(Arc::new(Grid::new(isa, shape.rows, shape.columns))),
+        Layout::Tokens => None,
+    }
+}

@@ -1,0 +1,361 @@
+//! The rows of a grid: real lines of one length, from an image to columns of complex vectors and back.
+//!
+//! Row `h` becomes place `positions[h]` of each column, column `s` starts at `s * pitch`, and `frequencies[s]` is what column
+//! `s` holds. Column 0 of an even length packs the real frequencies 0 and `W / 2` as real and imaginary part.
+
+use super::butterfly::{Codelet, Dft};
+use super::lines::Line;
+use super::pair;
+use super::real::{RealDft, TwoReal};
+use super::transform::Transform;
+use crate::simd::{
+    Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, gather, scatter,
+};
+
+/// How lines of one length are transformed.
+pub(crate) enum Rows<T> {
+    /// By a real codelet of this length.
+    Codelet(usize),
+    /// Two by two, as real and imaginary part of a complex line. The spectrum comes out doubled.
+    Pairs(Transform<T>),
+}
+
+/// Where columns are.
+#[derive(Clone, Copy)]
+pub(crate) struct Place<'a> {
+    pub(crate) positions: &'a [usize],
+    pub(crate) pitch: usize,
+}
+
+/// Runs one of two expressions for a line of `$length` points: `$single` with the constants of its codelet `RealDft<$n, $s>`, or
+/// `$double` with those of `Line<$p, $q, $rows>`.
+macro_rules! with_codelet {
+    ($length:expr, ($n:ident, $s:ident) => $single:expr, ($p:ident, $q:ident, $rows:ident) => $double:expr) => {
+        with_codelet!(@ $length, $n, $s, $single, $p, $q, $rows, $double,
+            7 4, 8 4; 14 2 7 1, 16 2 8 1, 28 4 7 2, 32 4 8 2, 56 8 7 4, 64 8 8 4)
+    };
+    (@ $length:expr, $n:ident, $s:ident, $single:expr, $p:ident, $q:ident, $rows:ident, $double:expr,
+     $($n_of:literal $s_of:literal),*; $($length_of:literal $p_of:literal $q_of:literal $rows_of:literal),*) => {
+        match $length {
+            $($n_of => {
+                const $n: usize = $n_of;
+                const $s: usize = $s_of;
+                $single
+            })*
+            $($length_of => {
+                const $p: usize = $p_of;
+                const $q: usize = $q_of;
+                const $rows: usize = $rows_of;
+                $double
+            })*
+            length => unreachable!("no codelet for lines of {length}"),
+        }
+    };
+}
+
+impl<T: Element> Rows<T> {
+    pub(crate) fn new(isa: Isa, length: usize) -> Self {
+        match length {
+            7 | 8 | 14 | 16 | 28 | 32 | 56 | 64 => Self::Codelet(length),
+            _ => Self::Pairs(Transform::new(isa, length)),
+        }
+    }
+
+    /// The frequency of each column.
+    pub(crate) fn frequencies(&self) -> Vec<usize> {
+        match self {
+            Self::Codelet(length) => {
+                with_codelet!(*length,
+                    (N, S) => <Codelet as RealDft<N, S>>::frequencies().to_vec(),
+                    (P, Q, ROWS) => Line::<P, Q, ROWS>::frequencies())
+            }
+            Self::Pairs(transform) => (0..transform.len().div_ceil(2)).collect(),
+        }
+    }
+
+    /// What the spectrum is multiplied by.
+    pub(crate) fn gain(&self) -> f64 {
+        match self {
+            Self::Codelet(_) => 1.0,
+            Self::Pairs(_) => 2.0,
+        }
+    }
+
+    /// What columns after the first have to be multiplied by for the way back.
+    pub(crate) fn inverse_gain(&self) -> f64 {
+        match self {
+            Self::Codelet(_) => 2.0,
+            Self::Pairs(_) => 1.0,
+        }
+    }
+
+    /// Complex vectors of scratch that a run needs.
+    pub(crate) fn work_len(&self) -> usize {
+        match self {
+            Self::Codelet(length) => length / 2,
+            Self::Pairs(transform) => transform.len() + transform.work_len(),
+        }
+    }
+
+    /// All rows of `image` to the columns of `spectrum`.
+    pub(crate) fn forward(
+        &self,
+        isa: Isa,
+        image: Tile<'_, T>,
+        place: Place<'_>,
+        spectrum: &mut [T],
+        work: &mut [T],
+    ) {
+        match self {
+            Self::Codelet(length) => with_codelet!(*length,
+                (N, S) => isa.run(Forward::<T, N, S> { image, place, spectrum }),
+                (P, Q, ROWS) => isa.run(ForwardLines::<T, P, Q, ROWS> { image, place, spectrum, work })),
+            Self::Pairs(transform) => {
+                let (outputs, width) = (transform.outputs(), transform.len());
+                let (line, work) = work.split_at_mut(2 * isa.lanes::<T>() * width);
+                for (pair, places) in place.positions.chunks(2).enumerate() {
+                    let first = 2 * pair * width;
+                    let second = (places.len() == 2).then_some(first + width);
+                    isa.run(Enter { inputs: transform.inputs(), image, first, second, line });
+                    transform.forward(line, work);
+                    let places = [places[0], places[places.len() - 1]];
+                    isa.run(Split { outputs, line, spectrum, pitch: place.pitch, places });
+                }
+            }
+        }
+    }
+
+    /// The columns of `spectrum` to all rows of `image`.
+    pub(crate) fn inverse(
+        &self,
+        isa: Isa,
+        spectrum: &mut [T],
+        place: Place<'_>,
+        mut image: TileMut<'_, T>,
+        work: &mut [T],
+    ) {
+        match self {
+            Self::Codelet(length) => with_codelet!(*length,
+                (N, S) => isa.run(Inverse::<T, N, S> { image, place, spectrum }),
+                (P, Q, ROWS) => isa.run(InverseLines::<T, P, Q, ROWS> { image, place, spectrum, work })),
+            Self::Pairs(transform) => {
+                let (outputs, width) = (transform.outputs(), transform.len());
+                let (line, work) = work.split_at_mut(2 * isa.lanes::<T>() * width);
+                for (pair, places) in place.positions.chunks(2).enumerate() {
+                    let first = 2 * pair * width;
+                    let second = (places.len() == 2).then_some(first + width);
+                    let places = [places[0], places[places.len() - 1]];
+                    isa.run(Join { outputs, line, spectrum, pitch: place.pitch, places });
+                    transform.inverse(line, work);
+                    isa.run(Leave {
+                        inputs: transform.inputs(),
+                        image: &mut image,
+                        first,
+                        second,
+                        line,
+                    });
+                }
+            }
+        }
+    }
+}
+
+struct Forward<'a, T, const N: usize, const S: usize> {
+    image: Tile<'a, T>,
+    place: Place<'a>,
+    spectrum: &'a mut [T],
+}
+
+impl<T: Element, const N: usize, const S: usize> Algorithm<T> for Forward<'_, T, N, S>
+where
+    Codelet: RealDft<N, S>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let spectrum = complex_vectors::<V>(self.spectrum);
+        for (row, &position) in self.place.positions.iter().enumerate() {
+            let line = self.image.gather::<V, N>(row * N, 1);
+            scatter(
+                spectrum,
+                position,
+                self.place.pitch,
+                <Codelet as RealDft<N, S>>::real_dft(line),
+            );
+        }
+    }
+}
+
+struct ForwardLines<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
+    image: Tile<'a, T>,
+    place: Place<'a>,
+    spectrum: &'a mut [T],
+    work: &'a mut [T],
+}
+
+impl<T: Element, const P: usize, const Q: usize, const ROWS: usize> Algorithm<T>
+    for ForwardLines<'_, T, P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let Place { positions, pitch } = self.place;
+        let (spectrum, work) =
+            (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
+        for (row, &position) in positions.iter().enumerate() {
+            Line::<P, Q, ROWS>::forward(self.image, row * P * Q, spectrum, position, pitch, work);
+        }
+    }
+}
+
+struct InverseLines<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
+    image: TileMut<'a, T>,
+    place: Place<'a>,
+    spectrum: &'a mut [T],
+    work: &'a mut [T],
+}
+
+impl<T: Element, const P: usize, const Q: usize, const ROWS: usize> Algorithm<T>
+    for InverseLines<'_, T, P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(mut self) {
+        let Place { positions, pitch } = self.place;
+        let (spectrum, work) =
+            (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
+        for (row, &position) in positions.iter().enumerate() {
+            Line::<P, Q, ROWS>::inverse(
+                spectrum,
+                position,
+                pitch,
+                &mut self.image,
+                row * P * Q,
+                work,
+            );
+        }
+    }
+}
+
+struct Inverse<'a, T, const N: usize, const S: usize> {
+    image: TileMut<'a, T>,
+    place: Place<'a>,
+    spectrum: &'a mut [T],
+}
+
+impl<T: Element, const N: usize, const S: usize> Algorithm<T> for Inverse<'_, T, N, S>
+where
+    Codelet: RealDft<N, S>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(mut self) {
+        let spectrum = complex_vectors::<V>(self.spectrum);
+        for (row, &position) in self.place.positions.iter().enumerate() {
+            let line = gather(spectrum, position, self.place.pitch);
+            self.image.scatter::<V, N>(row * N, 1, <Codelet as RealDft<N, S>>::real_idft(line));
+        }
+    }
+}
+
+/// The lines of a pair of rows as one complex line; a missing second row is zero.
+struct Enter<'a, T> {
+    inputs: &'a [usize],
+    image: Tile<'a, T>,
+    first: usize,
+    second: Option<usize>,
+    line: &'a mut [T],
+}
+
+impl<T: Element> Algorithm<T> for Enter<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let line = complex_vectors::<V>(self.line);
+        for (column, &input) in self.inputs.iter().enumerate() {
+            let [re] = self.image.gather(self.first + column, 1);
+            let im = match self.second {
+                Some(second) => self.image.gather::<V, 1>(second + column, 1)[0],
+                None => V::splat(T::default()),
+            };
+            line[input] = Complex::new(re, im);
+        }
+    }
+}
+
+/// The real part of a complex line to a row, the imaginary part to a second one.
+struct Leave<'a, 'b, T> {
+    inputs: &'a [usize],
+    image: &'a mut TileMut<'b, T>,
+    first: usize,
+    second: Option<usize>,
+    line: &'a mut [T],
+}
+
+impl<T: Element> Algorithm<T> for Leave<'_, '_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let line = complex_vectors::<V>(self.line);
+        for (column, &input) in self.inputs.iter().enumerate() {
+            self.image.scatter(self.first + column, 1, [line[input].re]);
+            if let Some(second) = self.second {
+                self.image.scatter(second + column, 1, [line[input].im]);
+            }
+        }
+    }
+}
+
+/// The doubled spectra of the two rows of a complex line, to places `[first, second]` of the columns.
+struct Split<'a, T> {
+    outputs: &'a [usize],
+    line: &'a mut [T],
+    spectrum: &'a mut [T],
+    pitch: usize,
+    places: [usize; 2],
+}
+
+impl<T: Element> Algorithm<T> for Split<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let (line, spectrum) =
+            (complex_vectors::<V>(self.line), complex_vectors::<V>(self.spectrum));
+        let (outputs, width, [first, second]) = (self.outputs, self.outputs.len(), self.places);
+        let z = line[outputs[0]];
+        let nyquist =
+            if width.is_multiple_of(2) { line[outputs[width / 2]] } else { Complex::zero() };
+        // the second first: a row without a partner has the place of its partner
+        spectrum[second] = Complex::new(z.im + z.im, nyquist.im + nyquist.im);
+        spectrum[first] = Complex::new(z.re + z.re, nyquist.re + nyquist.re);
+        for k in 1..width.div_ceil(2) {
+            let both = pair::split(line[outputs[k]], line[outputs[width - k]]);
+            spectrum[k * self.pitch + second] = both[1];
+            spectrum[k * self.pitch + first] = both[0];
+        }
+    }
+}
+
+/// Undoes [`Split`] up to a factor 2.
+struct Join<'a, T> {
+    outputs: &'a [usize],
+    line: &'a mut [T],
+    spectrum: &'a mut [T],
+    pitch: usize,
+    places: [usize; 2],
+}
+
+impl<T: Element> Algorithm<T> for Join<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let (line, spectrum) =
+            (complex_vectors::<V>(self.line), complex_vectors::<V>(self.spectrum));
+        let (outputs, width, [first, second]) = (self.outputs, self.outputs.len(), self.places);
+        let (a, b) = (spectrum[first], spectrum[second]);
+        if width.is_multiple_of(2) {
+            line[outputs[width / 2]] = Complex::new(a.im, b.im);
+        }
+        line[outputs[0]] = Complex::new(a.re, b.re);
+        for k in 1..width.div_ceil(2) {
+            let both = [spectrum[k * self.pitch + first], spectrum[k * self.pitch + second]];
+            (line[outputs[k]], line[outputs[width - k]]) = pair::join(both);
+        }
+    }
+}

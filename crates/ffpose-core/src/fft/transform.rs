@@ -1,0 +1,62 @@
+//! DFTs of any length along a line of complex vectors, in place.
+
+use super::chirp::Chirp;
+use super::passes::{Pass, Passes};
+use crate::simd::{Element, Isa};
+
+/// A planned DFT of one length.
+pub(crate) enum Transform<T> {
+    Passes(Passes<T>),
+    Chirp(Chirp<T>),
+}
+
+macro_rules! delegate {
+    ($(#[doc = $doc:literal])* $name:ident($($argument:ident: $type:ty),*) $(-> $result:ty)?) => {
+        $(#[doc = $doc])*
+        pub(crate) fn $name(&self, $($argument: $type),*) $(-> $result)? {
+            match self {
+                Self::Passes(passes) => passes.$name($($argument),*),
+                Self::Chirp(chirp) => chirp.$name($($argument),*),
+            }
+        }
+    };
+}
+
+impl<T: Element> Transform<T> {
+    pub(crate) fn new(isa: Isa, length: usize) -> Self {
+        Passes::new(isa, length).map_or_else(|| Self::Chirp(Chirp::new(isa, length)), Self::Passes)
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.inputs().len()
+    }
+
+    /// The passes of a transform that is no more than that.
+    pub(crate) fn passes(&self) -> &[Pass<T>] {
+        match self {
+            Self::Passes(passes) => passes.passes(),
+            Self::Chirp(_) => &[],
+        }
+    }
+
+    delegate! {
+        /// The position of input `n` of the forward transform, and of output `n` of the inverse.
+        inputs() -> &[usize]
+    }
+    delegate! {
+        /// The position of frequency `k`.
+        outputs() -> &[usize]
+    }
+    delegate! {
+        /// Complex vectors of scratch that a run needs.
+        work_len() -> usize
+    }
+    delegate! {
+        /// `X[k] = Σ_n x[n] exp(-2πi k n / N)`.
+        forward(line: &mut [T], work: &mut [T])
+    }
+    delegate! {
+        /// The unnormalised inverse of `forward`.
+        inverse(line: &mut [T], work: &mut [T])
+    }
+}

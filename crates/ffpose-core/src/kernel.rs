@@ -1,0 +1,61 @@
+//! What a hand-made kernel offers and what it may rely on.
+//!
+//! The driver in [`crate::spectral`] sees both layouts as one picture, cuts it into tiles of lanes and ranges of
+//! images, and gives a kernel one such piece at a time:
+//!
+//! - images are `(batch, points, lanes)`: grid, points = H·W and lanes = C; tokens, points = X and lanes = Y;
+//! - weights are `(bins, lanes, 2)`: grid, bins = H·(W/2+1); tokens, `(X, Y/2+1, 2)`.
+//!
+//! In an image view the lanes are contiguous, batch and point strides are positive and otherwise arbitrary. In a
+//! weight view real and imaginary part are neighbours and the stride of the lanes is 2. No dimension is zero, and
+//! `packed`, `grad_sum` and `scratch` have exactly the lengths that the kernel asked for; the driver has checked it.
+
+use ndarray::{ArrayView3, ArrayViewMut3};
+
+/// The transform of one [`crate::Shape`], planned once.
+///
+/// Every image is treated by itself: its result does not depend on its neighbours, so that any split of a batch gives
+/// the same bits.
+pub(crate) trait Kernel<T>: Send + Sync {
+    /// Most lanes of a view: the last tile may have fewer. In tokens the tile is all of Y.
+    fn tile(&self) -> usize;
+
+    /// Numbers in the packed weight of one tile, and in its gradient sum; the same for a last, shorter tile.
+    fn packed_len(&self) -> usize;
+
+    /// Numbers of scratch that a call needs, with any content.
+    fn scratch_len(&self) -> usize;
+
+    /// Brings the weight of one tile from natural order to the kernel's own, scaled by the norm of the transform.
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T]);
+
+    /// `y = irfft2(rfft2(x) · W)`, overwriting `y`.
+    fn forward(
+        &self,
+        x: ArrayView3<'_, T>,
+        packed: &[T],
+        y: ArrayViewMut3<'_, T>,
+        scratch: &mut [T],
+    );
+
+    /// The gradients that `pass` asks for.
+    fn backward(&self, pass: Backward<'_, T>, scratch: &mut [T]);
+
+    /// Brings a gradient sum to natural order, times `c_v / (rows · columns)`, overwriting `grad_weight`;
+    /// `c_v` is 1 in the columns of DC and Nyquist and 2 between them, which stand for two columns each.
+    fn unpack_gradient(&self, grad_sum: &[T], grad_weight: ArrayViewMut3<'_, T>);
+}
+
+/// One piece of a backward pass. `G` and `X` are the spectra of `grad` and `x`.
+pub(crate) struct Backward<'a, T> {
+    /// Gradient of the filter's output.
+    pub(crate) grad: ArrayView3<'a, T>,
+    /// Input of the filter; read only for `grad_sum`.
+    pub(crate) x: ArrayView3<'a, T>,
+    /// Weight in kernel order; read only for `grad_x`.
+    pub(crate) packed: &'a [T],
+    /// Becomes `irfft2(G · conj W)`.
+    pub(crate) grad_x: Option<ArrayViewMut3<'a, T>>,
+    /// Grows by `Σ_b conj(X_b) · G_b` in kernel order, image by image.
+    pub(crate) grad_sum: Option<&'a mut [T]>,
+}

@@ -1,0 +1,34 @@
+//! The mathematics of ffpose: learnable spectral filters, quaternions and pose errors. No Python, no torch, no ONNX.
+//!
+//! # Conventions
+//!
+//! - **Layouts.** [`Layout::Tokens`]: images `(..., X, Y)`, transformed over both axes. [`Layout::Grid`]: channels-last
+//!   images `(..., H, W, C)`, transformed over H and W for each channel.
+//! - **Spectra** are real arrays with real and imaginary part on the last axis, of half the spectrum: `(X, Y/2+1, 2)` or
+//!   `(H, W/2+1, C, 2)`.
+//! - **Normalisation.** That of `torch.fft.rfft2` and `irfft2` by default: none forward, one over the points of the
+//!   plane inverse.
+//! - **Quaternions** are Hamilton's, scalar first `(w, x, y, z)`. Angles are in radians, translations in metres.
+
+#![deny(unsafe_code)]
+
+mod error;
+mod fft;
+mod general;
+mod kernel;
+mod parallel;
+pub mod pose_error;
+pub mod quaternion;
+mod real;
+mod rows;
+mod shape;
+#[allow(unsafe_code)] // fenced in this one folder
+mod simd;
+mod spectral;
+mod tiling;
+
+pub use error::Error;
+pub use real::Real;
+pub use shape::{Layout, Shape};
+pub use simd::Isa;
+pub use spectral::{Gradients, Scratch, SpectralFilter};

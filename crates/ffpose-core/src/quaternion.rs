@@ -1,0 +1,112 @@
+//! Quaternions `(w, x, y, z)`: Hamilton, scalar first. Angles in radians.
+//!
+//! Arrays are `(..., 4)`, or `(..., 3)` for Euler angles. Rows are computed in `f64` and rounded once. NaN in a row goes
+//! through to its result; a zero vector is no rotation and an error.
+
+use ndarray::{ArrayD, ArrayViewD};
+
+use crate::rows::{array_of, rows_of};
+use crate::shape::{tuple, wrong};
+use crate::{Error, Real};
+
+/// cos(pitch) below which roll and yaw turn about the same axis and only their sum is known.
+const GIMBAL_LOCK: f64 = 1e-8;
+
+/// `q / ‖q‖` for the rows of `q (..., 4)`.
+///
+/// # Errors
+/// [`Error::Shape`]; [`Error::ZeroNorm`] with the row.
+pub fn normalize<T: Real>(q: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
+    let units = rows_of("q", &q)?.enumerate().map(|(row, q)| Ok(unit(row, q)?.0));
+    array_of(q.shape(), units)
+}
+
+/// The gradient of [`normalize`] with respect to `q`: `(grad - u ⟨u, grad⟩) / ‖q‖` with `u = q / ‖q‖`.
+///
+/// # Errors
+/// [`Error::Shape`]; [`Error::ZeroNorm`] with the row.
+pub fn normalize_backward<T: Real>(
+    grad: ArrayViewD<'_, T>,
+    q: ArrayViewD<'_, T>,
+) -> Result<ArrayD<T>, Error> {
+    if grad.shape() != q.shape() {
+        return Err(wrong("grad", &tuple(q.shape()), grad.shape()));
+    }
+    let pairs = rows_of::<_, 4>("grad", &grad)?.zip(rows_of("q", &q)?).enumerate();
+    let gradients = pairs.map(|(row, (grad, q))| {
+        let (u, norm) = unit(row, q)?;
+        let along: f64 = u.iter().zip(grad).map(|(u, g)| u * g).sum();
+        Ok(std::array::from_fn::<_, 4, _>(|i| (grad[i] - u[i] * along) / norm))
+    });
+    array_of(q.shape(), gradients)
+}
+
+/// The one of `q` and `-q` whose first component other than zero is positive, so that `w ≥ 0`.
+///
+/// # Errors
+/// [`Error::Shape`]; [`Error::ZeroNorm`] with the row.
+pub fn canonical<T: Real>(q: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
+    let signed = rows_of::<_, 4>("q", &q)?.enumerate().map(|(row, q)| {
+        match q.iter().find(|value| **value != 0.0) {
+            None => Err(Error::ZeroNorm { name: "q", row }),
+            Some(first) if *first < 0.0 => Ok(q.map(|value| 0.0 - value)),
+            Some(_) => Ok(q),
+        }
+    });
+    array_of(q.shape(), signed)
+}
+
+/// Roll, pitch and yaw `(..., 3)` of `q (..., 4)`, which need not be normalised: turns about x, then y, then z of the
+/// fixed frame (ZYX), as in Ye et al., Eq. 12, with the sign of the pitch that inverts [`from_euler`].
+///
+/// Pitch is in `[-π/2, π/2]`, by an arctangent that equals the clamped arcsine and keeps its digits near the ends; there,
+/// in gimbal lock, roll is zero and yaw takes the whole turn.
+///
+/// # Errors
+/// [`Error::Shape`]; [`Error::ZeroNorm`] with the row.
+pub fn to_euler<T: Real>(q: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
+    let angles = rows_of("q", &q)?.enumerate().map(|(row, q)| Ok(euler(unit(row, q)?.0)));
+    array_of(q.shape(), angles)
+}
+
+/// The canonical unit quaternions `(..., 4)` of roll, pitch and yaw `(..., 3)`: the inverse of [`to_euler`].
+///
+/// # Errors
+/// [`Error::Shape`].
+pub fn from_euler<T: Real>(angles: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
+    let rows = rows_of("rpy", &angles)?.map(|row: [f64; 3]| {
+        let [(sr, cr), (sp, cp), (sy, cy)] = row.map(|angle| (0.5 * angle).sin_cos());
+        let q = [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ];
+        Ok(if q[0] < 0.0 { q.map(|value| 0.0 - value) } else { q })
+    });
+    array_of(angles.shape(), rows)
+}
+
+/// `q / ‖q‖` and `‖q‖`, without overflow or underflow on the way.
+fn unit(row: usize, q: [f64; 4]) -> Result<([f64; 4], f64), Error> {
+    let largest = q.into_iter().map(f64::abs).fold(0.0, f64::max);
+    if largest == 0.0 && !q.into_iter().any(f64::is_nan) {
+        return Err(Error::ZeroNorm { name: "q", row });
+    }
+    let scaled = q.map(|value| value / largest);
+    let norm = scaled.iter().map(|value| value * value).sum::<f64>().sqrt();
+    Ok((scaled.map(|value| value / norm), largest * norm))
+}
+
+/// Roll, pitch and yaw of a unit quaternion.
+fn euler([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+    let sin_pitch = 2.0 * (w * y - x * z);
+    let (roll_sin, roll_cos) = (2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y));
+    let cos_pitch = roll_sin.hypot(roll_cos);
+    let pitch = sin_pitch.atan2(cos_pitch);
+    if cos_pitch < GIMBAL_LOCK {
+        return [0.0, pitch, -2.0 * sin_pitch.signum() * x.atan2(w)];
+    }
+    let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    [roll_sin.atan2(roll_cos), pitch, yaw]
+}

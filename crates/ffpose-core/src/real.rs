@@ -1,0 +1,18 @@
+//! The two element types of every array in this crate.
+
+use bytemuck::Pod;
+use rustfft::FftNum;
+
+use crate::simd::Element;
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for f32 {}
+    impl Sealed for f64 {}
+}
+
+/// `f32` or `f64`.
+pub trait Real: Element + FftNum + Pod + Into<f64> + sealed::Sealed {}
+
+impl Real for f32 {}
+impl Real for f64 {}

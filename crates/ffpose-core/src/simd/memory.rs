@@ -1,0 +1,255 @@
+//! Memory as vectors. Every function checks its bounds once, for all the elements that it touches.
+
+use std::marker::PhantomData;
+use std::mem::MaybeUninit;
+
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
+
+use super::{Complex, Element, Vector};
+
+/// Points to read, each a run of contiguous elements (its lanes), at a constant distance.
+#[derive(Clone, Copy)]
+pub(crate) struct Tile<'a, T> {
+    start: *const T,
+    points: usize,
+    lanes: usize,
+    stride: usize,
+    view: PhantomData<&'a [T]>,
+}
+
+/// Points to write, each a run of contiguous elements (its lanes), at a constant distance.
+pub(crate) struct TileMut<'a, T> {
+    start: *mut T,
+    points: usize,
+    lanes: usize,
+    stride: usize,
+    view: PhantomData<&'a mut [T]>,
+}
+
+/// `(points, lanes, stride)` of a view `(points, lanes)`.
+fn layout(shape: (usize, usize), strides: &[isize]) -> (usize, usize, usize) {
+    assert!(shape.1 <= 1 || strides[1] == 1, "the lanes of a tile are contiguous");
+    let stride = usize::try_from(strides[0]).expect("the points of a tile go forward");
+    (shape.0, shape.1, stride)
+}
+
+/// `(points, lanes, stride)` of a view `(points, lanes / 2, 2)`.
+fn complex_layout(shape: (usize, usize, usize), strides: &[isize]) -> (usize, usize, usize) {
+    assert!(
+        shape.2 == 2 && strides[2] == 1 && (shape.1 <= 1 || strides[1] == 2),
+        "complex numbers are contiguous"
+    );
+    layout((shape.0, 2 * shape.1), &[strides[0], 1])
+}
+
+impl<'a, T: Element> Tile<'a, T> {
+    /// The tile of `view` `(points, lanes)`.
+    pub(crate) fn new(view: ArrayView2<'a, T>) -> Self {
+        let (points, lanes, stride) = layout(view.dim(), view.strides());
+        Self { start: view.as_ptr(), points, lanes, stride, view: PhantomData }
+    }
+
+    /// The tile of `view` `(points, lanes, 2)` of complex numbers, whose lanes are alternately real and imaginary.
+    pub(crate) fn of_complex(view: ArrayView3<'a, T>) -> Self {
+        let (points, lanes, stride) = complex_layout(view.dim(), view.strides());
+        Self { start: view.as_ptr(), points, lanes, stride, view: PhantomData }
+    }
+
+    /// `slice` as points of `lanes` elements without gaps.
+    #[inline(always)]
+    pub(crate) fn dense(slice: &'a [T], lanes: usize) -> Self {
+        Self {
+            start: slice.as_ptr(),
+            points: slice.len() / lanes,
+            lanes,
+            stride: lanes,
+            view: PhantomData,
+        }
+    }
+
+    /// The first `LANES` lanes of the points `first`, `first + step`, ...
+    #[inline(always)]
+    pub(crate) fn gather<V: Vector<Element = T>, const N: usize>(
+        &self,
+        first: usize,
+        step: usize,
+    ) -> [V; N] {
+        assert!(V::LANES <= self.lanes && first + (N - 1) * step < self.points);
+        // SAFETY: an array of uninitialised elements needs no initialisation.
+        let mut vectors: [MaybeUninit<V>; N] = unsafe { MaybeUninit::uninit().assume_init() };
+        for (i, vector) in vectors.iter_mut().enumerate() {
+            // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
+            vector.write(unsafe { V::load(self.start.add((first + i * step) * self.stride)) });
+        }
+        // SAFETY: the loop wrote every element; the two types have the same layout.
+        unsafe { std::mem::transmute_copy(&vectors) }
+    }
+
+    /// The first `LANES` lanes of the points `first + offsets[0]`, `first + offsets[1]`, ..., these offsets below `span`.
+    #[inline(always)]
+    pub(crate) fn gather_at<V: Vector<Element = T>, const N: usize>(
+        &self,
+        first: usize,
+        offsets: [usize; N],
+        span: usize,
+    ) -> [V; N] {
+        assert!(V::LANES <= self.lanes && first + span <= self.points);
+        // SAFETY: an array of uninitialised elements needs no initialisation.
+        let mut vectors: [MaybeUninit<V>; N] = unsafe { MaybeUninit::uninit().assume_init() };
+        for (vector, offset) in vectors.iter_mut().zip(offsets) {
+            assert!(offset < span); // constants, as a rule
+            // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
+            vector.write(unsafe { V::load(self.start.add((first + offset) * self.stride)) });
+        }
+        // SAFETY: the loop wrote every element; the two types have the same layout.
+        unsafe { std::mem::transmute_copy(&vectors) }
+    }
+
+    /// The complex numbers of a point whose lanes are alternately real and imaginary.
+    #[inline(always)]
+    pub(crate) fn complex<V: Vector<Element = T>>(&self, point: usize) -> Complex<V> {
+        assert!(2 * V::LANES <= self.lanes && point < self.points);
+        // SAFETY: the point is one of the view's, which holds `lanes >= 2 LANES` elements there (checked above).
+        let (low, high) = unsafe {
+            let start = self.start.add(point * self.stride);
+            (V::load(start), V::load(start.add(V::LANES)))
+        };
+        let (re, im) = V::deinterleave(low, high);
+        Complex::new(re, im)
+    }
+}
+
+impl<'a, T: Element> TileMut<'a, T> {
+    /// The tile of `view` `(points, lanes)`.
+    pub(crate) fn new(mut view: ArrayViewMut2<'a, T>) -> Self {
+        let (points, lanes, stride) = layout(view.dim(), view.strides());
+        Self { start: view.as_mut_ptr(), points, lanes, stride, view: PhantomData }
+    }
+
+    /// The tile of `view` `(points, lanes, 2)` of complex numbers, whose lanes are alternately real and imaginary.
+    pub(crate) fn of_complex(mut view: ArrayViewMut3<'a, T>) -> Self {
+        let (points, lanes, stride) = complex_layout(view.dim(), view.strides());
+        Self { start: view.as_mut_ptr(), points, lanes, stride, view: PhantomData }
+    }
+
+    /// `slice` as points of `lanes` elements without gaps.
+    #[inline(always)]
+    pub(crate) fn dense(slice: &'a mut [T], lanes: usize) -> Self {
+        Self {
+            start: slice.as_mut_ptr(),
+            points: slice.len() / lanes,
+            lanes,
+            stride: lanes,
+            view: PhantomData,
+        }
+    }
+
+    /// The same points, to read.
+    #[inline(always)]
+    pub(crate) fn reader(&self) -> Tile<'_, T> {
+        Tile {
+            start: self.start,
+            points: self.points,
+            lanes: self.lanes,
+            stride: self.stride,
+            view: PhantomData,
+        }
+    }
+
+    /// Writes the first `LANES` lanes of the points `first`, `first + step`, ...
+    #[inline(always)]
+    pub(crate) fn scatter<V: Vector<Element = T>, const N: usize>(
+        &mut self,
+        first: usize,
+        step: usize,
+        vectors: [V; N],
+    ) {
+        assert!(V::LANES <= self.lanes && first + (N - 1) * step < self.points);
+        for (i, vector) in vectors.into_iter().enumerate() {
+            // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
+            unsafe { vector.store(self.start.add((first + i * step) * self.stride)) };
+        }
+    }
+
+    /// Writes the first `LANES` lanes of the points `first + offsets[0]`, ..., these offsets below `span`.
+    #[inline(always)]
+    pub(crate) fn scatter_at<V: Vector<Element = T>, const N: usize>(
+        &mut self,
+        first: usize,
+        offsets: [usize; N],
+        span: usize,
+        vectors: [V; N],
+    ) {
+        assert!(V::LANES <= self.lanes && first + span <= self.points);
+        for (vector, offset) in vectors.into_iter().zip(offsets) {
+            assert!(offset < span); // constants, as a rule
+            // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
+            unsafe { vector.store(self.start.add((first + offset) * self.stride)) };
+        }
+    }
+
+    /// Writes the complex numbers of a point whose lanes are alternately real and imaginary.
+    #[inline(always)]
+    pub(crate) fn set_complex<V: Vector<Element = T>>(&mut self, point: usize, z: Complex<V>) {
+        assert!(2 * V::LANES <= self.lanes && point < self.points);
+        let (low, high) = V::interleave(z.re, z.im);
+        // SAFETY: the point is one of the view's, which holds `lanes >= 2 LANES` elements there (checked above).
+        unsafe {
+            let start = self.start.add(point * self.stride);
+            low.store(start);
+            high.store(start.add(V::LANES));
+        }
+    }
+}
+
+/// `buffer[first]`, `buffer[first + step]`, ...
+#[inline(always)]
+pub(crate) fn gather<E: Copy, const N: usize>(buffer: &[E], first: usize, step: usize) -> [E; N] {
+    assert!(first + (N - 1) * step < buffer.len());
+    // SAFETY: an array of uninitialised elements needs no initialisation.
+    let mut elements: [MaybeUninit<E>; N] = unsafe { MaybeUninit::uninit().assume_init() };
+    for (i, element) in elements.iter_mut().enumerate() {
+        // SAFETY: at most the index checked above.
+        element.write(unsafe { *buffer.get_unchecked(first + i * step) });
+    }
+    // SAFETY: the loop wrote every element; the two types have the same layout.
+    unsafe { std::mem::transmute_copy(&elements) }
+}
+
+/// `buffer[first] = elements[0]`, `buffer[first + step] = elements[1]`, ...
+#[inline(always)]
+pub(crate) fn scatter<E: Copy, const N: usize>(
+    buffer: &mut [E],
+    first: usize,
+    step: usize,
+    elements: [E; N],
+) {
+    assert!(first + (N - 1) * step < buffer.len());
+    for (i, element) in elements.into_iter().enumerate() {
+        // SAFETY: at most the index checked above.
+        unsafe { *buffer.get_unchecked_mut(first + i * step) = element };
+    }
+}
+
+/// Bytes at a multiple of which buffers of vectors start: the largest vector, and a cache line.
+const ALIGNMENT: usize = 64;
+
+/// Elements that [`aligned`] may leave out.
+pub(crate) const fn slack<T>() -> usize {
+    ALIGNMENT / size_of::<T>()
+}
+
+/// `buffer` from its first aligned element on: at most [`slack`] elements less.
+pub(crate) fn aligned<T>(buffer: &mut [T]) -> &mut [T] {
+    let skipped = buffer.as_ptr().align_offset(ALIGNMENT);
+    &mut buffer[skipped..]
+}
+
+/// `buffer`, a part of an aligned one, as complex vectors.
+#[inline(always)]
+pub(crate) fn complex_vectors<V: Vector>(buffer: &mut [V::Element]) -> &mut [Complex<V>] {
+    // SAFETY: a `Complex<V>` is numbers of type `V::Element` without padding, for which any bits are a value.
+    let (before, vectors, _) = unsafe { buffer.align_to_mut() };
+    assert!(before.is_empty(), "buffers of vectors are aligned");
+    vectors
+}

@@ -1,0 +1,83 @@
+//! Vectors of real numbers behind one trait, and the choice of the instruction set at run time.
+//!
+//! A generic algorithm is a [`Algorithm`]; [`Isa::run`] runs it with the vector type of an instruction set. The concrete types
+//! are private to this module and are reached through that door alone, which opens only where the processor has the
+//! instructions: that is why the operations of [`Vector`] are safe to call.
+//!
+//! Speed needs every generic function between the door and the intrinsics to be `#[inline(always)]`: what is not inlined is
+//! compiled without the instruction set. For the same reason such code has loops where closures would be natural.
+//!
+//! All unsafe code of the crate is in this folder.
+
+mod complex;
+mod isa;
+mod memory;
+#[cfg(target_arch = "aarch64")]
+mod neon;
+mod scalar;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+use std::ops::{Add, Mul, Neg, Sub};
+
+pub(crate) use complex::Complex;
+pub use isa::Isa;
+pub(crate) use memory::{Tile, TileMut, aligned, complex_vectors, gather, scatter, slack};
+
+/// An element type with vectors on every instruction set.
+pub trait Element:
+    Copy
+    + Default
+    + Send
+    + Sync
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + 'static
+{
+    /// The value of this type nearest to `value`.
+    fn nearest(value: f64) -> Self;
+
+    /// Runs `algorithm` with the vectors of `isa`.
+    #[doc(hidden)]
+    #[allow(private_bounds, private_interfaces)]
+    fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A);
+}
+
+/// A vector of [`LANES`](Vector::LANES) elements; arithmetic is lane by lane.
+pub(crate) trait Vector:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
+{
+    type Element: Element;
+    /// A power of two.
+    const LANES: usize;
+
+    fn splat(x: Self::Element) -> Self;
+
+    /// `self * b + c`, fused where the instruction set has it.
+    fn mul_add(self, b: Self, c: Self) -> Self;
+
+    /// `c - self * b`, fused where the instruction set has it.
+    fn neg_mul_add(self, b: Self, c: Self) -> Self;
+
+    /// # Safety
+    /// `LANES` elements are readable at `from`.
+    unsafe fn load(from: *const Self::Element) -> Self;
+
+    /// # Safety
+    /// `LANES` elements are writable at `to`.
+    unsafe fn store(self, to: *mut Self::Element);
+
+    /// `(a0 a1 .., b0 b1 ..)` to `(a0 b0 a1 b1 .., .. )`: the first and the second half of the alternating sequence.
+    fn interleave(a: Self, b: Self) -> (Self, Self);
+
+    /// Undoes [`interleave`](Vector::interleave).
+    fn deinterleave(low: Self, high: Self) -> (Self, Self);
+}
+
+/// An algorithm for any vector type of element `T`.
+///
+/// `run` and all that it calls for each vector must be `#[inline(always)]`.
+pub(crate) trait Algorithm<T: Element> {
+    fn run<V: Vector<Element = T>>(self);
+}

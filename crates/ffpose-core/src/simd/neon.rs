@@ -1,0 +1,92 @@
+//! NEON, which every 64-bit ARM has.
+
+#[allow(clippy::wildcard_imports)] // intrinsics
+use std::arch::aarch64::*;
+use std::ops::{Add, Mul, Neg, Sub};
+
+use super::Vector;
+
+/// A vector type from the names of its intrinsics, which need no more than the base architecture.
+macro_rules! vector {
+    ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident $neg:ident
+     $mul_add:ident $neg_mul_add:ident $zip1:ident $zip2:ident $uzp1:ident $uzp2:ident) => {
+        #[derive(Clone, Copy)]
+        #[repr(transparent)]
+        pub(crate) struct $name($raw);
+
+        vector!(@operator $name, Add, add, $add);
+        vector!(@operator $name, Sub, sub, $sub);
+        vector!(@operator $name, Mul, mul, $mul);
+
+        impl Neg for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                // SAFETY: every 64-bit ARM has the instruction.
+                Self(unsafe { $neg(self.0) })
+            }
+        }
+
+        impl Vector for $name {
+            type Element = $element;
+            const LANES: usize = size_of::<$raw>() / size_of::<$element>();
+
+            #[inline(always)]
+            fn splat(x: $element) -> Self {
+                // SAFETY: every 64-bit ARM has the instruction.
+                Self(unsafe { $splat(x) })
+            }
+
+            #[inline(always)]
+            fn mul_add(self, b: Self, c: Self) -> Self {
+                // SAFETY: every 64-bit ARM has the instruction.
+                Self(unsafe { $mul_add(c.0, self.0, b.0) })
+            }
+
+            #[inline(always)]
+            fn neg_mul_add(self, b: Self, c: Self) -> Self {
+                // SAFETY: every 64-bit ARM has the instruction.
+                Self(unsafe { $neg_mul_add(c.0, self.0, b.0) })
+            }
+
+            #[inline(always)]
+            unsafe fn load(from: *const $element) -> Self {
+                // SAFETY: the caller promises the elements; the instruction needs no alignment.
+                Self(unsafe { $load(from) })
+            }
+
+            #[inline(always)]
+            unsafe fn store(self, to: *mut $element) {
+                // SAFETY: the caller promises the elements; the instruction needs no alignment.
+                unsafe { $store(to, self.0) }
+            }
+
+            #[inline(always)]
+            fn interleave(a: Self, b: Self) -> (Self, Self) {
+                // SAFETY: every 64-bit ARM has the instructions.
+                unsafe { (Self($zip1(a.0, b.0)), Self($zip2(a.0, b.0))) }
+            }
+
+            #[inline(always)]
+            fn deinterleave(low: Self, high: Self) -> (Self, Self) {
+                // SAFETY: every 64-bit ARM has the instructions.
+                unsafe { (Self($uzp1(low.0, high.0)), Self($uzp2(low.0, high.0))) }
+            }
+        }
+    };
+    (@operator $name:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
+        impl $trait for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                // SAFETY: every 64-bit ARM has the instruction.
+                Self(unsafe { $intrinsic(self.0, other.0) })
+            }
+        }
+    };
+}
+
+vector!(F32x4(float32x4_t), f32; vdupq_n_f32 vld1q_f32 vst1q_f32 vaddq_f32 vsubq_f32 vmulq_f32 vnegq_f32
+    vfmaq_f32 vfmsq_f32 vzip1q_f32 vzip2q_f32 vuzp1q_f32 vuzp2q_f32);
+vector!(F64x2(float64x2_t), f64; vdupq_n_f64 vld1q_f64 vst1q_f64 vaddq_f64 vsubq_f64 vmulq_f64 vnegq_f64
+    vfmaq_f64 vfmsq_f64 vzip1q_f64 vzip2q_f64 vuzp1q_f64 vuzp2q_f64);

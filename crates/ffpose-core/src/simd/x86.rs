@@ -1,0 +1,161 @@
+//! AVX2 with FMA, and AVX-512 (F, DQ, BW, VL).
+
+#[allow(clippy::wildcard_imports)] // intrinsics
+use std::arch::x86_64::*;
+use std::ops::{Add, Mul, Neg, Sub};
+
+use super::Vector;
+
+/// A vector type from the names of its intrinsics.
+///
+/// The operations are safe although the intrinsics need their instruction set: see the module's documentation.
+macro_rules! vector {
+    ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident
+     $mul_add:ident $neg_mul_add:ident $xor:ident $interleave:ident $deinterleave:ident) => {
+        #[derive(Clone, Copy)]
+        #[repr(transparent)]
+        pub(crate) struct $name($raw);
+
+        vector!(@operator $name, Add, add, $add);
+        vector!(@operator $name, Sub, sub, $sub);
+        vector!(@operator $name, Mul, mul, $mul);
+
+        impl Neg for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                Self(unsafe { $xor(self.0, $splat(-0.0)) })
+            }
+        }
+
+        impl Vector for $name {
+            type Element = $element;
+            const LANES: usize = size_of::<$raw>() / size_of::<$element>();
+
+            #[inline(always)]
+            fn splat(x: $element) -> Self {
+                // SAFETY: this type is named only below `Isa::run`, which found its instruction set.
+                Self(unsafe { $splat(x) })
+            }
+
+            #[inline(always)]
+            fn mul_add(self, b: Self, c: Self) -> Self {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                Self(unsafe { $mul_add(self.0, b.0, c.0) })
+            }
+
+            #[inline(always)]
+            fn neg_mul_add(self, b: Self, c: Self) -> Self {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                Self(unsafe { $neg_mul_add(self.0, b.0, c.0) })
+            }
+
+            #[inline(always)]
+            unsafe fn load(from: *const $element) -> Self {
+                // SAFETY: the caller promises the elements; the instruction needs no alignment.
+                Self(unsafe { $load(from) })
+            }
+
+            #[inline(always)]
+            unsafe fn store(self, to: *mut $element) {
+                // SAFETY: the caller promises the elements; the instruction needs no alignment.
+                unsafe { $store(to, self.0) }
+            }
+
+            #[inline(always)]
+            fn interleave(a: Self, b: Self) -> (Self, Self) {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                let (low, high) = unsafe { $interleave(a.0, b.0) };
+                (Self(low), Self(high))
+            }
+
+            #[inline(always)]
+            fn deinterleave(low: Self, high: Self) -> (Self, Self) {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                let (a, b) = unsafe { $deinterleave(low.0, high.0) };
+                (Self(a), Self(b))
+            }
+        }
+    };
+    (@operator $name:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
+        impl $trait for $name {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                Self(unsafe { $intrinsic(self.0, other.0) })
+            }
+        }
+    };
+}
+
+vector!(F32x8(__m256), f32; _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
+    _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8);
+vector!(F64x4(__m256d), f64; _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_add_pd _mm256_sub_pd _mm256_mul_pd
+    _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4);
+vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
+    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16);
+vector!(F64x8(__m512d), f64; _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_add_pd _mm512_sub_pd _mm512_mul_pd
+    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8);
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn interleave_f32x8(a: __m256, b: __m256) -> (__m256, __m256) {
+    let (p, q) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b)); // quarters 0 and 2, quarters 1 and 3
+    (_mm256_permute2f128_ps::<0x20>(p, q), _mm256_permute2f128_ps::<0x31>(p, q))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn deinterleave_f32x8(low: __m256, high: __m256) -> (__m256, __m256) {
+    let in_order =
+        |halves| _mm256_castpd_ps(_mm256_permute4x64_pd::<0xd8>(_mm256_castps_pd(halves)));
+    (in_order(_mm256_shuffle_ps::<0x88>(low, high)), in_order(_mm256_shuffle_ps::<0xdd>(low, high)))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn interleave_f64x4(a: __m256d, b: __m256d) -> (__m256d, __m256d) {
+    let (p, q) = (_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b)); // quarters 0 and 2, quarters 1 and 3
+    (_mm256_permute2f128_pd::<0x20>(p, q), _mm256_permute2f128_pd::<0x31>(p, q))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn deinterleave_f64x4(low: __m256d, high: __m256d) -> (__m256d, __m256d) {
+    let (p, q) = (_mm256_unpacklo_pd(low, high), _mm256_unpackhi_pd(low, high));
+    (_mm256_permute4x64_pd::<0xd8>(p), _mm256_permute4x64_pd::<0xd8>(q))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn interleave_f32x16(a: __m512, b: __m512) -> (__m512, __m512) {
+    let low = _mm512_setr_epi32(0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+    let high = _mm512_setr_epi32(8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+    (_mm512_permutex2var_ps(a, low, b), _mm512_permutex2var_ps(a, high, b))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn deinterleave_f32x16(low: __m512, high: __m512) -> (__m512, __m512) {
+    let even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+    let odd = _mm512_setr_epi32(1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
+    (_mm512_permutex2var_ps(low, even, high), _mm512_permutex2var_ps(low, odd, high))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn interleave_f64x8(a: __m512d, b: __m512d) -> (__m512d, __m512d) {
+    let low = _mm512_setr_epi64(0, 8, 1, 9, 2, 10, 3, 11);
+    let high = _mm512_setr_epi64(4, 12, 5, 13, 6, 14, 7, 15);
+    (_mm512_permutex2var_pd(a, low, b), _mm512_permutex2var_pd(a, high, b))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn deinterleave_f64x8(low: __m512d, high: __m512d) -> (__m512d, __m512d) {
+    let even = _mm512_setr_epi64(0, 2, 4, 6, 8, 10, 12, 14);
+    let odd = _mm512_setr_epi64(1, 3, 5, 7, 9, 11, 13, 15);
+    (_mm512_permutex2var_pd(low, even, high), _mm512_permutex2var_pd(low, odd, high))
+}

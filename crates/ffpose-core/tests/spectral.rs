@@ -1,0 +1,266 @@
+//! The filter and its gradients against the sums that define them, for every instruction set of the machine.
+
+mod common;
+
+use common::{Numbers, exact, filter, weight_gradient};
+use ffpose_core::{Error, Gradients, Isa, Layout, Real, Scratch, Shape, SpectralFilter};
+use ndarray::{ArrayD, Axis};
+
+/// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
+const GRIDS: [[usize; 4]; 16] = [
+    [1, 14, 14, 20],
+    [2, 7, 7, 9],
+    [1, 28, 28, 5],
+    [1, 56, 56, 3],
+    [3, 8, 16, 17],
+    [1, 32, 32, 2],
+    [2, 1, 1, 3],
+    [2, 1, 6, 4],
+    [2, 5, 1, 4],
+    [1, 2, 2, 40],
+    [2, 13, 11, 7],
+    [1, 17, 31, 2],
+    [1, 9, 15, 33],
+    [1, 12, 10, 8],
+    [1, 3, 50, 1],
+    [1, 37, 4, 16],
+];
+const TOKENS: [[usize; 3]; 14] = [
+    [2, 14, 16],
+    [1, 196, 64],
+    [1, 28, 128],
+    [3, 49, 32],
+    [2, 1, 1],
+    [2, 1, 8],
+    [2, 8, 1],
+    [2, 2, 2],
+    [5, 7, 13],
+    [1, 31, 37],
+    [2, 12, 30],
+    [1, 64, 9],
+    [1, 3, 256],
+    [9, 5, 6],
+];
+
+fn cases() -> Vec<(Layout, Vec<usize>)> {
+    let grids = GRIDS.iter().map(|shape| (Layout::Grid, shape.to_vec()));
+    grids.chain(TOKENS.iter().map(|shape| (Layout::Tokens, shape.to_vec()))).collect()
+}
+
+fn forward<T: Real + Default>(
+    filter: &SpectralFilter<T>,
+    x: &ArrayD<T>,
+    weight: &ArrayD<T>,
+    threads: usize,
+) -> ArrayD<T> {
+    let mut y = ArrayD::from_elem(x.raw_dim(), T::nearest(f64::NAN));
+    let scratch = &mut Scratch::default();
+    filter.forward(x.view(), weight.view(), y.view_mut(), threads, scratch).unwrap();
+    y
+}
+
+fn backward<T: Real + Default>(
+    filter: &SpectralFilter<T>,
+    [grad, x, weight]: [&ArrayD<T>; 3],
+    threads: usize,
+) -> (ArrayD<T>, ArrayD<T>) {
+    let mut grad_x = ArrayD::from_elem(x.raw_dim(), T::nearest(f64::NAN));
+    let mut grad_weight = ArrayD::from_elem(weight.raw_dim(), T::nearest(f64::NAN));
+    let gradients = Gradients { x: Some(grad_x.view_mut()), weight: Some(grad_weight.view_mut()) };
+    let scratch = &mut Scratch::default();
+    let (grad, x, weight) = (grad.view(), x.view(), weight.view());
+    filter.backward(grad, x, weight, gradients, threads, scratch).unwrap();
+    (grad_x, grad_weight)
+}
+
+/// Four roundings for each doubling of the plane, relative to the largest number.
+fn assert_close<T: Real>(
+    got: &ArrayD<T>,
+    expected: &ArrayD<f64>,
+    shape: Shape,
+    eps: f64,
+    what: &str,
+) {
+    let largest = expected.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+    let tolerance = 4.0 * eps * ((shape.rows * shape.columns) as f64).log2().max(1.0) * largest;
+    let error = got.iter().zip(expected).map(|(a, b)| ((*a).into() - b).abs());
+    let worst = error.fold(0.0, |most: f64, e| if e <= most { most } else { e });
+    assert!(worst <= tolerance, "{what}: error {worst:e}, tolerance {tolerance:e}");
+}
+
+fn plans<T: Real>(shape: Shape) -> impl Iterator<Item = SpectralFilter<T>> {
+    Isa::available().into_iter().map(move |isa| SpectralFilter::new(isa, shape))
+}
+
+fn agrees_with_the_sums<T: Real + Default>(eps: f64) {
+    for (layout, dim) in cases() {
+        let shape = Shape::of_images(layout, &dim).unwrap();
+        let mut numbers = Numbers(dim.iter().product::<usize>() as u64);
+        let (x, grad) = (numbers.array::<T>(&dim), numbers.array::<T>(&dim));
+        let weight = numbers.array::<T>(&shape.weight());
+        let [x64, grad64, weight64] = [&x, &grad, &weight].map(exact);
+        let mut conjugate = weight64.clone();
+        conjugate.map_axis_mut(Axis(weight.ndim() - 1), |mut w| w[1] = -w[1]);
+        for plan in plans::<T>(shape) {
+            let close = |what, got: &_, expected: &_| {
+                assert_close(got, expected, shape, eps, &format!("{what} {layout:?} {dim:?}"));
+            };
+            let (grad_x, grad_weight) = backward(&plan, [&grad, &x, &weight], 1);
+            close("y", &forward(&plan, &x, &weight, 1), &filter(layout, &x64, &weight64));
+            close("grad_x", &grad_x, &filter(layout, &grad64, &conjugate));
+            let expected = weight_gradient(layout, &grad64, &x64, &weight64);
+            close("grad_weight", &grad_weight, &expected);
+        }
+    }
+}
+
+#[test]
+fn single_precision_agrees_with_the_sums() {
+    agrees_with_the_sums::<f32>(f32::EPSILON.into());
+}
+
+#[test]
+fn double_precision_agrees_with_the_sums() {
+    agrees_with_the_sums::<f64>(f64::EPSILON);
+}
+
+/// `⟨grad, filter(x, w)⟩` is linear in each of `x` and `w`, so the gradients are its coefficients.
+#[test]
+fn gradients_are_adjoint_to_the_filter() {
+    let dot = |a: &ArrayD<f64>, b: &ArrayD<f64>| (a * b).sum();
+    for (layout, dim) in cases() {
+        let shape = Shape::of_images(layout, &dim).unwrap();
+        let mut numbers = Numbers(7);
+        let [grad, x, other] = [(); 3].map(|()| numbers.array::<f64>(&dim));
+        let [weight, step] = [(); 2].map(|()| numbers.array::<f64>(&shape.weight()));
+        for plan in plans(shape) {
+            let (grad_x, grad_weight) = backward(&plan, [&grad, &x, &weight], 1);
+            let by_x = dot(&grad, &filter(layout, &other, &weight));
+            let by_weight = dot(&grad, &filter(layout, &x, &step));
+            let scale = 1e-12 * x.len() as f64;
+            assert!((dot(&grad_x, &other) - by_x).abs() < scale, "x {layout:?} {dim:?}");
+            assert!((dot(&grad_weight, &step) - by_weight).abs() < scale, "w {layout:?} {dim:?}");
+        }
+    }
+}
+
+#[test]
+fn threads_and_batches_do_not_change_a_bit() {
+    let large = [
+        (Layout::Grid, vec![3, 28, 28, 250]),
+        (Layout::Grid, vec![40, 30, 30, 10]),
+        (Layout::Tokens, vec![37, 70, 128]),
+        (Layout::Tokens, vec![10, 151, 251]),
+    ];
+    for (layout, dim) in large {
+        let shape = Shape::of_images(layout, &dim).unwrap();
+        let mut numbers = Numbers(3);
+        let (x, grad) = (numbers.array::<f32>(&dim), numbers.array::<f32>(&dim));
+        let weight = numbers.array::<f32>(&shape.weight());
+        for plan in plans::<f32>(shape) {
+            let y = forward(&plan, &x, &weight, 1);
+            let gradients = backward(&plan, [&grad, &x, &weight], 1);
+            for threads in [2, 3, 8] {
+                assert_eq!(forward(&plan, &x, &weight, threads), y);
+                assert_eq!(backward(&plan, [&grad, &x, &weight], threads), gradients);
+            }
+            let last = x.slice_axis(Axis(0), (-1..).into()).to_owned();
+            let expected = y.slice_axis(Axis(0), (-1..).into()).to_owned();
+            assert_eq!(forward(&plan, &last, &weight, 1), expected);
+        }
+    }
+}
+
+#[test]
+fn a_gradient_is_the_same_alone() {
+    let shape = Shape::of_images(Layout::Grid, &[5, 6, 7, 9]).unwrap();
+    let mut numbers = Numbers(5);
+    let [grad, x] = [(); 2].map(|()| numbers.array::<f32>(&[5, 6, 7, 9]));
+    let weight = numbers.array::<f32>(&shape.weight());
+    for plan in plans::<f32>(shape) {
+        let (grad_x, grad_weight) = backward(&plan, [&grad, &x, &weight], 1);
+        let (mut alone_x, mut alone_weight) = (grad_x.clone() * 0.0, grad_weight.clone() * 0.0);
+        let mut scratch = Scratch::default();
+        let mut run = |gradients| {
+            plan.backward(grad.view(), x.view(), weight.view(), gradients, 1, &mut scratch)
+                .unwrap();
+        };
+        run(Gradients { x: Some(alone_x.view_mut()), weight: None });
+        run(Gradients { x: None, weight: Some(alone_weight.view_mut()) });
+        run(Gradients { x: None, weight: None });
+        assert_eq!((alone_x, alone_weight), (grad_x, grad_weight));
+    }
+}
+
+#[test]
+fn one_scratch_serves_filters_of_all_shapes() {
+    let mut scratch = Scratch::default();
+    for (layout, dim) in cases() {
+        let shape = Shape::of_images(layout, &dim).unwrap();
+        let mut numbers = Numbers(11);
+        let (x, weight) = (numbers.array::<f32>(&dim), numbers.array(&shape.weight()));
+        let plan = SpectralFilter::planned(shape).unwrap();
+        let mut y = ArrayD::zeros(x.raw_dim());
+        plan.forward(x.view(), weight.view(), y.view_mut(), 1, &mut scratch).unwrap();
+        assert_eq!(y, forward(&plan, &x, &weight, 1));
+    }
+}
+
+#[test]
+fn nothing_is_filtered_to_nothing() {
+    for dim in [vec![0, 4, 6, 3], vec![2, 0, 6, 3], vec![2, 4, 0, 3], vec![2, 4, 6, 0]] {
+        let shape = Shape::of_images(Layout::Grid, &dim).unwrap();
+        let (x, weight) = (ArrayD::<f32>::zeros(dim), ArrayD::zeros(shape.weight()));
+        for plan in plans(shape) {
+            assert!(forward(&plan, &x, &weight, 1).is_empty());
+            let (_, grad_weight) = backward(&plan, [&x, &x, &weight], 1);
+            assert_eq!(grad_weight, weight);
+        }
+    }
+}
+
+#[test]
+fn wrong_shapes_are_refused() {
+    let shape = Shape::of_images(Layout::Tokens, &[4, 6]).unwrap();
+    let plan = SpectralFilter::<f32>::planned(shape).unwrap();
+    let attempt = |x: &[usize], weight: &[usize], y: &[usize]| {
+        let [x, weight, mut y] = [x, weight, y].map(|dim| ArrayD::zeros(dim.to_vec()));
+        plan.forward(x.view(), weight.view(), y.view_mut(), 1, &mut Scratch::default())
+    };
+    let wrong = |name, expected: &str, got: &[usize]| {
+        Err(Error::Shape { name, expected: expected.into(), got: got.to_vec() })
+    };
+    assert_eq!(attempt(&[4, 6], &[4, 4, 2], &[4, 6]), Ok(()));
+    assert_eq!(attempt(&[4, 7], &[4, 4, 2], &[4, 7]), wrong("x", "(..., 4, 6)", &[4, 7]));
+    assert_eq!(attempt(&[4, 6], &[4, 3, 2], &[4, 6]), wrong("weight", "(4, 4, 2)", &[4, 3, 2]));
+    assert_eq!(attempt(&[4, 6], &[4, 4, 2], &[1, 4, 6]), wrong("y", "(4, 6)", &[1, 4, 6]));
+    assert_eq!(
+        Shape::of_images(Layout::Tokens, &[3]),
+        wrong("x", "(..., X, Y)", &[3]).map(|()| shape)
+    );
+}
+
+#[test]
+fn strides_are_refused() {
+    let shape = Shape::of_images(Layout::Tokens, &[4, 4]).unwrap();
+    let plan = SpectralFilter::<f32>::planned(shape).unwrap();
+    let (x, weight, mut y) =
+        (ArrayD::zeros(vec![4, 4]), ArrayD::zeros(vec![4, 3, 2]), ArrayD::zeros(vec![4, 4]));
+    let result = plan.forward(x.t(), weight.view(), y.view_mut(), 1, &mut Scratch::default());
+    assert_eq!(result, Err(Error::Strides { name: "x", got: vec![1, 4] }));
+}
+
+#[test]
+fn a_plane_larger_than_memory_is_refused() {
+    let huge = usize::MAX / 4;
+    let error = Shape::of_images(Layout::Grid, &[0, huge, 2, 2]).unwrap_err();
+    assert_eq!(error, Error::TooLarge { rows: huge, columns: 2, lanes: 2 });
+    assert!(Shape::of_images(Layout::Tokens, &[huge, huge]).is_err());
+}
+
+#[test]
+fn layouts_have_names() {
+    assert_eq!("grid".parse(), Ok(Layout::Grid));
+    assert_eq!("tokens".parse(), Ok(Layout::Tokens));
+    assert_eq!("Grid".parse::<Layout>(), Err(Error::Layout { got: "Grid".into() }));
+}

@@ -1,0 +1,133 @@
+//! The one door between Python and ffpose-core.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use ffpose_core::{Error, Real};
+use numpy::{
+    Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
+    PyUntypedArrayMethods,
+};
+use pyo3::exceptions::{PyOverflowError, PyRuntimeError, PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+
+/// Axes that `ndarray` views of NumPy arrays may have.
+const MOST_AXES: usize = 32;
+
+/// The element type of a call: that of its first array.
+pub(crate) enum Dtype {
+    F32,
+    F64,
+}
+
+/// `$body` with `$T` standing for the element type of `$array`.
+macro_rules! with_dtype {
+    ($array:ident, $T:ident => $body:expr) => {
+        match $crate::border::dtype(stringify!($array), $array)? {
+            $crate::border::Dtype::F32 => {
+                type $T = f32;
+                $body
+            }
+            $crate::border::Dtype::F64 => {
+                type $T = f64;
+                $body
+            }
+        }
+    };
+}
+pub(crate) use with_dtype;
+
+/// Computes without the GIL; an error of the core becomes a `ValueError`.
+///
+/// The core does not panic on checked arguments. If it did, users would meet `PanicException`, which `except Exception`
+/// does not catch; this door would turn it into a `RuntimeError`.
+pub(crate) fn enter<R: Send>(
+    py: Python<'_>,
+    compute: impl FnOnce() -> Result<R, Error> + Send,
+) -> PyResult<R> {
+    match py.detach(|| catch_unwind(AssertUnwindSafe(compute))) {
+        Ok(result) => result.map_err(|error| PyValueError::new_err(error.to_string())),
+        Err(_) => Err(PyRuntimeError::new_err("ffpose failed inside; please report this call")),
+    }
+}
+
+/// The element type of an array.
+pub(crate) fn dtype(name: &str, array: &Bound<'_, PyAny>) -> PyResult<Dtype> {
+    let (py, dtype) = (array.py(), untyped(name, array)?.dtype());
+    if dtype.is_equiv_to(&f32::get_dtype(py)) {
+        Ok(Dtype::F32)
+    } else if dtype.is_equiv_to(&f64::get_dtype(py)) {
+        Ok(Dtype::F64)
+    } else {
+        Err(PyTypeError::new_err(format!("{name} must be float32 or float64, got {dtype}")))
+    }
+}
+
+/// An argument as an array to read, in place: of elements `T`, C-contiguous and aligned.
+pub(crate) fn array<'py, T: Real + Element>(
+    name: &str,
+    argument: &Bound<'py, PyAny>,
+) -> PyResult<PyReadonlyArrayDyn<'py, T>> {
+    let untyped = untyped(name, argument)?;
+    let array = argument.cast::<PyArrayDyn<T>>().map_err(|_| {
+        let expected = T::get_dtype(argument.py());
+        PyTypeError::new_err(format!("{name} must be {expected}, got {}", untyped.dtype()))
+    })?;
+    if untyped.ndim() > MOST_AXES {
+        let got = untyped.ndim();
+        return Err(PyValueError::new_err(format!(
+            "{name} must have at most {MOST_AXES} axes, got {got}"
+        )));
+    }
+    if !untyped.is_c_contiguous() || array.data().addr() % align_of::<T>() != 0 {
+        let got = untyped.strides();
+        return Err(PyValueError::new_err(format!(
+            "{name} must be C-contiguous and aligned, got strides {got:?} at address {:#x}",
+            array.data().addr()
+        )));
+    }
+    array.try_readonly().map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
+}
+
+/// A new array of the shape and element type of `like`, with any content.
+pub(crate) fn empty_like<'py, T: Element>(
+    like: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    static EMPTY_LIKE: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    let py = like.py();
+    let (dtype, order, subclass) = (py.None(), "C", false);
+    let array =
+        EMPTY_LIKE.import(py, "numpy", "empty_like")?.call1((like, dtype, order, subclass))?;
+    Ok(array.cast_into()?)
+}
+
+fn untyped<'a, 'py>(
+    name: &str,
+    array: &'a Bound<'py, PyAny>,
+) -> PyResult<&'a Bound<'py, PyUntypedArray>> {
+    array.cast().map_err(|_| {
+        let got = array.get_type();
+        PyTypeError::new_err(format!("{name} must be a numpy.ndarray, got {got}"))
+    })
+}
+
+/// The number of threads that a caller allows.
+pub(crate) struct Threads(pub(crate) usize);
+
+impl<'py> FromPyObject<'_, 'py> for Threads {
+    type Error = PyErr;
+
+    fn extract(argument: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        let wrong = || {
+            let got = argument.as_any();
+            PyValueError::new_err(format!("num_threads must be at least 1, got {got}"))
+        };
+        match argument.extract::<isize>() {
+            Ok(threads) => {
+                usize::try_from(threads).ok().filter(|n| *n > 0).map(Self).ok_or_else(wrong)
+            }
+            Err(error) if error.is_instance_of::<PyOverflowError>(argument.py()) => Err(wrong()),
+            Err(error) => Err(error),
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! `ffpose._rust`: ffpose-core for NumPy arrays. Every function checks, releases the GIL, computes and maps errors.
+
+mod border;
+mod pose;
+mod spectral;
+
+use pyo3::prelude::*;
+
+/// The compiled core of ffpose. Arrays are C-contiguous float32 or float64.
+#[pymodule]
+mod _rust {
+    #[pymodule_export]
+    use super::pose::{
+        canonical_quaternion, esa_score, euler_to_quaternion, normalize_quaternion,
+        normalize_quaternion_backward, quaternion_to_euler, rotation_error, speed_plus_score,
+        translation_error,
+    };
+    #[pymodule_export]
+    use super::spectral::{isa, spectral_filter, spectral_filter_backward};
+
+    #[pymodule_export]
+    #[allow(non_upper_case_globals)] // Python's name for it
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+}

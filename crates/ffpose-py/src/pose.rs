@@ -1,0 +1,102 @@
+//! Quaternions and pose errors for NumPy arrays. Angles are degrees here and radians in the core.
+
+use ffpose_core::pose_error::{self, PosePairs};
+use ffpose_core::quaternion;
+use numpy::PyArray;
+use pyo3::prelude::*;
+
+use crate::border::{array, enter, with_dtype};
+
+/// `compute` on the views of arrays of one element type.
+macro_rules! on_arrays {
+    ([$first:ident $(, $other:ident)*], $T:ident => $compute:expr) => {
+        with_dtype!($first, $T => {
+            let py = $first.py();
+            let $first = array::<$T>(stringify!($first), $first)?;
+            $(let $other = array::<$T>(stringify!($other), $other)?;)*
+            let $first = $first.as_array();
+            $(let $other = $other.as_array();)*
+            let result = enter(py, || $compute)?;
+            Ok(PyArray::from_owned_array(py, result).into_any())
+        })
+    };
+}
+
+/// q / |q| for rows (..., 4) in order w, x, y, z.
+#[pyfunction]
+pub(crate) fn normalize_quaternion<'py>(q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([q], T => quaternion::normalize(q))
+}
+
+/// The gradient of normalize_quaternion with respect to q (..., 4).
+#[pyfunction]
+pub(crate) fn normalize_quaternion_backward<'py>(
+    grad: &Bound<'py, PyAny>,
+    q: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([q, grad], T => quaternion::normalize_backward(grad, q))
+}
+
+/// The one of q and -q with w >= 0, for rows (..., 4).
+#[pyfunction]
+pub(crate) fn canonical_quaternion<'py>(q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([q], T => quaternion::canonical(q))
+}
+
+/// Roll, pitch and yaw (..., 3) in degrees of q (..., 4).
+#[pyfunction]
+pub(crate) fn quaternion_to_euler<'py>(q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([q], T => Ok(quaternion::to_euler(q)?.mapv_into(T::to_degrees)))
+}
+
+/// Unit quaternions (..., 4) of roll, pitch and yaw (..., 3) in degrees.
+#[pyfunction]
+pub(crate) fn euler_to_quaternion<'py>(rpy: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([rpy], T => quaternion::from_euler(rpy.mapv(T::to_radians).view()))
+}
+
+/// Distances (N,) of translations t and t_hat (N, 3).
+#[pyfunction]
+pub(crate) fn translation_error<'py>(
+    t: &Bound<'py, PyAny>,
+    t_hat: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([t, t_hat], T => pose_error::translation_error(t, t_hat))
+}
+
+/// Angles (N,) in degrees between orientations q and q_hat (N, 4).
+#[pyfunction]
+pub(crate) fn rotation_error<'py>(
+    q: &Bound<'py, PyAny>,
+    q_hat: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([q, q_hat], T => {
+        Ok(pose_error::rotation_error(q, q_hat)?.mapv_into(T::to_degrees))
+    })
+}
+
+/// Scores (N,) of ESA's pose estimation challenge of 2019.
+#[pyfunction]
+pub(crate) fn esa_score<'py>(
+    t: &Bound<'py, PyAny>,
+    q: &Bound<'py, PyAny>,
+    t_hat: &Bound<'py, PyAny>,
+    q_hat: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([t, q, t_hat, q_hat], T => {
+        pose_error::esa_score(&PosePairs { t, q, t_hat, q_hat })
+    })
+}
+
+/// Scores (N,) of the SPEED+ challenge of 2021.
+#[pyfunction]
+pub(crate) fn speed_plus_score<'py>(
+    t: &Bound<'py, PyAny>,
+    q: &Bound<'py, PyAny>,
+    t_hat: &Bound<'py, PyAny>,
+    q_hat: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    on_arrays!([t, q, t_hat, q_hat], T => {
+        pose_error::speed_plus_score(&PosePairs { t, q, t_hat, q_hat })
+    })
+}

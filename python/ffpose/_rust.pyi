@@ -1,0 +1,57 @@
+"""Compiled core. Arrays are C-contiguous and aligned, and of one dtype within a call.
+
+Every function raises TypeError for an argument or dtype that is not float32 or float64, and
+ValueError for a shape, a stride or a value.
+"""
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "__version__",
+    "canonical_quaternion",
+    "esa_score",
+    "euler_to_quaternion",
+    "isa",
+    "normalize_quaternion",
+    "normalize_quaternion_backward",
+    "quaternion_to_euler",
+    "rotation_error",
+    "spectral_filter",
+    "spectral_filter_backward",
+    "speed_plus_score",
+    "translation_error",
+]
+
+__version__: str
+
+_Real = TypeVar("_Real", np.float32, np.float64)
+
+def spectral_filter(
+    x: NDArray[_Real], weight: NDArray[_Real], layout: str, num_threads: int = 1
+) -> NDArray[_Real]: ...
+def spectral_filter_backward(
+    grad: NDArray[_Real],
+    x: NDArray[_Real],
+    weight: NDArray[_Real],
+    layout: str,
+    need_x: bool,
+    need_weight: bool,
+    num_threads: int = 1,
+) -> tuple[NDArray[_Real] | None, NDArray[_Real] | None]: ...
+def isa() -> str: ...
+def normalize_quaternion(q: NDArray[_Real]) -> NDArray[_Real]: ...
+def normalize_quaternion_backward(grad: NDArray[_Real], q: NDArray[_Real]) -> NDArray[_Real]: ...
+def canonical_quaternion(q: NDArray[_Real]) -> NDArray[_Real]: ...
+def quaternion_to_euler(q: NDArray[_Real]) -> NDArray[_Real]: ...
+def euler_to_quaternion(rpy: NDArray[_Real]) -> NDArray[_Real]: ...
+def translation_error(t: NDArray[_Real], t_hat: NDArray[_Real]) -> NDArray[_Real]: ...
+def rotation_error(q: NDArray[_Real], q_hat: NDArray[_Real]) -> NDArray[_Real]: ...
+def esa_score(
+    t: NDArray[_Real], q: NDArray[_Real], t_hat: NDArray[_Real], q_hat: NDArray[_Real]
+) -> NDArray[_Real]: ...
+def speed_plus_score(
+    t: NDArray[_Real], q: NDArray[_Real], t_hat: NDArray[_Real], q_hat: NDArray[_Real]
+) -> NDArray[_Real]: ...

@@ -1,0 +1,269 @@
+"""The NumPy face of the compiled core: arrays in, arrays out.
+
+Arguments are float32 or float64, all of one dtype within a call, which is that of the result.
+Lists of floats (float64) and arrays of any strides are taken too; nothing is ever cast, so
+integers, half precision and mixed dtypes are a `TypeError`. Quaternions are Hamilton's, scalar
+first ``(w, x, y, z)``; angles are in degrees, translations in metres.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ffpose import _rust
+
+__version__ = _rust.__version__
+
+RealArray = NDArray[np.float32] | NDArray[np.float64]
+
+
+def spectral_filter(
+    x: ArrayLike, weight: ArrayLike, layout: str = "tokens", num_threads: int = 1
+) -> RealArray:
+    """Multiply images by a weight in the frequency domain: ``irfft2(rfft2(x) * weight)``.
+
+    The numbers are those of ``torch.fft`` with its default norm, for any weight: in the column
+    of frequency zero, and in that of Nyquist where the second axis is even, only the Hermitian
+    part of the weight counts. This is the global filter of Ye et al., Sensors 2023, 23(20), 8633,
+    Eq. 1-3 (``"tokens"``), and of GFNet (``"grid"``).
+
+    Args:
+        x: Images ``(..., X, Y)`` transformed over both axes, or, with layout ``"grid"``, images
+            ``(..., H, W, C)`` transformed over H and W for each channel. Any size, any number of
+            leading axes.
+        weight: Half spectrum ``(X, Y // 2 + 1, 2)`` or ``(H, W // 2 + 1, C, 2)``; the last axis
+            holds real and imaginary part.
+        layout: ``"tokens"`` or ``"grid"``.
+        num_threads: Threads to use at most; small inputs use one. The result has the same bits
+            for any number.
+
+    Returns:
+        An array of the shape of ``x``.
+
+    Raises:
+        TypeError: An argument is not an array of float32 or float64, or the two differ.
+        ValueError: A shape, ``layout`` or ``num_threads`` is not as above.
+
+    Examples:
+        The weight one leaves an image as it is:
+
+        >>> x = np.arange(12.0).reshape(3, 4)
+        >>> weight = np.zeros((3, 3, 2))
+        >>> weight[..., 0] = 1
+        >>> bool(np.allclose(spectral_filter(x, weight), x))
+        True
+    """
+    return _rust.spectral_filter(_array(x, "x"), _array(weight, "weight"), layout, num_threads)
+
+
+def normalize_quaternion(q: ArrayLike) -> RealArray:
+    """Divide quaternions by their norms.
+
+    Args:
+        q: Quaternions ``(..., 4)``. NaN in one gives NaN in its result.
+
+    Returns:
+        Unit quaternions ``(..., 4)``, of the signs of ``q``.
+
+    Raises:
+        TypeError: ``q`` is not of float32 or float64.
+        ValueError: Another shape, or a zero vector, whose row is named.
+
+    Examples:
+        >>> normalize_quaternion([0.0, 3.0, 0.0, 4.0])
+        array([0. , 0.6, 0. , 0.8])
+    """
+    return _rust.normalize_quaternion(_array(q, "q"))
+
+
+def canonical_quaternion(q: ArrayLike) -> RealArray:
+    """Choose between ``q`` and ``-q``, which are one rotation, the one with ``w >= 0``.
+
+    Where ``w`` is zero, the first component that is not is made positive.
+
+    Args:
+        q: Quaternions ``(..., 4)`` of any norm above zero; the norm is kept.
+
+    Returns:
+        Quaternions ``(..., 4)``.
+
+    Raises:
+        TypeError: ``q`` is not of float32 or float64.
+        ValueError: Another shape, or a zero vector, whose row is named.
+
+    Examples:
+        >>> canonical_quaternion([[-0.6, 0.0, 0.8, 0.0], [0.6, 0.0, 0.8, 0.0]])
+        array([[ 0.6,  0. , -0.8,  0. ],
+               [ 0.6,  0. ,  0.8,  0. ]])
+    """
+    return _rust.canonical_quaternion(_array(q, "q"))
+
+
+def quaternion_to_euler(q: ArrayLike) -> RealArray:
+    """Roll, pitch and yaw of quaternions: turns about the fixed x, then y, then z axis (ZYX).
+
+    Ye et al., Sensors 2023, 23(20), 8633, Eq. 12, with the minus in the pitch that inverts its
+    two arctangents: ``sin(pitch) = 2 (w y - x z)``. At a pitch of ±90° only one combination of
+    roll and yaw is known; roll is then zero.
+
+    Args:
+        q: Quaternions ``(..., 4)`` of any norm above zero. NaN in one gives NaN in its result.
+
+    Returns:
+        Angles ``(..., 3)`` in degrees: roll and yaw in [-180, 180], pitch in [-90, 90].
+
+    Raises:
+        TypeError: ``q`` is not of float32 or float64.
+        ValueError: Another shape, or a zero vector, whose row is named.
+
+    Examples:
+        >>> quaternion_to_euler([1.0, 0.0, 0.0, 1.0]).round(6) + 0.0
+        array([ 0.,  0., 90.])
+    """
+    return _rust.quaternion_to_euler(_array(q, "q"))
+
+
+def euler_to_quaternion(rpy: ArrayLike) -> RealArray:
+    """Quaternions of roll, pitch and yaw: the inverse of `quaternion_to_euler`.
+
+    Args:
+        rpy: Angles ``(..., 3)`` in degrees.
+
+    Returns:
+        Unit quaternions ``(..., 4)`` with ``w >= 0``.
+
+    Raises:
+        TypeError: ``rpy`` is not of float32 or float64.
+        ValueError: Another shape.
+
+    Examples:
+        >>> euler_to_quaternion([180.0, 0.0, 0.0]).round(6) + 0.0
+        array([0., 1., 0., 0.])
+    """
+    return _rust.euler_to_quaternion(_array(rpy, "rpy"))
+
+
+def translation_error(t: ArrayLike, t_hat: ArrayLike) -> RealArray:
+    """Distance between true and estimated translations.
+
+    Args:
+        t: True translations ``(N, 3)`` in metres.
+        t_hat: Estimated translations ``(N, 3)`` in metres.
+
+    Returns:
+        Euclidean distances ``(N,)`` in metres.
+
+    Raises:
+        TypeError: An argument is not of float32 or float64, or the two differ.
+        ValueError: Another shape, or a value that is not finite, whose row is named.
+
+    Examples:
+        >>> translation_error([[0.0, 0.0, 10.0]], [[3.0, 0.0, 14.0]])
+        array([5.])
+    """
+    return _rust.translation_error(_array(t, "t"), _array(t_hat, "t_hat"))
+
+
+def rotation_error(q: ArrayLike, q_hat: ArrayLike) -> RealArray:
+    """Angle of the rotation between true and estimated orientations.
+
+    Equal to ``2 acos(min(1, |<q, q_hat>|))`` of unit quaternions, but by the arctangent of the
+    parts of ``q^-1 q_hat``, which keeps the digits of small angles. ``q`` and ``-q`` are one.
+
+    Args:
+        q: True orientations ``(N, 4)``, of any norm above zero.
+        q_hat: Estimated orientations ``(N, 4)``, of any norm above zero.
+
+    Returns:
+        Angles ``(N,)`` in degrees, from 0 to 180.
+
+    Raises:
+        TypeError: An argument is not of float32 or float64, or the two differ.
+        ValueError: Another shape, a zero vector or a value that is not finite, with its row.
+
+    Examples:
+        >>> rotation_error([[1.0, 0.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0, -1.0]]).round(9)
+        array([90.])
+    """
+    return _rust.rotation_error(_array(q, "q"), _array(q_hat, "q_hat"))
+
+
+def esa_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) -> RealArray:
+    """Score of ESA's Kelvins Pose Estimation Challenge 2019, sample by sample; its mean ranks.
+
+    The translation error divided by the true distance, plus the rotation error in radians.
+
+    Args:
+        t: True translations ``(N, 3)`` in metres.
+        q: True orientations ``(N, 4)``.
+        t_hat: Estimated translations ``(N, 3)`` in metres.
+        q_hat: Estimated orientations ``(N, 4)``.
+
+    Returns:
+        Scores ``(N,)``; zero is best.
+
+    Raises:
+        TypeError: An argument is not of float32 or float64, or two differ.
+        ValueError: Another shape, a zero vector (``t``, ``q`` or ``q_hat``) or a value that is
+            not finite, with its row.
+
+    Examples:
+        >>> q = [[1.0, 0.0, 0.0, 0.0]]
+        >>> esa_score([[0.0, 0.0, 10.0]], q, [[3.0, 0.0, 14.0]], q)
+        array([0.5])
+    """
+    return _rust.esa_score(*_pose_arrays(t, q, t_hat, q_hat))
+
+
+def speed_plus_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) -> RealArray:
+    """Score of the SPEED+ challenge (SPEC2021), sample by sample; its mean ranks.
+
+    As `esa_score`, but a relative translation error below 0.002173 and a rotation error below
+    0.169 degrees, the accuracy of the labels, count as zero, each for itself.
+
+    Args:
+        t: True translations ``(N, 3)`` in metres.
+        q: True orientations ``(N, 4)``.
+        t_hat: Estimated translations ``(N, 3)`` in metres.
+        q_hat: Estimated orientations ``(N, 4)``.
+
+    Returns:
+        Scores ``(N,)``; zero is best.
+
+    Raises:
+        TypeError: An argument is not of float32 or float64, or two differ.
+        ValueError: Another shape, a zero vector (``t``, ``q`` or ``q_hat``) or a value that is
+            not finite, with its row.
+
+    Examples:
+        >>> q = [[1.0, 0.0, 0.0, 0.0]]
+        >>> speed_plus_score([[0.0, 0.0, 10.0]], q, [[0.0, 0.0, 10.01]], q)
+        array([0.])
+    """
+    return _rust.speed_plus_score(*_pose_arrays(t, q, t_hat, q_hat))
+
+
+def instruction_set() -> str:
+    """The vector instructions that the filters use on this machine.
+
+    Returns:
+        ``"scalar"``, ``"avx2"``, ``"avx512"`` or ``"neon"``; the environment variable
+        ``FFPOSE_ISA`` forces one.
+    """
+    return _rust.isa()
+
+
+def _pose_arrays(
+    t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    return _array(t, "t"), _array(q, "q"), _array(t_hat, "t_hat"), _array(q_hat, "q_hat")
+
+
+def _array(values: ArrayLike, name: str) -> NDArray[Any]:
+    """``values`` as the array that the core takes: copied where strides ask for it, never cast."""
+    if isinstance(values, np.ndarray) and hasattr(values, "mask"):
+        raise TypeError(f"{name} must be an array without a mask, got {type(values).__name__}")
+    return np.require(values, requirements=["C", "A", "E"])

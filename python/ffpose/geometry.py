@@ -1,0 +1,231 @@
+"""Cameras, poses and quaternions: the one page of conventions.
+
+Every other module uses what is written here, and converts on entry what comes in another form.
+
+* **Camera frame**: x right, y down, z forward (that of OpenCV), right-handed, in metres.
+* **Pose**: takes a point of the object into the camera frame, ``p_camera = R(q) @ p_object + t``.
+* **Quaternion**: Hamilton's, scalar first ``(w, x, y, z)``, of norm one. ``q`` and ``-q`` are one
+  rotation; a label is canonical, that is ``w >= 0``.
+* **Flat vector**: ``[tx, ty, tz, qw, qx, qy, qz]``.
+* **Pixels**: continuous coordinates ``(u, v)``, u to the right and v downwards. The image covers
+  ``[0, width] x [0, height]``, so the centre of the top left pixel is ``(0.5, 0.5)`` and a resize
+  is a plain scaling.
+
+URSO (Proença and Gao, 2020) labels its images in a left-handed camera frame (x right, y *up*, z
+depth) with a JPL quaternion ``(q1, q2, q3, q4)``, scalar last, whose matrix is the transpose of
+Hamilton's for the same four numbers. Mirroring y with ``M = diag(1, -1, 1)`` takes camera and
+object to right-handed frames: ``t = M t_urso`` and ``R = M C M``, ``C`` being JPL's matrix. The
+transpose negates the vector part; the mirror maps an axis ``a`` to ``det(M) M a = (-a1, a2, -a3)``;
+together ``q = (q4, q1, -q2, q3)``, and a point of the object is ours with its y negated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+QUATERNION_TOLERANCE = 1e-3
+"""How far a quaternion's norm may lie from one (rounding of a printed label) to be normalised."""
+
+
+def _real_array(name: str, values: ArrayLike, size: int) -> FloatArray:
+    """Return finite ``values`` as float64 whose last axis has ``size``, or say what was wrong."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"{name}: expected real numbers, got dtype {array.dtype}")
+    if array.ndim < 1 or array.shape[-1] != size:
+        raise ValueError(f"{name}: expected shape (..., {size}), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {array.tolist()}")
+    return array.astype(np.float64)
+
+
+def _unit_quaternion(q: ArrayLike) -> FloatArray:
+    """Normalise q ``(..., 4)`` where its norm is one within `QUATERNION_TOLERANCE`."""
+    array = _real_array("quaternion", q, 4)
+    norm = np.linalg.norm(array, axis=-1, keepdims=True)
+    worst = float(np.max(np.abs(norm - 1), initial=0.0))
+    if worst > QUATERNION_TOLERANCE:
+        raise ValueError(
+            f"quaternion: expected norm 1 within {QUATERNION_TOLERANCE}, "
+            f"got {norm.flat[np.argmax(np.abs(norm - 1))]:.6g}"
+        )
+    return np.asarray(array / norm)
+
+
+def rotation_matrix(q: ArrayLike) -> FloatArray:
+    """Return the rotation matrices of Hamilton quaternions, scalar first.
+
+    Args:
+        q: Unit quaternions ``(..., 4)``, ``(w, x, y, z)``.
+
+    Returns:
+        Matrices ``(..., 3, 3)``, float64, such that ``matrix @ p`` rotates the point ``p``.
+
+    Raises:
+        TypeError: The values are not real numbers.
+        ValueError: Wrong shape, a value that is not finite, or a norm other than one.
+
+    Example:
+        >>> rotation_matrix([0.0, 0.0, 0.0, 1.0]).tolist()  # half a turn about z
+        [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    w, x, y, z = np.moveaxis(_unit_quaternion(q), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera without distortion, in continuous pixel coordinates (see the module).
+
+    Attributes:
+        width: Image width in pixels.
+        height: Image height in pixels.
+        fx: Focal length along u, in pixels.
+        fy: Focal length along v, in pixels.
+        cx: Principal point's u.
+        cy: Principal point's v.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"camera: expected a positive size, got {self.width}x{self.height}")
+        if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))):
+            raise ValueError(f"camera: expected finite intrinsics, got {self}")
+        if self.fx <= 0 or self.fy <= 0:
+            raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.fx}, {self.fy}")
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The calibration matrix ``(3, 3)``: ``matrix @ p_camera`` is ``depth * (u, v, 1)``."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def resized(self, width: int, height: int) -> Camera:
+        """Return the camera of the same view, its image resized to ``width`` x ``height``."""
+        x, y = width / self.width, height / self.height
+        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """Return the camera of the rectangle whose top left corner is the pixel (left, top)."""
+        return Camera(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
+
+    def project(self, points: ArrayLike) -> FloatArray:
+        """Project points of the camera frame onto the image.
+
+        Args:
+            points: ``(..., 3)``, metres.
+
+        Returns:
+            Pixels ``(..., 2)``, float64, also where they lie outside the image. A point that is not
+            in front of the camera (z <= 0) has no image: its pixel is NaN, which a plot leaves out.
+
+        Raises:
+            TypeError: The values are not real numbers.
+            ValueError: Wrong shape, or a value that is not finite.
+        """
+        p = _real_array("points", points, 3)
+        depth = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
+        return p[..., :2] / depth * (self.fx, self.fy) + (self.cx, self.cy)
+
+
+URSO_CAMERA = Camera(width=1280, height=960, fx=640.0, fy=640.463, cx=640.0, cy=480.0)
+"""The camera of URSO's published image sets."""
+
+
+@dataclass(frozen=True, slots=True, init=False, eq=False)
+class Pose:
+    """Where an object is and how it is turned: ``p_camera = R(q) @ p_object + t``.
+
+    Attributes:
+        t: Translation ``(3,)``, metres, camera frame; read-only float64.
+        q: Orientation ``(4,)``, Hamilton quaternion ``(w, x, y, z)`` of norm one with ``w >= 0``;
+            read-only float64.
+
+    Example:
+        >>> Pose([1, 2, 10], [-0.6, 0.8, 0, 0]).q.tolist() == [0.6, -0.8, 0, 0]
+        True
+    """
+
+    t: FloatArray
+    q: FloatArray
+
+    def __init__(self, t: ArrayLike, q: ArrayLike) -> None:
+        """Check and store a pose; a canonical sign is given to q.
+
+        Raises:
+            TypeError: The values are not real numbers.
+            ValueError: Wrong shape, a value that is not finite, or a quaternion whose norm is
+                farther than `QUATERNION_TOLERANCE` from one; a closer one is normalised.
+        """
+        translation = _real_array("translation", t, 3)
+        quaternion = _unit_quaternion(q)
+        if translation.ndim != 1 or quaternion.ndim != 1:
+            raise ValueError(
+                "pose: expected translation (3,) and quaternion (4,), "
+                f"got {translation.shape} and {quaternion.shape}"
+            )
+        if quaternion[0] < 0:
+            quaternion = -quaternion
+        for name, array in (("t", translation), ("q", quaternion)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @classmethod
+    def from_vector(cls, vector: ArrayLike) -> Pose:
+        """Build a pose from ``[tx, ty, tz, qw, qx, qy, qz]``."""
+        array = _real_array("pose vector", vector, 7)
+        return cls(array[..., :3], array[..., 3:])
+
+    @classmethod
+    def from_urso(
+        cls, *, x: float, y: float, z: float, q1: float, q2: float, q3: float, q4: float
+    ) -> Pose:
+        """Build a pose from a row of URSO's labels (the module says how they convert).
+
+        Example:
+            >>> pose = Pose.from_urso(x=2, y=1, z=10, q1=0, q2=0, q3=0, q4=1)
+            >>> pose.project([0.0, 0.0, 0.0], URSO_CAMERA).round(2).tolist()
+            [768.0, 415.95]
+        """
+        return cls((x, -y, z), (q4, q1, -q2, q3))
+
+    def to_urso(self) -> dict[str, float]:
+        """Return this pose as a row of URSO's labels: x, y, z, q1, q2, q3, q4."""
+        w, x, y, z = self.q.tolist()
+        tx, ty, tz = self.t.tolist()
+        return {"x": tx, "y": -ty, "z": tz, "q1": x, "q2": -y, "q3": z, "q4": w}
+
+    @property
+    def vector(self) -> FloatArray:
+        """The flat form ``(7,)``, ``[tx, ty, tz, qw, qx, qy, qz]``."""
+        return np.concatenate([self.t, self.q])
+
+    @property
+    def rotation(self) -> FloatArray:
+        """The rotation matrix ``(3, 3)`` from the object's frame to the camera's."""
+        return rotation_matrix(self.q)
+
+    def transform(self, points: ArrayLike) -> FloatArray:
+        """Take points of the object ``(..., 3)`` into the camera frame, metres."""
+        return _real_array("points", points, 3) @ self.rotation.T + self.t
+
+    def project(self, points: ArrayLike, camera: Camera) -> FloatArray:
+        """Project points of the object ``(..., 3)`` to pixels ``(..., 2)``, as `Camera.project`."""
+        return camera.project(self.transform(points))

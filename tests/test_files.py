@@ -1,0 +1,35 @@
+"""Files appear whole or not at all."""
+
+import pytest
+
+from ffpose.files import atomic_write
+
+
+def write_and_fail(path):
+    with atomic_write(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError("interrupted")
+
+
+def test_the_file_appears_when_it_is_whole(tmp_path):
+    target = tmp_path / "report.json"
+    with atomic_write(target) as temporary:
+        temporary.write_text("new")
+        assert temporary.suffix == ".json"
+        assert not target.exists()
+    assert target.read_text() == "new"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_an_interruption_leaves_what_was_there(tmp_path):
+    target = tmp_path / "report.json"
+    target.write_text("old")
+    with pytest.raises(RuntimeError, match="interrupted"):
+        write_and_fail(target)
+    assert target.read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_the_folder_must_exist(tmp_path):
+    with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "missing" / "report.json"):
+        pass

@@ -1,0 +1,171 @@
+"""Conventions, against SciPy and numbers worked out by hand."""
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from ffpose.geometry import URSO_CAMERA, Camera, Pose, rotation_matrix
+
+ROW = {"x": 2.0, "y": 1.0, "z": 10.0, "q1": 0.0, "q2": 0.0, "q3": 0.0, "q4": 1.0}
+
+
+def rotations(count, seed=0):
+    return Rotation.random(count, rng=np.random.default_rng(seed))
+
+
+def wxyz(rotation):
+    return rotation.as_quat(scalar_first=True)
+
+
+def test_rotation_matrix_is_scipys():
+    rotation = rotations(50)
+    np.testing.assert_allclose(rotation_matrix(wxyz(rotation)), rotation.as_matrix(), atol=1e-15)
+
+
+def test_rotation_matrix_keeps_the_leading_axes():
+    q = wxyz(rotations(6)).reshape(2, 3, 4)
+    assert rotation_matrix(q).shape == (2, 3, 3, 3)
+    np.testing.assert_array_equal(rotation_matrix(q)[1, 2], rotation_matrix(q[1, 2]))
+
+
+def test_pose_takes_points_of_the_object_into_the_camera_frame():
+    rotation = rotations(1)[0]
+    points = np.random.default_rng(1).normal(size=(5, 2, 3))
+    pose = Pose([1.0, -2.0, 30.0], wxyz(rotation))
+    turned = rotation.apply(points.reshape(-1, 3)).reshape(points.shape)
+    expected = turned + np.array([1.0, -2.0, 30.0])
+    np.testing.assert_allclose(pose.transform(points), expected, atol=1e-14)
+
+
+def test_both_signs_of_a_quaternion_are_one_pose():
+    q = wxyz(rotations(1)[0])
+    one, other = Pose([0, 0, 1], q), Pose([0, 0, 1], -q)
+    np.testing.assert_array_equal(one.vector, other.vector)
+    assert one.q[0] >= 0
+
+
+def test_vector_is_translation_then_quaternion_scalar_first():
+    pose = Pose.from_vector([1, 2, 3, 0.5, 0.5, -0.5, 0.5])
+    assert pose.t.tolist() == [1, 2, 3]
+    assert pose.q.tolist() == [0.5, 0.5, -0.5, 0.5]
+    np.testing.assert_array_equal(pose.vector, [1, 2, 3, 0.5, 0.5, -0.5, 0.5])
+
+
+def test_a_rounded_quaternion_is_normalised():
+    pose = Pose([0, 0, 1], [0.7071, 0.0, 0.7071, 0.0])
+    np.testing.assert_allclose(np.linalg.norm(pose.q), 1, atol=1e-15)
+
+
+def test_a_pose_cannot_be_changed_and_survives_pickling():
+    pose = Pose([0, 0, 1], [1, 0, 0, 0])
+    with pytest.raises(ValueError, match="read-only"):
+        pose.q[0] = 2
+    with pytest.raises(AttributeError):
+        pose.t = np.zeros(3)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(pose)).vector, pose.vector)
+
+
+@pytest.mark.parametrize(
+    ("t", "q", "error", "words"),
+    [
+        ([0, 0, 1], [0, 0, 0, 0], ValueError, "expected norm 1 within 0.001, got 0"),
+        ([0, 0, 1], [1.01, 0, 0, 0], ValueError, "got 1.01"),
+        ([0, 0, 1], [1, 0, 0, np.nan], ValueError, "expected finite"),
+        ([0, 0, np.inf], [1, 0, 0, 0], ValueError, "expected finite"),
+        ([0, 0], [1, 0, 0, 0], ValueError, r"expected shape \(..., 3\), got \(2,\)"),
+        ([0, 0, 1], [1, 0, 0], ValueError, r"expected shape \(..., 4\), got \(3,\)"),
+        ([[0, 0, 1]], [1, 0, 0, 0], ValueError, r"got \(1, 3\) and \(4,\)"),
+        (1.0, [1, 0, 0, 0], ValueError, r"got \(\)"),
+        (["a", "b", "c"], [1, 0, 0, 0], TypeError, "expected real numbers"),
+        ([0, 0, 1j], [1, 0, 0, 0], TypeError, "expected real numbers, got dtype complex128"),
+    ],
+)
+def test_a_bad_pose_is_refused(t, q, error, words):
+    with pytest.raises(error, match=words):
+        Pose(t, q)
+
+
+def test_urso_check_value():
+    # u = 640 + 640 * 2 / 10; URSO's y is up, so v = 480 - 640.463 * 1 / 10.
+    u, v = Pose.from_urso(**ROW).project([0, 0, 0], URSO_CAMERA)
+    assert u == pytest.approx(768, abs=1e-9)
+    assert v == pytest.approx(415.9537, abs=1e-9)
+
+
+def test_urso_conversion_is_the_mirror_of_jpls_matrix():
+    # SciPy reads (q1, q2, q3, q4) as Hamilton's, scalar last; JPL's matrix is its transpose.
+    quaternions = rotations(50, seed=2).as_quat()
+    mirror = np.diag([1.0, -1.0, 1.0])
+    for q in quaternions:
+        row = ROW | dict(zip(("q1", "q2", "q3", "q4"), q, strict=True))
+        expected = mirror @ Rotation.from_quat(q).as_matrix().T @ mirror
+        np.testing.assert_allclose(Pose.from_urso(**row).rotation, expected, atol=1e-14)
+
+
+def test_urso_conversion_shows_a_point_where_ursos_own_frame_does():
+    # In URSO's frame: p = C q-rotated object point + t, u = cx + fx x / z, v = cy - fy y / z.
+    q = rotations(1, seed=3)[0].as_quat()
+    row = ROW | dict(zip(("q1", "q2", "q3", "q4"), q, strict=True))
+    point = np.array([0.3, -0.8, 0.5])
+    x, y, z = Rotation.from_quat(q).as_matrix().T @ point + [2.0, 1.0, 10.0]
+    expected = [640 + 640 * x / z, 480 - 640.463 * y / z]
+    mirrored = point * [1, -1, 1]
+    np.testing.assert_allclose(Pose.from_urso(**row).project(mirrored, URSO_CAMERA), expected)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_urso_labels_survive_the_way_there_and_back(seed):
+    rng = np.random.default_rng(seed)
+    pose = Pose(rng.normal(size=3), wxyz(Rotation.random(rng=rng)))
+    np.testing.assert_allclose(Pose.from_urso(**pose.to_urso()).vector, pose.vector, atol=1e-15)
+
+
+def test_camera_projects_as_its_matrix():
+    camera = Camera(1920, 1200, 3003.413, 3003.413, 960.0, 600.0)
+    points = np.random.default_rng(4).uniform([-1, -1, 5], [1, 1, 20], size=(7, 3))
+    image = points @ camera.matrix.T
+    np.testing.assert_allclose(camera.project(points), image[:, :2] / image[:, 2:])
+    # SPEED's own check value.
+    np.testing.assert_allclose(camera.project([0.1, -0.2, 10]), [990.03413, 539.93174])
+
+
+def test_what_is_not_in_front_of_the_camera_has_no_pixel():
+    pixels = URSO_CAMERA.project([[0, 0, 1], [0, 0, 0], [1, 1, -1]])
+    np.testing.assert_array_equal(np.isnan(pixels[:, 0]), [False, True, True])
+
+
+@given(
+    width=st.integers(1, 4000),
+    height=st.integers(1, 4000),
+    u=st.floats(0, 1),
+    v=st.floats(0, 1),
+)
+def test_a_resized_camera_sees_a_point_at_the_same_place_of_the_image(width, height, u, v):
+    point = [
+        (u * 1280 - 640) / URSO_CAMERA.fx * 7,
+        (v * 960 - 480) / URSO_CAMERA.fy * 7,
+        7.0,
+    ]
+    pixel = URSO_CAMERA.resized(width, height).project(point)
+    np.testing.assert_allclose(pixel, [u * width, v * height], atol=1e-9)
+
+
+def test_a_cropped_camera_counts_from_the_crops_corner():
+    whole, part = URSO_CAMERA, URSO_CAMERA.cropped(100, 50, 640, 480)
+    point = [0.5, -0.25, 8.0]
+    np.testing.assert_allclose(part.project(point), whole.project(point) - [100, 50])
+    assert (part.width, part.height) == (640, 480)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"width": 0}, {"height": -1}, {"fx": 0.0}, {"fy": -640.463}, {"cx": np.nan}, {"fx": np.inf}],
+)
+def test_a_bad_camera_is_refused(change):
+    fields = {"width": 4, "height": 3, "fx": 1.0, "fy": 1.0, "cx": 2.0, "cy": 1.5}
+    with pytest.raises(ValueError, match="expected"):
+        Camera(**(fields | change))
