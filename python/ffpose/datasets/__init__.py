@@ -1,0 +1,76 @@
+"""Data sets on disk, one file for each kind, all in the conventions of `ffpose.geometry`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ffpose.datasets import urso
+from ffpose.datasets.base import SPLITS, PoseDataset, Reader, Sample, Split
+from ffpose.datasets.records import Record
+from ffpose.transforms import Augmentation, Preprocessing
+
+__all__ = [
+    "KINDS",
+    "SPLITS",
+    "PoseDataset",
+    "Record",
+    "Sample",
+    "Split",
+    "list_splits",
+    "open_dataset",
+]
+
+KINDS: dict[str, Reader] = {"urso": urso}
+"""The kinds of data sets that can be read, by name."""
+
+
+def _reader(kind: str) -> Reader:
+    if kind not in KINDS:
+        raise ValueError(f"data set kind: expected one of {sorted(KINDS)}, got {kind!r}")
+    return KINDS[kind]
+
+
+def list_splits(kind: str, root: str | Path) -> list[Split]:
+    """Return the splits that a data set holds, in the order train, val, test.
+
+    Args:
+        kind: One of `KINDS`.
+        root: The data set's folder.
+
+    Raises:
+        ValueError: The kind is not known.
+        FileNotFoundError: The folder does not exist.
+    """
+    return _reader(kind).splits(Path(root))
+
+
+def open_dataset(
+    kind: str,
+    root: str | Path,
+    split: Split,
+    preprocessing: Preprocessing,
+    augmentation: Augmentation | None = None,
+    cache: bool = False,
+) -> PoseDataset:
+    """Read the labels of a split and return it as a data set.
+
+    Args:
+        kind: One of `KINDS`.
+        root: The data set's folder.
+        split: ``"train"``, ``"val"`` or ``"test"``.
+        preprocessing: From image to network input.
+        augmentation: Applied to each sample anew; None for none.
+        cache: Decode and resize every image once, now (see `PoseDataset`).
+
+    Returns:
+        The data set. Images are read when they are asked for, or now with ``cache``.
+
+    Raises:
+        ValueError: The kind or split is not known.
+        FileNotFoundError: The folder, or a file that lists the split, does not exist.
+        DataError: A file holds what cannot be used; the error names file and line.
+    """
+    if split not in SPLITS:
+        raise ValueError(f"split: expected one of {SPLITS}, got {split!r}")
+    records, camera = _reader(kind).read(Path(root), split)
+    return PoseDataset(records, camera, preprocessing, augmentation, cache)

@@ -1,0 +1,96 @@
+"""One labelled image of a data set, and how its file is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from ffpose.errors import DataError
+from ffpose.geometry import Camera, Pose
+
+_MODES = ("L", "LA", "P", "RGB", "RGBA")
+"""Pillow's modes of eight bits a channel: those that become RGB without loss of range."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A labelled image.
+
+    Attributes:
+        image: Path of the image file.
+        pose: The label, in the conventions of `ffpose.geometry`.
+        source: The file that lists the image.
+        line: The line there, counted from one.
+    """
+
+    image: Path
+    pose: Pose
+    source: Path
+    line: int
+
+    def error(self, message: str) -> DataError:
+        """Return an error that names the image, and the place that lists it."""
+        return DataError(f"{self.image}: {message}", self.source, self.line)
+
+    def size(self) -> tuple[int, int]:
+        """Return the ``(width, height)`` that the image's header declares.
+
+        Raises:
+            DataError: The file is missing or no image.
+        """
+        with self._open() as image:
+            return image.size
+
+    def check_size(self, camera: Camera) -> None:
+        """Hold the size that the image's header declares against that of its camera.
+
+        Raises:
+            DataError: The file is missing or no image, or its size is another.
+        """
+        with self._open() as image:
+            self._expect_size(image, camera)
+
+    def decode(self, camera: Camera) -> Image.Image:
+        """Return the image as RGB; transparency is dropped.
+
+        Raises:
+            DataError: The file is missing or no whole image, it has not the camera's size, or its
+                pixels do not become RGB without loss.
+        """
+        with self._open() as image:
+            # Before a pixel is decoded: a small file can declare an image that fills the memory.
+            self._expect_size(image, camera)
+            if image.mode not in _MODES:
+                raise self.error(f"expected pixels of mode {', '.join(_MODES)}, got {image.mode}")
+            # A palette may hold transparency, which Pillow only drops by way of RGBA.
+            return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
+
+    def _expect_size(self, image: Image.Image, camera: Camera) -> None:
+        width, height = image.size
+        if (width, height) != (camera.width, camera.height):
+            raise self.error(
+                f"expected {camera.width}x{camera.height} pixels, as the data set's camera "
+                f"has them, got {width}x{height}"
+            )
+
+    @contextmanager
+    def _open(self) -> Iterator[Image.Image]:
+        try:
+            with Image.open(self.image) as image:
+                yield image
+        except FileNotFoundError as error:
+            raise self.error("no such file") from error
+        except DataError:
+            raise
+        except (
+            OSError,
+            SyntaxError,  # how Pillow reports a broken PNG chunk
+            ValueError,
+            Image.DecompressionBombError,
+            Image.DecompressionBombWarning,
+        ) as error:
+            raise self.error(f"cannot be read as an image: {error}") from error

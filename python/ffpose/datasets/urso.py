@@ -1,0 +1,192 @@
+"""URSO: spacecraft over Earth, rendered by Unreal Engine 4 (Proença and Gao, ICRA 2020).
+
+A set is a folder with ``gt.csv`` (its row N labels ``N_rgb.png``) and, for each split,
+``{split}_images.csv`` (no header, one file name a line) and ``{split}_poses_gt.csv`` (the labels of
+those images, row by row). Images lie in the folder or in its ``images`` folder. The columns ``x, y,
+z, q1, q2, q3, q4`` stand in any order; `ffpose.geometry` says how they convert.
+
+The camera is URSO's, unless a ``camera.json`` beside the labels holds another (``width``,
+``height``, ``fx``, ``fy``, ``cx``, ``cy``), as the sets of ``ffpose render`` have it. Without that
+file, smaller images of the same shape are taken as URSO's, resized.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ffpose.datasets.base import SPLITS, Split
+from ffpose.datasets.records import Record
+from ffpose.errors import DataError
+from ffpose.geometry import URSO_CAMERA, Camera, Pose
+
+COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
+_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
+
+_SAME_LABEL = 1e-5
+"""Two files print one label with different digits; two labels differ by more than this."""
+
+
+class _Row(NamedTuple):
+    """A row of labels: its line in the file, and its numbers in the order of `COLUMNS`."""
+
+    line: int
+    values: tuple[float, ...]
+
+
+def splits(root: Path) -> list[Split]:
+    """Return the splits that the set holds, in the order train, val, test.
+
+    Raises:
+        FileNotFoundError: The folder does not exist.
+    """
+    _expect_exists(root)
+    return [split for split in SPLITS if (root / f"{split}_images.csv").exists()]
+
+
+def read(root: Path, split: Split) -> tuple[list[Record], Camera]:
+    """Read the labelled images of a split, and their camera.
+
+    Raises:
+        FileNotFoundError: The folder, or a file that lists the split, does not exist.
+        DataError: A name or label cannot be used, an image is missing or listed twice, labels and
+            names do not align, or the camera is not known. It names file and line.
+    """
+    names_file, poses_file = root / f"{split}_images.csv", root / f"{split}_poses_gt.csv"
+    for path in (root, names_file, poses_file):
+        _expect_exists(path)
+    names, rows = _read_names(names_file), _read_rows(poses_file)
+    if len(rows) != len(names):
+        raise DataError(
+            f"expected {len(names)} labels, one for each line of {names_file.name}, "
+            f"got {len(rows)}",
+            poses_file,
+        )
+    poses = [_pose(row, poses_file) for row in rows]
+    _check_alignment(names, rows, poses_file, root / "gt.csv")
+    records = [
+        Record(_find_image(root, name, names_file, line), pose, names_file, line)
+        for line, (name, pose) in enumerate(zip(names, poses, strict=True), start=1)
+    ]
+    return records, _read_camera(root, records[0])
+
+
+def _expect_exists(path: Path) -> None:
+    if not path.exists():
+        raise FileNotFoundError(f"URSO set: expected {path}, got no such file or folder")
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"expected text in UTF-8: {error}", path) from error
+
+
+def _read_names(path: Path) -> list[str]:
+    """Return the file names, line by line."""
+    first_line: dict[str, int] = {}
+    for line, text in enumerate(_read_text(path).splitlines(), start=1):
+        name = text.strip()
+        if not name or Path(name).name != name:
+            raise DataError(f"expected the name of an image, got {text!r}", path, line)
+        if name in first_line:
+            raise DataError(f"{name} stands on line {first_line[name]} already", path, line)
+        first_line[name] = line
+    if not first_line:
+        raise DataError("expected at least one image, got none", path)
+    return list(first_line)
+
+
+def _read_rows(path: Path) -> list[_Row]:
+    """Return the rows of a file of labels."""
+    table = csv.reader(_read_text(path).splitlines())
+    header = [name.strip() for name in next(table, [])]
+    if any(header.count(name) != 1 for name in COLUMNS):
+        raise DataError(f"expected the columns {', '.join(COLUMNS)} once, got {header}", path, 1)
+    places = [header.index(name) for name in COLUMNS]
+    rows = []
+    for fields in table:
+        if len(fields) != len(header):
+            raise DataError(
+                f"expected {len(header)} fields, got {len(fields)}", path, table.line_num
+            )
+        try:
+            values = tuple(float(fields[place]) for place in places)
+        except ValueError as error:
+            raise DataError(f"expected numbers: {error}", path, table.line_num) from error
+        rows.append(_Row(table.line_num, values))
+    return rows
+
+
+def _pose(row: _Row, path: Path) -> Pose:
+    try:
+        return Pose.from_urso(**dict(zip(COLUMNS, row.values, strict=True)))
+    except ValueError as error:
+        raise DataError(str(error), path, row.line) from error
+
+
+def _check_alignment(names: list[str], rows: list[_Row], path: Path, table: Path) -> None:
+    """Hold the labels of a split against ``gt.csv``, whose row N is that of ``N_rgb.png``."""
+    if not table.exists():
+        return
+    whole = _read_rows(table)
+    for name, row in zip(names, rows, strict=True):
+        match = re.fullmatch(r"(\d+)_rgb\.png", name)
+        if match is None:
+            continue
+        number = int(match[1])
+        if number >= len(whole):
+            raise DataError(f"expected a row for {name}, got {len(whole)} rows", table)
+        expected = whole[number]
+        if not np.allclose(row.values, expected.values, _SAME_LABEL, _SAME_LABEL):
+            raise DataError(
+                f"expected the label of {name}, {expected.values} as in {table.name} line "
+                f"{expected.line}, got {row.values}: names and labels do not align",
+                path,
+                row.line,
+            )
+
+
+def _find_image(root: Path, name: str, source: Path, line: int) -> Path:
+    places = (root / name, root / "images" / name)
+    for place in places:
+        if place.is_file():
+            return place
+    raise DataError(f"expected {places[0]} or {places[1]}, got no such file", source, line)
+
+
+def _read_camera(root: Path, first: Record) -> Camera:
+    """Return the camera of ``camera.json``, else URSO's at the size of the first image."""
+    path = root / "camera.json"
+    if path.exists():
+        return _parse_camera(path)
+    width, height = first.size()
+    if width * URSO_CAMERA.height != height * URSO_CAMERA.width or width > URSO_CAMERA.width:
+        raise first.error(
+            f"expected at most {URSO_CAMERA.width}x{URSO_CAMERA.height} pixels, of that shape, "
+            f"where there is no {path.name}, got {width}x{height}"
+        )
+    return URSO_CAMERA.resized(width, height)
+
+
+def _parse_camera(path: Path) -> Camera:
+    try:
+        fields = json.loads(_read_text(path))
+    except json.JSONDecodeError as error:
+        raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
+    if not isinstance(fields, dict) or sorted(fields) != sorted(_INTRINSICS):
+        raise DataError(f"expected the keys {', '.join(_INTRINSICS)}, got {fields}", path)
+    for name, value in fields.items():
+        kinds = (int,) if name in ("width", "height") else (int, float)
+        if type(value) not in kinds:
+            raise DataError(f"{name}: expected a number, got {value!r}", path)
+    try:
+        return Camera(**fields)
+    except ValueError as error:
+        raise DataError(str(error), path) from error

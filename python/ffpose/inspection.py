@@ -1,0 +1,206 @@
+"""A data set at a glance, before hours go into training on it.
+
+Counts, checks of labels and image headers, the distributions that the paper shows (Ye et al.,
+Sensors 2023, 23, 8633: translation in Figure 6, orientation in Figure 7), and a sheet of images on
+which the labelled axes are drawn: a wrong convention shows there at once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ffpose import arrays
+from ffpose.datasets import PoseDataset
+from ffpose.errors import require
+from ffpose.files import atomic_write
+from ffpose.geometry import FloatArray, Pose
+from ffpose.overlay import draw_axes
+
+_TILE_WIDTH = 320
+_CAPTION_HEIGHT = 22
+_COLUMNS = 4
+_GAP = 6
+_AXIS_LENGTH = 3.0
+_COLOURS = ("#0072b2", "#e69f00", "#009e73")
+"""Of the splits: three that the colour-blind can tell apart."""
+
+
+class _Quantity(NamedTuple):
+    """What a histogram shows: its name, its unit and its bins' edges (None: from the values)."""
+
+    name: str
+    unit: str
+    edges: FloatArray | None = None
+
+
+_TRANSLATION = (
+    _Quantity("distance", "m"),
+    _Quantity("x (right)", "m"),
+    _Quantity("y (down)", "m"),
+    _Quantity("z (depth)", "m"),
+)
+_ORIENTATION = (
+    _Quantity("roll", "degrees", np.arange(-180.0, 181.0, 15.0)),
+    _Quantity("pitch", "degrees", np.arange(-90.0, 91.0, 7.5)),
+    _Quantity("yaw", "degrees", np.arange(-180.0, 181.0, 15.0)),
+)
+
+
+def inspect_dataset(
+    datasets: Mapping[str, PoseDataset], out: str | Path, sheet_images: int = 16
+) -> dict[str, Any]:
+    """Check a data set and write what a person wants to see of it.
+
+    Writes ``summary.json``, ``translation.png``, ``orientation.png`` and, for each split,
+    ``samples_{split}.png``. Every image's header is read; pixels are decoded for the sheets alone.
+
+    Args:
+        datasets: The splits, by name; three at most.
+        out: The folder to write; it is made where it is missing.
+        sheet_images: Images on each sheet, spread evenly over the split.
+
+    Returns:
+        The summary, as in ``summary.json``. Under ``splits``, by name: ``images``, ``camera``,
+        ``failed`` (names of the images whose label fails each check), ``origin_in_image`` (the
+        share of images that hold the object's origin) and ``ranges`` (least, median and greatest
+        value). Beside them ``shared_images`` (files in more than one split) and ``files``.
+
+    Raises:
+        ValueError: There are no splits, more than three, or no images asked for a sheet.
+        DataError: An image cannot be read, or has not its camera's size.
+    """
+    if not 1 <= len(datasets) <= len(_COLOURS):
+        raise ValueError(f"data sets: expected 1 to {len(_COLOURS)} splits, got {len(datasets)}")
+    if sheet_images < 1:
+        raise ValueError(f"sheet_images: expected at least 1, got {sheet_images}")
+    for dataset in datasets.values():
+        for record in dataset.records:
+            record.check_size(dataset.camera)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    sheets = {f"samples_{split}.png": dataset for split, dataset in datasets.items()}
+    summary = {
+        "splits": {split: _summarize(dataset) for split, dataset in datasets.items()},
+        "shared_images": _shared_images(datasets.values()),
+        "files": ["translation.png", "orientation.png", *sheets],
+    }
+    translations = {split: _translation(dataset.poses) for split, dataset in datasets.items()}
+    orientations = {split: _orientation(dataset.poses) for split, dataset in datasets.items()}
+    _write_histograms(folder / "translation.png", _TRANSLATION, translations)
+    _write_histograms(folder / "orientation.png", _ORIENTATION, orientations)
+    for name, dataset in sheets.items():
+        with atomic_write(folder / name) as path:
+            contact_sheet(dataset, sheet_images).save(path)
+    with atomic_write(folder / "summary.json") as path:
+        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return summary
+
+
+def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
+    """Return up to ``count`` images, spread evenly over a data set, with their labelled axes."""
+    indices = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(int)).tolist()
+    tiles = [_tile(dataset, index) for index in indices]
+    width, height = tiles[0].width + _GAP, tiles[0].height + _GAP
+    rows = -(-len(tiles) // _COLUMNS)
+    sheet = Image.new("RGB", (_COLUMNS * width + _GAP, rows * height + _GAP), "white")
+    for place, tile in enumerate(tiles):
+        row, column = divmod(place, _COLUMNS)
+        sheet.paste(tile, (column * width + _GAP, row * height + _GAP))
+    return sheet
+
+
+def _tile(dataset: PoseDataset, index: int) -> Image.Image:
+    """Return image ``index``, small, with its axes, and below it its name and distance."""
+    pose, camera = Pose.from_vector(dataset.poses[index]), dataset.camera
+    size = (_TILE_WIDTH, round(_TILE_WIDTH * camera.height / camera.width))
+    image = dataset.load_image(index).resize(size, Image.Resampling.BILINEAR)
+    tile = Image.new("RGB", (size[0], size[1] + _CAPTION_HEIGHT), "white")
+    tile.paste(draw_axes(image, pose, camera, _AXIS_LENGTH))
+    caption = f"{dataset.names[index]}   {np.linalg.norm(pose.t):.1f} m"
+    font = ImageFont.load_default(13)
+    ImageDraw.Draw(tile).text((2, size[1] + 3), caption, fill="black", font=font)
+    return tile
+
+
+def _translation(poses: FloatArray) -> FloatArray:
+    """Return the values of `_TRANSLATION` (N, 4) of poses (N, 7)."""
+    return np.column_stack([np.linalg.norm(poses[:, :3], axis=1), poses[:, :3]])
+
+
+def _orientation(poses: FloatArray) -> FloatArray:
+    """Return the values of `_ORIENTATION` (N, 3) of poses (N, 7)."""
+    return np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])))
+
+
+def _summarize(dataset: PoseDataset) -> dict[str, Any]:
+    """Return the figures and checks of one split."""
+    poses, camera = dataset.poses, dataset.camera
+    quantities = (*_TRANSLATION, *_ORIENTATION)
+    values = np.column_stack([_translation(poses), _orientation(poses)])
+    failures = {
+        "unit_quaternion": np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) > 1e-9,
+        "scalar_not_negative": poses[:, 3] < 0,
+        "in_front_of_camera": poses[:, 2] <= 0,
+    }
+    origins = camera.project(poses[:, :3])
+    inside = ((origins >= 0) & (origins <= (camera.width, camera.height))).all(axis=1)
+    return {
+        "images": len(dataset),
+        "camera": asdict(camera),
+        "failed": {
+            check: [dataset.names[index] for index in np.nonzero(failed)[0]]
+            for check, failed in failures.items()
+        },
+        "origin_in_image": float(inside.mean()),
+        "ranges": {
+            quantity.name: {
+                "unit": quantity.unit,
+                "least": float(column.min()),
+                "median": float(np.median(column)),
+                "greatest": float(column.max()),
+            }
+            for quantity, column in zip(quantities, values.T, strict=True)
+        },
+    }
+
+
+def _shared_images(datasets: Iterable[PoseDataset]) -> list[str]:
+    """Return the files that stand in more than one split: tests on those would flatter."""
+    counts = Counter(record.image for dataset in datasets for record in dataset.records)
+    return sorted(path.name for path, count in counts.items() if count > 1)
+
+
+def _write_histograms(
+    path: Path, quantities: Sequence[_Quantity], values: Mapping[str, FloatArray]
+) -> None:
+    """Draw one histogram for each quantity, the splits stacked; values are (N, quantities)."""
+    figure = require("matplotlib.figure", "pose").Figure(
+        figsize=(3.4 * len(quantities), 3.2), layout="constrained"
+    )
+    for place, (quantity, axes) in enumerate(
+        zip(quantities, figure.subplots(1, len(quantities)), strict=True)
+    ):
+        axes.hist(
+            [split[:, place] for split in values.values()],
+            bins=24 if quantity.edges is None else quantity.edges,
+            stacked=True,
+            label=[f"{name} ({len(split)})" for name, split in values.items()],
+            color=_COLOURS[: len(values)],
+        )
+        if quantity.edges is not None:
+            axes.set_xticks(quantity.edges[::4])
+        axes.set_xlabel(f"{quantity.name} [{quantity.unit}]")
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.axes[0].set_ylabel("images")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, dpi=150)

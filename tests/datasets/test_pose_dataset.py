@@ -1,0 +1,109 @@
+"""The torch side of a data set: samples, batches, cache and augmentation."""
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from ffpose.datasets import PoseDataset, Sample, open_dataset
+from ffpose.transforms import Augmentation, Preprocessing
+from urso_sets import POSES, SPLITS, write_set
+
+SIZE = (24, 32)
+
+
+@pytest.fixture
+def root(tmp_path):
+    return write_set(tmp_path)
+
+
+def read(root, augmentation=None, cache=False, **preprocessing):
+    return open_dataset(
+        "urso", root, "train", Preprocessing(SIZE, **preprocessing), augmentation, cache
+    )
+
+
+def assert_same(one, other):
+    for a, b in zip(one, other, strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
+def test_a_sample_holds_image_label_and_index(root):
+    sample = read(root)[1]
+    assert sample.image.shape == (3, *SIZE)
+    assert {tensor.dtype for tensor in sample[:3]} == {torch.float32}
+    expected = torch.tensor(POSES[SPLITS["train"][1]])
+    torch.testing.assert_close(torch.cat([sample.translation, sample.orientation]), expected)
+    assert sample.index == 1
+
+
+def test_the_image_is_what_the_preprocessing_makes_of_the_file(root):
+    dataset = read(root)
+    assert_same([dataset[0].image], [dataset.preprocessing(dataset.load_image(0))])
+
+
+def test_indices_count_from_the_end_and_stop(root):
+    dataset = read(root)
+    assert_same(dataset[-1], dataset[1])
+    assert len(dataset) == 2
+    with pytest.raises(IndexError):
+        dataset[2]
+
+
+@pytest.mark.parametrize("mode", ["resize", "center_crop"])
+def test_the_cache_changes_nothing_but_needs_no_file(root, mode):
+    plain = list(read(root, mode=mode))
+    cached = read(root, cache=True, mode=mode)
+    for image in (root / "images").iterdir():
+        image.unlink()
+    for index in range(2):
+        assert_same(cached[index], plain[index])
+
+
+def test_augmentation_is_drawn_anew_and_repeats_under_a_seed(root):
+    dataset = read(root, Augmentation(roll=180.0), cache=True)
+    torch.manual_seed(0)
+    first, second = dataset[0], dataset[0]
+    assert not torch.equal(first.image, second.image)
+    assert not torch.equal(first.orientation, second.orientation)
+    torch.manual_seed(0)
+    assert_same(dataset[0], first)
+
+
+def test_the_cache_stays_as_it_was_under_augmentation(root):
+    dataset = read(root, Augmentation(), cache=True)
+    for _ in range(3):
+        dataset[0]
+    dataset.augmentation = None
+    assert_same(dataset[0], read(root)[0])
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize("cache", [False, True])
+def test_a_loader_gives_batches_of_samples(root, workers, cache):
+    loader = DataLoader(read(root, cache=cache), batch_size=2, num_workers=workers)
+    (batch,) = loader
+    assert isinstance(batch, Sample)
+    assert batch.image.shape == (2, 3, *SIZE)
+    assert batch.index.tolist() == [0, 1]
+    expected = np.stack([POSES[name] for name in SPLITS["train"]])
+    np.testing.assert_allclose(torch.cat(batch[1:3], dim=1).numpy(), expected, rtol=1e-6)
+
+
+def test_the_random_crop_needs_room(root):
+    with pytest.raises(ValueError, match=r"random_crop expects .*'center_crop', got 'resize'"):
+        read(root, Augmentation(random_crop=True))
+    dataset = read(root, Augmentation(random_crop=True), mode="center_crop")
+    assert dataset[0].image.shape == (3, *SIZE)
+
+
+def test_unknown_kinds_and_splits_list_the_known(root):
+    with pytest.raises(ValueError, match=r"expected one of \['urso'\], got 'speed'"):
+        open_dataset("speed", root, "train", Preprocessing())
+    with pytest.raises(ValueError, match=r"expected one of \('train', 'val', 'test'\)"):
+        open_dataset("urso", root, "validation", Preprocessing())
+
+
+def test_a_data_set_is_not_empty(root):
+    with pytest.raises(ValueError, match="at least one record"):
+        PoseDataset([], read(root).camera, Preprocessing())

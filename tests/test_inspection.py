@@ -1,0 +1,111 @@
+"""What the inspection of a data set finds and draws."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from ffpose.datasets import open_dataset
+from ffpose.errors import DataError
+from ffpose.inspection import contact_sheet, inspect_dataset
+from ffpose.transforms import Preprocessing
+from urso_sets import LABELS, POSES, SPLITS, table, write_set
+
+
+def read(root, splits=tuple(SPLITS)):
+    return {split: open_dataset("urso", root, split, Preprocessing()) for split in splits}
+
+
+def relabel(root, split, **labels):
+    """Change labels of one split, and take away the table that would not agree."""
+    (root / "gt.csv").unlink(missing_ok=True)
+    rows = {name: LABELS[name] | labels.get(name.removesuffix(".png"), {}) for name in LABELS}
+    (root / f"{split}_poses_gt.csv").write_text(table(SPLITS[split], rows))
+
+
+def test_the_files_are_there_and_open(tmp_path):
+    out = tmp_path / "report" / "inspect"
+    summary = inspect_dataset(read(write_set(tmp_path / "set")), out)
+    assert json.loads((out / "summary.json").read_text()) == summary
+    assert {path.name for path in out.iterdir()} == {*summary["files"], "summary.json"}
+    for name in summary["files"]:
+        with Image.open(out / name) as image:
+            image.load()
+            assert min(image.size) > 100
+
+
+def test_counts_and_ranges_are_those_of_the_labels(tmp_path):
+    summary = inspect_dataset(read(write_set(tmp_path / "set")), tmp_path / "out")
+    assert {name: s["images"] for name, s in summary["splits"].items()} == {
+        "train": 2,
+        "val": 1,
+        "test": 1,
+    }
+    train = summary["splits"]["train"]
+    poses = np.array([POSES[name] for name in SPLITS["train"]], float)
+    distances = np.linalg.norm(poses[:, :3], axis=1)
+    for name, values in {"distance": distances, "y (down)": poses[:, 1]}.items():
+        found = train["ranges"][name]
+        assert found["unit"] == "m"
+        assert found["least"] == pytest.approx(values.min())
+        assert found["median"] == pytest.approx(np.median(values))
+        assert found["greatest"] == pytest.approx(values.max())
+    yaw_pitch_roll = Rotation.from_quat(poses[:, 3:], scalar_first=True).as_euler(
+        "ZYX", degrees=True
+    )
+    assert train["ranges"]["yaw"]["median"] == pytest.approx(np.median(yaw_pitch_roll[:, 0]))
+    assert train["origin_in_image"] == 1
+    assert train["failed"] == {
+        "unit_quaternion": [],
+        "scalar_not_negative": [],
+        "in_front_of_camera": [],
+    }
+
+
+def test_a_target_behind_the_camera_or_outside_the_image_is_found(tmp_path):
+    root = write_set(tmp_path / "set")
+    relabel(root, "train", **{"0_rgb": {"z": -10}, "2_rgb": {"x": 30}})
+    summary = inspect_dataset(read(root, ["train"]), tmp_path / "out")
+    train = summary["splits"]["train"]
+    assert train["failed"]["in_front_of_camera"] == ["0_rgb.png"]
+    assert train["origin_in_image"] == 0
+
+
+def test_an_image_in_two_splits_is_found(tmp_path):
+    root = write_set(tmp_path / "set")
+    for kind in ("images", "poses_gt"):
+        (root / f"val_{kind}.csv").write_bytes((root / f"train_{kind}.csv").read_bytes())
+    summary = inspect_dataset(read(root), tmp_path / "out")
+    assert summary["shared_images"] == ["0_rgb.png", "2_rgb.png"]
+
+
+def test_an_image_of_another_size_stops_it(tmp_path):
+    root = write_set(tmp_path / "set")
+    Image.new("RGB", (64, 47)).save(root / "images" / "3_rgb.png")
+    (root / "camera.json").write_text(
+        json.dumps({"width": 64, "height": 48, "fx": 32, "fy": 32, "cx": 32, "cy": 24})
+    )
+    with pytest.raises(DataError, match=r"val_images\.csv:1: .*got 64x47"):
+        inspect_dataset(read(root), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_sheet_shows_the_axes_at_the_labelled_place(tmp_path):
+    dataset = read(write_set(tmp_path / "set"))["test"]
+    pixels = np.asarray(contact_sheet(dataset, 4)).astype(int)
+    # 1_rgb.png: u = 32 + 32 * -3 / 12 = 24, v = 24 + 32.02 * 2 / 12, at five times the size,
+    # and a margin of six pixels; x and z are turned about y, which points down from there.
+    column = pixels[153 : 153 + 40, 126 - 3 : 126 + 3]
+    assert (column[..., 1] - column[..., 0] > 100).any(axis=1).mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("splits", "images", "words"),
+    [([], 4, "expected 1 to 3 splits, got 0"), (["test"], 0, "at least 1, got 0")],
+)
+def test_bad_arguments_are_refused(tmp_path, splits, images, words):
+    datasets = read(write_set(tmp_path / "set"), splits)
+    with pytest.raises(ValueError, match=words):
+        inspect_dataset(datasets, tmp_path / "out", images)

@@ -1,0 +1,229 @@
+"""Preprocessing against torchvision; augmentation against projection: labels move with pixels."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from torchvision.transforms import v2
+
+from ffpose.geometry import URSO_CAMERA, Pose
+from ffpose.transforms import Augmentation, Preprocessing, roll_camera
+
+STILL = {"brightness": 0, "contrast": 0, "saturation": 0, "noise": 0, "blur": 0}
+
+
+def noise_image(width, height, seed=0):
+    pixels = np.random.default_rng(seed).integers(0, 256, (height, width, 3), np.uint8)
+    return Image.fromarray(pixels)
+
+
+def blob(width, height, u, v, sigma):
+    """A round spot whose centre of mass is (u, v); pixel centres lie at halves."""
+    x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
+    return np.exp(-((x - u) ** 2 + (y[:, None] - v) ** 2) / (2 * sigma**2))
+
+
+def centre_of_mass(image):
+    """(u, v) of a plane (h, w)."""
+    height, width = image.shape
+    mass = image.sum()
+    u = (image.sum(0) * (torch.arange(width) + 0.5)).sum() / mass
+    v = (image.sum(1) * (torch.arange(height) + 0.5)).sum() / mass
+    return float(u), float(v)
+
+
+def test_the_numbers_are_standardised_pixels():
+    colour = (51, 102, 204)
+    tensor = Preprocessing((4, 6))(Image.new("RGB", (64, 48), colour))
+    assert tensor.dtype == torch.float32
+    assert tensor.shape == (3, 4, 6)
+    expected = [(0.2 - 0.485) / 0.229, (0.4 - 0.456) / 0.224, (0.8 - 0.406) / 0.225]
+    for plane, value in zip(tensor, expected, strict=True):
+        np.testing.assert_allclose(plane, value, rtol=1e-6)
+
+
+def test_resize_keeps_the_frame_and_is_antialiased():
+    image = noise_image(160, 120)
+    preprocessing = Preprocessing((30, 30), mean=(0, 0, 0), std=(1, 1, 1))
+    pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255
+    expected = v2.functional.resize(pixels, [30, 30], antialias=True)
+    # Pillow rounds to whole grey levels after each axis.
+    torch.testing.assert_close(preprocessing(image), expected, rtol=0, atol=1.01 / 255)
+
+
+def test_center_crop_is_torchvisions_256_to_224():
+    image = noise_image(1280, 960)
+    steps = [v2.Resize(256), v2.CenterCrop(224), v2.PILToTensor()]
+    expected = v2.Compose([*steps, v2.ToDtype(torch.float32, scale=True)])(image)
+    preprocessing = Preprocessing(mode="center_crop", mean=(0, 0, 0), std=(1, 1, 1))
+    torch.testing.assert_close(preprocessing(image), expected, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("mode", ["resize", "center_crop"])
+@pytest.mark.parametrize("size", [(120, 120), (96, 160), (150, 100)])
+def test_the_camera_goes_with_the_image(mode, size):
+    camera = URSO_CAMERA.resized(640, 480)
+    point = [0.3, -0.2, 8.0]
+    spot = blob(640, 480, *camera.project(point), sigma=12)
+    image = Image.fromarray((spot * 255).round().astype(np.uint8)).convert("RGB")
+    preprocessing = Preprocessing(size, mode, mean=(0, 0, 0), std=(1, 1, 1))
+    found = centre_of_mass(preprocessing(image)[0])
+    seen = preprocessing.camera(camera)
+    assert (seen.height, seen.width) == size
+    np.testing.assert_allclose(found, seen.project(point), atol=0.05)
+
+
+def test_windows_lie_in_the_frame_and_reach_its_edges():
+    preprocessing = Preprocessing((4, 6), "center_crop")
+    torch.manual_seed(0)
+    drawn = [preprocessing.random_window((6, 7)) for _ in range(100)]
+    assert set(drawn) == {(top, left) for top in range(3) for left in range(2)}
+    assert preprocessing.center_window((6, 10)) == (1, 2)
+
+
+def test_fields_survive_json():
+    preprocessing = Preprocessing((96, 128), "center_crop", (0.1, 0.2, 0.3), (0.4, 0.5, 0.6))
+    fields = json.loads(json.dumps(preprocessing.to_dict()))
+    assert Preprocessing.from_dict(fields) == preprocessing
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"size": [224]}, "size: expected"),
+        ({"size": [0, 224]}, "size: expected .*each at least 1"),
+        ({"mode": "pad"}, r"mode: expected one of \('resize', 'center_crop'\), got 'pad'"),
+        ({"mean": [0.5, 0.5]}, "mean: expected three"),
+        ({"std": [0.2, 0.2, 0.0]}, "std: expected three finite numbers above 0"),
+        ({"crop": 1}, "expected size, mode, mean, std"),
+    ],
+)
+def test_bad_preprocessing_is_refused(change, words):
+    with pytest.raises(ValueError, match=words):
+        Preprocessing.from_dict(Preprocessing().to_dict() | change)
+
+
+def test_only_rgb_is_taken():
+    with pytest.raises(ValueError, match="expected mode RGB, got L"):
+        Preprocessing()(Image.new("L", (8, 8)))
+
+
+def tensors(pose):
+    return torch.from_numpy(pose.vector).float().split([3, 4])
+
+
+@pytest.mark.parametrize("degrees", [0.0, 17.0, -90.0, 180.0, 123.4])
+def test_a_roll_moves_pixels_and_label_together(degrees):
+    camera = URSO_CAMERA.resized(128, 128)  # squeezed: fx is not fy
+    pose = Pose([1.0, -0.7, 6.0], Rotation.from_euler("xyz", [1, 2, 3]).as_quat(scalar_first=True))
+    feature = np.array([0.4, 0.6, -0.3])
+    spots = [blob(128, 128, *pose.project(p, camera), 2.5) for p in (np.zeros(3), feature)]
+    image = torch.from_numpy(np.stack([*spots, np.ones((128, 128))])).float()
+
+    rolled, t, q = roll_camera(image, *tensors(pose), camera, degrees)
+
+    turn = Rotation.from_euler("z", degrees, degrees=True)
+    new = Pose(t.double(), q.double())
+    np.testing.assert_allclose(new.t, turn.apply(pose.t.copy()), atol=1e-5)
+    np.testing.assert_allclose(new.rotation, turn.as_matrix() @ pose.rotation, atol=1e-6)
+    assert q[0] >= 0
+    for plane, point in zip(rolled, (np.zeros(3), feature), strict=False):
+        np.testing.assert_allclose(centre_of_mass(plane), new.project(point, camera), atol=0.03)
+
+
+def test_a_roll_brings_black_from_outside():
+    camera = URSO_CAMERA.resized(64, 48)
+    image = torch.ones(3, 48, 64)
+    rolled, *_ = roll_camera(image, *tensors(Pose([0, 0, 5], [1, 0, 0, 0])), camera, 90)
+    assert rolled[0, 24, 32] == pytest.approx(1)
+    assert rolled[0, 24, 1] == 0
+
+
+def test_a_roll_needs_the_image_of_its_camera():
+    with pytest.raises(ValueError, match=r"\(height, width\) \(960, 1280\), got \(48, 64\)"):
+        roll_camera(torch.ones(3, 48, 64), *tensors(Pose([0, 0, 5], [1, 0, 0, 0])), URSO_CAMERA, 5)
+
+
+CAMERA = URSO_CAMERA.resized(40, 32)
+IMAGE = torch.rand(3, 32, 40, generator=torch.Generator().manual_seed(0))
+POSE = tensors(Pose([2.0, 1.0, 10.0], [0.5, 0.5, 0.5, 0.5]))
+
+
+def test_nothing_asked_is_nothing_changed():
+    image, t, q = Augmentation(**STILL)(IMAGE, *POSE, CAMERA)
+    torch.testing.assert_close(image, IMAGE, rtol=0, atol=1e-6)
+    assert torch.equal(t, POSE[0])
+    assert torch.equal(q, POSE[1])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"brightness": 0.5}, {"contrast": 0.5}, {"saturation": 0.5}, {"noise": 0.1}, {"blur": 2}],
+)
+def test_each_photometric_change_leaves_the_label_and_the_input(change):
+    before = IMAGE.clone()
+    torch.manual_seed(1)
+    image, t, q = Augmentation(**(STILL | change))(IMAGE, *POSE, CAMERA)
+    assert (image - IMAGE).abs().max() > 0.01
+    assert 0 <= image.min() <= image.max() <= 1
+    assert torch.equal(t, POSE[0])
+    assert torch.equal(q, POSE[1])
+    assert torch.equal(IMAGE, before)
+
+
+def test_a_seed_repeats_the_changes():
+    augmentation = Augmentation(roll=180)
+    torch.manual_seed(3)
+    first = augmentation(IMAGE, *POSE, CAMERA)
+    torch.manual_seed(3)
+    for one, other in zip(first, augmentation(IMAGE, *POSE, CAMERA), strict=True):
+        assert torch.equal(one, other)
+
+
+@settings(max_examples=30)
+@given(st.floats(0, 1), st.floats(0, 1), st.floats(2, 40), st.integers(0, 99))
+def test_the_origin_stays_in_a_rolled_image(u, v, depth, seed):
+    origin = [
+        (u * 40 - CAMERA.cx) / CAMERA.fx * depth,
+        (v * 32 - CAMERA.cy) / CAMERA.fy * depth,
+        depth,
+    ]
+    torch.manual_seed(seed)
+    pose = tensors(Pose(origin, [1, 0, 0, 0]))
+    _, t, _ = Augmentation(**STILL, roll=180)(IMAGE, *pose, CAMERA)
+    column, row = CAMERA.project(t.double())
+    assert -1e-4 <= column <= 40 + 1e-4
+    assert -1e-4 <= row <= 32 + 1e-4
+
+
+def test_a_roll_covers_its_range():
+    torch.manual_seed(0)
+    pose = tensors(Pose([0, 0, 10], [1, 0, 0, 0]))
+    turns = []
+    for _ in range(200):
+        _, _, q = Augmentation(**STILL, roll=30)(IMAGE, *pose, CAMERA)
+        turns.append(math.degrees(2 * math.atan2(float(q[3]), float(q[0]))))
+    assert -30 <= min(turns) < -25
+    assert 25 < max(turns) <= 30
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"brightness": 1.5},
+        {"contrast": -0.1},
+        {"saturation": math.nan},
+        {"noise": 2},
+        {"blur": -1},
+        {"roll": 181},
+    ],
+)
+def test_bad_augmentation_is_refused(change):
+    with pytest.raises(ValueError, match=f"{next(iter(change))}: expected a number from 0 to"):
+        Augmentation(**change)
