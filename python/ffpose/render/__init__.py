@@ -1,0 +1,26 @@
+"""Synthetic scenes: a spacecraft over the Earth, with exact labels.
+
+An image is a pure function of (scene, seed, index, size), so sets can be made in any order, by any
+number of processes, and on any number of machines. Needs the extra `render`.
+"""
+
+from ffpose.render.layers import Keypoint, Layers, render_layers
+from ffpose.render.meshfile import load_craft
+from ffpose.render.renderer import Frame, label, render
+from ffpose.render.scene import SCENES, Scene, get_scene
+from ffpose.render.writer import Written, write_dataset
+
+__all__ = [
+    "SCENES",
+    "Frame",
+    "Keypoint",
+    "Layers",
+    "Scene",
+    "Written",
+    "get_scene",
+    "label",
+    "load_craft",
+    "render",
+    "render_layers",
+    "write_dataset",
+]

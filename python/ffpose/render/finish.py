@@ -1,0 +1,89 @@
+"""The patterns that are drawn over a material: cells, foil, quilted cloth, plates.
+
+A pattern works on the points `at` of a surface. It gets their texture coordinates in units of the
+material's scale, their place in metres, and the width of a pixel in units of the scale: lines
+thinner than a pixel are averaged over it instead of flickering.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.render.materials import Pattern
+from ffpose.render.noise import fbm
+from ffpose.render.vectors import Floats, column
+
+Indices = NDArray[np.intp]
+
+
+class Surface(NamedTuple):
+    """What the shader knows of each of N points; arrays (3, N) or (N,)."""
+
+    color: Floats
+    roughness: Floats
+    metallic: Floats
+    emission: Floats
+    normal: Floats
+
+
+def _lines(coordinate: Floats, width: float, footprint: Floats) -> Floats:
+    """(N,) how much of a pixel lies on the lines of `width` about each whole number."""
+    offset = np.abs(coordinate - np.round(coordinate))
+    soft = np.maximum(footprint, np.float32(1e-4))
+    cover = np.clip((np.float32(width / 2) - offset) / soft + np.float32(0.5), 0, 1)
+    # Wide pixels see many lines: their share of the area.
+    share = np.float32(width)
+    result: Floats = np.where(footprint > 0.5, share, np.minimum(cover, share / soft + share))
+    return result
+
+
+def _grid(uv: Floats, width: float, footprint: Floats) -> Floats:
+    return np.maximum(_lines(uv[0], width, footprint), _lines(uv[1], width, footprint))
+
+
+def _bump(surface: Surface, at: Indices, points: Floats, height: float, octaves: int) -> None:
+    """Disturb the normals by noise over `points` (3, N)."""
+    for axis in range(3):
+        wave = fbm(points + np.float32(11.7 * axis), octaves)
+        surface.normal[axis, at] += np.float32(height) * wave
+
+
+def _cells(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: Floats) -> None:
+    del place
+    gap = _grid(uv, 0.07, footprint)
+    seed = np.floor(np.stack([uv[0], uv[1], uv[0] + 3 * uv[1]])) * np.float32(7.3)
+    tone = 1 + np.float32(0.3) * fbm(seed, 1)
+    cell = surface.color[:, at] * tone
+    surface.color[:, at] = cell + (column((0.20, 0.19, 0.17)) - cell) * gap
+    surface.roughness[at] += np.float32(0.25) * gap
+
+
+def _foil(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: Floats) -> None:
+    del uv, footprint
+    _bump(surface, at, place * np.float32(14), 0.6, 3)
+
+
+def _blanket(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: Floats) -> None:
+    seam = _grid(uv, 0.035, footprint)
+    tone = 1 + np.float32(0.4) * fbm(place * np.float32(3), 3)
+    surface.color[:, at] *= tone * (1 - np.float32(0.5) * seam)
+    _bump(surface, at, place * np.float32(5), 0.22, 3)
+
+
+def _panels(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: Floats) -> None:
+    joint = _grid(uv, 0.03, footprint)
+    tone = 1 + np.float32(0.12) * fbm(place * np.float32(4), 3)
+    surface.color[:, at] *= tone * (1 - np.float32(0.6) * joint)
+
+
+DRAW: dict[Pattern, Callable[[Surface, Indices, Floats, Floats, Floats], None]] = {
+    Pattern.CELLS: _cells,
+    Pattern.FOIL: _foil,
+    Pattern.BLANKET: _blanket,
+    Pattern.PANELS: _panels,
+}
+"""How each pattern is drawn; a plain surface has no entry."""

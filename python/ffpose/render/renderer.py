@@ -1,0 +1,186 @@
+"""One image: a pure function of the scene, the seed, the image's index and its size."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.geometry import Camera, Pose
+from ffpose.render.craft import Craft
+from ffpose.render.earth import Earth, shade_earth
+from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
+from ffpose.render.scene import Scene, get_scene
+from ffpose.render.sensor import choose_gain, expose
+from ffpose.render.shading import Finish, Light, earth_visible, reflected, sun_visible
+from ffpose.render.sky import draw_stars, sun_disc
+from ffpose.render.tracer import Tracer
+from ffpose.render.vectors import Floats
+from ffpose.render.view import Window, find_window, look, pixel_rays
+
+MIN_SIDE, MAX_SIDE = 16, 8192
+BLOCK = 8192
+"""Pixels of background computed at once: their temporaries stay in the processor's cache."""
+
+LAMP = 6.0
+"""The camera's lamp in eclipse: at 10 m it gives a surface six per cent of the sun's light."""
+
+SAMPLES = ((0.02, 4), (0.06, 3), (1.0, 2))
+"""Samples along each side of a pixel, by how much of the frame the spacecraft's rectangle fills."""
+
+
+class Frame(NamedTuple):
+    """One rendered image and its label.
+
+    Attributes:
+        image: (H, W, 3) uint8, RGB.
+        pose: the spacecraft's exact pose.
+        camera: the camera that took the image.
+    """
+
+    image: NDArray[np.uint8]
+    pose: Pose
+    camera: Camera
+
+
+def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None) -> Frame:
+    """Render one image; the same arguments give the same bytes.
+
+    Args:
+        scene: a set, or the name of one (`ffpose.render.SCENES`).
+        seed: seed of the whole set, at least 0.
+        index: number of the image in the set, at least 0.
+        size: (width, height) in pixels; default is that of the scene's camera.
+
+    Raises:
+        ValueError: unknown set, negative seed or index, absurd size.
+    """
+    scene = get_scene(scene) if isinstance(scene, str) else scene
+    camera = camera_of(scene, size)
+    pose_rng, light_rng, star_rng, sensor_rng, surface_rng = _streams(seed, index)
+    craft = scene.build()
+    pose = sample_pose(scene, craft, pose_rng)
+    around = sample_surroundings(scene, light_rng)
+    radiance = draw_stars(camera, star_rng)
+    _draw_background(radiance, camera, around)
+    lit = _draw_craft(radiance, camera, pose, craft, around, surface_rng)
+    gain = choose_gain(radiance, lit, scene.sensor, sensor_rng)
+    return Frame(expose(radiance, gain, scene.sensor, sensor_rng), pose, camera)
+
+
+def label(scene: Scene | str, seed: int, index: int) -> Pose:
+    """The pose of image `index`, without rendering it; equal to that of `render`."""
+    scene = get_scene(scene) if isinstance(scene, str) else scene
+    return sample_pose(scene, scene.build(), _streams(seed, index)[0])
+
+
+def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
+    """The scene's camera at `size` (width, height).
+
+    Raises:
+        ValueError: a side is not within `MIN_SIDE`…`MAX_SIDE`.
+    """
+    if size is None:
+        return scene.camera
+    if len(size) != 2 or not all(MIN_SIDE <= side <= MAX_SIDE for side in size):
+        raise ValueError(
+            f"size: expected width and height within {MIN_SIDE}…{MAX_SIDE}, got {size}"
+        )
+    return scene.camera.resized(*size)
+
+
+@lru_cache(maxsize=4)
+def prepared(craft: Craft) -> tuple[Tracer, Finish]:
+    """Search tree and material tables of a spacecraft, made once for each."""
+    return Tracer(craft.mesh), Finish(craft)
+
+
+def _streams(seed: int, index: int) -> list[np.random.Generator]:
+    """Independent generators for pose, light, stars, sensor and surface: none disturbs another."""
+    if seed < 0 or index < 0:
+        raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
+    return np.random.default_rng([seed, index]).spawn(5)
+
+
+def _draw_background(radiance: Floats, camera: Camera, around: Surroundings) -> None:
+    """Lay sun, Earth and air over the stars in `radiance` (H, W, 3)."""
+    rays = pixel_rays(camera)
+    pixel_angle = 1.0 / camera.fx
+    octaves = int(np.clip(round(math.log2(camera.fx)), 5, 9))
+    earth = Earth(around.nadir, around.altitude, around.sun, around.ground, octaves)
+    flat = radiance.reshape(-1, 3)
+    for start in range(0, len(flat), BLOCK):
+        pixels, through = flat[start : start + BLOCK], rays[:, start : start + BLOCK]
+        pixels += sun_disc(around.sun, through, pixel_angle)[:, None]
+        glow, behind = shade_earth(earth, through, pixel_angle)
+        pixels *= behind[:, None]
+        pixels += glow.T
+
+
+def _draw_craft(
+    radiance: Floats,
+    camera: Camera,
+    pose: Pose,
+    craft: Craft,
+    around: Surroundings,
+    rng: np.random.Generator,
+) -> Floats:
+    """Lay the spacecraft over `radiance`; returns (3, H) radiance of its samples."""
+    window = find_window(craft.mesh.vertices, pose, camera)
+    if window is None:
+        return np.zeros((3, 0), dtype=np.float32)
+    tracer, finish = prepared(craft)
+    samples = _sample_count(window, camera)
+    view = look(tracer, window, camera, pose, samples)
+    footprint = view.hits.distance * np.float32(1 / camera.fx)
+    surface = finish.surface(view, footprint)
+    light = _object_light(pose, around)
+    place = view.place
+    sunlit = sun_visible(tracer, place, surface.normal, light)
+    earthlit = earth_visible(tracer, place, surface.normal, light, rng)
+    color = reflected(surface, view, light, sunlit, earthlit)
+    _composite(radiance, window, view.hits.ray, color, samples)
+    return color
+
+
+def _sample_count(window: Window, camera: Camera) -> int:
+    """A distant spacecraft is small and gets more samples, at little cost."""
+    share = math.prod(window.shape) / (camera.width * camera.height)
+    return next(samples for most, samples in SAMPLES if share <= most)
+
+
+def _object_light(pose: Pose, around: Surroundings) -> Light:
+    back = pose.rotation.T
+    horizon = math.sqrt(1 - 1 / (1 + around.altitude) ** 2)
+    # The lit part of the Earth's disc grows with the sun's height over the ground below.
+    above = float(-around.sun @ around.nadir)
+    return Light(
+        sun=(back @ around.sun).astype(np.float32),
+        nadir=(back @ around.nadir).astype(np.float32),
+        earth=float(np.clip((above + 0.35) / 1.35, 0.0, 1.0)),
+        horizon=horizon,
+        sunlight=0.0 if around.eclipsed else 1.0,
+        lamp=LAMP if around.eclipsed else 0.0,
+    )
+
+
+def _composite(
+    radiance: Floats, window: Window, ray: NDArray[np.intp], color: Floats, samples: int
+) -> None:
+    """Average the samples of each pixel over what lies behind."""
+    rows, columns = window.shape
+    layer = np.zeros((rows * columns * samples**2, 4), dtype=np.float32)
+    layer[ray, :3] = color.T
+    layer[ray, 3] = 1
+    grid = layer.reshape(rows, samples, columns, samples, 4)
+    pixels = np.zeros((rows, columns, 4), dtype=np.float32)
+    for i in range(samples):
+        for j in range(samples):
+            pixels += grid[:, i, :, j]
+    pixels *= np.float32(1 / samples**2)
+    part = radiance[window.top : window.bottom, window.left : window.right]
+    part *= 1 - pixels[..., 3:]
+    part += pixels[..., :3]

@@ -1,0 +1,120 @@
+"""Where the spacecraft, the sun and the Earth are in one image, drawn from the set's ranges."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.geometry import Pose
+from ffpose.render.craft import Craft
+from ffpose.render.scene import Scene
+
+Floats = NDArray[np.float64]
+
+EARTH_RADIUS_M = 6_371_000.0
+ALTITUDE_M = (380_000.0, 440_000.0)
+DIRECTION_TRIES = 24
+
+
+class Surroundings(NamedTuple):
+    """The lights and the Earth about the spacecraft, all in the camera frame.
+
+    Attributes:
+        sun: (3,) unit vector to the sun.
+        nadir: (3,) unit vector to the Earth's centre.
+        altitude: height above the ground in Earth radii.
+        ground: (3, 3) rotation from the camera frame to that of the Earth's features.
+        eclipsed: whether the Earth hides the sun; a lamp at the camera then gives light.
+    """
+
+    sun: Floats
+    nadir: Floats
+    altitude: float
+    ground: Floats
+    eclipsed: bool
+
+
+def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
+    """A pose within the set's ranges that leaves the spacecraft wholly or mostly in frame.
+
+    The distance is uniform, the attitude uniform over rotations within `attitude_range_deg`, and
+    the direction uniform over the frame among those that satisfy `lateral_m` and `min_visible`.
+
+    Raises:
+        ValueError: no pose was found; the set's ranges contradict each other.
+    """
+    for _ in range(200):
+        distance = rng.uniform(*scene.distance_m)
+        q = _attitude(scene.attitude_range_deg, rng)
+        for _ in range(DIRECTION_TRIES):
+            pose = Pose(distance * _direction(scene, rng), q)
+            if _acceptable(pose, scene, craft):
+                return pose
+    raise ValueError(
+        f"{scene.name}: found no pose with {scene.min_visible:.0%} of the spacecraft in frame "
+        f"at {scene.distance_m} m within {scene.lateral_m} m of the axis"
+    )
+
+
+def sample_surroundings(scene: Scene, rng: np.random.Generator) -> Surroundings:
+    """Sun and Earth as a camera of random attitude in a low orbit meets them.
+
+    A share `eclipse_rate` of the images is taken in the Earth's shadow, the others outside it.
+    """
+    eclipsed = bool(rng.random() < scene.eclipse_rate)
+    altitude = rng.uniform(*ALTITUDE_M) / EARTH_RADIUS_M
+    nadir = _unit(rng)
+    ground = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    while True:
+        sun = _unit(rng)
+        if in_shadow(sun, nadir, altitude) == eclipsed:
+            return Surroundings(sun, nadir, altitude, ground, eclipsed)
+
+
+def in_shadow(sun: Floats, nadir: Floats, altitude: float) -> bool:
+    """Whether the Earth hides the sun from a place `altitude` Earth radii above the ground."""
+    down = float(sun @ nadir)
+    horizon = np.sqrt(1.0 - 1.0 / (1.0 + altitude) ** 2)  # cosine of the horizon's angle from nadir
+    return bool(down > horizon)
+
+
+def _unit(rng: np.random.Generator) -> Floats:
+    vector = rng.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _attitude(limits_deg: tuple[float, float, float], rng: np.random.Generator) -> Floats:
+    roll_limit, pitch_limit, yaw_limit = np.radians(limits_deg)
+    roll = rng.uniform(-roll_limit, roll_limit)
+    # Uniform over rotations means uniform in the sine of the pitch.
+    pitch = np.arcsin(rng.uniform(-1.0, 1.0) * np.sin(pitch_limit))
+    yaw = rng.uniform(-yaw_limit, yaw_limit)
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll, pitch, yaw))
+    return np.array(
+        [
+            cy * cp * cr + sy * sp * sr,
+            cy * cp * sr - sy * sp * cr,
+            cy * sp * cr + sy * cp * sr,
+            sy * cp * cr - cy * sp * sr,
+        ]
+    )
+
+
+def _direction(scene: Scene, rng: np.random.Generator) -> Floats:
+    camera = scene.camera
+    u, v = rng.uniform(0.0, camera.width), rng.uniform(0.0, camera.height)
+    ray = np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])
+    return np.asarray(ray / np.linalg.norm(ray))
+
+
+def _acceptable(pose: Pose, scene: Scene, craft: Craft) -> bool:
+    if np.hypot(pose.t[0], pose.t[1]) > scene.lateral_m:
+        return False
+    points = craft.outline @ pose.rotation.T + pose.t
+    if points[:, 2].min() < 0.5:
+        return False
+    u, v = scene.camera.project(points).T
+    inside = (u >= 0) & (u <= scene.camera.width) & (v >= 0) & (v <= scene.camera.height)
+    return bool(inside.mean() >= scene.min_visible)

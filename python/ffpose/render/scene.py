@@ -1,0 +1,89 @@
+"""What a set of images is: the spacecraft, the range of poses and the camera, as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.render.craft import Craft, build_craft
+from ffpose.render.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that an image depends on, but for the seed, its index and its size.
+
+    Attributes:
+        name: the set's name.
+        craft: the spacecraft, or the name of one that comes with ffpose.
+        distance_m: (least, most) distance of the object's origin from the camera.
+        lateral_m: largest distance of the object's origin from the optical axis.
+        attitude_range_deg: (roll, pitch, yaw): each angle of the label lies within plus and minus
+            its number; the attitude is uniform over rotations within these bounds.
+        min_visible: at least this part of the spacecraft's extent lies in the frame.
+        eclipse_rate: share of the images taken in the Earth's shadow by the light of a lamp at the
+            camera; 0 as in URSO, about 0.37 is what a low orbit gives.
+        camera: the camera at full size; images of other sizes are this one resized.
+        sensor: how light becomes numbers.
+    """
+
+    name: str
+    craft: str | Craft
+    distance_m: tuple[float, float]
+    lateral_m: float
+    attitude_range_deg: tuple[float, float, float] = (180.0, 60.0, 180.0)
+    min_visible: float = 0.9
+    eclipse_rate: float = 0.0
+    camera: Camera = URSO_CAMERA
+    sensor: Sensor = field(default_factory=Sensor)
+
+    def __post_init__(self) -> None:
+        least, most = self.distance_m
+        if not 0 < least <= most:
+            raise ValueError(f"distance_m: expected 0 < least <= most, got {self.distance_m}")
+        if self.lateral_m < 0:
+            raise ValueError(f"lateral_m: expected at least 0, got {self.lateral_m}")
+        limits = (180.0, 90.0, 180.0)
+        if len(self.attitude_range_deg) != 3 or not all(
+            0 <= angle <= limit
+            for angle, limit in zip(self.attitude_range_deg, limits, strict=True)
+        ):
+            raise ValueError(
+                "attitude_range_deg: expected (roll, pitch, yaw) within 0…180, 0…90, 0…180, "
+                f"got {self.attitude_range_deg}"
+            )
+        for name in ("min_visible", "eclipse_rate"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}: expected 0…1, got {getattr(self, name)}")
+
+    def build(self) -> Craft:
+        """The spacecraft itself."""
+        return build_craft(self.craft) if isinstance(self.craft, str) else self.craft
+
+    def parameters(self) -> dict[str, Any]:
+        """All fields as plain values for a manifest; the spacecraft by its name."""
+        shown = replace(self, craft=self.build().name)
+        return asdict(shown)
+
+
+SCENES = {
+    scene.name: scene
+    for scene in (
+        Scene("soyuz_easy", "soyuz", (8.0, 22.0), 12.0),
+        Scene("soyuz_hard", "soyuz", (8.0, 42.0), 22.0),
+        Scene("dragon_hard", "dragon", (8.0, 42.0), 22.0),
+    )
+}
+"""The sets of the paper's section 4.1."""
+
+
+def get_scene(name: str) -> Scene:
+    """A set of `SCENES` by name.
+
+    Raises:
+        ValueError: the name is not known; the message lists the known ones.
+    """
+    if name not in SCENES:
+        raise ValueError(f"unknown set {name!r}; known: {', '.join(SCENES)}")
+    return SCENES[name]

@@ -1,0 +1,195 @@
+"""From radiance to numbers: optics, exposure, noise, response curve, eight bits.
+
+Every random step draws from the generator that is handed in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.render.vectors import Floats, dot
+
+CURVE_STEPS = 4096
+CURVE_TOP = 4.0
+GAIN_LIMITS = (0.6, 10.0)
+CRAFT_LEVEL = 0.55
+FRAME_LEVEL = 0.9
+BLOOM_LIMIT = 200.0
+BLOOM_CELL = 4
+"""Glare is computed on a grid this much coarser than the pixels."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How light becomes numbers. A zero switches the effect off.
+
+    Attributes:
+        blur_px: standard deviation of the optics' blur, in pixels of an image 1280 wide.
+        vignette: part of the light that is lost in the corners.
+        bloom: part of the light beyond full scale that glare spreads around.
+        full_well: electrons at full scale, at least 1; sets the shot noise.
+        read_noise: standard deviation in electrons.
+        exposure_spread: standard deviation of the exposure's error, in stops.
+    """
+
+    blur_px: float = 0.7
+    vignette: float = 0.2
+    bloom: float = 0.05
+    full_well: float = 9000.0
+    read_noise: float = 12.0
+    exposure_spread: float = 0.25
+
+    def __post_init__(self) -> None:
+        numbers = (self.blur_px, self.bloom, self.read_noise, self.exposure_spread)
+        if min(numbers) < 0 or self.full_well < 1 or not 0 <= self.vignette < 1:
+            raise ValueError(
+                "sensor: expected numbers of at least 0, full_well of at least 1 and vignette "
+                f"below 1, got {self}"
+            )
+
+
+def choose_gain(radiance: Floats, craft: Floats, sensor: Sensor, rng: np.random.Generator) -> float:
+    """Exposure for a picture, as its operators would set it, with their error.
+
+    The spacecraft's brighter parts come near full scale, unless much of the frame would burn out.
+
+    Args:
+        radiance: (H, W, 3) of the whole frame.
+        craft: (3, N) of samples on the spacecraft; N may be 0.
+        sensor: says how large the error is.
+        rng: source of the error.
+    """
+    frame = _luminance(np.moveaxis(radiance[::4, ::4], -1, 0).reshape(3, -1))
+    gain = FRAME_LEVEL / max(_quantile(frame, 0.85), 1e-6)
+    if craft.shape[1]:
+        gain = min(gain, CRAFT_LEVEL / max(_quantile(_luminance(craft), 0.9), 1e-6))
+    return float(np.clip(gain, *GAIN_LIMITS) * 2 ** rng.normal(0.0, sensor.exposure_spread))
+
+
+def expose(
+    radiance: Floats, gain: float, sensor: Sensor, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Take the picture.
+
+    Args:
+        radiance: (H, W, 3) linear; sunlit white paint is about 1.
+        gain: exposure; a radiance of 1/gain is full scale.
+        sensor: the sensor's numbers.
+        rng: source of the noise.
+
+    Returns:
+        (H, W, 3) uint8, sRGB response with a soft shoulder.
+    """
+    signal = radiance * np.float32(gain)
+    if sensor.bloom > 0:
+        _add_bloom(signal, sensor.bloom)
+    if sensor.blur_px > 0:
+        signal = _blur(signal, sensor.blur_px * signal.shape[1] / 1280)
+    if sensor.vignette > 0:
+        signal *= _vignette(*signal.shape[:2], sensor.vignette)
+    _add_noise(signal, sensor, rng)
+    signal *= np.float32(CURVE_STEPS / CURVE_TOP)
+    np.clip(signal, 0, CURVE_STEPS - 1, out=signal)
+    return _curve().take(signal.astype(np.int32))
+
+
+def _luminance(rgb: Floats) -> Floats:
+    return dot((0.2126, 0.7152, 0.0722), rgb)
+
+
+def _quantile(values: Floats, part: float) -> float:
+    place = int(part * (len(values) - 1))
+    return float(np.partition(values, place)[place])
+
+
+def _add_noise(signal: Floats, sensor: Sensor, rng: np.random.Generator) -> None:
+    """Shot noise by its normal approximation, and read noise, in one draw for each value."""
+    spread = np.maximum(signal, 0)
+    spread *= np.float32(1 / sensor.full_well)
+    spread += np.float32((sensor.read_noise / sensor.full_well) ** 2)
+    np.sqrt(spread, out=spread)
+    spread *= rng.standard_normal(signal.shape, dtype=np.float32)
+    signal += spread
+
+
+def _blur(image: Floats, sigma: float) -> Floats:
+    """Three taps along each axis whose variance is sigma², which suits blurs below a pixel."""
+    side = np.float32(min(sigma * sigma / 2, 1 / 3))
+    for axis in (0, 1):
+        padded = np.concatenate([image.take([0], axis), image, image.take([-1], axis)], axis=axis)
+        last = padded.shape[axis]
+        before = padded[: last - 2] if axis == 0 else padded[:, : last - 2]
+        after = padded[2:] if axis == 0 else padded[:, 2:]
+        image = image * (1 - 2 * side)
+        image += side * before
+        image += side * after
+    return image
+
+
+def _add_bloom(signal: Floats, share: float) -> None:
+    """Spread light beyond full scale over a wide halo, in place."""
+    if signal.max() <= 1:
+        return
+    height, width = (side // BLOOM_CELL for side in signal.shape[:2])
+    whole = signal[: height * BLOOM_CELL, : width * BLOOM_CELL]
+    excess = np.clip(whole - 1, 0, BLOOM_LIMIT)
+    excess = excess.reshape(height, BLOOM_CELL, width, BLOOM_CELL, 3).mean(axis=(1, 3))
+    if not excess.any():
+        return
+    spectrum = np.fft.rfft2(excess, (2 * height, 2 * width), axes=(0, 1))
+    spectrum *= _halo_spectrum(height, width)[..., None]
+    halo = np.fft.irfft2(spectrum, axes=(0, 1))[:height, :width]
+    glare: Floats = np.maximum(halo * share, 0).astype(np.float32)
+    signal += _stretch(_stretch(glare, signal.shape[0], 0), signal.shape[1], 1)
+
+
+def _stretch(coarse: Floats, size: int, axis: int) -> Floats:
+    """Linear interpolation of one axis of (h, w, 3), `BLOOM_CELL` pixels for each cell."""
+    place = (np.arange(size) + 0.5) / BLOOM_CELL - 0.5
+    place = np.clip(place, 0, coarse.shape[axis] - 1.001).astype(np.float32)
+    low = place.astype(np.intp)
+    part = (place - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+    first = coarse.take(low, axis)
+    step = coarse.take(low + 1, axis)
+    step -= first
+    step *= part
+    first += step
+    return first
+
+
+@lru_cache(maxsize=4)
+def _halo_spectrum(height: int, width: int) -> NDArray[np.complex128]:
+    """Spectrum of a halo of weight one: a narrow and a wide bell, on twice the size."""
+    y = np.fft.fftfreq(2 * height, 1 / (2 * height))[:, None]
+    x = np.fft.fftfreq(2 * width, 1 / (2 * width))[None, :]
+    distance = (x * x + y * y) / width**2
+    halo = sum(
+        weight * bell / bell.sum()
+        for weight, bell in (
+            (0.7, np.exp(-distance / (2 * 0.012**2))),
+            (0.3, 1 / (1 + distance / 0.02**2) ** 1.5),
+        )
+    )
+    return np.fft.rfft2(halo)
+
+
+@lru_cache(maxsize=4)
+def _vignette(height: int, width: int, loss: float) -> Floats:
+    y = (np.arange(height) + 0.5) / height * 2 - 1
+    x = (np.arange(width) + 0.5) / width * 2 - 1
+    kept = 1 - loss * (y[:, None] ** 2 + x[None, :] ** 2) / 2
+    return kept[..., None].astype(np.float32)
+
+
+@lru_cache(maxsize=1)
+def _curve() -> NDArray[np.uint8]:
+    """Radiance 0…`CURVE_TOP` to 8 bits: sRGB, with a shoulder from 0.7 up."""
+    x = (np.arange(CURVE_STEPS) + 0.5) * CURVE_TOP / CURVE_STEPS
+    knee = 0.7
+    x = np.where(x < knee, x, knee + (1 - knee) * (1 - np.exp(-(x - knee) / (1 - knee))))
+    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    return np.asarray(np.round(encoded * 255), dtype=np.uint8)

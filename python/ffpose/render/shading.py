@@ -1,0 +1,208 @@
+"""Light on the spacecraft's surface: Lambert's law under a GGX microfacet layer.
+
+Radiance is in units of that of a white diffuse surface facing the sun, so the sun's irradiance is
+pi. Sources: Walter et al. 2007 (GGX), Schlick 1994 (Fresnel), Smith's shadowing in Karis' form.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ffpose.render.craft import Craft
+from ffpose.render.finish import DRAW, Surface
+from ffpose.render.tracer import Tracer
+from ffpose.render.vectors import Floats, column, dot, unit
+from ffpose.render.view import View
+
+EARTH_COLOR = (0.26, 0.31, 0.38)
+"""Radiance of the sunlit Earth below, clouds and sea together."""
+
+HIGHLIGHT_LIMIT = 12.0
+"""Largest radiance of one sample, so that a glint does not outweigh all others of its pixel."""
+
+BOUNCE = 0.2
+"""Part of the Earth's light that comes back from the spacecraft where it hides the Earth."""
+
+EDGE_ON = 0.25
+"""A smoothed normal may lean this far away from the eye on a face that is seen from outside."""
+
+LIFT_M = 2e-3
+"""How far a shadow ray starts above the surface, so that no point shadows itself."""
+
+
+class Light(NamedTuple):
+    """Directions (3,) in the object frame, and how strong each light is.
+
+    Attributes:
+        sun: to the sun.
+        nadir: to the Earth's centre.
+        earth: radiance of the Earth below, as a part of `EARTH_COLOR`.
+        horizon: cosine of the angle between nadir and horizon.
+        sunlight: 1, or 0 in the Earth's shadow.
+        lamp: strength of a lamp at the eye, as a part of the sun's, at a distance of 1 m.
+    """
+
+    sun: Floats
+    nadir: Floats
+    earth: float
+    horizon: float
+    sunlight: float
+    lamp: float
+
+
+class Finish:
+    """The spacecraft's materials as tables, to look up for many points at once."""
+
+    def __init__(self, craft: Craft) -> None:
+        table = craft.materials
+        self._uv = craft.mesh.uv.astype(np.float32)
+        self._normals = craft.mesh.corner_normals
+        self._material = craft.mesh.material
+        self._color = np.array([m.color for m in table], dtype=np.float32).T
+        self._emission = np.array([m.emission for m in table], dtype=np.float32).T
+        self._roughness = np.array([m.roughness for m in table], dtype=np.float32)
+        self._metallic = np.array([m.metallic for m in table], dtype=np.float32)
+        self._pattern = np.array([m.pattern for m in table])
+        self._scale = np.array([m.scale for m in table], dtype=np.float32)
+
+    def surface(self, view: View, footprint: Floats) -> Surface:
+        """Look up and draw the materials at the points of a view.
+
+        Args:
+            view: what the rays met.
+            footprint: (N,) width of a pixel at each point, metres: finer detail is averaged.
+        """
+        face = view.hits.face
+        second, third = view.hits.barycentric
+        weights = np.stack([1 - second - third, second, third])
+        normal = _blend(self._normals.take(face, axis=0), weights)
+        # Open surfaces are seen from both sides.
+        normal[:, dot(normal, view.rays) > EDGE_ON] *= -1
+        number = self._material.take(face)
+        surface = Surface(
+            self._color.take(number, axis=1),
+            self._roughness.take(number),
+            self._metallic.take(number),
+            self._emission.take(number, axis=1),
+            normal,
+        )
+        uv = _blend(self._uv.take(face, axis=0), weights)
+        place, kinds, scale = view.place, self._pattern.take(number), self._scale.take(number)
+        for kind, draw in DRAW.items():
+            at = np.flatnonzero(kinds == kind)
+            if at.size:
+                draw(surface, at, uv[:, at] / scale[at], place[:, at], footprint[at] / scale[at])
+        return surface._replace(normal=_face_eye(unit(surface.normal), view.rays))
+
+
+def sun_visible(tracer: Tracer, place: Floats, normal: Floats, light: Light) -> Floats:
+    """(N,) 1 where the sun reaches the points (3, N), else 0."""
+    lit = np.zeros(place.shape[1], dtype=np.float32)
+    turned = np.flatnonzero(dot(light.sun, normal) > 0)
+    if light.sunlight > 0 and turned.size:
+        start = place[:, turned] + normal[:, turned] * np.float32(LIFT_M)
+        lit[turned] = ~tracer.blocked(start.T, light.sun)
+    return lit
+
+
+def earth_visible(
+    tracer: Tracer, place: Floats, normal: Floats, light: Light, rng: np.random.Generator
+) -> Floats:
+    """(N,) part of the Earth's light that reaches the points (3, N), by two random rays for each.
+
+    The rays scatter about the middle of nadir and normal, where most of that light comes from.
+    A blocked point still gets `BOUNCE` from the lit surfaces around it.
+    """
+    if light.earth == 0:
+        return np.zeros(place.shape[1], dtype=np.float32)
+    start = place + normal * np.float32(LIFT_M)
+    scatter = np.float32(0.4) * rng.standard_normal(place.shape, dtype=np.float32)
+    middle = light.nadir[:, None] + normal
+    blocked = np.zeros(place.shape[1], dtype=np.float32)
+    for towards in (middle + scatter, middle - scatter):
+        blocked += tracer.blocked(start.T, unit(towards).T)
+    result: Floats = 1 - np.float32((1 - BOUNCE) / 2) * blocked
+    return result
+
+
+def reflected(
+    surface: Surface, view: View, light: Light, sunlit: Floats, earthlit: Floats
+) -> Floats:
+    """Radiance (3, N) towards the eye.
+
+    Args:
+        surface: the points.
+        view: the rays that met them.
+        light: the lights.
+        sunlit: (N,) part of the sun that each point sees, 0…1.
+        earthlit: (N,) part of the Earth's light that reaches each point, 0…1.
+    """
+    rays = view.rays
+    plain = surface.color * (1 - surface.metallic)
+    mirror = np.float32(0.04) * (1 - surface.metallic) + surface.color * surface.metallic
+    direct = np.maximum(dot(light.sun, surface.normal), 0) * sunlit
+    out = plain + _highlight(surface, rays, light.sun, mirror)
+    out *= direct
+    out += _earth_shine(surface, rays, light, plain, mirror) * earthlit
+    if light.lamp > 0:
+        facing = -dot(rays, surface.normal)
+        lamp = np.float32(light.lamp) * facing / view.hits.distance**2
+        out += (plain + _lamp_glint(surface, facing, mirror)) * lamp
+    np.minimum(out, np.float32(HIGHLIGHT_LIMIT), out=out)
+    out += surface.emission
+    return out
+
+
+def _highlight(surface: Surface, rays: Floats, sun: Floats, mirror: Floats) -> Floats:
+    """GGX lobe times pi, because the sun's irradiance is pi."""
+    half = unit(sun[:, None] - rays)
+    facing = np.maximum(dot(half, surface.normal), 0)
+    cos_view = np.maximum(-dot(rays, surface.normal), np.float32(1e-3))
+    cos_sun = np.maximum(dot(sun, surface.normal), np.float32(1e-3))
+    slope = surface.roughness**4
+    spread = slope / (facing * facing * (slope - 1) + 1) ** 2
+    k = (surface.roughness + 1) ** 2 / 8
+    shadowing = np.reciprocal((cos_view * (1 - k) + k) * (cos_sun * (1 - k) + k))
+    grazing = (1 - np.clip(dot(sun, half), 0, 1)) ** 5
+    result: Floats = (mirror + (1 - mirror) * grazing) * (spread * shadowing * np.float32(0.25))
+    return result
+
+
+def _lamp_glint(surface: Surface, facing: Floats, mirror: Floats) -> Floats:
+    """The GGX lobe seen from the light itself, times pi."""
+    slope = surface.roughness**4
+    spread: Floats = slope / (facing * facing * (slope - 1) + 1) ** 2
+    return mirror * (spread * np.float32(0.25))
+
+
+def _earth_shine(
+    surface: Surface, rays: Floats, light: Light, plain: Floats, mirror: Floats
+) -> Floats:
+    """The Earth below: a wide lamp to the diffuse part, a blurred disc to the mirror."""
+    wide = np.float32(0.5 * (1 - light.horizon))
+    diffuse = np.clip(dot(light.nadir, surface.normal) * (1 - wide) + wide, 0, 1)
+    cos_view = dot(rays, surface.normal)
+    mirrored = dot(light.nadir, rays - 2 * cos_view * surface.normal)
+    blur = np.float32(0.02) + surface.roughness
+    seen = np.clip((mirrored - np.float32(light.horizon)) / blur + np.float32(0.5), 0, 1)
+    grazing = (1 - np.clip(-cos_view, 0, 1)) ** 5 * (1 - surface.roughness)
+    glossy = (mirror + (1 - mirror) * grazing) * seen
+    out: Floats = plain * diffuse
+    out += glossy
+    out *= column(EARTH_COLOR) * np.float32(light.earth)
+    return out
+
+
+def _face_eye(normal: Floats, rays: Floats) -> Floats:
+    """Bend unit normals (3, N) that lean away from the eye until they are seen edge-on."""
+    lean = np.maximum(dot(normal, rays) + np.float32(0.02), 0)
+    return unit(normal - lean * rays)
+
+
+def _blend(corners: Floats, weights: Floats) -> Floats:
+    """Corner values (N, 3, K) weighted by (3, N): (K, N)."""
+    first, second, third = weights
+    result: Floats = first * corners[:, 0].T + second * corners[:, 1].T + third * corners[:, 2].T
+    return result

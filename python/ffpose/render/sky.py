@@ -1,0 +1,54 @@
+"""Stars and the sun's disc."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.geometry import Camera
+from ffpose.render.vectors import Floats
+
+SUN_RADIUS_RAD = 0.00465
+SUN_RADIANCE = 150.0
+"""Far above full scale at any exposure; the true disc would be a thousand times brighter."""
+
+STARS_TO_MAGNITUDE_ZERO = 5.0
+"""Stars over the whole sky brighter than magnitude 0; each magnitude has 3.2 times as many."""
+FAINTEST = 6.0
+STAR_FLUX = 0.25
+"""Radiance of a star of magnitude zero, collected in one pixel at 640 pixels of focal length."""
+
+
+def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
+    """(H, W, 3) radiance of stars uniform over the sky with the true count for each magnitude."""
+    image = np.zeros((camera.height, camera.width, 3), dtype=np.float32)
+    total = rng.poisson(STARS_TO_MAGNITUDE_ZERO * 10 ** (0.5 * FAINTEST))
+    rays = rng.standard_normal((total, 3))
+    # Counts grow as 10^(0.5 m), so a uniform share of them gives a magnitude.
+    magnitude = FAINTEST + 2.0 * np.log10(1.0 - rng.random(total))
+    warmth = rng.normal(0.0, 0.18, total)
+    ahead = rays[:, 2] > 0
+    pixel = camera.project(rays[ahead])
+    flux = STAR_FLUX * 10 ** (-0.4 * magnitude[ahead]) * (camera.fx / 640.0) ** 0.5
+    tint = np.stack([1 + warmth, np.ones_like(warmth), 1 - warmth], axis=1)[ahead]
+    light = flux[:, None] * np.clip(tint, 0.4, 1.6)
+    # A star falls on four pixels, shared as its place between their centres says.
+    base = np.floor(pixel - 0.5).astype(np.int64)
+    part = pixel - 0.5 - base
+    for dy in (0, 1):
+        for dx in (0, 1):
+            column, row = base[:, 0] + dx, base[:, 1] + dy
+            weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+            seen = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+            np.add.at(image, (row[seen], column[seen]), (weight[:, None] * light)[seen])
+    return image
+
+
+def sun_disc(sun: NDArray[np.float64], rays: Floats, pixel_angle: float) -> Floats:
+    """(N,) radiance of the sun itself along unit rays (3, N), its rim smoothed over a pixel."""
+    towards = np.asarray(sun, dtype=np.float32)[:, None]
+    offset = np.sqrt(((rays - towards) ** 2).sum(axis=0))
+    radius = max(SUN_RADIUS_RAD, 0.5 * pixel_angle)
+    inside = np.clip(0.5 - (offset - radius) / pixel_angle, 0, 1)
+    result: Floats = (inside * np.float32(SUN_RADIANCE)).astype(np.float32)
+    return result

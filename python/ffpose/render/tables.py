@@ -1,0 +1,71 @@
+"""The label files of URSO's layout: one table of all poses, names and poses of each split.
+
+Labels are in URSO's own frame (`ffpose.geometry`), with every digit of the numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from ffpose.files import atomic_write
+from ffpose.geometry import Camera, Pose
+
+SPLITS = ("train", "val", "test")
+COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
+
+
+def split_of(index: int) -> str:
+    """The split of image `index`: of ten in a row, eight train, one validates, one tests.
+
+    So a longer set never moves an image from one split to another.
+    """
+    return {1: "val", 2: "test"}.get(index % 10, "train")
+
+
+def image_name(index: int) -> str:
+    """File name of image `index`."""
+    return f"{index}_rgb.png"
+
+
+def write_tables(
+    folder: Path, poses: Sequence[Pose], indices: Sequence[int], camera: Camera
+) -> list[str]:
+    """Write labels, splits and camera of a set.
+
+    Args:
+        folder: where the images are.
+        poses: the labels of images 0, 1, 2, …, so that row N of ``gt.csv`` is that of image N.
+        indices: which of these images are there, in order; a split without images has no file.
+        camera: the camera of the images.
+
+    Returns:
+        The names of the files.
+    """
+    chosen: Mapping[str, list[int]] = {
+        split: [index for index in indices if split_of(index) == split] for split in SPLITS
+    }
+    _write_poses(folder / "gt.csv", poses)
+    _write_text(folder / "camera.json", json.dumps(asdict(camera), indent=1) + "\n")
+    names = ["gt.csv", "camera.json"]
+    for split, members in chosen.items():
+        if members:
+            names += [f"{split}_images.csv", f"{split}_poses_gt.csv"]
+            _write_text(folder / names[-2], "".join(f"{image_name(index)}\n" for index in members))
+            _write_poses(folder / names[-1], [poses[index] for index in members])
+    return names
+
+
+def _write_poses(target: Path, poses: Sequence[Pose]) -> None:
+    with atomic_write(target) as path, path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: repr(v) for k, v in pose.to_urso().items()} for pose in poses)
+
+
+def _write_text(target: Path, text: str) -> None:
+    with atomic_write(target) as path:
+        path.write_text(text, encoding="utf-8")

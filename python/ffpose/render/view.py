@@ -1,0 +1,95 @@
+"""The camera's rays, and which pixels a spacecraft may touch."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.geometry import Camera, Pose
+from ffpose.render.tracer import Hits, Tracer
+from ffpose.render.vectors import Floats, rotate
+
+NEAR_M = 0.05
+
+
+class Window(NamedTuple):
+    """A rectangle of pixels: columns left … right − 1, rows top … bottom − 1."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.bottom - self.top, self.right - self.left
+
+
+class View(NamedTuple):
+    """What rays through a window met, all in the object frame.
+
+    Attributes:
+        eye: (3,) the camera.
+        rays: (3, H) unit vectors of the rays that met the spacecraft.
+        hits: where they did; `hits.ray` numbers the samples row by row.
+    """
+
+    eye: Floats
+    rays: Floats
+    hits: Hits
+
+    @property
+    def place(self) -> Floats:
+        """(3, H) points that were met, metres."""
+        result: Floats = self.eye[:, None] + self.rays * self.hits.distance
+        return result
+
+
+@lru_cache(maxsize=4)
+def pixel_rays(camera: Camera) -> Floats:
+    """(3, H·W) unit vectors through the pixels' centres, row by row, camera frame."""
+    return _unit_rays(camera, _samples(0, camera.width, 1), _samples(0, camera.height, 1))
+
+
+def find_window(vertices: NDArray[np.float64], pose: Pose, camera: Camera) -> Window | None:
+    """The pixels that a surface with these vertices (V, 3) may touch, None if out of frame."""
+    points = pose.transform(vertices)
+    if points[:, 2].min() < NEAR_M:
+        return Window(0, 0, camera.width, camera.height)
+    u, v = camera.project(points).T
+    left, right = max(0, math.floor(u.min())), min(camera.width, math.ceil(u.max()))
+    top, bottom = max(0, math.floor(v.min())), min(camera.height, math.ceil(v.max()))
+    return Window(left, top, right, bottom) if left < right and top < bottom else None
+
+
+def look(tracer: Tracer, window: Window, camera: Camera, pose: Pose, samples: int) -> View:
+    """Cast `samples` × `samples` rays through each pixel of a window."""
+    rays = _unit_rays(
+        camera,
+        _samples(window.left, window.right, samples),
+        _samples(window.top, window.bottom, samples),
+    )
+    back = pose.rotation.T
+    rays = rotate(back, rays)
+    eye = (-back @ pose.t).astype(np.float32)
+    hits = tracer.first_hits(eye, rays.T)
+    return View(eye, rays.take(hits.ray, axis=1), hits)
+
+
+def _samples(start: int, stop: int, samples: int) -> NDArray[np.float64]:
+    """Pixel coordinates of `samples` evenly spaced points in each pixel of start … stop − 1."""
+    return (np.arange(start * samples, stop * samples) + 0.5) / samples
+
+
+def _unit_rays(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> Floats:
+    """(3, len(v)·len(u)) unit vectors through the pixel coordinates u and v, row by row."""
+    x = ((u - camera.cx) / camera.fx).astype(np.float32)
+    y = ((v - camera.cy) / camera.fy).astype(np.float32)
+    columns, rows = np.meshgrid(x, y)
+    length = np.sqrt(columns * columns + rows * rows + 1)
+    return np.stack([columns / length, rows / length, 1 / length]).reshape(3, -1)

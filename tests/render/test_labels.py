@@ -1,0 +1,138 @@
+"""Labels are exact: points put through the written labels are found in the written images.
+
+The labels are read and turned into our frame by hand here, by the definition of URSO's own frame
+(x right, y up, z forward; JPL quaternion, scalar last), and not by this project's reader.
+"""
+
+import csv
+
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw
+
+from beacons import LAMPS, RADIUS, beacon_scene
+from ffpose.render import SCENES, render_layers, write_dataset
+
+SIZE = (640, 480)
+FX, FY, CX, CY = 320.0, 640.463 / 2, 320.0, 240.0
+
+
+def written_labels(folder):
+    with (folder / "gt.csv").open() as file:
+        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def to_pixels(row, points):
+    """URSO's label applied in URSO's own left-handed frame, then its pinhole camera."""
+    x, y, z, s = row["q1"], row["q2"], row["q3"], row["q4"]
+    # The JPL matrix is the transpose of Hamilton's for the same numbers.
+    jpl = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + z * s), 2 * (x * z - y * s)],
+            [2 * (x * y - z * s), 1 - 2 * (x * x + z * z), 2 * (y * z + x * s)],
+            [2 * (x * z + y * s), 2 * (y * z - x * s), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    mirrored = np.asarray(points, dtype=float) * (1, -1, 1)
+    camera = mirrored @ jpl.T + (row["x"], row["y"], row["z"])
+    u = CX + FX * camera[:, 0] / camera[:, 2]
+    v = CY - FY * camera[:, 1] / camera[:, 2]
+    return np.stack([u, v], axis=1), camera[:, 2]
+
+
+def find_lamp(image, rgb):
+    """Centroid and area of the pixels that are bright in this lamp's channels alone."""
+    on = np.array(rgb, dtype=bool)
+    level = image[..., on].min(axis=-1) - image[..., ~on].max(axis=-1)
+    weight = np.clip(level - 90.0, 0, None)
+    total = weight.sum()
+    if total == 0:
+        return None, 0.0
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]] + 0.5
+    return np.array([(weight * u).sum(), (weight * v).sum()]) / total, (weight > 0).sum()
+
+
+def test_lamps_are_where_the_written_labels_say(tmp_path):
+    write_dataset(beacon_scene(), tmp_path, 8, seed=5, size=SIZE)
+    found = 0
+    for index, row in enumerate(written_labels(tmp_path)):
+        image = np.asarray(Image.open(tmp_path / f"{index}_rgb.png"), dtype=float)
+        pixels, depth = to_pixels(row, [place for place, _ in LAMPS.values()])
+        for n, (_, rgb) in enumerate(LAMPS.values()):
+            radius = FX * RADIUS / depth[n]
+            gaps = np.linalg.norm(np.delete(pixels, n, axis=0) - pixels[n], axis=1)
+            if gaps.min() < 3 * radius + 2:
+                continue  # another lamp may hide this one
+            centre, area = find_lamp(image, rgb)
+            assert area > 0.4 * np.pi * radius**2
+            assert np.abs(centre - pixels[n]).max() < 1.0
+            found += 1
+    assert found > 25
+
+
+def drawn_silhouette(row, mesh):
+    """The mesh's triangles filled by Pillow on a much finer canvas, read at the pixels' centres."""
+    fine = 25
+    pixels, _ = to_pixels(row, mesh.vertices)
+    corner = np.floor(pixels.min(axis=0)).astype(int)
+    width, height = np.ceil(pixels.max(axis=0)).astype(int) - corner
+    canvas = Image.new("1", (int(width) * fine, int(height) * fine))
+    draw = ImageDraw.Draw(canvas)
+    for triangle in np.round((pixels[mesh.faces] - corner) * fine - 0.5):
+        draw.polygon([tuple(point) for point in triangle], fill=1)
+    drawn = np.zeros((SIZE[1] + 2 * height, SIZE[0] + 2 * width), dtype=bool)
+    left, top = np.add(corner, (width, height))
+    drawn[top : top + height, left : left + width] = np.asarray(canvas)[
+        fine // 2 :: fine, fine // 2 :: fine
+    ]
+    return drawn[height:-height, width:-width]
+
+
+@pytest.mark.parametrize("name", ["soyuz_easy", "dragon_hard"])
+def test_mask_is_the_silhouette_of_the_written_label(tmp_path, name):
+    """A second rasteriser, which knows nothing of rays, fills the same pixels."""
+    write_dataset(name, tmp_path, 2, seed=8, size=(64, 48))
+    for index, row in enumerate(written_labels(tmp_path)):
+        mask = render_layers(name, 8, index, SIZE).mask
+        drawn = drawn_silhouette(row, SCENES[name].build().mesh)
+        assert mask.sum() > 500
+        assert (mask & drawn).sum() >= 0.995 * (mask | drawn).sum()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_silhouette_and_depth_agree_with_the_written_labels(tmp_path, name):
+    write_dataset(name, tmp_path, 4, seed=2, size=SIZE)
+    craft = SCENES[name].build()
+    seen = 0
+    for index, row in enumerate(written_labels(tmp_path)):
+        layers = render_layers(name, 2, index, SIZE)
+        assert (layers.mask == (layers.depth > 0)).all()
+        outline, depths = to_pixels(row, craft.mesh.vertices)
+        if (outline >= 0).all() and (outline <= SIZE).all():
+            rows, columns = np.nonzero(layers.mask)
+            box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+            # Thin antennas may slip between pixel centres, so the box may fall short by one.
+            assert (
+                np.abs(box - np.concatenate([outline.min(axis=0), outline.max(axis=0)])).max() < 2
+            )
+        inside = layers.depth[layers.mask]
+        assert depths.min() - 1e-3 < inside.min()
+        assert inside.max() < depths.max() + 1e-3
+        pixels, z = to_pixels(row, list(craft.keypoints.values()))
+        for n, point in enumerate(layers.keypoints):
+            assert np.hypot(*(pixels[n] - (point.u, point.v))) < 1e-6
+            assert point.depth == pytest.approx(z[n])
+            seen += point.visible
+    assert seen > 4
+
+
+def test_mask_covers_what_differs_from_the_background():
+    """Where the mask says spacecraft the image shows it: bright lamps lie inside the mask only."""
+    from ffpose.render import render
+
+    scene = beacon_scene()
+    frame, layers = render(scene, 5, 0, SIZE), render_layers(scene, 5, 0, SIZE)
+    for _, rgb in LAMPS.values():
+        centre, area = find_lamp(frame.image.astype(float), rgb)
+        if area > 9:
+            assert layers.mask[int(centre[1]), int(centre[0])]

@@ -1,0 +1,142 @@
+"""Images are pure functions of their arguments, and look lit as physics says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beacons import beacon_scene
+from ffpose.render import SCENES, label, render, render_layers
+from ffpose.render.earth import Earth, shade_earth
+from ffpose.render.noise import fbm, value_noise
+from ffpose.render.sensor import Sensor, expose
+from ffpose.render.vectors import unit
+
+SIZE = (128, 96)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_render_is_pure(name):
+    first = render(name, 3, 1, SIZE)
+    render(name, 3, 2, SIZE)
+    again = render(name, 3, 1, SIZE)
+    np.testing.assert_array_equal(first.image, again.image)
+    assert first.image.shape == (96, 128, 3)
+    assert first.image.dtype == np.uint8
+    assert first.image.std() > 1
+
+
+def test_seed_and_index_matter_and_size_does_not_move_the_pose():
+    base = label("soyuz_easy", 0, 0).vector
+    assert not np.array_equal(base, label("soyuz_easy", 0, 1).vector)
+    assert not np.array_equal(base, label("soyuz_easy", 1, 0).vector)
+    np.testing.assert_array_equal(render("soyuz_easy", 0, 0, (64, 48)).pose.vector, base)
+    np.testing.assert_array_equal(render("soyuz_easy", 0, 0, (96, 96)).pose.vector, base)
+
+
+def test_default_size_is_that_of_the_camera():
+    frame = render(beacon_scene(), 0, 0)
+    assert frame.image.shape == (960, 1280, 3)
+    assert frame.camera == SCENES["soyuz_easy"].camera
+
+
+@pytest.mark.parametrize(("seed", "index"), [(-1, 0), (0, -1)])
+def test_negative_seed_or_index_is_refused(seed, index):
+    with pytest.raises(ValueError, match="seed and index"):
+        render("soyuz_easy", seed, index, SIZE)
+
+
+def test_eclipse_is_lit_by_the_lamp_alone():
+    scene = replace(SCENES["soyuz_easy"], eclipse_rate=1.0)
+    bright = 0
+    for index in range(4):
+        image = render(scene, 0, index, SIZE).image
+        mask = render_layers(scene, 0, index, SIZE).mask
+        bright += image[mask].mean() > 20
+    assert bright >= 3
+
+
+def test_noise_is_periodic_continuous_and_bounded():
+    points = np.random.default_rng(0).uniform(0, 60, (3, 5000)).astype(np.float32)
+    values = value_noise(points)
+    assert np.abs(values).max() <= 1
+    assert values.std() > 0.2
+    np.testing.assert_allclose(value_noise(points + 64), values, atol=2e-4)
+    np.testing.assert_allclose(value_noise(points + np.float32(1e-3)), values, atol=1e-2)
+    assert np.abs(fbm(points, 6)).max() <= 1
+
+
+def test_noise_meets_its_lattice():
+    """On whole numbers the noise is the random value itself, whatever the neighbours are."""
+    whole = np.array([[1, 2, 63, 0], [5, 5, 63, 64], [9, 9, 63, 0]], dtype=np.float32)
+    near = whole + np.float32(1e-4)
+    np.testing.assert_allclose(value_noise(whole), value_noise(near), atol=1e-4)
+
+
+def rays_from_nadir(degrees):
+    angle = np.radians(np.atleast_1d(degrees))
+    return np.stack([np.sin(angle), 0 * angle, np.cos(angle)]).astype(np.float32)
+
+
+def earth(sun):
+    return Earth(np.array([0.0, 0.0, 1.0]), 0.0628, np.asarray(sun, dtype=float), np.eye(3))
+
+
+def test_earth_ends_at_the_horizon():
+    # asin(1 / 1.0628) = 70.21 degrees from nadir; the air ends within two degrees above.
+    light, behind = shade_earth(earth((0, 0, -1)), rays_from_nadir([0, 40, 69.9, 75, 120]), 1e-3)
+    assert (behind[:3] == 0).all()
+    assert (behind[3:] == 1).all()
+    assert (light[:, :3].min(axis=0) > 0.01).all()
+    assert (light[:, 3:] == 0).all()
+
+
+def test_air_glows_blue_above_the_limb():
+    light, behind = shade_earth(earth((0, 0, -1)), rays_from_nadir([70.6]), 1e-4)
+    assert 0 < behind[0] < 1
+    assert light[2, 0] > light[1, 0] > light[0, 0] > 0
+
+
+def test_night_side_is_dark():
+    rays = unit(np.random.default_rng(0).normal((0, 0, 3), 1, (400, 3)).T.astype(np.float32))
+    by_day, _ = shade_earth(earth((0, 0, -1)), rays, 1e-3)
+    by_night, _ = shade_earth(earth((0, 0, 1)), rays, 1e-3)
+    assert by_night.mean() < 0.02 * by_day.mean()
+
+
+def test_sensor_is_linear_in_the_dark_and_never_wraps():
+    silent = Sensor(0, 0, 0, 1e9, 0, 0)
+    level = np.linspace(0, 100, 64 * 48, dtype=np.float32).reshape(48, 64, 1).repeat(3, axis=2)
+    image = expose(level, 0.02, silent, np.random.default_rng(0))
+    assert (np.diff(image.reshape(-1, 3).astype(int), axis=0) >= 0).all()
+    # sRGB: 18 % grey is 118.
+    grey = expose(np.full((16, 16, 3), 0.18, np.float32), 1.0, silent, np.random.default_rng(0))
+    assert np.abs(grey.astype(int) - 118).max() <= 1
+
+
+def test_shot_noise_grows_with_the_root_of_the_signal():
+    sensor = Sensor(0, 0, 0, full_well=400, read_noise=0, exposure_spread=0)
+    spread = []
+    for level in (0.1, 0.4):
+        flat = np.full((128, 128, 3), level, np.float32)
+        codes = expose(flat, 1.0, sensor, np.random.default_rng(1)) / 255
+        linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+        assert linear.mean() == pytest.approx(level, rel=0.03)
+        spread.append(linear.std())
+    assert spread[0] == pytest.approx(np.sqrt(0.1 / 400), rel=0.1)
+    assert spread[1] / spread[0] == pytest.approx(2, rel=0.1)
+
+
+def test_blur_and_bloom_keep_their_place():
+    point = np.zeros((65, 65, 3), np.float32)
+    point[32, 32] = 40
+    image = expose(point, 1.0, Sensor(20.0, 0, 0.5, 1e9, 0, 0), np.random.default_rng(0))
+    np.testing.assert_array_equal(image[32, 31], image[32, 33])
+    np.testing.assert_array_equal(image[31, 32], image[33, 32])
+    assert image[32, 31].min() > 0
+
+
+@pytest.mark.parametrize("wrong", [{"blur_px": -1}, {"full_well": 0}, {"vignette": 1.0}])
+def test_absurd_sensor_is_refused(wrong):
+    with pytest.raises(ValueError, match="sensor"):
+        Sensor(**wrong)

@@ -1,0 +1,96 @@
+"""The sets' distributions are those that the paper's section 4.1 states."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffpose.geometry import rotation_matrix
+from ffpose.render import SCENES, Scene, label
+from ffpose.render.sampler import in_shadow, sample_surroundings
+
+
+def angles(pose):
+    """Roll, pitch, yaw in degrees from the matrix Rz(yaw) Ry(pitch) Rx(roll)."""
+    r = rotation_matrix(pose.q)
+    return np.degrees(
+        [math.atan2(r[2, 1], r[2, 2]), -math.asin(r[2, 0]), math.atan2(r[1, 0], r[0, 0])]
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "far", "lateral"),
+    [("soyuz_easy", 22, 12), ("soyuz_hard", 42, 22), ("dragon_hard", 42, 22)],
+)
+def test_poses_fill_the_stated_ranges_and_stay_in_them(name, far, lateral):
+    poses = [label(name, 11, index) for index in range(250)]
+    t = np.array([pose.t for pose in poses])
+    distance = np.linalg.norm(t, axis=1)
+    assert distance.min() >= 8
+    assert distance.max() <= far
+    assert np.histogram(distance, 4, (8, far))[0].min() > 30
+    assert np.hypot(t[:, 0], t[:, 1]).max() <= lateral
+    roll, pitch, yaw = np.array([angles(pose) for pose in poses]).T
+    assert np.abs(pitch).max() <= 60
+    assert pitch.min() < -50
+    assert pitch.max() > 50
+    for angle in (roll, yaw):
+        assert np.histogram(angle, 6, (-180, 180))[0].min() > 20
+
+
+def test_target_is_mostly_in_frame():
+    scene = SCENES["soyuz_easy"]
+    for index in range(50):
+        pose = label(scene, 4, index)
+        u, v = pose.project(scene.build().mesh.vertices, scene.camera).T
+        inside = (u >= 0) & (u <= 1280) & (v >= 0) & (v <= 960)
+        assert inside.mean() > 0.8
+
+
+def test_narrow_attitudes_are_kept():
+    scene = replace(SCENES["soyuz_easy"], attitude_range_deg=(30, 20, 10))
+    found = np.abs([angles(label(scene, 0, index)) for index in range(100)])
+    assert (found.max(axis=0) <= (30, 20, 10)).all()
+    assert (found.max(axis=0) > (25, 15, 8)).all()
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.5, 1.0])
+def test_eclipse_comes_at_the_stated_rate(rate):
+    scene = replace(SCENES["soyuz_easy"], eclipse_rate=rate)
+    rng = np.random.default_rng(0)
+    around = [sample_surroundings(scene, rng) for _ in range(200)]
+    assert abs(np.mean([a.eclipsed for a in around]) - rate) <= 0.1
+    for a in around:
+        assert a.eclipsed == in_shadow(a.sun, a.nadir, a.altitude)
+
+
+def test_shadow_is_a_matter_of_the_horizon():
+    nadir = np.array([0.0, 0.0, 1.0])
+    altitude = 0.0628  # 400 km: the horizon lies asin(1/1.0628) = 70.2° from nadir
+    for degrees, dark in ((0, True), (69, True), (71, False), (180, False)):
+        sun = np.array([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))])
+        assert in_shadow(sun, nadir, altitude) is dark
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"distance_m": (0.0, 5.0)},
+        {"distance_m": (9.0, 8.0)},
+        {"lateral_m": -1.0},
+        {"attitude_range_deg": (180.0, 100.0, 180.0)},
+        {"min_visible": 1.5},
+        {"eclipse_rate": -0.1},
+    ],
+)
+def test_absurd_ranges_are_refused(wrong):
+    fields = {"name": "x", "craft": "soyuz", "distance_m": (8.0, 9.0), "lateral_m": 5.0} | wrong
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Scene(**fields)
+
+
+def test_contradicting_ranges_are_one_error():
+    scene = Scene("x", "soyuz", (2.0, 2.5), 0.1, min_visible=1.0)
+    with pytest.raises(ValueError, match="found no pose"):
+        label(scene, 0, 0)

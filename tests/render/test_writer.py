@@ -1,0 +1,178 @@
+"""Sets of images: layout, the same bytes however made, refusals before work is lost."""
+
+import csv
+import hashlib
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ffpose.render import get_scene, label, render, render_layers, write_dataset
+
+SIZE = (64, 48)
+
+
+def contents(folder):
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("set") / "soyuz"
+    done = write_dataset("soyuz_easy", out, 12, seed=7, size=SIZE)
+    assert (done.rendered, done.kept) == (12, 0)
+    return out
+
+
+def test_layout_is_that_of_urso(folder):
+    with (folder / "gt.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["x", "y", "z", "q1", "q2", "q3", "q4"]
+    assert len(rows) == 13
+    names = {}
+    for split in ("train", "val", "test"):
+        names[split] = (folder / f"{split}_images.csv").read_text().split()
+        with (folder / f"{split}_poses_gt.csv").open() as file:
+            poses = list(csv.reader(file))
+        assert poses[0] == rows[0]
+        assert poses[1:] == [rows[1 + int(name.split("_")[0])] for name in names[split]]
+    assert names["val"] == ["1_rgb.png", "11_rgb.png"]
+    assert names["test"] == ["2_rgb.png"]
+    assert len(names["train"]) == 9
+    with Image.open(folder / "0_rgb.png") as image:
+        assert image.size == SIZE
+        assert image.mode == "RGB"
+    camera = json.loads((folder / "camera.json").read_text())
+    assert camera == {
+        "width": 64, "height": 48, "fx": 32.0, "fy": 640.463 / 20, "cx": 32.0, "cy": 24.0,
+    }  # fmt: skip
+
+
+def test_manifest_has_the_hash_of_every_file(folder):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    there = contents(folder)
+    there.pop("manifest.json")
+    assert manifest["files"] == {k: hashlib.sha256(v).hexdigest() for k, v in there.items()}
+    assert manifest["parameters"]["seed"] == 7
+    assert manifest["parameters"]["scene"]["name"] == "soyuz_easy"
+    assert set(manifest["versions"]) == {"ffpose", "numpy", "embreex", "pillow"}
+
+
+def test_written_image_is_what_render_gives(folder):
+    frame = render("soyuz_easy", 7, 3, SIZE)
+    np.testing.assert_array_equal(np.asarray(Image.open(folder / "3_rgb.png")), frame.image)
+    np.testing.assert_array_equal(label("soyuz_easy", 7, 3).vector, frame.pose.vector)
+
+
+def test_workers_do_not_change_a_byte(folder, tmp_path):
+    write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE, workers=2)
+    assert contents(tmp_path) == contents(folder)
+
+
+def test_interrupted_and_damaged_sets_are_completed(folder, tmp_path):
+    write_dataset("soyuz_easy", tmp_path, 5, seed=7, size=SIZE)
+    (tmp_path / "2_rgb.png").unlink()
+    (tmp_path / "3_rgb.png").write_bytes(b"cut off")
+    # As a kill leaves it: images, but a manifest without their hashes.
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest | {"files": {}}))
+    done = write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
+    assert (done.rendered, done.kept) == (9, 3)
+    assert contents(tmp_path) == contents(folder)
+
+
+def test_altered_image_is_rendered_again(folder, tmp_path):
+    write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
+    Image.new("RGB", SIZE).save(tmp_path / "4_rgb.png")
+    done = write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
+    assert (done.rendered, done.kept) == (1, 11)
+    assert contents(tmp_path) == contents(folder)
+
+
+def test_shards_in_any_order_make_the_set(folder, tmp_path):
+    for start, count in ((8, 4), (0, 4), (4, 4)):
+        write_dataset("soyuz_easy", tmp_path, count, seed=7, start=start, size=SIZE)
+    assert contents(tmp_path) == contents(folder)
+
+
+def test_shard_alone_keeps_rows_and_names_together(tmp_path):
+    write_dataset("soyuz_easy", tmp_path, 2, seed=7, start=3, size=SIZE)
+    with (tmp_path / "gt.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[4]["x"]) == label("soyuz_easy", 7, 4).t[0]
+    assert (tmp_path / "train_images.csv").read_text() == "3_rgb.png\n4_rgb.png\n"
+    assert not (tmp_path / "val_images.csv").exists()
+
+
+def test_layers_are_written_beside_the_images(tmp_path):
+    write_dataset("soyuz_easy", tmp_path, 2, seed=7, size=SIZE, layers=True)
+    truth = render_layers("soyuz_easy", 7, 1, SIZE)
+    mask = np.asarray(Image.open(tmp_path / "1_mask.png"))
+    np.testing.assert_array_equal(mask, np.where(truth.mask, 255, 0))
+    depth = np.asarray(Image.open(tmp_path / "1_depth.png"))
+    np.testing.assert_allclose(depth / 1000, truth.depth, atol=6e-4)
+    with (tmp_path / "1_keypoints.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == [point.name for point in truth.keypoints]
+    assert [float(row["u"]) for row in rows] == [point.u for point in truth.keypoints]
+    assert "0_depth.png" in json.loads((tmp_path / "manifest.json").read_text())["files"]
+
+
+def test_lost_layer_is_written_again(tmp_path):
+    write_dataset("soyuz_easy", tmp_path, 2, seed=7, size=SIZE, layers=True)
+    before = contents(tmp_path)
+    (tmp_path / "0_mask.png").unlink()
+    done = write_dataset("soyuz_easy", tmp_path, 2, seed=7, size=SIZE, layers=True)
+    assert (done.rendered, done.kept) == (1, 1)
+    assert contents(tmp_path) == before
+
+
+def test_folder_of_another_set_is_left_alone(folder):
+    before = contents(folder)
+    with pytest.raises(ValueError, match="seed 7 there, 8 now"):
+        write_dataset("soyuz_easy", folder, 12, seed=8, size=SIZE)
+    assert contents(folder) == before
+
+
+def test_foreign_images_are_left_alone(tmp_path):
+    Image.new("RGB", SIZE).save(tmp_path / "0_rgb.png")
+    with pytest.raises(ValueError, match="images without a manifest"):
+        write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
+
+
+def test_broken_manifest_is_named(tmp_path):
+    (tmp_path / "manifest.json").write_text("{")
+    with pytest.raises(ValueError, match=r"manifest\.json"):
+        write_dataset("soyuz_easy", tmp_path, 2, size=SIZE)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scene": "sputnik"}, "known: soyuz_easy, soyuz_hard, dragon_hard"),
+        ({"count": 0}, "count: expected 1"),
+        ({"count": 10**9}, "count: expected 1"),
+        ({"start": -1}, "start: expected 0"),
+        ({"seed": -1}, "seed: expected 0"),
+        ({"workers": 0}, "workers: expected 1"),
+        ({"size": (8, 8)}, "size: expected width and height"),
+        ({"size": (100_000, 100)}, "size: expected width and height"),
+    ],
+)
+def test_absurd_requests_are_refused_before_anything_is_written(tmp_path, change, message):
+    request = {"scene": "soyuz_easy", "out": tmp_path / "new", "count": 2, "size": SIZE} | change
+    with pytest.raises(ValueError, match=message):
+        write_dataset(**request)
+    assert not (tmp_path / "new").exists()
+
+
+def test_unwritable_folder_is_an_os_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="file"):
+        write_dataset("soyuz_easy", tmp_path / "file" / "set", 2, size=SIZE)
+
+
+def test_unknown_set_lists_the_known():
+    with pytest.raises(ValueError, match="unknown set 'x'; known: soyuz_easy"):
+        get_scene("x")
