@@ -1,0 +1,20 @@
+"""Operators on torch tensors, computed by the Rust core on the CPU and by torch.fft elsewhere.
+
+Importing this module registers ``torch.ops.ffpose.spectral_filter``, ``normalize_quaternion`` and
+the backward of each. The functions below are the same operators with less overhead where nothing
+asks for a gradient or a graph; all are differentiable twice.
+"""
+
+from ffpose.ops.bridge import arithmetic_dtype
+from ffpose.ops.layout import LAYOUTS, Layout, weight_shape
+from ffpose.ops.quaternion import normalize_quaternion
+from ffpose.ops.spectral import spectral_filter
+
+__all__ = [
+    "LAYOUTS",
+    "Layout",
+    "arithmetic_dtype",
+    "normalize_quaternion",
+    "spectral_filter",
+    "weight_shape",
+]

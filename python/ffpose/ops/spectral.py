@@ -1,0 +1,222 @@
+"""The spectral filter ``y = irfft2(rfft2(x) * W)``, differentiable to any order.
+
+Ye et al., Sensors 2023, 23, 8633, Eq. 1-3 (layout ``"tokens"``); Rao et al., "Global Filter
+Networks for Image Classification", 2021 (layout ``"grid"``). ``W`` is a half spectrum, held as a
+real tensor ``[..., 2]`` of real and imaginary parts. The numbers are those of torch.fft, for any
+``W``: the inverse is real, so the DC column and (even width) the Nyquist column act by their
+Hermitian part alone.
+
+Forward and gradients are bilinear. With the filter ``F(x, w)``, the conjugate ``w*``, and the
+correlation ``C(g, x)`` that is the gradient for the weight,
+
+    <g, F(x, w)> = <x, F(g, w*)> = <w, C(g, x)>.
+
+``spectral_filter_backward`` gives ``F(g, w*)`` and ``C(g, x)``, and its own derivatives are these
+two operators again, so any order needs no more than them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd import Function
+
+from ffpose.ops.bridge import add, below_autograd, can_call_rust, fast_apply, unbatch
+from ffpose.ops.layout import Layout, check_filter, check_gradient
+from ffpose.ops.spectral_kernels import (
+    BACKWARD,
+    FORWARD,
+    backward_op,
+    backward_rust,
+    forward_op,
+    forward_rust,
+)
+
+Gradients = tuple[Tensor | None, Tensor | None]
+
+
+def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Tensor:
+    """Filter real data in the frequency domain: ``irfft2(rfft2(x) * weight)``.
+
+    Args:
+        x: ``(..., X, Y)`` in layout ``"tokens"``, the DFT over both; ``(..., H, W, C)`` channels
+            last in layout ``"grid"``, the DFT over H and W of each channel. float32, float64, or
+            half precision, which is computed in float32. Any strides; may be empty.
+        weight: ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``, real and imaginary part last, of the
+            dtype of ``x``; float32 where that is half precision.
+        layout: ``"tokens"`` or ``"grid"``.
+
+    Returns:
+        A new contiguous tensor of the shape and dtype of ``x``, differentiable to any order.
+
+    Raises:
+        ValueError: A rank, size, device or layout that does not fit.
+        TypeError: A dtype that does not fit.
+    """
+    check_filter(x, weight, layout)
+    if can_call_rust(x, weight):
+        return forward_rust(x, weight, layout)
+    if torch.compiler.is_compiling():
+        return forward_op(x, weight, layout)
+    result: Tensor = _apply_forward(x, weight, layout)
+    return result
+
+
+def _gradients(
+    grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, *, need_x: bool, need_weight: bool
+) -> Gradients:
+    """Return ``F(grad, weight*)`` and ``C(grad, x)``, None in place of one that is not needed."""
+    if not (need_x or need_weight):
+        return None, None
+    call = backward_rust if can_call_rust(grad, x, weight) else _apply_backward
+    for_x, for_weight = call(grad, x, weight, layout, need_x, need_weight)
+    return for_x if need_x else None, for_weight if need_weight else None
+
+
+class _SpectralFilter(Function):
+    """``F(x, w)``."""
+
+    @staticmethod
+    def forward(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
+        if can_call_rust(x, weight):
+            return forward_rust(x, weight, layout)
+        with below_autograd():
+            return forward_op(x, weight, layout)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+        x, weight, ctx.layout = inputs
+        ctx.save_for_backward(x, weight)
+        ctx.save_for_forward(x, weight)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        x, weight = ctx.saved_tensors
+        need_x, need_weight, _ = ctx.needs_input_grad
+        gradients = _gradients(grad, x, weight, ctx.layout, need_x=need_x, need_weight=need_weight)
+        return *gradients, None
+
+    @staticmethod
+    def jvp(ctx: Any, of_x: Tensor | None, of_weight: Tensor | None, _: None) -> Tensor | None:
+        x, weight = ctx.saved_tensors
+        return add(
+            None if of_x is None else spectral_filter(of_x, weight, ctx.layout),
+            None if of_weight is None else spectral_filter(x, of_weight, ctx.layout),
+        )
+
+    @staticmethod
+    def vmap(
+        info: Any, in_dims: Sequence[int | None], x: Tensor, weight: Tensor, layout: Layout
+    ) -> tuple[Tensor, int]:
+        """A batch of ``x`` with one weight is what the operator takes; all else is a loop."""
+        if in_dims[0] is not None and in_dims[1] is None:
+            return spectral_filter(x.movedim(in_dims[0], 0), weight, layout), 0
+        samples = unbatch((x, weight), in_dims, info.batch_size)
+        return torch.stack([spectral_filter(x, weight, layout) for x, weight in samples]), 0
+
+
+class _SpectralFilterBackward(Function):
+    """``F(g, w*)`` and ``C(g, x)``."""
+
+    @staticmethod
+    def forward(
+        grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
+    ) -> tuple[Tensor, Tensor]:
+        if can_call_rust(grad, x, weight):
+            return backward_rust(grad, x, weight, layout, need_x, need_weight)
+        with below_autograd():
+            return backward_op(grad, x, weight, layout, need_x, need_weight)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
+        grad, x, weight, ctx.layout, ctx.gave_x, ctx.gave_weight = inputs
+        ctx.save_for_backward(grad, x, weight)
+        ctx.save_for_forward(grad, x, weight)
+        ctx.set_materialize_grads(False)
+
+    @staticmethod
+    def backward(
+        ctx: Any, for_x: Tensor | None, for_weight: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
+        """Differentiate ``<for_x, F(g, w*)> + <for_weight, C(g, x)>``.
+
+        By adjointness that is ``<g, F(for_x, w) + F(x, for_weight)>``.
+        """
+        grad, x, weight = ctx.saved_tensors
+        layout, (need_grad, need_x, need_weight, *_) = ctx.layout, ctx.needs_input_grad
+        of_grad = of_x = of_weight = None
+        if ctx.gave_x and for_x is not None:
+            of_grad = spectral_filter(for_x, weight, layout) if need_grad else None
+            _, of_weight = _gradients(
+                grad, for_x, weight, layout, need_x=False, need_weight=need_weight
+            )
+        if ctx.gave_weight and for_weight is not None:
+            term = spectral_filter(x, for_weight, layout) if need_grad else None
+            of_grad = add(of_grad, term)
+            of_x, _ = _gradients(grad, x, for_weight, layout, need_x=need_x, need_weight=False)
+        return of_grad, of_x, of_weight, None, None, None
+
+    @staticmethod
+    def jvp(
+        ctx: Any, of_grad: Tensor | None, of_x: Tensor | None, of_weight: Tensor | None, *_: None
+    ) -> tuple[Tensor, Tensor]:
+        """Differentiate along a direction: linear in each argument, so one term for each."""
+        grad, x, weight = ctx.saved_tensors
+        terms = (
+            ((of_grad, x, weight), ctx.gave_x, ctx.gave_weight),
+            ((grad, of_x, weight), False, ctx.gave_weight),
+            ((grad, x, of_weight), ctx.gave_x, False),
+        )
+        for_x = x.new_zeros(x.shape if ctx.gave_x else 0)
+        for_weight = weight.new_zeros(weight.shape if ctx.gave_weight else 0)
+        for (g, a, w), need_x, need_weight in terms:
+            if g is None or a is None or w is None:
+                continue
+            term_x, term_weight = _gradients(
+                g, a, w, ctx.layout, need_x=need_x, need_weight=need_weight
+            )
+            for_x = for_x if term_x is None else for_x + term_x
+            for_weight = for_weight if term_weight is None else for_weight + term_weight
+        return for_x, for_weight
+
+    @staticmethod
+    def vmap(
+        info: Any,
+        in_dims: Sequence[int | None],
+        grad: Tensor,
+        x: Tensor,
+        weight: Tensor,
+        layout: Layout,
+        need_x: bool,
+        need_weight: bool,
+    ) -> tuple[tuple[Tensor, Tensor], tuple[int, int]]:
+        """Each sample has a gradient for the weight of its own, so this is a loop."""
+        samples = unbatch((grad, x, weight), in_dims, info.batch_size)
+        gradients = [_apply_backward(*each, layout, need_x, need_weight) for each in samples]
+        for_x, for_weight = zip(*gradients, strict=True)
+        return (torch.stack(for_x), torch.stack(for_weight)), (0, 0)
+
+
+_apply_forward = fast_apply(_SpectralFilter)
+_apply_backward = fast_apply(_SpectralFilterBackward)
+
+
+def _record_forward(x: Tensor, weight: Tensor, layout: Layout) -> Any:
+    check_filter(x, weight, layout)
+    return _apply_forward(x, weight, layout)
+
+
+def _record_backward(
+    grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
+) -> Any:
+    check_gradient(grad, x, weight, layout)
+    return _apply_backward(grad, x, weight, layout, need_x, need_weight)
+
+
+torch.library.impl(FORWARD, "Autograd", _record_forward)
+torch.library.impl(BACKWARD, "Autograd", _record_backward)
+torch.library.register_vmap(FORWARD, _SpectralFilter.vmap)
+torch.library.register_vmap(BACKWARD, _SpectralFilterBackward.vmap)

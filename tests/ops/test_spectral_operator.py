@@ -1,0 +1,366 @@
+"""The spectral filter on tensors: numbers, derivatives, graphs, and what it refuses."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from ffpose.ops import spectral_filter, weight_shape
+from ffpose.ops.fourier import filter_backward_by_fft, filter_by_fft
+
+forward_op = torch.ops.ffpose.spectral_filter
+backward_op = torch.ops.ffpose.spectral_filter_backward
+
+# torch's own forward-mode derivatives call what torch deprecates.
+pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated")
+
+PLANE = {"tokens": (-2, -1), "grid": (-3, -2)}
+SHAPES = [
+    ("tokens", (2, 6, 5)),
+    ("tokens", (3, 1, 5, 8)),
+    ("tokens", (4, 6)),
+    ("tokens", (2, 1, 1)),
+    ("tokens", (2, 7, 2)),
+    ("grid", (2, 4, 6, 3)),
+    ("grid", (2, 5, 7, 2)),
+    ("grid", (3, 5, 4)),
+    ("grid", (2, 2, 2, 1, 3)),
+]
+
+
+def by_definition(x, weight, layout):
+    """What the operator is: torch.fft as its users write it, in float64."""
+    dim = PLANE[layout]
+    spectrum = torch.fft.rfft2(x.double(), dim=dim)
+    product = spectrum * torch.view_as_complex(weight.double().contiguous())
+    return torch.fft.irfft2(product, s=[x.shape[d] for d in dim], dim=dim)
+
+
+def arguments(layout, shape, dtype=torch.float64, requires_grad=False):
+    rank = 2 if layout == "tokens" else 3
+    weight_dtype = torch.float32 if dtype in (torch.bfloat16, torch.float16) else dtype
+    x = torch.randn(shape, dtype=dtype)
+    weight = torch.randn(weight_shape(shape[-rank:], layout), dtype=weight_dtype)
+    return x.requires_grad_(requires_grad), weight.requires_grad_(requires_grad)
+
+
+@pytest.fixture(autouse=True)
+def _seed():
+    torch.manual_seed(0)
+
+
+shapes = st.one_of(
+    st.tuples(st.just("tokens"), st.tuples(*[st.integers(1, 40)] * 2)),
+    st.tuples(st.just("grid"), st.tuples(*[st.integers(1, 24)] * 2, st.integers(1, 5))),
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(shapes, st.integers(1, 3), st.integers(0, 2**31))
+def test_float32_is_as_near_as_float32_can_be(layout_and_size, batch, seed):
+    layout, size = layout_and_size
+    torch.manual_seed(seed)
+    x, weight = arguments(layout, (batch, *size), torch.float32, requires_grad=True)
+    exact_x, exact_weight = (t.detach().double().requires_grad_() for t in (x, weight))
+    grad = torch.randn_like(x)
+    y, exact = spectral_filter(x, weight, layout), by_definition(exact_x, exact_weight, layout)
+    y.backward(grad)
+    exact.backward(grad.double())
+    points = size[0] * size[1]
+    tolerance = 4 * torch.finfo(torch.float32).eps * max(1.0, math.log2(points))
+    pairs = ((y, exact), (x.grad, exact_x.grad), (weight.grad, exact_weight.grad))
+    for got, expected in pairs:
+        assert (got - expected).abs().max() <= tolerance * expected.abs().max()
+
+
+@pytest.mark.parametrize(("layout", "shape"), SHAPES)
+def test_derivatives_of_first_and_second_order(layout, shape):
+    inputs = arguments(layout, shape, requires_grad=True)
+
+    def function(x, weight):
+        return spectral_filter(x, weight, layout)
+
+    checks = {"check_batched_grad": True}
+    assert torch.autograd.gradcheck(function, inputs, check_forward_ad=True, **checks)
+    assert torch.autograd.gradgradcheck(function, inputs, check_fwd_over_rev=True, **checks)
+
+
+# opcheck reads `.grad` of a tensor that is no leaf, and torch warns of that.
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")
+@pytest.mark.parametrize("needs", [(True, True), (True, False), (False, True)])
+@pytest.mark.parametrize(("layout", "shape"), SHAPES[:1] + SHAPES[5:6])
+def test_opcheck(layout, shape, needs):
+    for requires_grad in (True, False):
+        x, weight = arguments(layout, shape, torch.float32, requires_grad=requires_grad)
+        grad = torch.randn(shape, requires_grad=requires_grad)
+        torch.library.opcheck(forward_op, (x, weight, layout))
+        torch.library.opcheck(backward_op, (grad, x, weight, layout, *needs))
+
+
+@pytest.mark.parametrize(("layout", "shape"), SHAPES)
+def test_other_devices_compute_the_same_by_torch_fft(layout, shape):
+    x, weight = arguments(layout, shape)
+    grad = torch.randn_like(x)
+    torch.testing.assert_close(filter_by_fft(x, weight, layout), spectral_filter(x, weight, layout))
+    got = filter_backward_by_fft(grad, x, weight, layout, True, True)
+    torch.testing.assert_close(got, backward_op(grad, x, weight, layout, True, True))
+
+
+@pytest.mark.parametrize("by", [spectral_filter, filter_by_fft])
+def test_columns_without_partner_act_by_their_hermitian_part(by):
+    x, weight = arguments("tokens", (5, 6))
+    columns = torch.view_as_complex(weight)[:, [0, 3]]
+    mirrored = torch.stack([columns[-row % 5] for row in range(5)]).conj()
+    projected = torch.view_as_complex(weight).clone()
+    projected[:, [0, 3]] = (columns + mirrored) / 2
+    expected = by(x, torch.view_as_real(projected), "tokens")
+    torch.testing.assert_close(by(x, weight, "tokens"), expected)
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+@pytest.mark.parametrize("by", [spectral_filter, filter_by_fft])
+def test_half_precision_is_rounded_once(dtype, by):
+    x, weight = arguments("grid", (2, 6, 4, 3), dtype)
+    y = by(x, weight, "grid")
+    assert y.dtype == dtype
+    torch.testing.assert_close(y, by(x.float(), weight, "grid").to(dtype), rtol=0, atol=0)
+
+
+def test_gradients_of_half_precision_have_their_own_dtypes():
+    x, weight = arguments("tokens", (2, 6, 4), torch.bfloat16, requires_grad=True)
+    spectral_filter(x, weight).sum().backward()
+    assert (x.grad.dtype, weight.grad.dtype) == (torch.bfloat16, torch.float32)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        lambda x: x.transpose(0, 1),
+        lambda x: x[:, :, ::2],
+        lambda x: x.expand(3, *x.shape),
+        lambda x: torch.complex(x, x).conj().imag,
+        lambda x: x.flip(0)[1:],
+    ],
+)
+def test_strided_input(view):
+    x = view(torch.randn(4, 6, 8, dtype=torch.float64))
+    weight = torch.randn(2, *weight_shape(x.shape[-2:], "tokens"), dtype=torch.float64)
+    weight = weight.transpose(0, 1)[:, 1]
+    torch.testing.assert_close(spectral_filter(x, weight), by_definition(x, weight, "tokens"))
+    leaf = x.detach().requires_grad_()
+    spectral_filter(leaf, weight).sum(0, keepdim=True).expand(2, *x.shape[1:]).sum().backward()
+    by_hand = x.detach().requires_grad_()
+    by_definition(by_hand, weight, "tokens").sum(0).mul(2).sum().backward()
+    torch.testing.assert_close(leaf.grad, by_hand.grad)
+
+
+@pytest.mark.parametrize(
+    ("layout", "shape"),
+    [("tokens", (0, 4, 6)), ("tokens", (2, 0, 6)), ("tokens", (2, 4, 0)), ("grid", (0, 4, 6, 3))],
+)
+@pytest.mark.parametrize("device", ["cpu", "meta"])
+def test_nothing_in_nothing_out(layout, shape, device):
+    x, weight = (t.to(device).requires_grad_() for t in arguments(layout, shape))
+    y = spectral_filter(x, weight, layout)
+    assert y.shape == shape
+    y.sum().backward()
+    assert x.grad.shape == shape
+    if device == "cpu":
+        assert not weight.grad.any()
+        assert not filter_backward_by_fft(x, x, weight, layout, True, True)[1].any()
+
+
+def test_meta_device_gives_shape_and_dtype():
+    x, weight = (t.to("meta") for t in arguments("grid", (2, 5, 6, 3), torch.bfloat16))
+    y = spectral_filter(x, weight, "grid")
+    assert (y.device.type, y.shape, y.dtype) == ("meta", x.shape, x.dtype)
+
+
+def test_only_what_asks_for_a_gradient_gets_one():
+    x, weight = arguments("tokens", (2, 4, 6))
+    assert not spectral_filter(x, weight).requires_grad
+    spectral_filter(x.requires_grad_(), weight).sum().backward()
+    assert weight.grad is None
+    frozen = x.detach()
+    spectral_filter(frozen, weight.requires_grad_()).sum().backward()
+    assert frozen.grad is None
+    assert weight.grad is not None
+    with torch.no_grad():
+        assert not spectral_filter(x, weight).requires_grad
+
+
+def test_inference_mode_and_parameters_take_the_direct_way():
+    x, weight = arguments("tokens", (2, 4, 6))
+    expected = by_definition(x, weight, "tokens")
+    with torch.inference_mode():
+        torch.testing.assert_close(spectral_filter(x.clone(), torch.nn.Parameter(weight)), expected)
+
+
+def test_a_dispatch_mode_sees_the_operator():
+    class Recorder(TorchDispatchMode):
+        def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+            seen.append(func)
+            return func(*args, **(kwargs or {}))
+
+    seen = []
+    with Recorder():
+        spectral_filter(*arguments("tokens", (4, 6)))
+    assert forward_op.default in seen
+
+
+def test_threads_and_splits_of_the_batch_do_not_change_a_bit():
+    x, weight = arguments("grid", (5, 14, 14, 40), torch.float32)
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        expected = spectral_filter(x, weight, "grid")
+        torch.set_num_threads(3)
+        assert torch.equal(spectral_filter(x, weight, "grid"), expected)
+    finally:
+        torch.set_num_threads(threads)
+    one_by_one = torch.stack([spectral_filter(each, weight, "grid") for each in x])
+    assert torch.equal(one_by_one, expected)
+
+
+# torch.func and vmap
+
+
+def test_vmap_over_images_weights_and_both():
+    x, weight = arguments("grid", (5, 4, 6, 3))
+    weights = torch.randn(5, *weight.shape, dtype=weight.dtype)
+
+    def function(x, weight):
+        return spectral_filter(x, weight, "grid")
+
+    together = torch.stack([function(*pair) for pair in zip(x, weights, strict=True)])
+    torch.testing.assert_close(torch.vmap(function)(x, weights), together)
+    torch.testing.assert_close(torch.vmap(function, (0, None))(x, weight), function(x, weight))
+    last = torch.vmap(function, (None, -1), -1)(x[0], weights.movedim(0, -1))
+    torch.testing.assert_close(last, torch.stack([function(x[0], w) for w in weights], -1))
+    by_operator = torch.vmap(lambda x: forward_op(x, weight, "grid"))(x)
+    torch.testing.assert_close(by_operator, function(x, weight))
+
+
+def test_gradient_of_each_sample():
+    x, weight = arguments("tokens", (5, 4, 6))
+
+    def loss(weight, x):
+        return spectral_filter(x, weight).square().sum()
+
+    each = torch.vmap(torch.func.grad(loss), (None, 0))(weight, x)
+    for gradient, sample in zip(each, x, strict=True):
+        leaf = weight.clone().requires_grad_()
+        by_definition(sample, leaf, "tokens").square().sum().backward()
+        torch.testing.assert_close(gradient, leaf.grad)
+
+
+def test_hessian_forward_over_reverse():
+    x, weight = arguments("tokens", (3, 4))
+
+    def loss(filter):
+        return lambda x: filter(x, weight, "tokens").pow(3).sum()
+
+    expected = torch.autograd.functional.hessian(loss(by_definition), x)
+    torch.testing.assert_close(torch.func.hessian(loss(spectral_filter))(x), expected)
+
+
+# Graphs
+
+
+def test_compile_without_graph_break_in_training():
+    x, weight = arguments("grid", (2, 4, 6, 3), requires_grad=True)
+
+    def function(x, weight):
+        return spectral_filter(x * 2, weight, "grid").sin().sum()
+
+    compiled = torch.compile(function, fullgraph=True, backend="aot_eager", dynamic=True)
+    for batch in (2, 5):
+        x = torch.randn(batch, 4, 6, 3, dtype=torch.float64, requires_grad=True)
+        gradients = torch.autograd.grad(compiled(x, weight), (x, weight))
+        torch.testing.assert_close(gradients, torch.autograd.grad(function(x, weight), (x, weight)))
+
+
+@pytest.mark.slow
+# Inductor itself calls parts of torch that torch deprecates.
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_compile_with_inductor():
+    x, weight = arguments("tokens", (2, 4, 6), torch.float32)
+    compiled = torch.compile(lambda x: spectral_filter(x + 1, weight) * 2, fullgraph=True)
+    expected = by_definition(x + 1, weight, "tokens").float() * 2
+    torch.testing.assert_close(compiled(x), expected)
+
+
+def test_export_keeps_the_operator():
+    class Model(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.weight = torch.nn.Parameter(torch.randn(4, 4, 2))
+
+        def forward(self, x):
+            return spectral_filter(x, self.weight)
+
+    model = Model()
+    batch = torch.export.Dim("batch", min=1)
+    program = torch.export.export(model, (torch.randn(2, 4, 6),), dynamic_shapes=({0: batch},))
+    assert any(node.target == forward_op.default for node in program.graph.nodes)
+    x = torch.randn(7, 4, 6)
+    torch.testing.assert_close(program.module()(x), model(x))
+
+
+# Refusals
+
+
+X = torch.zeros(2, 4, 6)
+WEIGHT = torch.zeros(4, 4, 2)
+
+
+@pytest.mark.parametrize("function", [spectral_filter, forward_op])
+@pytest.mark.parametrize(
+    ("x", "weight", "layout", "error", "text"),
+    [
+        (X, WEIGHT, "rows", ValueError, r"'tokens', 'grid'.*got 'rows'"),
+        (X[0, 0], WEIGHT, "tokens", ValueError, r"at least 2 dimensions.*\(6,\)"),
+        (X[0], WEIGHT, "grid", ValueError, r"at least 3 dimensions.*\(4, 6\)"),
+        (X, WEIGHT[:3], "tokens", ValueError, r"expected shape \(4, 4, 2\).*got \(3, 4, 2\)"),
+        (X, WEIGHT[..., :1], "tokens", ValueError, r"expected shape \(4, 4, 2\).*got \(4, 4, 1\)"),
+        (X, WEIGHT, "grid", ValueError, r"expected shape \(2, 3, 6, 2\).*got \(4, 4, 2\)"),
+        (X, WEIGHT.double(), "tokens", TypeError, r"expected torch.float32.*got torch.float64"),
+        (X.bfloat16(), WEIGHT.bfloat16(), "tokens", TypeError, r"torch.float32.*torch.bfloat16"),
+        (X.int(), WEIGHT, "tokens", TypeError, r"expected one of torch.float32.*got torch.int32"),
+        (X.cfloat(), WEIGHT, "tokens", TypeError, r"got torch.complex64"),
+        (X, WEIGHT.to("meta"), "tokens", ValueError, r"expected device cpu.*got meta"),
+    ],
+)
+def test_wrong_arguments(function, x, weight, layout, error, text):
+    with pytest.raises(error, match=text):
+        function(x, weight, layout)
+
+
+@pytest.mark.parametrize("other", [None, 1.0, X.numpy(), [1.0]])
+def test_what_is_no_tensor(other):
+    with pytest.raises(TypeError, match=rf"x: .* torch\.Tensor, got {type(other).__name__}"):
+        spectral_filter(other, WEIGHT)
+    with pytest.raises(TypeError, match=r"weight: expected a torch\.Tensor"):
+        spectral_filter(X, other)
+
+
+@pytest.mark.parametrize(
+    ("grad", "error", "text"),
+    [
+        (X[:1], ValueError, r"grad: expected shape \(2, 4, 6\), that of x, got \(1, 4, 6\)"),
+        (X.double(), TypeError, r"grad: expected torch.float32, that of x, got torch.float64"),
+        (X.to("meta"), ValueError, r"grad: expected device cpu, that of x, got meta"),
+    ],
+)
+def test_wrong_gradients(grad, error, text):
+    with pytest.raises(error, match=text):
+        backward_op(grad, X, WEIGHT, "tokens", True, True)
+
+
+@pytest.mark.parametrize("size", [(), (4,), (4, 6, 3)])
+def test_weight_shape_of_another_rank(size):
+    with pytest.raises(ValueError, match=f"expected 2 sizes, got {len(size)}"):
+        weight_shape(size, "tokens")
