@@ -1,0 +1,17 @@
+"""FilterformerPose: the network, its configurations, and its weights on disk."""
+
+from ffpose.models.backbone import Backbone, build_backbone
+from ffpose.models.config import CONFIGS, FilterformerPoseConfig
+from ffpose.models.filterformer_pose import FilterformerPose, PosePrediction
+from ffpose.models.weights import WeightsMetadata, read_metadata
+
+__all__ = [
+    "CONFIGS",
+    "Backbone",
+    "FilterformerPose",
+    "FilterformerPoseConfig",
+    "PosePrediction",
+    "WeightsMetadata",
+    "build_backbone",
+    "read_metadata",
+]

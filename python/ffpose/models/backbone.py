@@ -1,0 +1,78 @@
+"""The convolutional backbone: a timm network cut after the last feature map that is read.
+
+The paper reads two maps of EfficientNet-B0, 14 x 14 x 112 for translation and 28 x 28 x 40 for
+orientation (section 3.1); here a map is named by its reduction, the pixels per cell. Whatever comes
+after the coarser map would be computed for nothing, and is dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from ffpose.errors import require
+from ffpose.models.pretrained import load_backbone_weights
+
+
+class Backbone(nn.Module):
+    """Feature maps of an image at given reductions.
+
+    Args:
+        features: A timm model made with ``features_only``, whose maps are ``channels`` one by one.
+        channels: Of each map.
+        order: For each map to return, its place among those that ``features`` gives.
+    """
+
+    def __init__(self, features: nn.Module, channels: Sequence[int], order: Sequence[int]) -> None:
+        super().__init__()
+        self.features = features
+        self.channels = tuple(channels)
+        self.order = tuple(order)
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        """Return a map ``(B, channels[i], h_i, w_i)`` per reduction of ``images (B, 3, H, W)``."""
+        maps = self.features(images)
+        return tuple(maps[place] for place in self.order)
+
+
+def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "none") -> Backbone:
+    """Build a backbone from timm.
+
+    Args:
+        name: timm's name of the model, for example ``"efficientnet_b0"``.
+        reductions: Pixels per cell of each map to return.
+        weights: ``"auto"``: pretrained ones where they can be had, else random ones and a line in
+            the log; ``"none"``: random; otherwise a safetensors or PyTorch file.
+
+    Raises:
+        ValueError: timm has no such model, or the model no such map.
+        FileNotFoundError: There is no such weights file.
+        ffpose.DataError: The file does not hold this model's weights.
+    """
+    timm = require("timm", "pose")
+    if not timm.is_model(name):
+        near = timm.list_models(f"*{name.split('_')[0]}*")[:8]
+        raise ValueError(f"backbone: expected a model of timm (such as {near}), got {name!r}")
+    available = timm.create_model(name, features_only=True).feature_info.reduction()
+    missing = [reduction for reduction in reductions if reduction not in available]
+    if missing:
+        raise ValueError(f"backbone: {name} gives reductions {available}, expected {missing}")
+    indices = sorted({available.index(reduction) for reduction in reductions})
+    features = timm.create_model(name, features_only=True, out_indices=indices)
+    _drop_unused_blocks(features)
+    load_backbone_weights(features, name, weights)
+    order = [indices.index(available.index(reduction)) for reduction in reductions]
+    channels = [features.feature_info.channels()[place] for place in order]
+    # Channels-last convolutions are up to twice as fast on CPUs, and their maps lie as tokens do.
+    return Backbone(features.to(memory_format=torch.channels_last), channels, order)
+
+
+def _drop_unused_blocks(features: Any) -> None:
+    """Cut off the blocks after the last map: timm's EfficientNet and MobileNet would run them."""
+    module, _, last = features.feature_info.module_name()[-1].partition(".")
+    if module == "blocks" and last.isdigit():
+        features.blocks = features.blocks[: int(last) + 1]

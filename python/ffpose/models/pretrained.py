@@ -1,0 +1,132 @@
+"""Pretrained backbone weights: from timm's hub if it answers soon, from a file, or none.
+
+Nothing here waits for long: the cache is looked at first, then the hub is asked for the file's
+header under a limit of seconds, and a download has a limit as well. ``HF_HUB_OFFLINE=1`` keeps to
+the cache.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from ffpose.errors import DataError, require
+
+logger = logging.getLogger(__name__)
+
+ANSWER_SECONDS = 4.0
+DOWNLOAD_SECONDS = 180.0
+HUB_FILE = "model.safetensors"
+
+
+def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -> None:
+    """Fill a feature extractor with weights, in place.
+
+    Args:
+        features: The model, as `timm.create_model` gives it with ``features_only``.
+        name: timm's name of it.
+        weights: ``"auto"``, ``"none"`` or a file; see `ffpose.models.build_backbone`.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ffpose.DataError: The file does not hold this model's weights.
+    """
+    if weights == "none":
+        return
+    path = find_pretrained(name) if weights == "auto" else Path(weights)
+    if path is None:
+        return
+    state = read_state(path)
+    wanted = features.state_dict()
+    wrong = [
+        key for key, value in wanted.items() if key not in state or state[key].shape != value.shape
+    ]
+    if wrong:
+        raise DataError(
+            f"expected the weights of {name}; {len(wrong)} of {len(wanted)} entries are missing or"
+            f" have another shape, the first: {', '.join(wrong[:4])}",
+            path,
+        )
+    features.load_state_dict({key: state[key] for key in wanted})
+
+
+def read_state(path: Path) -> Mapping[str, Tensor]:
+    """Read a state dict from a safetensors file, or from one of `torch.save`, weights only.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ffpose.DataError: It cannot be read, or holds something else.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"backbone weights: expected a file, got {path}")
+    try:
+        if path.suffix == ".safetensors":
+            state: Any = require("safetensors.torch", "pose").load_file(path)
+        else:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a broken pickle may raise anything
+        raise DataError(f"expected weights that can be read: {error}", path) from error
+    state = state.get("state_dict", state) if isinstance(state, Mapping) else state
+    if not isinstance(state, Mapping) or not all(isinstance(v, Tensor) for v in state.values()):
+        raise DataError("expected a mapping from names to tensors", path)
+    return state
+
+
+def find_pretrained(name: str) -> Path | None:
+    """Return the file with timm's pretrained weights, downloaded if need be.
+
+    Returns:
+        A path in the hub's cache; None, and a line in the log that says why, if it cannot be had.
+    """
+    config = require("timm", "pose").models.get_pretrained_cfg(name)
+    if config is None or not config.hf_hub_id:
+        return _without(name, "timm has none")
+    hub = require("huggingface_hub", "pose")
+    cached = hub.try_to_load_from_cache(config.hf_hub_id, HUB_FILE)
+    if isinstance(cached, str):
+        return Path(cached)
+    if hub.constants.HF_HUB_OFFLINE:
+        return _without(name, "HF_HUB_OFFLINE is set and the cache has none")
+    url = hub.hf_hub_url(config.hf_hub_id, HUB_FILE)
+    if within(ANSWER_SECONDS, lambda: hub.get_hf_file_metadata(url)) is None:
+        return _without(name, f"{hub.constants.ENDPOINT} does not answer")
+    logger.info("downloading the weights of %s from %s", name, url)
+    path = within(DOWNLOAD_SECONDS, lambda: hub.hf_hub_download(config.hf_hub_id, HUB_FILE))
+    if path is None:
+        return _without(name, f"the download took over {DOWNLOAD_SECONDS:.0f} s or failed")
+    return Path(path)
+
+
+def _without(name: str, reason: str) -> Path | None:
+    logger.warning(
+        "no pretrained weights for %s (%s): its backbone starts from random weights;"
+        " --backbone-weights FILE takes a local file",
+        name,
+        reason,
+    )
+    return None
+
+
+def within(seconds: float, call: Callable[[], Any]) -> Any:
+    """Return what ``call`` does, or None if it fails or takes longer than that.
+
+    A thread, because a name look-up heeds no timeout; one that hangs does not keep the process.
+    """
+    answers: list[Any] = []
+
+    def attempt() -> None:
+        try:
+            answers.append(call())
+        except Exception as error:  # whatever keeps the hub from answering, the answer is "not now"
+            logger.debug("the hub said: %s", error)
+
+    thread = threading.Thread(target=attempt, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    return answers[0] if answers else None

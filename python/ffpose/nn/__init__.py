@@ -1,0 +1,29 @@
+"""Layers: the spectral filter as a module, and the parts of the filterformer built on it."""
+
+from ffpose.nn.filterformer import (
+    FILTERS,
+    Filterformer,
+    FilterformerBlock,
+    FilterKind,
+    NormPlace,
+    make_filter,
+)
+from ffpose.nn.heads import HyperHead
+from ffpose.nn.position import PositionCode, PositionKind
+from ffpose.nn.quaternion import QuaternionActivation
+from ffpose.nn.spectral import GlobalFilter, SpectralFilter
+
+__all__ = [
+    "FILTERS",
+    "FilterKind",
+    "Filterformer",
+    "FilterformerBlock",
+    "GlobalFilter",
+    "HyperHead",
+    "NormPlace",
+    "PositionCode",
+    "PositionKind",
+    "QuaternionActivation",
+    "SpectralFilter",
+    "make_filter",
+]

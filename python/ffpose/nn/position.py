@@ -1,0 +1,84 @@
+"""Position codes for the tokens of a grid: half of the channels tell the row, half the column.
+
+A token's code is the concatenation of its row's and its column's, as in DETR and in the multi-scene
+transformer that the paper builds on (reference 36).
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor, nn
+
+PositionKind = Literal["learned", "sinusoidal"]
+
+LEARNED_STD = 0.02
+LONGEST_WAVE = 10_000.0  # Vaswani et al., 2017, section 3.5
+
+
+class PositionCode(nn.Module):
+    """Adds a code of the place to each token of a grid.
+
+    Args:
+        grid: ``(rows, columns)``.
+        dim: Channels of a token; divisible by 2 when learned, by 4 when sinusoidal.
+        kind: ``"learned"`` or ``"sinusoidal"``.
+
+    Raises:
+        ValueError: An unknown kind, or channels that cannot be divided.
+    """
+
+    rows: Tensor
+    columns: Tensor
+
+    def __init__(self, grid: tuple[int, int], dim: int, kind: PositionKind = "learned") -> None:
+        super().__init__()
+        if kind not in get_args(PositionKind):
+            raise ValueError(f"kind: expected one of {get_args(PositionKind)}, got {kind!r}")
+        divisor = 2 if kind == "learned" else 4
+        if dim % divisor:
+            raise ValueError(f"dim: {kind} code expected a multiple of {divisor}, got {dim}")
+        self.grid, self.dim, self.kind = grid, dim, kind
+        for name, length in zip(("rows", "columns"), grid, strict=True):
+            if kind == "learned":
+                code = nn.Parameter(torch.randn(length, dim // 2) * LEARNED_STD)
+                self.register_parameter(name, code)
+            else:
+                self.register_buffer(name, sinusoids(length, dim // 2), persistent=False)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Return ``tokens (B, rows * columns, dim)`` with the code added.
+
+        Raises:
+            ValueError: ``tokens`` has another shape.
+        """
+        rows, columns = self.grid
+        if tokens.dim() != 3 or tokens.shape[1:] != (rows * columns, self.dim):
+            raise ValueError(
+                f"tokens: expected shape (B, {rows * columns}, {self.dim}),"
+                f" got {tuple(tokens.shape)}"
+            )
+        code = torch.cat(
+            (
+                self.rows[:, None].expand(-1, columns, -1),
+                self.columns[None].expand(rows, -1, -1),
+            ),
+            dim=-1,
+        )  # (rows, columns, dim)
+        return tokens + code.flatten(0, 1)
+
+    def extra_repr(self) -> str:
+        """Return what ``print`` shows between the parentheses."""
+        return f"{self.grid}, {self.dim}, kind={self.kind!r}"
+
+
+def sinusoids(length: int, dim: int) -> Tensor:
+    """Return the sine and cosine code of the places 0 ... length - 1, ``(length, dim)``.
+
+    Vaswani et al., "Attention Is All You Need", 2017, section 3.5; all sines first, then the
+    cosines.
+    """
+    exponents = torch.arange(0, dim, 2) / dim
+    angles = torch.arange(length)[:, None] * LONGEST_WAVE**-exponents
+    return torch.cat((angles.sin(), angles.cos()), dim=1)

@@ -1,0 +1,184 @@
+"""The backbone's maps, and where its weights come from."""
+
+import logging
+import time
+
+import pytest
+import safetensors.torch
+import timm
+import torch
+
+from ffpose import DataError
+from ffpose.models import build_backbone, pretrained
+
+NAME = "test_efficientnet"
+
+
+@pytest.fixture(autouse=True)
+def _seed():
+    torch.manual_seed(0)
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Weights of the whole classifier, as they are published."""
+    path = tmp_path / "classifier.safetensors"
+    safetensors.torch.save_file(timm.create_model(NAME).state_dict(), path)
+    return path
+
+
+def test_the_papers_two_maps():
+    backbone = build_backbone("efficientnet_b0", (16, 8)).eval()
+    with torch.no_grad():
+        maps = backbone(torch.randn(1, 3, 224, 224))
+    assert [tuple(each.shape) for each in maps] == [(1, 112, 14, 14), (1, 40, 28, 28)]
+    assert backbone.channels == (112, 40)
+
+
+def test_maps_are_those_of_the_whole_network(file):
+    whole = timm.create_model(NAME, features_only=True).eval()
+    reductions = whole.feature_info.reduction()
+    state = safetensors.torch.load_file(file)
+    whole.load_state_dict({name: state[name] for name in whole.state_dict()})
+    images = torch.randn(2, 3, 64, 96)
+    expected = whole(images)
+    maps = build_backbone(NAME, (16, 8), file).eval()(images)
+    for reduction, ours in zip((16, 8), maps, strict=True):
+        theirs = expected[reductions.index(reduction)]
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
+def test_one_map_may_be_read_twice():
+    backbone = build_backbone(NAME, (16, 16))
+    first, second = backbone(torch.randn(2, 3, 64, 96))
+    assert first is second
+
+
+@pytest.mark.parametrize("name", [NAME, "mobilenetv3_small_050", "resnet10t"])
+def test_nothing_is_computed_for_nothing(name):
+    backbone = build_backbone(name, (16, 8))
+    sum(each.sum() for each in backbone(torch.randn(2, 3, 64, 64))).backward()
+    assert all(parameter.grad is not None for parameter in backbone.parameters())
+
+
+def test_unknown_model_and_map():
+    with pytest.raises(ValueError, match=r"backbone: expected a model of timm .*efficientnet_b0"):
+        build_backbone("efficientnet_b0_5", (16, 8))
+    with pytest.raises(ValueError, match=r"gives reductions \[2, 4, 8, 16, 32\], expected \[12\]"):
+        build_backbone("efficientnet_b0", (12, 8))
+
+
+# Weights
+
+
+def same_as(backbone, file):
+    state = safetensors.torch.load_file(file)
+    return all(
+        torch.equal(value, state[name]) for name, value in backbone.features.state_dict().items()
+    )
+
+
+def test_weights_of_a_file(file, tmp_path):
+    assert same_as(build_backbone(NAME, (16, 8), file), file)
+    assert not same_as(build_backbone(NAME, (16, 8), "none"), file)
+    pickled = tmp_path / "classifier.pth"
+    torch.save({"state_dict": safetensors.torch.load_file(file)}, pickled)
+    assert same_as(build_backbone(NAME, (16, 8), str(pickled)), file)
+
+
+def test_file_of_another_model(file):
+    with pytest.raises(DataError, match=r"classifier\.safetensors: expected the weights of resnet"):
+        build_backbone("resnet10t", (16, 8), file)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError, match="none"):
+        build_backbone(NAME, (16, 8), tmp_path / "none.pth")
+
+
+@pytest.mark.parametrize("name", ["weights.safetensors", "weights.pth"])
+@pytest.mark.parametrize("content", [b"", b"{}", b"\x80\x02junk", b"PK\x03\x04" + bytes(90)])
+def test_file_that_cannot_be_read(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(DataError, match="expected weights that can be read"):
+        build_backbone(NAME, (16, 8), tmp_path / name)
+
+
+def test_pickle_of_something_else(tmp_path):
+    for content in ([1, 2], {"weights": [1, 2]}):
+        torch.save(content, tmp_path / "list.pth")
+        with pytest.raises(DataError, match="a mapping from names to tensors"):
+            build_backbone(NAME, (16, 8), tmp_path / "list.pth")
+
+
+# "auto": the hub stands in as two functions
+
+
+@pytest.fixture
+def hub(monkeypatch):
+    import huggingface_hub
+
+    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", False)
+    monkeypatch.setattr(huggingface_hub, "try_to_load_from_cache", lambda *_: None)
+    monkeypatch.setattr(huggingface_hub, "get_hf_file_metadata", refuse)
+    monkeypatch.setattr(huggingface_hub, "hf_hub_download", refuse)
+    return huggingface_hub
+
+
+def refuse(*_args, **_kwargs):
+    raise ConnectionError("no route")
+
+
+def test_auto_takes_what_the_cache_has(hub, monkeypatch, file):
+    monkeypatch.setattr(hub.constants, "HF_HUB_OFFLINE", True)
+    monkeypatch.setattr(hub, "try_to_load_from_cache", lambda *_: str(file))
+    assert same_as(build_backbone(NAME, (16, 8), "auto"), file)
+
+
+def test_auto_downloads(hub, monkeypatch, file):
+    monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: "there")
+    monkeypatch.setattr(hub, "hf_hub_download", lambda *_: str(file))
+    assert same_as(build_backbone(NAME, (16, 8), "auto"), file)
+
+
+def test_auto_goes_without_a_hub_and_says_so(hub, caplog):
+    build_backbone(NAME, (16, 8), "auto")
+    assert "no pretrained weights for test_efficientnet (https://" in caplog.text
+    assert "does not answer" in caplog.text
+    assert len(caplog.records) == 1
+
+
+def test_auto_asks_no_one_when_offline(hub, monkeypatch, caplog):
+    monkeypatch.setattr(hub.constants, "HF_HUB_OFFLINE", True)
+    monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: pytest.fail("asked"))
+    build_backbone(NAME, (16, 8), "auto")
+    assert "HF_HUB_OFFLINE is set" in caplog.text
+
+
+def test_auto_where_timm_has_none(caplog):
+    build_backbone("mobilenetv4_conv_small_035", (16, 8), "auto")
+    assert "(timm has none)" in caplog.text
+
+
+def test_auto_never_hangs(hub, monkeypatch, caplog):
+    monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: time.sleep(60))
+    monkeypatch.setattr(pretrained, "ANSWER_SECONDS", 0.05)
+    started = time.monotonic()
+    assert pretrained.find_pretrained(NAME) is None
+    monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: "there")
+    monkeypatch.setattr(hub, "hf_hub_download", lambda *_: time.sleep(60))
+    monkeypatch.setattr(pretrained, "DOWNLOAD_SECONDS", 0.05)
+    assert pretrained.find_pretrained(NAME) is None
+    assert time.monotonic() - started < 30
+    assert "the download took over" in caplog.text
+
+
+@pytest.mark.parametrize(("call", "answer"), [(lambda: 3, 3), (refuse, None)])
+def test_within(call, answer):
+    assert pretrained.within(10, call) == answer
+
+
+def test_what_the_hub_said_is_in_the_debug_log(caplog):
+    caplog.set_level(logging.DEBUG, logger="ffpose")
+    pretrained.within(10, refuse)
+    assert "no route" in caplog.text

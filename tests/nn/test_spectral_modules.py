@@ -1,0 +1,148 @@
+"""SpectralFilter and GlobalFilter against torch.fft as their users write it."""
+
+import copy
+import math
+
+import pytest
+import torch
+from torch import nn
+
+from ffpose.nn import GlobalFilter, SpectralFilter
+
+
+class PlainGlobalFilter(nn.Module):
+    """GFNet's layer from its paper: ortho-normed transforms, square grids, channels last."""
+
+    def __init__(self, dim, h=14, w=8):
+        super().__init__()
+        self.complex_weight = nn.Parameter(torch.randn(h, w, dim, 2, dtype=torch.float32) * 0.02)
+
+    def forward(self, x, spatial_size=None):
+        batch, tokens, channels = x.shape
+        rows, columns = spatial_size or (math.isqrt(tokens), math.isqrt(tokens))
+        grid = x.view(batch, rows, columns, channels)
+        spectrum = torch.fft.rfft2(grid, dim=(1, 2), norm="ortho")
+        spectrum = spectrum * torch.view_as_complex(self.complex_weight)
+        filtered = torch.fft.irfft2(spectrum, s=(rows, columns), dim=(1, 2), norm="ortho")
+        return filtered.reshape(batch, tokens, channels)
+
+
+@pytest.fixture(autouse=True)
+def _seed():
+    torch.manual_seed(0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "spatial_size"), [((6, 14, 8), None), ((5,), (14, 14)), ((3, 4, 4), (4, 7))]
+)
+def test_gfnet_weights_load_and_give_the_same_numbers(arguments, spatial_size):
+    theirs, ours = PlainGlobalFilter(*arguments), GlobalFilter(*arguments)
+    ours.load_state_dict(theirs.state_dict())
+    rows, columns = spatial_size or (14, 14)
+    x = torch.randn(2, rows * columns, arguments[0], requires_grad=True)
+    torch.testing.assert_close(ours(x, spatial_size), theirs(x, spatial_size))
+    for module in (theirs, ours):
+        module(x, spatial_size).square().sum().backward()
+    torch.testing.assert_close(ours.complex_weight.grad, theirs.complex_weight.grad)
+
+
+@pytest.mark.parametrize(
+    ("size", "layout", "shape", "dim"),
+    [
+        ((6, 8), "tokens", (6, 5, 2), (-2, -1)),
+        ((5, 7), "tokens", (5, 4, 2), (-2, -1)),
+        ((4, 6, 3), "grid", (4, 4, 3, 2), (-3, -2)),
+    ],
+)
+def test_spectral_filter_is_rfft2_times_weight(size, layout, shape, dim):
+    module = SpectralFilter(size, layout)
+    assert {name: tuple(p.shape) for name, p in module.named_parameters()} == {"weight": shape}
+    x = torch.randn(2, 3, *size)
+    spectrum = torch.fft.rfft2(x, dim=dim) * torch.view_as_complex(module.weight)
+    expected = torch.fft.irfft2(spectrum, s=[x.shape[d] for d in dim], dim=dim)
+    torch.testing.assert_close(module(x), expected)
+    torch.testing.assert_close(module(x[0, 0]), expected[0, 0])
+
+
+def test_ones_pass_everything_and_a_new_filter_little():
+    module = SpectralFilter((8, 6))
+    x = torch.randn(4, 8, 6)
+    assert module(x).std() < 0.05 * x.std()
+    with torch.no_grad():
+        module.weight.copy_(torch.tensor([1.0, 0.0]))
+    torch.testing.assert_close(module(x), x)
+
+
+def test_half_precision_input_keeps_its_dtype():
+    module = SpectralFilter((8, 6))
+    assert module(torch.randn(2, 8, 6).bfloat16()).dtype == torch.bfloat16
+
+
+def test_dtype_device_and_std_of_the_parameter():
+    module = SpectralFilter((8, 6), std=0.5, dtype=torch.float64)
+    assert module.weight.dtype == torch.float64
+    assert 0.3 < module.weight.std() < 0.7
+    assert SpectralFilter((8, 6), device="meta").weight.is_meta
+
+
+def test_print_tells_size_and_layout():
+    assert repr(SpectralFilter((8, 6))) == "SpectralFilter((8, 6), layout='tokens')"
+    assert repr(GlobalFilter(3, 4, 3)) == "GlobalFilter(3, h=4, w=3)"
+
+
+def test_copies_are_independent():
+    module = SpectralFilter((8, 6))
+    twin = copy.deepcopy(module)
+    x = torch.randn(1, 8, 6)
+    before = twin(x)
+    with torch.no_grad():
+        module.weight.zero_()
+    torch.testing.assert_close(twin(x), before)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (((8, 6), "rows"), r"'tokens', 'grid'.*'rows'"),
+        (((8, 6, 3),), "expected 2 sizes, got 3"),
+        (((8, 6), "grid"), "expected 3 sizes, got 2"),
+        (((8, 0),), r"at least 1, got \(8, 0\)"),
+    ],
+)
+def test_wrong_construction(arguments, text):
+    with pytest.raises(ValueError, match=text):
+        SpectralFilter(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("x", "error", "text"),
+    [
+        (torch.zeros(2, 8, 5), ValueError, r"\(..., 8, 6\), got \(2, 8, 5\)"),
+        (torch.zeros(6), ValueError, r"\(..., 8, 6\), got \(6,\)"),
+        (torch.zeros(8, 6).double(), TypeError, r"torch.float64.*torch.float32"),
+        (torch.zeros(8, 6, device="meta"), ValueError, r"expected device meta.*got cpu"),
+    ],
+)
+def test_wrong_input(x, error, text):
+    with pytest.raises(error, match=text):
+        SpectralFilter((8, 6))(x)
+
+
+@pytest.mark.parametrize(
+    ("shape", "spatial_size", "text"),
+    [
+        ((2, 16), None, r"\(B, N, 3\), got \(2, 16\)"),
+        ((2, 16, 4), None, r"\(B, N, 3\), got \(2, 16, 4\)"),
+        ((2, 15, 3), None, r"a grid of 15 tokens, got \(3, 3\)"),
+        ((2, 16, 3), (2, 7), r"a grid of 16 tokens, got \(2, 7\)"),
+        ((2, 16, 3), (2, 8), r"expected shape \(2, 5, 3, 2\).*got \(4, 3, 3, 2\)"),
+    ],
+)
+def test_wrong_input_of_global_filter(shape, spatial_size, text):
+    with pytest.raises(ValueError, match=text):
+        GlobalFilter(3, 4, 3)(torch.zeros(shape), spatial_size)
+
+
+def test_wrong_construction_of_global_filter():
+    with pytest.raises(ValueError, match=r"at least 1, got \(3, 0, 8\)"):
+        GlobalFilter(3, 0)
