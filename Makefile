@@ -1,0 +1,69 @@
+# `make help` lists what can be asked for. Everything is installed into $(VENV), nothing elsewhere.
+VENV ?= .venv
+PYTHON ?= python3
+DEMO_OUT ?= runs/demo
+BIN := $(VENV)/bin
+RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -name '*.rs' -o -name Cargo.toml)
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test all format lint typecheck test-rust test-python bench wheel clean tools
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
+
+demo: $(VENV)/.user ## install, render, train, evaluate; leaves runs/demo/report.html (10 minutes)
+	$(BIN)/ffpose demo --out $(DEMO_OUT)
+
+test: test-rust test-python ## install and run every test, Rust's and Python's
+
+all: lint typecheck test ## what CI runs: format, lints, types, tests (the docs' examples are among them)
+
+format: $(VENV)/.dev ## rewrite the sources in the house format
+	$(BIN)/ruff format python tests
+	$(BIN)/ruff check --fix python tests
+	cargo fmt --all
+
+lint: $(VENV)/.dev ## formatters and linters, changing nothing
+	$(BIN)/ruff format --check python tests
+	$(BIN)/ruff check python tests
+	cargo fmt --all --check
+	cargo clippy --locked --workspace --all-targets --release -- -D warnings
+
+typecheck: $(VENV)/.dev ## mypy strict, and the stubs against the built extension
+	$(BIN)/mypy
+	MYPYPATH=python $(BIN)/stubtest ffpose._rust
+
+test-rust: tools ## the Rust tests, with optimisation
+	cargo test --locked --release --workspace
+
+test-python: $(VENV)/.dev ## the Python tests and the examples of the docs
+	$(BIN)/python -m pytest -q
+
+bench: $(VENV)/.user ## the filter against torch.fft
+	$(BIN)/ffpose bench filter
+
+wheel: $(VENV)/.dev ## build the wheel into target/wheels
+	$(BIN)/maturin build --locked --release
+
+clean: ## remove the environment and everything built
+	rm -rf $(VENV) target dist
+	find python -name '*.so' -delete
+
+tools:
+	@command -v cargo >/dev/null || { echo "ffpose is built with Rust 1.89 or newer, and 'cargo' was not found: install it from https://rustup.rs, or with your system's packages." >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo "ffpose needs Python 3.11 or newer, and '$(PYTHON)' is not: install it, or name it with make PYTHON=/path/to/python3.11." >&2; exit 1; }
+
+$(BIN)/python: | tools
+	$(PYTHON) -m venv $(VENV)
+
+# The two environments: what a user needs, and what a developer needs on top of it. Python sources are used in
+# place; a changed Rust source or dependency installs again.
+$(VENV)/.user: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.[pose,render]'
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch $@ $(VENV)/.user

@@ -1,0 +1,101 @@
+"""The import arrows of the layout, read from the sources: no module reaches against the flow."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "python" / "ffpose"
+
+# Each room and the rooms of ffpose that it may import. Leaves (errors, files) are open to all.
+LEAVES = {"errors", "files"}
+ALLOWED = {
+    "__init__": {"arrays", "geometry"},
+    "errors": set(),
+    "files": set(),
+    "arrays": {"_rust"},
+    "geometry": {"arrays"},
+    "ops": {"_rust"},
+    "nn": {"ops", "geometry"},
+    "models": {"nn", "transforms"},
+    "transforms": {"geometry"},
+    "datasets": {"geometry", "transforms"},
+    "losses": {"ops", "geometry"},
+    "metrics": {"arrays", "ops", "geometry"},
+    "training": {"models", "nn", "losses", "metrics", "datasets", "transforms", "geometry"},
+    "evaluation": {"models", "metrics", "datasets", "geometry", "transforms", "arrays"},
+    "overlay": {"geometry"},
+    "prediction": {"models", "geometry", "transforms", "arrays", "overlay"},
+    "plots": {"evaluation", "geometry", "datasets", "overlay"},
+    "inspection": {"datasets", "geometry", "arrays", "overlay"},
+    "report": {"evaluation", "plots", "geometry"},
+    "render": {"geometry", "arrays"},
+    "bench": {"ops", "arrays"},
+    "info": {"arrays"},
+}
+COMPOSE = {"cli", "demo"}  # these two put the others together
+LAZY = {"matplotlib", "onnx", "onnxruntime", "timm"}  # never at import time
+
+
+def room(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py").removesuffix(".pyi")
+
+
+def sources() -> list[Path]:
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def imported(tree: ast.AST) -> set[str]:
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def outside_functions(tree: ast.Module) -> ast.Module:
+    """The module without function bodies and `if TYPE_CHECKING` blocks: what runs at import."""
+
+    class Strip(ast.NodeTransformer):
+        def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
+            return None
+
+        def visit_AsyncFunctionDef(self, node: ast.AsyncFunctionDef) -> None:
+            return None
+
+        def visit_If(self, node: ast.If) -> ast.AST | None:
+            if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+                return None
+            return self.generic_visit(node)
+
+    return Strip().visit(tree)
+
+
+@pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_arrows_go_one_way(path):
+    names = imported(ast.parse(path.read_text()))
+    rooms = {name.split(".")[1] for name in names if name.startswith("ffpose.")}
+    here = room(path)
+    if here in COMPOSE:
+        assert "cli" not in rooms
+        return
+    top_level_names = {"DataError", "Pose", "Camera", "__version__"}
+    extra = rooms - ALLOWED[here] - LEAVES - {here} - top_level_names
+    assert not extra, f"{here} imports {sorted(extra)}"
+
+
+@pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_heavy_libraries_are_imported_where_they_are_used(path):
+    names = imported(outside_functions(ast.parse(path.read_text())))
+    assert not {name.split(".")[0] for name in names} & LAZY
+
+
+def test_only_ops_and_arrays_touch_the_extension():
+    users = {
+        room(path)
+        for path in sources()
+        if any(name.startswith("ffpose._rust") for name in imported(ast.parse(path.read_text())))
+    }
+    assert users == {"arrays", "ops"}
