@@ -246,6 +246,38 @@ def speed_plus_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayL
     return _rust.speed_plus_score(*_pose_arrays(t, q, t_hat, q_hat))
 
 
+def fractal_noise(points: ArrayLike, lattice: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
+    """Fractal value noise in three dimensions, a sum of octaves; float32 alone.
+
+    Every octave reads the same lattice, in a frame that is turned and about twice as fine as that
+    of the one before. The result has the same bits on every machine.
+
+    Args:
+        points: Points ``(3, N)``; one unit is one cell of the lattice in the first octave.
+        lattice: Random values ``(L, L, L)``, L a power of two up to 1024. The noise meets them at
+            whole numbers, is smooth between, and has period L.
+        heights: What each octave is multiplied by, ``(K,)``.
+
+    Returns:
+        Sums ``(N,)``. NaN in a point goes through.
+
+    Raises:
+        TypeError: An argument is not of float32.
+        ValueError: Another shape.
+
+    Examples:
+        Halfway between two lattice points lies their mean:
+
+        >>> lattice = np.arange(8, dtype=np.float32).reshape(2, 2, 2)
+        >>> points = np.array([[0.0], [0.0], [0.5]], dtype=np.float32)
+        >>> fractal_noise(points, lattice, np.ones(1, dtype=np.float32))
+        array([0.5], dtype=float32)
+    """
+    return _rust.fractal_noise(
+        _array(points, "points"), _array(lattice, "lattice"), _array(heights, "heights")
+    )
+
+
 def instruction_set() -> str:
     """The vector instructions that the filters use on this machine.
 
@@ -266,4 +298,5 @@ def _array(values: ArrayLike, name: str) -> NDArray[Any]:
     """``values`` as the array that the core takes: copied where strides ask for it, never cast."""
     if isinstance(values, np.ndarray) and hasattr(values, "mask"):
         raise TypeError(f"{name} must be an array without a mask, got {type(values).__name__}")
-    return np.require(values, requirements=["C", "A", "E"])
+    array = np.asarray(values, order="C")
+    return array if array.flags.aligned else array.copy()

@@ -1,6 +1,7 @@
-//! The kernel for any size: realfft along rows, rustfft along columns, plane by plane.
+//! The kernel for few lines: realfft along rows, rustfft along columns, plane by plane.
 //!
-//! A grid is gathered by tiles of a cache line of channels, so that every line of memory is read once. The spectrum of
+//! Vectors across lines, as in [`crate::fft`], are mostly empty when an image has one to four channels, or tokens one to
+//! four rows; here vectors lie along the lines. Planes of a grid are gathered and scattered. The spectrum of
 //! a plane is kept by columns, `(columns/2+1, rows)`, and so is the packed weight. After the inverse transform of the
 //! columns those of DC and Nyquist lose their imaginary parts, which is the projection that `irfft2` makes.
 
@@ -8,15 +9,13 @@ use std::sync::Arc;
 
 use bytemuck::{cast_slice, cast_slice_mut};
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
+use num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
-use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use transpose::transpose;
 
 use crate::kernel::{Backward, Kernel};
 use crate::{Layout, Real, Shape};
-
-const CACHE_LINE: usize = 64;
 
 pub(crate) struct General<T: Real> {
     shape: Shape,
@@ -66,11 +65,11 @@ impl<T: Real> General<T> {
         self.shape.rows * self.shape.half()
     }
 
-    /// Planes of one tile: each lane of a grid is one, all lanes of tokens are one together.
+    /// Planes of an image: each lane of a grid is one, all lanes of tokens are one together.
     fn planes(&self) -> usize {
         match self.shape.layout {
             Layout::Tokens => 1,
-            Layout::Grid => self.tile(),
+            Layout::Grid => self.shape.lanes,
         }
     }
 
@@ -92,14 +91,13 @@ impl<T: Real> General<T> {
         Buffers { planes, inputs, spectrum, input, work: Work { by_rows, inner } }
     }
 
-    /// Copies an image `(points, lanes)` to planes and returns how many they are.
-    fn gather(&self, image: ArrayView2<'_, T>, planes: &mut [T]) -> usize {
+    /// Copies an image `(points, lanes)` to planes.
+    fn gather(&self, image: ArrayView2<'_, T>, planes: &mut [T]) {
         let image = match self.shape.layout {
             Layout::Tokens => image,
             Layout::Grid => image.reversed_axes(),
         };
         view_mut(planes, image.dim()).assign(&image);
-        image.len() / self.plane_len()
     }
 
     /// Copies planes to an image `(points, lanes)`.
@@ -164,10 +162,7 @@ impl<T: Real> General<T> {
 
 impl<T: Real> Kernel<T> for General<T> {
     fn tile(&self) -> usize {
-        match self.shape.layout {
-            Layout::Tokens => self.shape.lanes,
-            Layout::Grid => (CACHE_LINE / size_of::<T>()).min(self.shape.lanes),
-        }
+        self.shape.lanes
     }
 
     fn packed_len(&self) -> usize {
@@ -198,9 +193,8 @@ impl<T: Real> Kernel<T> for General<T> {
         let weights = cast_slice(packed).chunks_exact(self.spectrum_len());
         let Buffers { planes, spectrum, mut work, .. } = self.buffers(scratch);
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            let count = self.gather(x, planes);
-            let each = planes.chunks_exact_mut(self.plane_len()).take(count);
-            for (plane, weight) in each.zip(weights.clone()) {
+            self.gather(x, planes);
+            for (plane, weight) in planes.chunks_exact_mut(self.plane_len()).zip(weights.clone()) {
                 self.transform(plane, spectrum, &mut work);
                 multiply(spectrum, weight);
                 self.invert(spectrum, plane, &mut work);
@@ -213,11 +207,11 @@ impl<T: Real> Kernel<T> for General<T> {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let Buffers { planes, inputs, spectrum, input, mut work } = self.buffers(scratch);
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
-            let count = self.gather(grad, planes);
+            self.gather(grad, planes);
             if grad_sum.is_some() {
                 self.gather(x, inputs);
             }
-            for index in 0..count {
+            for index in 0..self.planes() {
                 let plane = nth(planes, self.plane_len(), index);
                 self.transform(plane, spectrum, &mut work);
                 if let Some(sum) = &mut grad_sum {
@@ -279,7 +273,7 @@ fn nth<T>(all: &mut [T], len: usize, index: usize) -> &mut [T] {
     &mut all[index * len..][..len]
 }
 
-/// The first numbers of a buffer as a matrix.
+/// A buffer as a matrix.
 fn view_mut<T>(buffer: &mut [T], dim: (usize, usize)) -> ArrayViewMut2<'_, T> {
-    ArrayViewMut2::from_shape(dim, &mut buffer[..dim.0 * dim.1]).expect("the length is that of dim")
+    ArrayViewMut2::from_shape(dim, buffer).expect("the length is that of dim")
 }

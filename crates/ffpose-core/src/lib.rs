@@ -16,11 +16,13 @@ mod error;
 mod fft;
 mod general;
 mod kernel;
+pub mod noise;
 mod parallel;
 pub mod pose_error;
 pub mod quaternion;
 mod real;
 mod rows;
+mod scratch;
 mod shape;
 #[allow(unsafe_code)] // fenced in this one folder
 mod simd;
@@ -29,6 +31,7 @@ mod tiling;
 
 pub use error::Error;
 pub use real::Real;
+pub use scratch::Scratch;
 pub use shape::{Layout, Shape};
 pub use simd::Isa;
-pub use spectral::{Gradients, Scratch, SpectralFilter};
+pub use spectral::{Gradients, SpectralFilter};

@@ -149,6 +149,7 @@ fn threads_and_batches_do_not_change_a_bit() {
     let large = [
         (Layout::Grid, vec![3, 28, 28, 250]),
         (Layout::Grid, vec![40, 30, 30, 10]),
+        (Layout::Grid, vec![16, 90, 100, 3]),
         (Layout::Tokens, vec![37, 70, 128]),
         (Layout::Tokens, vec![10, 151, 251]),
     ];

@@ -1,6 +1,7 @@
 //! `ffpose._rust`: ffpose-core for NumPy arrays. Every function checks, releases the GIL, computes and maps errors.
 
 mod border;
+mod noise;
 mod pose;
 mod spectral;
 
@@ -9,6 +10,8 @@ use pyo3::prelude::*;
 /// The compiled core of ffpose. Arrays are C-contiguous float32 or float64.
 #[pymodule]
 mod _rust {
+    #[pymodule_export]
+    use super::noise::fractal_noise;
     #[pymodule_export]
     use super::pose::{
         canonical_quaternion, esa_score, euler_to_quaternion, normalize_quaternion,

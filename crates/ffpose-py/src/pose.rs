@@ -28,7 +28,7 @@ pub(crate) fn normalize_quaternion<'py>(q: &Bound<'py, PyAny>) -> PyResult<Bound
     on_arrays!([q], T => quaternion::normalize(q))
 }
 
-/// The gradient of normalize_quaternion with respect to q (..., 4).
+/// The gradient of `normalize_quaternion` with respect to q (..., 4).
 #[pyfunction]
 pub(crate) fn normalize_quaternion_backward<'py>(
     grad: &Bound<'py, PyAny>,
@@ -55,7 +55,7 @@ pub(crate) fn euler_to_quaternion<'py>(rpy: &Bound<'py, PyAny>) -> PyResult<Boun
     on_arrays!([rpy], T => quaternion::from_euler(rpy.mapv(T::to_radians).view()))
 }
 
-/// Distances (N,) of translations t and t_hat (N, 3).
+/// Distances (N,) of translations `t` and `t_hat` (N, 3).
 #[pyfunction]
 pub(crate) fn translation_error<'py>(
     t: &Bound<'py, PyAny>,
@@ -64,7 +64,7 @@ pub(crate) fn translation_error<'py>(
     on_arrays!([t, t_hat], T => pose_error::translation_error(t, t_hat))
 }
 
-/// Angles (N,) in degrees between orientations q and q_hat (N, 4).
+/// Angles (N,) in degrees between orientations `q` and `q_hat` (N, 4).
 #[pyfunction]
 pub(crate) fn rotation_error<'py>(
     q: &Bound<'py, PyAny>,

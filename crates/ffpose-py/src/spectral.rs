@@ -1,5 +1,7 @@
 //! The spectral filter for NumPy arrays.
 
+use std::cell::RefCell;
+
 use ffpose_core::{Gradients, Isa, Scratch, Shape, SpectralFilter};
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
 use pyo3::prelude::*;
@@ -8,6 +10,13 @@ use crate::border::{Threads, array, empty_like, enter, with_dtype};
 
 /// A gradient or None.
 type Gradient<'py> = Option<Bound<'py, PyAny>>;
+
+/// Bytes of scratch that a thread keeps for its next call; page faults would cost more than the filter.
+const SCRATCH_KEPT: usize = 32 << 20;
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
 
 /// irfft2(rfft2(x) * weight): an array like x.
 #[pyfunction]
@@ -29,13 +38,14 @@ pub(crate) fn spectral_filter<'py>(
         let (x, weight, out) = (x.as_array(), weight.as_array(), out.as_array_mut());
         enter(py, || {
             let shape = Shape::of_images(layout.parse()?, x.shape())?;
-            SpectralFilter::planned(shape)?.forward(x, weight, out, num_threads.0, &mut Scratch::default())
+            let filter = SpectralFilter::planned(shape)?;
+            with_scratch(|scratch| filter.forward(x, weight, out, num_threads.0, scratch))
         })?;
         Ok(y.into_any())
     })
 }
 
-/// The gradients of spectral_filter with respect to x and to weight, each None unless it is needed.
+/// The gradients of `spectral_filter` with respect to x and to weight, each None unless it is needed.
 #[pyfunction]
 #[pyo3(
     signature = (grad, x, weight, layout, need_x, need_weight, num_threads = Threads(1)),
@@ -64,11 +74,20 @@ pub(crate) fn spectral_filter_backward<'py>(
         };
         enter(py, || {
             let shape = Shape::of_images(layout.parse()?, x.shape())?;
-            let scratch = &mut Scratch::default();
-            SpectralFilter::planned(shape)?.backward(grad, x, weight, gradients, num_threads.0, scratch)
+            let filter = SpectralFilter::planned(shape)?;
+            with_scratch(|scratch| filter.backward(grad, x, weight, gradients, num_threads.0, scratch))
         })?;
         drop((out_x, out_weight));
         Ok((grad_x.map(Bound::into_any), grad_weight.map(Bound::into_any)))
+    })
+}
+
+/// Runs `compute` with this thread's scratch.
+fn with_scratch<R>(compute: impl FnOnce(&mut Scratch) -> R) -> R {
+    SCRATCH.with_borrow_mut(|scratch| {
+        let result = compute(scratch);
+        scratch.keep_at_most(SCRATCH_KEPT);
+        result
     })
 }
 

@@ -101,7 +101,8 @@ impl<T: Element> Columns<T> {
     ) {
         let (isa, transform, length) =
             (self.isa, &self.transform, self.numbers(self.transform.len()));
-        let mut columns = spectrum.chunks_exact_mut(self.numbers(self.pitch())).enumerate();
+        let columns = spectrum.chunks_exact_mut(self.numbers(self.pitch()));
+        let mut columns = columns.take(self.count).enumerate();
         if self.packed_pair
             && let Some((_, column)) = columns.next()
         {

@@ -2,7 +2,6 @@
 //!
 //! Lanes hold independent transforms, so that no transform shuffles inside a vector and any length takes any number of lanes.
 
-#![allow(clippy::inline_always)] // what is not inlined is compiled without the instruction set
 #![allow(clippy::needless_range_loop)] // indices say which numbers meet; closures would not be inlined
 
 mod butterfly;
@@ -21,21 +20,24 @@ mod roots;
 mod rows;
 #[cfg(test)]
 mod tests;
+mod tokens;
+mod tokens_pack;
 mod transform;
 mod unroll;
 
 use std::sync::Arc;
 
 use grid::Grid;
+use tokens::Tokens;
 
 use crate::kernel::Kernel;
 use crate::simd::Isa;
 use crate::{Layout, Real, Shape};
 
-/// The kernel for a shape, if there is one.
-pub(crate) fn plan<T: Real>(isa: Isa, shape: Shape) -> Option<Arc<dyn Kernel<T>>> {
+/// The kernel for a shape without zeros.
+pub(crate) fn plan<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>> {
     match shape.layout {
-        Layout::Grid => Some(Arc::new(Grid::new(isa, shape.rows, shape.columns))),
-        Layout::Tokens => None,
+        Layout::Grid => Arc::new(Grid::new(isa, shape.rows, shape.columns)),
+        Layout::Tokens => Arc::new(Tokens::new(isa, shape.rows, shape.columns)),
     }
 }

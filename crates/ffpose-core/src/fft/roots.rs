@@ -57,6 +57,7 @@ impl<const N: usize> Roots<N> {
 mod tests {
     use super::*;
 
+    /// Up to the rounding of the angle, which is larger than that of the root.
     #[test]
     fn agrees_with_the_standard_library() {
         for n in [1, 2, 3, 8, 49, 196, 1000, 1021] {
@@ -64,7 +65,7 @@ mod tests {
                 let (sin, cos) = (2.0 * PI * (k % n) as f64 / n as f64).sin_cos();
                 let (c, s) = root(k, n);
                 assert!(
-                    (c - cos).abs() < 1e-15 && (s - sin).abs() < 1e-15,
+                    (c - cos).abs() < 2e-15 && (s - sin).abs() < 2e-15,
                     "{k}/{n}: {c} {cos} {s} {sin}"
                 );
             }

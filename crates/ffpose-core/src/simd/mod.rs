@@ -18,15 +18,20 @@ mod scalar;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
+use std::fmt::Debug;
 use std::ops::{Add, Mul, Neg, Sub};
 
 pub(crate) use complex::Complex;
 pub use isa::Isa;
 pub(crate) use memory::{Tile, TileMut, aligned, complex_vectors, gather, scatter, slack};
 
+/// The most lanes that a [`Vector`] of this crate has.
+pub(crate) const MAX_LANES: usize = 16;
+
 /// An element type with vectors on every instruction set.
 pub trait Element:
     Copy
+    + Debug
     + Default
     + Send
     + Sync
@@ -49,7 +54,7 @@ pub(crate) trait Vector:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
 {
     type Element: Element;
-    /// A power of two.
+    /// A power of two, at most [`MAX_LANES`].
     const LANES: usize;
 
     fn splat(x: Self::Element) -> Self;
@@ -73,6 +78,22 @@ pub(crate) trait Vector:
 
     /// Undoes [`interleave`](Vector::interleave).
     fn deinterleave(low: Self, high: Self) -> (Self, Self);
+
+    /// Transposes a square of `LANES` vectors.
+    ///
+    /// `log2(LANES)` rounds of interleaving vector `i` with vector `i + LANES / 2`.
+    #[inline(always)]
+    fn transpose(square: &mut [Self]) {
+        let half = Self::LANES / 2;
+        let square = &mut square[..Self::LANES];
+        let mut next = [square[0]; MAX_LANES];
+        for _ in 0..Self::LANES.trailing_zeros() {
+            for i in 0..half {
+                (next[2 * i], next[2 * i + 1]) = Self::interleave(square[i], square[i + half]);
+            }
+            square.copy_from_slice(&next[..Self::LANES]);
+        }
+    }
 }
 
 /// An algorithm for any vector type of element `T`.

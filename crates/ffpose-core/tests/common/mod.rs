@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use ffpose_core::{Layout, Real};
 use ndarray::{Array2, Array3, Array4, ArrayD, Axis, IxDyn};
-use rustfft::num_complex::Complex64;
+use num_complex::Complex64;
 
 /// `Σ_k line(k) · exp(sign · 2πi · jk / n)` along each line of an axis.
 fn dft(plane: &Array2<Complex64>, axis: Axis, sign: f64) -> Array2<Complex64> {
@@ -79,7 +79,7 @@ pub fn weight_gradient(
     let (rows, columns) = (x.len_of(Axis(1)), x.len_of(Axis(2)));
     for (grad, x) in grad.outer_iter().zip(x.outer_iter()) {
         let planes = grad.axis_iter(Axis(2)).zip(x.axis_iter(Axis(2)));
-        for (mut sum, (grad, x)) in sums.axis_iter_mut(Axis(2)).into_iter().zip(planes) {
+        for (mut sum, (grad, x)) in sums.axis_iter_mut(Axis(2)).zip(planes) {
             sum += &(rfft2(&x.to_owned()).mapv(|value| value.conj()) * rfft2(&grad.to_owned()));
         }
     }

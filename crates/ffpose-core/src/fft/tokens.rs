@@ -1,0 +1,397 @@
+//! The filter on tokens: one plane, whose second axis is contiguous.
+//!
+//! Transforms along X first: lanes are elements of Y, two vectors of them one complex line, so that all of it is complex
+//! transforms without a shuffle. Half of the spectrum in X is kept, as rows of Y. Then transforms along Y, for as many rows
+//! together as there are lanes: squares of vectors are transposed on the way in and on the way out, next to the product. Then
+//! back along X. Rows 0 and `X / 2`, which stand for real lines, need nothing of their own: their weight is Hermitian.
+
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
+
+use super::columns::Columns;
+use super::pair::{join, split};
+use super::tokens_pack::Packing;
+use super::transform::Transform;
+use crate::kernel::{Backward, Kernel};
+use crate::simd::{
+    Algorithm, Complex, Element, Isa, MAX_LANES, Tile, TileMut, Vector, aligned, complex_vectors,
+    slack,
+};
+
+/// The plan for planes `(points, width)`.
+pub(crate) struct Tokens<T> {
+    isa: Isa,
+    lanes: usize,
+    width: usize,
+    along_x: Transform<T>,
+    along_y: Columns<T>,
+    packing: Packing<T>,
+}
+
+/// Scratch of one call.
+struct Scratch<'a, T> {
+    spectrum: &'a mut [T],
+    other: &'a mut [T],
+    line: &'a mut [T],
+    other_line: &'a mut [T],
+    work: &'a mut [T],
+    padded: &'a mut [T],
+}
+
+/// Rows of a spectrum, `pitch` complex vectors apart.
+#[derive(Clone, Copy)]
+struct Rows {
+    count: usize,
+    pitch: usize,
+}
+
+impl<T: Element> Tokens<T> {
+    pub(crate) fn new(isa: Isa, points: usize, width: usize) -> Self {
+        let along_x = Transform::new(isa, points);
+        let along_y = Columns::new(isa, width, 1, false);
+        let outputs = along_y.transform().outputs().to_vec();
+        let packing = Packing::new(points, outputs, isa.lanes::<T>());
+        Self { isa, lanes: isa.lanes::<T>(), width, along_x, along_y, packing }
+    }
+
+    /// Width up to a whole number of pairs of vectors.
+    fn padded_width(&self) -> usize {
+        self.width.next_multiple_of(2 * self.lanes)
+    }
+
+    /// Rows of the half spectrum; an odd pitch, since an even one would meet the same few sets of the cache.
+    fn rows(&self) -> Rows {
+        Rows { count: self.along_x.len() / 2 + 1, pitch: (self.padded_width() / self.lanes) | 1 }
+    }
+
+    /// Blocks of rows that are transformed together.
+    fn blocks(&self) -> usize {
+        self.rows().count.div_ceil(self.lanes)
+    }
+
+    fn spectrum_len(&self) -> usize {
+        2 * self.lanes * self.rows().count * self.rows().pitch
+    }
+
+    fn line_len(&self) -> usize {
+        2 * self.lanes * self.along_x.len().max(self.along_y.pitch())
+    }
+
+    fn work_len(&self) -> usize {
+        (2 * self.lanes * self.along_x.work_len()).max(self.along_y.work_len())
+    }
+
+    fn padded_len(&self) -> usize {
+        if self.width < self.padded_width() { self.along_x.len() * self.padded_width() } else { 0 }
+    }
+
+    fn scratch<'a>(&self, scratch: &'a mut [T]) -> Scratch<'a, T> {
+        let (spectrum, rest) = aligned(scratch).split_at_mut(self.spectrum_len());
+        let (other, rest) = rest.split_at_mut(self.spectrum_len());
+        let (line, rest) = rest.split_at_mut(self.line_len());
+        let (other_line, rest) = rest.split_at_mut(self.line_len());
+        let (work, rest) = rest.split_at_mut(self.work_len());
+        let padded = &mut rest[..self.padded_len()];
+        Scratch { spectrum, other, line, other_line, work, padded }
+    }
+
+    /// An image `(points, width)` to rows of its spectrum; `padded` holds it if its width is no multiple of two vectors.
+    fn forward_x(
+        &self,
+        image: ArrayView2<'_, T>,
+        spectrum: &mut [T],
+        line: &mut [T],
+        work: &mut [T],
+        padded: &mut [T],
+    ) {
+        let image = if padded.is_empty() {
+            Tile::new(image)
+        } else {
+            let shape = (self.along_x.len(), self.padded_width());
+            let mut whole = ArrayViewMut2::from_shape(shape, padded).expect("room for an image");
+            whole.fill(T::default());
+            whole.slice_mut(s![.., ..self.width]).assign(&image);
+            Tile::dense(padded, self.padded_width())
+        };
+        let line = &mut line[..2 * self.lanes * self.along_x.len()];
+        for pair in 0..self.padded_width() / (2 * self.lanes) {
+            let image = image.skip_lanes(2 * pair * self.lanes);
+            self.isa.run(Enter { image, inputs: self.along_x.inputs(), line });
+            self.along_x.forward(line, work);
+            let outputs = self.along_x.outputs();
+            self.isa.run(Split { outputs, line, spectrum, rows: self.rows(), pair });
+        }
+    }
+
+    /// Undoes [`forward_x`](Self::forward_x), up to a factor.
+    fn inverse_x(
+        &self,
+        spectrum: &mut [T],
+        mut image: ArrayViewMut2<'_, T>,
+        line: &mut [T],
+        work: &mut [T],
+        padded: &mut [T],
+    ) {
+        if padded.is_empty() {
+            self.inverse_tile(spectrum, TileMut::new(image), line, work);
+        } else {
+            let width = self.padded_width();
+            self.inverse_tile(spectrum, TileMut::dense(padded, width), line, work);
+            let shape = (self.along_x.len(), width);
+            let whole = ArrayView2::from_shape(shape, padded).expect("room for an image");
+            image.assign(&whole.slice(s![.., ..self.width]));
+        }
+    }
+
+    fn inverse_tile(
+        &self,
+        spectrum: &mut [T],
+        mut image: TileMut<'_, T>,
+        line: &mut [T],
+        work: &mut [T],
+    ) {
+        let line = &mut line[..2 * self.lanes * self.along_x.len()];
+        let (inputs, outputs) = (self.along_x.inputs(), self.along_x.outputs());
+        for pair in 0..self.padded_width() / (2 * self.lanes) {
+            self.isa.run(Join { outputs, line, spectrum, rows: self.rows(), pair });
+            self.along_x.inverse(line, work);
+            let image = image.skip_lanes(2 * pair * self.lanes);
+            self.isa.run(Leave { image, inputs, line });
+        }
+    }
+
+    /// Lanes of a block from and to rows, in the order of the transform along Y.
+    fn block(&self, block: usize) -> Block<'_> {
+        let inputs = self.along_y.transform().inputs();
+        Block { rows: self.rows(), first: block * self.lanes, inputs }
+    }
+
+    /// The block's numbers of a packed weight.
+    fn block_len(&self) -> usize {
+        self.along_y.packed_len()
+    }
+}
+
+impl<T: Element> Kernel<T> for Tokens<T> {
+    fn tile(&self) -> usize {
+        self.width
+    }
+
+    fn packed_len(&self) -> usize {
+        self.blocks() * self.block_len()
+    }
+
+    fn scratch_len(&self) -> usize {
+        let lines = 2 * (self.spectrum_len() + self.line_len());
+        slack::<T>() + lines + self.work_len() + self.padded_len()
+    }
+
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T]) {
+        self.packing.pack(self.isa, weight, packed);
+    }
+
+    fn forward(
+        &self,
+        x: ArrayView3<'_, T>,
+        packed: &[T],
+        mut y: ArrayViewMut3<'_, T>,
+        scratch: &mut [T],
+    ) {
+        let Scratch { spectrum, line, work, padded, .. } = self.scratch(scratch);
+        for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
+            self.forward_x(x, spectrum, line, work, padded);
+            for (block, weight) in packed.chunks_exact(self.block_len()).enumerate() {
+                let block = self.block(block);
+                self.isa.run(Gather { block, spectrum, line });
+                self.along_y.filter::<false>(line, weight, work);
+                self.isa.run(Put { block, spectrum, line });
+            }
+            self.inverse_x(spectrum, y, line, work, padded);
+        }
+    }
+
+    fn backward(&self, pass: Backward<'_, T>, scratch: &mut [T]) {
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let Scratch { spectrum, other, line, other_line, work, padded } = self.scratch(scratch);
+        for image in 0..grad.len_of(Axis(0)) {
+            self.forward_x(grad.index_axis(Axis(0), image), spectrum, line, work, padded);
+            if grad_sum.is_some() {
+                self.forward_x(x.index_axis(Axis(0), image), other, line, work, padded);
+            }
+            for block in 0..self.blocks() {
+                let places = block * self.block_len()..(block + 1) * self.block_len();
+                let block = self.block(block);
+                self.isa.run(Gather { block, spectrum, line });
+                if let Some(sum) = &mut grad_sum {
+                    self.isa.run(Gather { block, spectrum: other, line: other_line });
+                    let weight = grad_x.is_some().then(|| &packed[places.clone()]);
+                    self.along_y.gradient(line, other_line, weight, &mut sum[places], work);
+                } else {
+                    self.along_y.filter::<true>(line, &packed[places], work);
+                }
+                if grad_x.is_some() {
+                    self.isa.run(Put { block, spectrum, line });
+                }
+            }
+            if let Some(grad_x) = &mut grad_x {
+                let grad_x = grad_x.index_axis_mut(Axis(0), image);
+                self.inverse_x(spectrum, grad_x, line, work, padded);
+            }
+        }
+    }
+
+    fn unpack_gradient(&self, grad_sum: &[T], grad_weight: ArrayViewMut3<'_, T>) {
+        self.packing.unpack(self.isa, grad_sum, grad_weight);
+    }
+}
+
+/// Two vectors of each point as one complex line.
+struct Enter<'a, T> {
+    image: Tile<'a, T>,
+    inputs: &'a [usize],
+    line: &'a mut [T],
+}
+
+impl<T: Element> Algorithm<T> for Enter<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let line = complex_vectors::<V>(self.line);
+        let second = self.image.skip_lanes(V::LANES);
+        for (point, &input) in self.inputs.iter().enumerate() {
+            let ([re], [im]) = (self.image.gather(point, 1), second.gather(point, 1));
+            line[input] = Complex::new(re, im);
+        }
+    }
+}
+
+/// Undoes [`Enter`].
+struct Leave<'a, T> {
+    image: TileMut<'a, T>,
+    inputs: &'a [usize],
+    line: &'a mut [T],
+}
+
+impl<T: Element> Algorithm<T> for Leave<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(mut self) {
+        let line = complex_vectors::<V>(self.line);
+        for (point, &input) in self.inputs.iter().enumerate() {
+            self.image.scatter(point, 1, [line[input].re]);
+            self.image.skip_lanes(V::LANES).scatter(point, 1, [line[input].im]);
+        }
+    }
+}
+
+/// The doubled spectra of the two real lines of a complex line, to vectors `2 pair` and `2 pair + 1` of the rows.
+struct Split<'a, T> {
+    outputs: &'a [usize],
+    line: &'a mut [T],
+    spectrum: &'a mut [T],
+    rows: Rows,
+    pair: usize,
+}
+
+impl<T: Element> Algorithm<T> for Split<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let line = complex_vectors::<V>(self.line);
+        let rows = complex_vectors::<V>(self.spectrum).chunks_exact_mut(self.rows.pitch);
+        let length = self.outputs.len();
+        for (k, row) in rows.enumerate() {
+            let mirror = self.outputs[(length - k) % length];
+            let both = split(line[self.outputs[k]], line[mirror]);
+            row[2 * self.pair..2 * self.pair + 2].copy_from_slice(&both);
+        }
+    }
+}
+
+/// Undoes [`Split`] up to a factor 2. The spectra of real lines are real in rows 0 and `X / 2`.
+struct Join<'a, T> {
+    outputs: &'a [usize],
+    line: &'a mut [T],
+    spectrum: &'a mut [T],
+    rows: Rows,
+    pair: usize,
+}
+
+impl<T: Element> Algorithm<T> for Join<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let line = complex_vectors::<V>(self.line);
+        let rows = complex_vectors::<V>(self.spectrum).chunks_exact(self.rows.pitch);
+        let length = self.outputs.len();
+        for (k, row) in rows.enumerate() {
+            let [a, b] = [row[2 * self.pair], row[2 * self.pair + 1]];
+            let (place, mirror) = (self.outputs[k], self.outputs[(length - k) % length]);
+            if place == mirror {
+                line[place] = Complex::new(a.re, b.re);
+            } else {
+                (line[place], line[mirror]) = join([a, b]);
+            }
+        }
+    }
+}
+
+/// Rows `first` and following of a spectrum as the lanes of a line; lanes without a row repeat the last one.
+#[derive(Clone, Copy)]
+struct Block<'a> {
+    rows: Rows,
+    first: usize,
+    inputs: &'a [usize],
+}
+
+/// Rows to lanes.
+struct Gather<'a, T> {
+    block: Block<'a>,
+    spectrum: &'a mut [T],
+    line: &'a mut [T],
+}
+
+impl<T: Element> Algorithm<T> for Gather<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let Block { rows: Rows { count, pitch }, first, inputs } = self.block;
+        let spectrum = complex_vectors::<V>(self.spectrum);
+        let line = complex_vectors::<V>(self.line);
+        let (mut re, mut im) =
+            ([V::splat(T::default()); MAX_LANES], [V::splat(T::default()); MAX_LANES]);
+        for (vector, inputs) in inputs.chunks(V::LANES).enumerate() {
+            for lane in 0..V::LANES {
+                let z = spectrum[(first + lane).min(count - 1) * pitch + vector];
+                (re[lane], im[lane]) = (z.re, z.im);
+            }
+            V::transpose(&mut re[..V::LANES]);
+            V::transpose(&mut im[..V::LANES]);
+            for (lane, &input) in inputs.iter().enumerate() {
+                line[input] = Complex::new(re[lane], im[lane]);
+            }
+        }
+    }
+}
+
+/// Lanes to rows.
+struct Put<'a, T> {
+    block: Block<'a>,
+    spectrum: &'a mut [T],
+    line: &'a mut [T],
+}
+
+impl<T: Element> Algorithm<T> for Put<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let Block { rows: Rows { count, pitch }, first, inputs } = self.block;
+        let spectrum = complex_vectors::<V>(self.spectrum);
+        let line = complex_vectors::<V>(self.line);
+        let (mut re, mut im) =
+            ([V::splat(T::default()); MAX_LANES], [V::splat(T::default()); MAX_LANES]);
+        for (vector, inputs) in inputs.chunks(V::LANES).enumerate() {
+            for (lane, &input) in inputs.iter().enumerate() {
+                (re[lane], im[lane]) = (line[input].re, line[input].im);
+            }
+            V::transpose(&mut re[..V::LANES]);
+            V::transpose(&mut im[..V::LANES]);
+            for (lane, row) in (first..count.min(first + V::LANES)).enumerate() {
+                spectrum[row * pitch + vector] = Complex::new(re[lane], im[lane]);
+            }
+        }
+    }
+}
