@@ -1,0 +1,120 @@
+"""Malformed arguments of every kind meet a `TypeError` or a `ValueError`, and nothing else."""
+
+import contextlib
+import inspect
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ffpose
+from ffpose import _rust, arrays
+
+X = np.ones((2, 3, 4), np.float32)
+W = np.ones((3, 3, 2), np.float32)
+Q = np.ones((2, 4))
+T = np.ones((2, 3))
+
+FUNCTIONS = [
+    *(getattr(_rust, name) for name in _rust.__all__ if callable(getattr(_rust, name))),
+    *(
+        function
+        for name, function in inspect.getmembers(arrays, inspect.isfunction)
+        if function.__module__ == arrays.__name__ and not name.startswith("_")
+    ),
+]
+GOOD = {
+    "x": X,
+    "grad": X,
+    "weight": W,
+    "layout": "tokens",
+    "num_threads": 1,
+    "need_x": True,
+    "need_weight": True,
+    "q": Q,
+    "q_hat": Q,
+    "t": T,
+    "t_hat": T,
+    "rpy": T,
+    "points": np.ones((3, 2), np.float32),
+    "lattice": np.ones((2, 2, 2), np.float32),
+    "heights": np.ones(2, np.float32),
+}
+
+
+def misaligned(array):
+    if array.dtype.hasobject or not array.nbytes:
+        return array
+    raw = np.zeros(array.nbytes + 1, np.uint8)[1:]
+    return raw.view(array.dtype).reshape(array.shape)
+
+
+SPOILERS = [
+    lambda array: array,
+    lambda array: array.T,
+    lambda array: array[..., ::-1] if array.ndim else array,
+    lambda array: np.broadcast_to(array, (2, *array.shape)),
+    np.ma.masked_array,
+    misaligned,
+]
+DTYPES = ["f4", "f8", "f2", ">f4", ">f8", "g", "i4", "c16", "?", "O", "S3", "M8[s]"]
+SHAPES = [(), (4,), (2, 4), (2, 3), (2, 3, 4), (3, 3, 2), (1,) * 40, (0, 4), (2**40, 0, 4), (0, 3)]
+
+
+@st.composite
+def any_arrays(draw):
+    shape = draw(st.one_of(st.sampled_from(SHAPES), st.lists(st.integers(0, 5), max_size=5)))
+    array = np.zeros(shape, draw(st.sampled_from(DTYPES)))
+    if array.dtype.kind == "f":
+        array.fill(draw(st.sampled_from([0.0, 1.0, np.nan, np.inf, -1e4])))
+    return draw(st.sampled_from(SPOILERS))(array)
+
+
+ODDITIES = [None, "Grid", "\ud800", b"grid", 0, 1, 3, -1, 2**70, 1.5, True, object, {}, []]
+LISTS = [[[1.0, 2.0], [3.0]], [[1.0, 2.0, 3.0, 4.0]], [None], [1, 2, 3, 4], ["a"], (np.nan,) * 4]
+anything = st.one_of(any_arrays(), any_arrays(), st.sampled_from(ODDITIES), st.sampled_from(LISTS))
+
+
+@pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f"{f.__module__}.{f.__name__}")
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_any_arguments_meet_documented_exceptions(function, data):
+    names = list(inspect.signature(function).parameters)
+    bad = data.draw(st.dictionaries(st.sampled_from(names), anything)) if names else {}
+    with contextlib.suppress(TypeError, ValueError):
+        function(**{name: GOOD[name] for name in names} | bad)
+
+
+def test_the_wrong_number_of_arguments_is_refused():
+    for function in FUNCTIONS:
+        with pytest.raises(TypeError):
+            function(*[X] * 9)
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "message"),
+    [
+        (lambda: ffpose.spectral_filter(X, W[:2]), ValueError, r"weight.*\(3, 3, 2\).*\(2, 3, 2\)"),
+        (lambda: ffpose.spectral_filter(X[0, 0], W), ValueError, r"x.*\(\.\.\., X, Y\).*\(4,\)"),
+        (lambda: ffpose.spectral_filter(X, W, "Grid"), ValueError, '"tokens".*"grid".*"Grid"'),
+        (lambda: ffpose.spectral_filter(X, W, num_threads=0), ValueError, "num_threads.*1.*0"),
+        (lambda: ffpose.spectral_filter(X, W, num_threads=2**80), ValueError, f"{2**80}"),
+        (lambda: ffpose.spectral_filter(X, W, num_threads=1.5), TypeError, "num_threads"),
+        (lambda: ffpose.spectral_filter(X, np.ones(W.shape)), TypeError, "weight.*32.*float64"),
+        (lambda: ffpose.spectral_filter(X.astype("f2"), W), TypeError, "x.*64, got float16"),
+        (lambda: ffpose.spectral_filter(X.astype(">f4"), W), TypeError, "x.*64, got >f4"),
+        (lambda: ffpose.normalize_quaternion([1, 2, 3, 4]), TypeError, "q.*64, got int64"),
+        (lambda: ffpose.normalize_quaternion(Q * [[1], [0]]), ValueError, "q.*norm.*row 1"),
+        (lambda: ffpose.normalize_quaternion(T), ValueError, r"q.*\(\.\.\., 4\).*\(2, 3\)"),
+        (lambda: ffpose.normalize_quaternion(np.ma.array(Q)), TypeError, "q.*mask"),
+        (lambda: ffpose.rotation_error(Q, Q * np.nan), ValueError, "q_hat.*finite.*NaN.*row 0"),
+        (lambda: ffpose.rotation_error(Q, Q[:1]), ValueError, r"q_hat.*\(2, 4\).*\(1, 4\)"),
+        (lambda: ffpose.translation_error(T[0], T[0]), ValueError, r"t.*\(N, 3\).*\(3,\)"),
+        (lambda: _rust.spectral_filter(X.tolist(), W, "tokens"), TypeError, "x.*ndarray.*list"),
+        (lambda: _rust.spectral_filter(X[..., ::2], W, "tokens"), ValueError, "x.*contiguous"),
+    ],
+)
+def test_messages_say_expected_and_got(call, kind, message):
+    with pytest.raises(kind, match=message):
+        call()
