@@ -21,11 +21,15 @@ together ``q = (q4, q1, -q2, q3)``, and a point of the object is ours with its y
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from ffpose.errors import DataError
 
 FloatArray = NDArray[np.float64]
 
@@ -111,6 +115,32 @@ class Camera:
             raise ValueError(f"camera: expected finite intrinsics, got {self}")
         if self.fx <= 0 or self.fy <= 0:
             raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.fx}, {self.fy}")
+
+    @classmethod
+    def read(cls, path: str | Path) -> Camera:
+        """Read a camera from a JSON file with the attributes as keys.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            DataError: It is not JSON, has other keys, or is no camera.
+        """
+        try:
+            values = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        except json.JSONDecodeError as error:
+            raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
+        except UnicodeDecodeError as error:
+            raise DataError(f"expected text in UTF-8: {error}", path) from error
+        names = [field.name for field in fields(cls)]
+        if not isinstance(values, dict) or sorted(values) != sorted(names):
+            raise DataError(f"expected the keys {', '.join(names)}, got {values}", path)
+        for name, value in values.items():
+            kinds = (int,) if name in ("width", "height") else (int, float)
+            if type(value) not in kinds:
+                raise DataError(f"{name}: expected a number, got {value!r}", path)
+        try:
+            return cls(**values)
+        except ValueError as error:
+            raise DataError(str(error), path) from error
 
     @property
     def matrix(self) -> FloatArray:

@@ -9,9 +9,11 @@ import csv
 import numpy as np
 import pytest
 from PIL import Image, ImageDraw
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from beacons import LAMPS, RADIUS, beacon_scene
-from ffpose.render import SCENES, render_layers, write_dataset
+from ffpose.render import SCENES, label, render, render_layers, write_dataset
 
 SIZE = (640, 480)
 FX, FY, CX, CY = 320.0, 640.463 / 2, 320.0, 240.0
@@ -128,11 +130,74 @@ def test_silhouette_and_depth_agree_with_the_written_labels(tmp_path, name):
 
 def test_mask_covers_what_differs_from_the_background():
     """Where the mask says spacecraft the image shows it: bright lamps lie inside the mask only."""
-    from ffpose.render import render
-
     scene = beacon_scene()
     frame, layers = render(scene, 5, 0, SIZE), render_layers(scene, 5, 0, SIZE)
     for _, rgb in LAMPS.values():
         centre, area = find_lamp(frame.image.astype(float), rgb)
         if area > 9:
             assert layers.mask[int(centre[1]), int(centre[0])]
+
+
+def solve_pose(points, pixels):
+    """The pose that puts points (N, 3) on pixels (N, 2): linear transform, then least squares.
+
+    It knows the camera and nothing of this project. Returns the rotation matrix and translation.
+    """
+    rays = (pixels - (CX, CY)) / (FX, FY)
+    homogeneous = np.column_stack([points, np.ones(len(points))])
+    zero = np.zeros_like(homogeneous)
+    rows = [
+        np.hstack([homogeneous, zero, -rays[:, :1] * homogeneous]),
+        np.hstack([zero, homogeneous, -rays[:, 1:] * homogeneous]),
+    ]
+    matrix = np.linalg.svd(np.concatenate(rows))[2][-1].reshape(3, 4)
+    u, s, vt = np.linalg.svd(matrix[:, :3])
+    sign = np.sign(np.linalg.det(u @ vt))
+    start = np.concatenate(
+        [Rotation.from_matrix(sign * u @ vt).as_rotvec(), sign * matrix[:, 3] / s.mean()]
+    )
+
+    def misses(pose):
+        seen = Rotation.from_rotvec(pose[:3]).apply(points) + pose[3:]
+        return (seen[:, :2] / seen[:, 2:] - rays).ravel()
+
+    found = least_squares(misses, start, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    return Rotation.from_rotvec(found[:3]), found[3:]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_pnp_on_the_written_keypoints_gives_the_label_back(tmp_path, name):
+    craft = SCENES[name].build()
+    write_dataset(name, tmp_path, 6, seed=3, size=SIZE, layers=True)
+    for index in range(6):
+        with (tmp_path / f"{index}_keypoints.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        pixels = np.array([[float(row["u"]), float(row["v"])] for row in rows])
+        rotation, translation = solve_pose(
+            np.array([craft.keypoints[row["name"]] for row in rows]), pixels
+        )
+        pose = label(name, 3, index)
+        truth = Rotation.from_quat(pose.q, scalar_first=True)
+        assert np.degrees((rotation * truth.inv()).magnitude()) < 0.01
+        assert np.linalg.norm(translation - pose.t) < 1e-3
+
+
+def test_pose_solved_from_the_picture_alone_is_near_the_label():
+    """Lamps found in the image itself, no layer: what is left is their centroid's error."""
+    scene, places = beacon_scene(), np.array([place for place, _ in LAMPS.values()])
+    errors = []
+    for index in range(12):
+        frame = render(scene, 5, index, SIZE)
+        centres = [find_lamp(frame.image.astype(float), rgb) for _, rgb in LAMPS.values()]
+        if min(area for _, area in centres) < 20:
+            continue  # hidden, wholly or in part
+        rotation, translation = solve_pose(places, np.array([centre for centre, _ in centres]))
+        truth = Rotation.from_quat(frame.pose.q, scalar_first=True)
+        errors.append(
+            (
+                np.degrees((rotation * truth.inv()).magnitude()),
+                np.linalg.norm(translation - frame.pose.t) / np.linalg.norm(frame.pose.t),
+            )
+        )
+    assert len(errors) >= 3
+    assert (np.median(errors, axis=0) < (1.0, 0.01)).all()

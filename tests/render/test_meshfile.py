@@ -63,6 +63,29 @@ def test_open_surface_is_lit_on_the_side_that_is_seen(tmp_path):
     assert all(render(scene, 0, i, SIZE).image.max() > 60 for i in range(4))
 
 
+def test_surface_that_is_no_manifold_is_rendered(tmp_path):
+    """Three fins on one edge, one of them twice, and a face without area."""
+    path = tmp_path / "fins.obj"
+    path.write_text(
+        "v 0 0 -1\nv 0 0 1\nv 1 0 0\nv -1 1 0\nv -1 -1 0\n"
+        "f 1 2 3\nf 1 2 4\nf 1 2 5\nf 1 2 5\nf 1 1 2\n"
+    )
+    scene = Scene("fins", load_craft(path), (4.0, 4.0), 1.0)
+    assert all(render_layers(scene, 0, i, SIZE).mask.any() for i in range(4))
+    assert all(render(scene, 0, i, SIZE).image.max() > 60 for i in range(4))
+
+
+def test_huge_meshes_are_refused(brick, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("ffpose.render.meshfile.MAX_FACES", 11)
+        with pytest.raises(ValueError, match=r"brick\.ply: expected at most 11 triangles, got 12"):
+            load_craft(brick)
+    with (tmp_path / "huge.stl").open("wb") as file:
+        file.truncate((1 << 30) + 1)  # takes no room on disk
+    with pytest.raises(ValueError, match=r"huge\.stl: expected at most 1073741824 bytes"):
+        load_craft(tmp_path / "huge.stl")
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [

@@ -8,7 +8,6 @@ import pytest
 from beacons import beacon_scene
 from ffpose.render import SCENES, label, render, render_layers
 from ffpose.render.earth import Earth, shade_earth
-from ffpose.render.noise import fbm, value_noise
 from ffpose.render.sensor import Sensor, expose
 from ffpose.render.vectors import unit
 
@@ -54,23 +53,6 @@ def test_eclipse_is_lit_by_the_lamp_alone():
         mask = render_layers(scene, 0, index, SIZE).mask
         bright += image[mask].mean() > 20
     assert bright >= 3
-
-
-def test_noise_is_periodic_continuous_and_bounded():
-    points = np.random.default_rng(0).uniform(0, 60, (3, 5000)).astype(np.float32)
-    values = value_noise(points)
-    assert np.abs(values).max() <= 1
-    assert values.std() > 0.2
-    np.testing.assert_allclose(value_noise(points + 64), values, atol=2e-4)
-    np.testing.assert_allclose(value_noise(points + np.float32(1e-3)), values, atol=1e-2)
-    assert np.abs(fbm(points, 6)).max() <= 1
-
-
-def test_noise_meets_its_lattice():
-    """On whole numbers the noise is the random value itself, whatever the neighbours are."""
-    whole = np.array([[1, 2, 63, 0], [5, 5, 63, 64], [9, 9, 63, 0]], dtype=np.float32)
-    near = whole + np.float32(1e-4)
-    np.testing.assert_allclose(value_noise(whole), value_noise(near), atol=1e-4)
 
 
 def rays_from_nadir(degrees):

@@ -1,14 +1,19 @@
 """Sets of images: layout, the same bytes however made, refusals before work is lost."""
 
 import csv
+import errno
 import hashlib
 import json
+import os
+import shutil
+from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from ffpose.render import get_scene, label, render, render_layers, write_dataset
+from ffpose.render import SCENES, get_scene, label, render, render_layers, write_dataset
 
 SIZE = (64, 48)
 
@@ -120,11 +125,12 @@ def test_layers_are_written_beside_the_images(tmp_path):
 
 
 def test_lost_layer_is_written_again(tmp_path):
-    write_dataset("soyuz_easy", tmp_path, 2, seed=7, size=SIZE, layers=True)
+    write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, layers=True)
     before = contents(tmp_path)
     (tmp_path / "0_mask.png").unlink()
-    done = write_dataset("soyuz_easy", tmp_path, 2, seed=7, size=SIZE, layers=True)
-    assert (done.rendered, done.kept) == (1, 1)
+    (tmp_path / "1_keypoints.csv").write_text("altered")
+    done = write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, layers=True)
+    assert (done.rendered, done.kept) == (2, 1)
     assert contents(tmp_path) == before
 
 
@@ -165,6 +171,62 @@ def test_absurd_requests_are_refused_before_anything_is_written(tmp_path, change
     with pytest.raises(ValueError, match=message):
         write_dataset(**request)
     assert not (tmp_path / "new").exists()
+
+
+def test_scene_without_a_pose_fails_before_anything_is_written(tmp_path):
+    scene = replace(SCENES["soyuz_easy"], distance_m=(2.0, 2.5), lateral_m=0.1, min_visible=1.0)
+    with pytest.raises(ValueError, match="found no pose"):
+        write_dataset(scene, tmp_path / "new", 2, size=SIZE)
+    assert not (tmp_path / "new").exists()
+
+
+def test_set_larger_than_the_disk_is_refused_at_once(tmp_path, monkeypatch):
+    room = shutil.disk_usage(tmp_path)._replace(free=10**6)
+    monkeypatch.setattr("shutil.disk_usage", lambda path: room)
+    with pytest.raises(OSError, match=r"1000 images need at least 0\.5 GB, got 0\.0 GB free"):
+        write_dataset("soyuz_easy", tmp_path, 1000, size=(1280, 960))
+    assert not list(tmp_path.glob("*_rgb.png"))
+
+
+def test_disk_that_fills_up_is_one_error_and_the_next_run_carries_on(folder, tmp_path, monkeypatch):
+    whole, written = Image.Image.save, []
+
+    def full(image, path, **options):
+        if len(written) == 4:
+            path.write_bytes(b"half a pic")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        written.append(path)
+        whole(image, path, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Image.Image, "save", full)
+        with pytest.raises(OSError, match="No space left"):
+            write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"manifest.json", *(f"{index}_rgb.png" for index in range(4))}
+    done = write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
+    assert (done.rendered, done.kept) == (8, 4)
+    assert contents(tmp_path) == contents(folder)
+
+
+@pytest.mark.skipif(find_spec("ray") is None, reason="the extra `ray` is not installed")
+@pytest.mark.filterwarnings("ignore")  # Ray's own
+def test_ray_does_not_change_a_byte(tmp_path):
+    import ray
+
+    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
+    try:
+        write_dataset("soyuz_easy", tmp_path / "ray", 3, seed=7, size=SIZE, layers=True, ray=True)
+    finally:
+        ray.shutdown()
+    write_dataset("soyuz_easy", tmp_path / "here", 3, seed=7, size=SIZE, layers=True)
+    assert contents(tmp_path / "ray") == contents(tmp_path / "here")
+
+
+@pytest.mark.skipif(find_spec("ray") is not None, reason="the extra `ray` is installed")
+def test_ray_that_is_missing_is_named(tmp_path):
+    with pytest.raises(ImportError, match=r"ffpose\[ray\]"):
+        write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, ray=True)
 
 
 def test_unwritable_folder_is_an_os_error(tmp_path):

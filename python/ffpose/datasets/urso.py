@@ -13,7 +13,6 @@ file, smaller images of the same shape are taken as URSO's, resized.
 from __future__ import annotations
 
 import csv
-import json
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +25,6 @@ from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA, Camera, Pose
 
 COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
-_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 
 _SAME_LABEL = 1e-5
 """Two files print one label with different digits; two labels differ by more than this."""
@@ -165,7 +163,7 @@ def _read_camera(root: Path, first: Record) -> Camera:
     """Return the camera of ``camera.json``, else URSO's at the size of the first image."""
     path = root / "camera.json"
     if path.exists():
-        return _parse_camera(path)
+        return Camera.read(path)
     width, height = first.size()
     if width * URSO_CAMERA.height != height * URSO_CAMERA.width or width > URSO_CAMERA.width:
         raise first.error(
@@ -173,20 +171,3 @@ def _read_camera(root: Path, first: Record) -> Camera:
             f"where there is no {path.name}, got {width}x{height}"
         )
     return URSO_CAMERA.resized(width, height)
-
-
-def _parse_camera(path: Path) -> Camera:
-    try:
-        fields = json.loads(_read_text(path))
-    except json.JSONDecodeError as error:
-        raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
-    if not isinstance(fields, dict) or sorted(fields) != sorted(_INTRINSICS):
-        raise DataError(f"expected the keys {', '.join(_INTRINSICS)}, got {fields}", path)
-    for name, value in fields.items():
-        kinds = (int,) if name in ("width", "height") else (int, float)
-        if type(value) not in kinds:
-            raise DataError(f"{name}: expected a number, got {value!r}", path)
-    try:
-        return Camera(**fields)
-    except ValueError as error:
-        raise DataError(str(error), path) from error

@@ -6,8 +6,10 @@ number of processes, and on any number of machines. Needs the extra `render`.
 
 from ffpose.render.layers import Keypoint, Layers, render_layers
 from ffpose.render.meshfile import load_craft
+from ffpose.render.randomization import Randomization
 from ffpose.render.renderer import Frame, label, render
 from ffpose.render.scene import SCENES, Scene, get_scene
+from ffpose.render.sensor import Sensor
 from ffpose.render.writer import Written, write_dataset
 
 __all__ = [
@@ -15,7 +17,9 @@ __all__ = [
     "Frame",
     "Keypoint",
     "Layers",
+    "Randomization",
     "Scene",
+    "Sensor",
     "Written",
     "get_scene",
     "label",

@@ -64,7 +64,7 @@ def _cells(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: 
 
 def _foil(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: Floats) -> None:
     del uv, footprint
-    _bump(surface, at, place * np.float32(14), 0.6, 3)
+    _bump(surface, at, place * np.float32(20), 0.4, 4)
 
 
 def _blanket(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: Floats) -> None:

@@ -20,6 +20,7 @@ from ffpose.render.mesh import Mesh
 
 FORMATS = (".obj", ".stl", ".ply", ".glb")
 MAX_FACES = 2_000_000
+MAX_BYTES = 1 << 30
 ROUGHNESS = 0.55
 COLOR_STEP = 8
 """Colours are rounded to multiples of this (of 255), so that a picture does not become millions."""
@@ -35,8 +36,8 @@ def load_craft(path: str | Path, scale: float = 1.0) -> Craft:
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: unknown format, or a scale that is not positive.
-        DataError: the file is broken, empty, holds numbers that are not finite, or has more than
-            `MAX_FACES` faces.
+        DataError: the file is broken, empty, holds numbers that are not finite, has more than
+            `MAX_FACES` faces or is larger than `MAX_BYTES`.
         MissingExtraError: trimesh is not installed.
     """
     source = Path(path)
@@ -44,6 +45,8 @@ def load_craft(path: str | Path, scale: float = 1.0) -> Craft:
         raise ValueError(f"mesh: expected a file of {', '.join(FORMATS)}, got {source.name!r}")
     if not 0 < scale < np.inf:
         raise ValueError(f"mesh scale: expected a positive number, got {scale}")
+    if source.stat().st_size > MAX_BYTES:
+        raise DataError(f"expected at most {MAX_BYTES} bytes, got {source.stat().st_size}", source)
     content = source.read_bytes()
     vertices, faces, colors = _read(source)
     _check(source, vertices, faces)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ffpose.geometry import Camera, Pose
 from ffpose.render.craft import Craft
 from ffpose.render.earth import Earth, shade_earth
+from ffpose.render.randomization import backdrop, stops
 from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
 from ffpose.render.scene import Scene, get_scene
 from ffpose.render.sensor import choose_gain, expose
@@ -19,7 +20,7 @@ from ffpose.render.shading import Finish, Light, earth_visible, reflected, sun_v
 from ffpose.render.sky import draw_stars, sun_disc
 from ffpose.render.tracer import Tracer
 from ffpose.render.vectors import Floats
-from ffpose.render.view import Window, find_window, look, pixel_rays
+from ffpose.render.view import Window, find_window, look, pixel_rays, smoothed
 
 MIN_SIDE, MAX_SIDE = 16, 8192
 BLOCK = 8192
@@ -60,14 +61,23 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera = camera_of(scene, size)
-    pose_rng, light_rng, star_rng, sensor_rng, surface_rng = _streams(seed, index)
+    pose_rng, light_rng, star_rng, sensor_rng, surface_rng, odd_rng = _streams(seed, index)
     craft = scene.build()
     pose = sample_pose(scene, craft, pose_rng)
     around = sample_surroundings(scene, light_rng)
-    radiance = draw_stars(camera, star_rng)
-    _draw_background(radiance, camera, around)
-    lit = _draw_craft(radiance, camera, pose, craft, around, surface_rng)
-    gain = choose_gain(radiance, lit, scene.sensor, sensor_rng)
+    odd = scene.randomization
+    if odd_rng.random() < odd.background:
+        radiance = _draw_backdrop(camera, odd_rng)
+    else:
+        radiance = draw_stars(camera, star_rng)
+        _draw_background(radiance, camera, around)
+    finish = prepared(craft)[1]
+    if odd.materials > 0:
+        finish = finish.varied(odd.materials, odd_rng)
+    light = _object_light(pose, around, odd.light, odd_rng)
+    lit = _draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
+    spread = math.hypot(scene.sensor.exposure_spread, odd.exposure)
+    gain = choose_gain(radiance, lit, spread, sensor_rng)
     return Frame(expose(radiance, gain, scene.sensor, sensor_rng), pose, camera)
 
 
@@ -84,7 +94,7 @@ def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
         ValueError: a side is not within `MIN_SIDE`…`MAX_SIDE`.
     """
     if size is None:
-        return scene.camera
+        size = (scene.camera.width, scene.camera.height)
     if len(size) != 2 or not all(MIN_SIDE <= side <= MAX_SIDE for side in size):
         raise ValueError(
             f"size: expected width and height within {MIN_SIDE}…{MAX_SIDE}, got {size}"
@@ -99,10 +109,16 @@ def prepared(craft: Craft) -> tuple[Tracer, Finish]:
 
 
 def _streams(seed: int, index: int) -> list[np.random.Generator]:
-    """Independent generators for pose, light, stars, sensor and surface: none disturbs another."""
+    """Independent generators for pose, light, stars, sensor, surface and randomisation."""
     if seed < 0 or index < 0:
         raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
-    return np.random.default_rng([seed, index]).spawn(5)
+    return np.random.default_rng([seed, index]).spawn(6)
+
+
+def _draw_backdrop(camera: Camera, rng: np.random.Generator) -> Floats:
+    """(H, W, 3) radiance of coloured clouds, in place of stars and Earth."""
+    wall = backdrop(pixel_rays(camera), rng)
+    return np.ascontiguousarray(wall.T).reshape(camera.height, camera.width, 3)
 
 
 def _draw_background(radiance: Floats, camera: Camera, around: Surroundings) -> None:
@@ -125,22 +141,23 @@ def _draw_craft(
     camera: Camera,
     pose: Pose,
     craft: Craft,
-    around: Surroundings,
+    finish: Finish,
+    light: Light,
     rng: np.random.Generator,
 ) -> Floats:
     """Lay the spacecraft over `radiance`; returns (3, H) radiance of its samples."""
     window = find_window(craft.mesh.vertices, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
-    tracer, finish = prepared(craft)
+    tracer = prepared(craft)[0]
     samples = _sample_count(window, camera)
     view = look(tracer, window, camera, pose, samples)
     footprint = view.hits.distance * np.float32(1 / camera.fx)
     surface = finish.surface(view, footprint)
-    light = _object_light(pose, around)
     place = view.place
     sunlit = sun_visible(tracer, place, surface.normal, light)
     earthlit = earth_visible(tracer, place, surface.normal, light, rng)
+    earthlit = smoothed(earthlit, view.hits.ray, window, samples)
     color = reflected(surface, view, light, sunlit, earthlit)
     _composite(radiance, window, view.hits.ray, color, samples)
     return color
@@ -152,7 +169,10 @@ def _sample_count(window: Window, camera: Camera) -> int:
     return next(samples for most, samples in SAMPLES if share <= most)
 
 
-def _object_light(pose: Pose, around: Surroundings) -> Light:
+def _object_light(
+    pose: Pose, around: Surroundings, spread: float, rng: np.random.Generator
+) -> Light:
+    """The lights in the object frame, off by random stops of standard deviation `spread`."""
     back = pose.rotation.T
     horizon = math.sqrt(1 - 1 / (1 + around.altitude) ** 2)
     # The lit part of the Earth's disc grows with the sun's height over the ground below.
@@ -160,10 +180,11 @@ def _object_light(pose: Pose, around: Surroundings) -> Light:
     return Light(
         sun=(back @ around.sun).astype(np.float32),
         nadir=(back @ around.nadir).astype(np.float32),
-        earth=float(np.clip((above + 0.35) / 1.35, 0.0, 1.0)),
+        earth=float(np.clip((above + 0.35) / 1.35, 0.0, 1.0) * stops(spread, (), rng)),
         horizon=horizon,
         sunlight=0.0 if around.eclipsed else 1.0,
         lamp=LAMP if around.eclipsed else 0.0,
+        tint=stops(spread, (3, 1), rng),
     )
 
 

@@ -7,7 +7,12 @@ from typing import Any
 
 from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.render.craft import Craft, build_craft
+from ffpose.render.randomization import Randomization
 from ffpose.render.sensor import Sensor
+
+ORBIT_ECLIPSE_RATE = 0.34
+"""Share of its time that a station spends in the Earth's shadow, 410 km up at 51.6 degrees of
+inclination: 39 % of an orbit when the sun lies in its plane, 34 % in the mean over the year."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +28,10 @@ class Scene:
             its number; the attitude is uniform over rotations within these bounds.
         min_visible: at least this part of the spacecraft's extent lies in the frame.
         eclipse_rate: share of the images taken in the Earth's shadow by the light of a lamp at the
-            camera; 0 as in URSO, about 0.37 is what a low orbit gives.
+            camera; 0 as in URSO, `ORBIT_ECLIPSE_RATE` as in a low orbit.
         camera: the camera at full size; images of other sizes are this one resized.
         sensor: how light becomes numbers.
+        randomization: how far pictures leave what is real; not at all by default.
     """
 
     name: str
@@ -37,6 +43,7 @@ class Scene:
     eclipse_rate: float = 0.0
     camera: Camera = URSO_CAMERA
     sensor: Sensor = field(default_factory=Sensor)
+    randomization: Randomization = field(default_factory=Randomization)
 
     def __post_init__(self) -> None:
         least, most = self.distance_m

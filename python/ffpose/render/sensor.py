@@ -5,12 +5,15 @@ Every random step draws from the generator that is handed in.
 
 from __future__ import annotations
 
+import io
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose.errors import require
 from ffpose.render.vectors import Floats, dot
 
 CURVE_STEPS = 4096
@@ -21,6 +24,7 @@ FRAME_LEVEL = 0.9
 BLOOM_LIMIT = 200.0
 BLOOM_CELL = 4
 """Glare is computed on a grid this much coarser than the pixels."""
+MOTION_LIMIT = 200.0
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,9 @@ class Sensor:
         full_well: electrons at full scale, at least 1; sets the shot noise.
         read_noise: standard deviation in electrons.
         exposure_spread: standard deviation of the exposure's error, in stops.
+        motion_px: longest way that the picture moves while the shutter is open, in pixels of an
+            image 1280 wide; way and direction are random. The label is that of the middle.
+        jpeg_quality: 1…100: the picture goes through a JPEG file of this quality.
     """
 
     blur_px: float = 0.7
@@ -42,6 +49,8 @@ class Sensor:
     full_well: float = 9000.0
     read_noise: float = 12.0
     exposure_spread: float = 0.25
+    motion_px: float = 0.0
+    jpeg_quality: int = 0
 
     def __post_init__(self) -> None:
         numbers = (self.blur_px, self.bloom, self.read_noise, self.exposure_spread)
@@ -50,9 +59,13 @@ class Sensor:
                 "sensor: expected numbers of at least 0, full_well of at least 1 and vignette "
                 f"below 1, got {self}"
             )
+        if not 0 <= self.motion_px <= MOTION_LIMIT:
+            raise ValueError(f"motion_px: expected 0…{MOTION_LIMIT}, got {self.motion_px}")
+        if self.jpeg_quality not in range(101):
+            raise ValueError(f"jpeg_quality: expected 0…100, got {self.jpeg_quality}")
 
 
-def choose_gain(radiance: Floats, craft: Floats, sensor: Sensor, rng: np.random.Generator) -> float:
+def choose_gain(radiance: Floats, craft: Floats, spread: float, rng: np.random.Generator) -> float:
     """Exposure for a picture, as its operators would set it, with their error.
 
     The spacecraft's brighter parts come near full scale, unless much of the frame would burn out.
@@ -60,14 +73,14 @@ def choose_gain(radiance: Floats, craft: Floats, sensor: Sensor, rng: np.random.
     Args:
         radiance: (H, W, 3) of the whole frame.
         craft: (3, N) of samples on the spacecraft; N may be 0.
-        sensor: says how large the error is.
+        spread: standard deviation of the error, in stops.
         rng: source of the error.
     """
     frame = _luminance(np.moveaxis(radiance[::4, ::4], -1, 0).reshape(3, -1))
     gain = FRAME_LEVEL / max(_quantile(frame, 0.85), 1e-6)
     if craft.shape[1]:
         gain = min(gain, CRAFT_LEVEL / max(_quantile(_luminance(craft), 0.9), 1e-6))
-    return float(np.clip(gain, *GAIN_LIMITS) * 2 ** rng.normal(0.0, sensor.exposure_spread))
+    return float(np.clip(gain, *GAIN_LIMITS) * 2 ** rng.normal(0.0, spread))
 
 
 def expose(
@@ -89,12 +102,15 @@ def expose(
         _add_bloom(signal, sensor.bloom)
     if sensor.blur_px > 0:
         signal = _blur(signal, sensor.blur_px * signal.shape[1] / 1280)
+    if sensor.motion_px > 0:
+        signal = _smear(signal, sensor.motion_px * signal.shape[1] / 1280, rng)
     if sensor.vignette > 0:
         signal *= _vignette(*signal.shape[:2], sensor.vignette)
     _add_noise(signal, sensor, rng)
     signal *= np.float32(CURVE_STEPS / CURVE_TOP)
     np.clip(signal, 0, CURVE_STEPS - 1, out=signal)
-    return _curve().take(signal.astype(np.int32))
+    image = _curve().take(signal.astype(np.int32))
+    return _through_jpeg(image, sensor.jpeg_quality) if sensor.jpeg_quality else image
 
 
 def _luminance(rgb: Floats) -> Floats:
@@ -128,6 +144,40 @@ def _blur(image: Floats, sigma: float) -> Floats:
         image += side * before
         image += side * after
     return image
+
+
+def _smear(image: Floats, longest: float, rng: np.random.Generator) -> Floats:
+    """Mean of the picture along a random way of at most `longest` pixels, about its middle."""
+    length, angle = rng.uniform(0.0, longest), rng.uniform(0.0, math.pi)
+    reach = math.ceil(length / 2) + 1
+    padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
+    steps = math.ceil(length) + 1
+    total = np.zeros_like(image)
+    for way in (np.arange(steps) + 0.5) / steps * length - length / 2:
+        total += _moved(padded, reach, way * math.cos(angle), way * math.sin(angle), image.shape)
+    total *= np.float32(1 / steps)
+    return total
+
+
+def _moved(padded: Floats, reach: int, x: float, y: float, shape: tuple[int, ...]) -> Floats:
+    """The inner part, of the given shape, of a padded picture moved by (x, y) pixels."""
+    column, row = math.floor(x), math.floor(y)
+    right, down = x - column, y - row
+    moved = np.zeros(shape, dtype=np.float32)
+    for i, vertical in ((row, 1 - down), (row + 1, down)):
+        for j, horizontal in ((column, 1 - right), (column + 1, right)):
+            part = padded[reach + i : reach + i + shape[0], reach + j : reach + j + shape[1]]
+            moved += np.float32(vertical * horizontal) * part
+    return moved
+
+
+def _through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    """What is left of a picture after a JPEG file of this quality."""
+    pillow = require("PIL.Image", "render")
+    file = io.BytesIO()
+    pillow.fromarray(image).save(file, "JPEG", quality=quality)
+    with pillow.open(file) as read:
+        return np.asarray(read.convert("RGB"))
 
 
 def _add_bloom(signal: Floats, share: float) -> None:

@@ -6,12 +6,14 @@ pi. Sources: Walter et al. 2007 (GGX), Schlick 1994 (Fresnel), Smith's shadowing
 
 from __future__ import annotations
 
+import copy
 from typing import NamedTuple
 
 import numpy as np
 
 from ffpose.render.craft import Craft
 from ffpose.render.finish import DRAW, Surface
+from ffpose.render.randomization import stops
 from ffpose.render.tracer import Tracer
 from ffpose.render.vectors import Floats, column, dot, unit
 from ffpose.render.view import View
@@ -42,6 +44,7 @@ class Light(NamedTuple):
         horizon: cosine of the angle between nadir and horizon.
         sunlight: 1, or 0 in the Earth's shadow.
         lamp: strength of a lamp at the eye, as a part of the sun's, at a distance of 1 m.
+        tint: (3, 1) colour of the sun's light.
     """
 
     sun: Floats
@@ -50,6 +53,7 @@ class Light(NamedTuple):
     horizon: float
     sunlight: float
     lamp: float
+    tint: Floats
 
 
 class Finish:
@@ -66,6 +70,14 @@ class Finish:
         self._metallic = np.array([m.metallic for m in table], dtype=np.float32)
         self._pattern = np.array([m.pattern for m in table])
         self._scale = np.array([m.scale for m in table], dtype=np.float32)
+
+    def varied(self, spread: float, rng: np.random.Generator) -> Finish:
+        """The same with every material's colour and roughness off by random stops."""
+        other = copy.copy(self)
+        other._color = np.minimum(self._color * stops(spread, self._color.shape, rng), 1)
+        rough = self._roughness * stops(spread, self._roughness.shape, rng)
+        other._roughness = np.clip(rough, np.float32(0.05), 1)
+        return other
 
     def surface(self, view: View, footprint: Floats) -> Surface:
         """Look up and draw the materials at the points of a view.
@@ -144,7 +156,7 @@ def reflected(
     mirror = np.float32(0.04) * (1 - surface.metallic) + surface.color * surface.metallic
     direct = np.maximum(dot(light.sun, surface.normal), 0) * sunlit
     out = plain + _highlight(surface, rays, light.sun, mirror)
-    out *= direct
+    out *= direct * light.tint
     out += _earth_shine(surface, rays, light, plain, mirror) * earthlit
     if light.lamp > 0:
         facing = -dot(rays, surface.normal)

@@ -81,6 +81,37 @@ def look(tracer: Tracer, window: Window, camera: Camera, pose: Pose, samples: in
     return View(eye, rays.take(hits.ray, axis=1), hits)
 
 
+def smoothed(values: Floats, ray: NDArray[np.intp], window: Window, samples: int) -> Floats:
+    """Mean of a noisy quantity over the neighbourhood of each sample's pixel, 5 pixels wide.
+
+    Args:
+        values: (H,) at the samples.
+        ray: (H,) the samples' numbers, as in `View`.
+        window: the pixels.
+        samples: samples along each side of a pixel.
+    """
+    rows, columns = window.shape
+    pixel = ray // (columns * samples) // samples * columns + ray % (columns * samples) // samples
+    cells = rows * columns
+    cells = rows * columns
+    sums = [np.bincount(pixel, values, cells), np.bincount(pixel, minlength=cells)]
+    both = np.stack(sums, dtype=np.float64).reshape(2, rows, columns)
+    total, count = _box(_box(both)).reshape(2, -1)
+    mean = total.take(pixel) / count.take(pixel)
+    return np.asarray(mean, dtype=np.float32)
+
+
+def _box(grids: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums over 3 x 3 cells of (2, rows, columns); nothing lies outside."""
+    across = grids.copy()
+    across[..., 1:] += grids[..., :-1]
+    across[..., :-1] += grids[..., 1:]
+    total = across.copy()
+    total[:, 1:] += across[:, :-1]
+    total[:, :-1] += across[:, 1:]
+    return total
+
+
 def _samples(start: int, stop: int, samples: int) -> NDArray[np.float64]:
     """Pixel coordinates of `samples` evenly spaced points in each pixel of start … stop − 1."""
     return (np.arange(start * samples, stop * samples) + 0.5) / samples

@@ -5,38 +5,28 @@ A folder holds ``N_rgb.png``, the label files of `ffpose.render.tables` and ``ma
 
 from __future__ import annotations
 
-import multiprocessing
+import errno
 import os
 import re
+import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 from ffpose.errors import require
-from ffpose.files import atomic_write
 from ffpose.geometry import Camera
-from ffpose.render.layers import layer_names, render_layers, write_layers
+from ffpose.render.layers import layer_names
 from ffpose.render.manifest import Manifest, difference, sha256
-from ffpose.render.renderer import camera_of, label, render
+from ffpose.render.pool import Job, render_all
+from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
 from ffpose.render.tables import image_name, write_tables
 
 MAX_COUNT = 10_000_000
-PNG_LEVEL = 3
-"""Noise hardly compresses; higher levels cost time and save nothing."""
-
-
-class Job(NamedTuple):
-    """What every image of a run has in common."""
-
-    scene: Scene
-    seed: int
-    size: tuple[int, int]
-    folder: Path
-    layers: bool
+LEAST_BYTES_PER_PIXEL = 0.4
+"""Noise keeps images above this; a usual set takes two or three times as much."""
 
 
 class Written(NamedTuple):
@@ -66,6 +56,7 @@ def write_dataset(
     workers: int = 1,
     layers: bool = False,
     progress: bool = False,
+    ray: bool = False,
 ) -> Written:
     """Render the images `start` … `start + count − 1` of a set into a folder.
 
@@ -84,25 +75,31 @@ def write_dataset(
         workers: processes; 1 renders in this one.
         layers: write mask, depth and keypoints of each image too (`ffpose.render.layers`).
         progress: show images per second and the time left on standard error.
+        ray: render on the Ray cluster of this process, which ``RAY_ADDRESS`` names; without it on
+            one that is begun on this machine. Every node needs ffpose, none the folder.
 
     Raises:
         ValueError: unknown set, absurd number, or a folder that holds another set.
         DataError: the folder's manifest cannot be read.
-        OSError: the folder cannot be written to, or the disk is full.
+        OSError: the folder cannot be written to, or the disk has no room for the set. What was
+            written stays, and the next run carries on with it.
+        MissingExtraError: a package of the extra `render`, or `ray`, is not installed.
     """
     begin = time.perf_counter()
     scene = get_scene(scene) if isinstance(scene, str) else scene
     _check_range(count=(count, 1, MAX_COUNT), start=(start, 0, MAX_COUNT))
     _check_range(seed=(seed, 0, 2**63 - 1), workers=(workers, 1, 1024))
     camera = camera_of(scene, size)
+    label(scene, seed, start)  # a scene that allows no pose fails here, before a file is written
     job = Job(scene, seed, (camera.width, camera.height), Path(out), layers)
     manifest = _open_folder(job)
 
     wanted = range(start, start + count)
     hashes = dict(_valid_images(job, wanted, manifest.files))
     missing = [index for index in wanted if index not in hashes]
+    _check_room(job, len(missing))
     with _bar(count, len(hashes), progress) as advance:
-        for index, digest in _render_all(job, missing, workers):
+        for index, digest in render_all(job, missing, workers, ray):
             hashes[index] = digest
             advance()
     _close_folder(job, manifest, hashes, camera)
@@ -121,9 +118,11 @@ def _open_folder(job: Job) -> Manifest:
     """Make or check the folder; returns the manifest to carry on with."""
     job.folder.mkdir(parents=True, exist_ok=True)
     manifest = Manifest.of(job.scene, job.seed, job.size, job.layers)
+    # Images first: another shard that begins just now writes its manifest before its images.
+    images = _indices(job.folder)
     old = Manifest.read(job.folder)
     if old is None:
-        if _indices(job.folder):
+        if images:
             raise ValueError(
                 f"{job.folder}: expected an empty folder or a set that was begun here, "
                 "got images without a manifest"
@@ -134,6 +133,15 @@ def _open_folder(job: Job) -> Manifest:
     if changed:
         raise ValueError(f"{job.folder}: expected the same set as before, got {changed}")
     return old
+
+
+def _check_room(job: Job, images: int) -> None:
+    """Refuse what cannot fit, before hours of work meet a full disk."""
+    least = int(LEAST_BYTES_PER_PIXEL * job.size[0] * job.size[1] * images)
+    free = shutil.disk_usage(job.folder).free
+    if free < least:
+        need = f"{images} images need at least {least / 1e9:.1f} GB, got {free / 1e9:.1f} GB free"
+        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {need}", str(job.folder))
 
 
 def _close_folder(job: Job, manifest: Manifest, hashes: dict[int, str], camera: Camera) -> None:
@@ -161,7 +169,7 @@ def _valid_images(
     """Index and SHA-256 of the images that are there and whole."""
     present = set(_indices(job.folder))
     for index in indices:
-        if index not in present or not _has_layers(job, index):
+        if index not in present or not _has_layers(job, index, known):
             continue
         path = job.folder / image_name(index)
         digest = sha256(path)
@@ -170,9 +178,13 @@ def _valid_images(
             yield index, digest
 
 
-def _has_layers(job: Job, index: int) -> bool:
+def _has_layers(job: Job, index: int, known: dict[str, str]) -> bool:
+    """Whether the layers of an image are there, and as the manifest says."""
     names = layer_names(index) if job.layers else []
-    return all((job.folder / name).exists() for name in names)
+    for path in (job.folder / name for name in names):
+        if not path.exists() or (path.name in known and known[path.name] != sha256(path)):
+            return False
+    return True
 
 
 def _readable(path: Path, size: tuple[int, int]) -> bool:
@@ -184,72 +196,6 @@ def _readable(path: Path, size: tuple[int, int]) -> bool:
             return image.size == size
     except (OSError, SyntaxError):  # Pillow reports some broken files as SyntaxError
         return False
-
-
-def _render_all(job: Job, indices: Sequence[int], workers: int) -> Iterator[tuple[int, str]]:
-    """Render images; yields index and SHA-256 of each as it is done."""
-    require("PIL", "render")
-    if workers == 1 or len(indices) < 2:
-        for index in indices:
-            yield index, _render_one(job, index)
-        return
-    context = multiprocessing.get_context("spawn")
-    with (
-        _one_thread_each(),
-        ProcessPoolExecutor(
-            min(workers, len(indices)),
-            mp_context=context,
-            initializer=_start_worker,
-            initargs=(job,),
-        ) as pool,
-    ):
-        futures = {pool.submit(_worker_render, index): index for index in indices}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-_worker_job: list[Job] = []
-"""The job of this worker process; sent once, because a spacecraft may be a large mesh."""
-
-
-def _start_worker(job: Job) -> None:
-    _worker_job[:] = [job]
-
-
-def _worker_render(index: int) -> str:
-    return _render_one(_worker_job[0], index)
-
-
-def _render_one(job: Job, index: int) -> str:
-    from PIL import Image
-
-    frame = render(job.scene, job.seed, index, job.size)
-    if job.layers:
-        # Before the image, so that where an image is its layers are.
-        write_layers(job.folder, index, render_layers(job.scene, job.seed, index, job.size))
-    target = job.folder / image_name(index)
-    with atomic_write(target) as path:
-        Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
-        return sha256(path)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Workers started inside use one thread; more would only contend."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 @contextmanager

@@ -1,0 +1,162 @@
+"""Who renders the images of a set: this process, several on this machine, or a Ray cluster.
+
+All of them call one pure function, so that the bytes do not depend on who did it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ffpose.errors import require
+from ffpose.files import atomic_write
+from ffpose.render.layers import render_layers, write_layers
+from ffpose.render.manifest import sha256
+from ffpose.render.renderer import render
+from ffpose.render.scene import Scene
+from ffpose.render.tables import image_name
+
+PNG_LEVEL = 3
+"""Noise hardly compresses; higher levels cost time and save nothing."""
+
+RAY_TASKS_PER_CORE = 2
+"""Tasks that are under way at once: enough to keep every core busy, few enough for any memory."""
+
+
+class Job(NamedTuple):
+    """What every image of a run has in common."""
+
+    scene: Scene
+    seed: int
+    size: tuple[int, int]
+    folder: Path
+    layers: bool
+
+
+def render_all(
+    job: Job, indices: Sequence[int], workers: int, ray: bool
+) -> Iterator[tuple[int, str]]:
+    """Render and write images; yields index and SHA-256 of each as it is done.
+
+    Args:
+        job: the set.
+        indices: which images.
+        workers: processes on this machine.
+        ray: use a Ray cluster instead.
+    """
+    require("PIL", "render")
+    if ray:
+        return _on_ray(job, indices)
+    if workers == 1 or len(indices) < 2:
+        return ((index, render_one(job, index)) for index in indices)
+    return _in_processes(job, indices, min(workers, len(indices)))
+
+
+def render_one(job: Job, index: int) -> str:
+    """Render and write one image, and its layers if the job has them; returns its SHA-256."""
+    from PIL import Image
+
+    frame = render(job.scene, job.seed, index, job.size)
+    if job.layers:
+        # Before the image, so that where an image is its layers are.
+        write_layers(job.folder, index, render_layers(job.scene, job.seed, index, job.size))
+    target = job.folder / image_name(index)
+    with atomic_write(target) as path:
+        Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
+        return sha256(path)
+
+
+def _in_processes(job: Job, indices: Sequence[int], workers: int) -> Iterator[tuple[int, str]]:
+    context = multiprocessing.get_context("spawn")
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(
+            workers,
+            mp_context=context,
+            initializer=_start_worker,
+            initargs=(job,),
+        ) as pool,
+    ):
+        futures = {pool.submit(_worker_render, index): index for index in indices}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+_worker_job: list[Job] = []
+"""The job of this worker process; sent once, because a spacecraft may be a large mesh."""
+
+
+def _start_worker(job: Job) -> None:
+    _worker_job[:] = [job]
+
+
+def _worker_render(index: int) -> str:
+    return render_one(_worker_job[0], index)
+
+
+def _on_ray(job: Job, indices: Sequence[int]) -> Iterator[tuple[int, str]]:
+    """The tasks give the files' bytes back, so that the nodes need no common folder."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    ray = require("ray", "ray")
+    if not ray.is_initialized():
+        ray.init(log_to_driver=False)
+    task = ray.remote(_rendered_files)
+    shared = ray.put(job)
+    most = RAY_TASKS_PER_CORE * int(ray.cluster_resources().get("CPU", 1))
+    waiting = list(reversed(indices))
+    running: dict[Any, int] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < most:
+                index = waiting.pop()
+                running[task.remote(shared, index)] = index
+            done, _ = ray.wait(list(running))
+            for reference in done:
+                yield running.pop(reference), _write_files(job.folder, ray.get(reference))
+    finally:
+        for reference in running:
+            ray.cancel(reference)
+
+
+def _rendered_files(job: Job, index: int) -> dict[str, bytes]:
+    """The files of an image by name, the image itself last."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        render_one(job._replace(folder=folder), index)
+        last = image_name(index)
+        paths = sorted(folder.iterdir(), key=lambda path: path.name == last)
+        return {path.name: path.read_bytes() for path in paths}
+
+
+def _write_files(folder: Path, files: dict[str, bytes]) -> str:
+    """Write files in order; returns the SHA-256 of the last."""
+    for name, content in files.items():
+        with atomic_write(folder / name) as path:
+            path.write_bytes(content)
+            digest = sha256(path)
+    return digest
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Workers started inside use one thread; more would only contend."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
