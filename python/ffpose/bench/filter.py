@@ -22,19 +22,22 @@ import ffpose
 from ffpose.arrays import instruction_set
 from ffpose.bench.timing import Timing, interleave
 from ffpose.files import atomic_write
-from ffpose.ops import spectral_filter
+from ffpose.ops import Layout, spectral_filter
 
-GRID_SIZES = ((7, 7, 512), (14, 14, 256), (14, 14, 384), (28, 28, 256), (56, 56, 64))
-TOKEN_SIZES = ((196, 128), (196, 256), (784, 128), (784, 256))
-SIZES = {"grid": GRID_SIZES, "tokens": TOKEN_SIZES}
-QUICK_SIZES = {"grid": ((14, 14, 256), (28, 28, 256)), "tokens": ((196, 256),)}
+Sizes = dict[Layout, tuple[tuple[int, ...], ...]]
+
+SIZES: Sizes = {
+    "grid": ((7, 7, 512), (14, 14, 256), (14, 14, 384), (28, 28, 256), (56, 56, 64)),
+    "tokens": ((196, 128), (196, 256), (784, 128), (784, 256)),
+}
+QUICK_SIZES: Sizes = {"grid": ((14, 14, 256), (28, 28, 256)), "tokens": ((196, 256),)}
 
 
 @dataclass(frozen=True)
 class Case:
     """One measurement: float32 `x` of shape `(batch, *size)`; `backward` adds both gradients."""
 
-    layout: str
+    layout: Layout
     size: tuple[int, ...]
     batch: int
     backward: bool
@@ -62,7 +65,7 @@ class Result:
         return self.torch_fft.median / self.ffpose.median
 
 
-def torch_fft_filter(x: torch.Tensor, weight: torch.Tensor, layout: str) -> torch.Tensor:
+def torch_fft_filter(x: torch.Tensor, weight: torch.Tensor, layout: Layout) -> torch.Tensor:
     """The filter as a user of torch.fft writes it.
 
     Args:
@@ -75,7 +78,8 @@ def torch_fft_filter(x: torch.Tensor, weight: torch.Tensor, layout: str) -> torc
     """
     dim = (-2, -1) if layout == "tokens" else (-3, -2)
     spectrum = torch.fft.rfft2(x, dim=dim) * torch.view_as_complex(weight)
-    return torch.fft.irfft2(spectrum, s=(x.shape[dim[0]], x.shape[dim[1]]), dim=dim)
+    y: torch.Tensor = torch.fft.irfft2(spectrum, s=[x.shape[i] for i in dim], dim=dim)
+    return y
 
 
 def cases(quick: bool) -> list[Case]:
@@ -164,7 +168,7 @@ def geometric_mean(values: Iterable[float]) -> float:
     4.0
     """
     logarithms = [math.log2(value) for value in values]
-    return 2.0 ** (sum(logarithms) / len(logarithms))
+    return math.exp2(sum(logarithms) / len(logarithms))
 
 
 def environment() -> dict[str, Any]:

@@ -1,0 +1,315 @@
+"""The command line: one function a command, and no logic.
+
+Figures that a program may read go to standard output, all else to standard error. Exit code 0:
+done; 1: the work failed, said in one line (``--debug`` shows the traceback); 2: wrong usage. What a
+command needs is imported when it runs, so that ``ffpose --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ffpose.errors import require
+
+if TYPE_CHECKING:
+    from jsonargparse import ArgumentParser, Namespace
+
+
+class Command(NamedTuple):
+    """A command: what it does in a line, its arguments, and its function."""
+
+    summary: str
+    add_arguments: Callable[[ArgumentParser], None]
+    run: Callable[[Namespace], None]
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """Return the width and height that ``640x480`` stands for."""
+    width, height = map(int, text.split("x"))
+    return width, height
+
+
+def say(text: str) -> None:
+    """Tell a person, on standard error."""
+    print(text, file=sys.stderr)
+
+
+def show(document: dict[str, Any]) -> None:
+    """Print one JSON document on standard output."""
+    print(json.dumps(document, indent=2))
+
+
+def demo_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `demo`."""
+    parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder to write")
+
+
+def demo(options: Namespace) -> None:
+    """Run the whole line on rendered scenes."""
+    from ffpose.demo import run
+
+    document = run(options.out)
+    baseline = document["mean_pose_baseline"]
+    for name in ("median_translation_error_m", "median_rotation_error_deg"):
+        print(f"{name}: {document[name]:.3f} (mean pose: {baseline[name]:.3f})")
+    print(options.out / "report.html")
+
+
+def render_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `render`."""
+    parser.add_argument("scene", help="soyuz_easy, soyuz_hard or dragon_hard")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument("--count", type=int, required=True, help="how many images")
+    parser.add_argument("--start", type=int, default=0, help="index of the first image")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the set")
+    size = require("jsonargparse.typing", "pose").restricted_string_type("Size", r"^\d+x\d+$")
+    parser.add_argument("--size", type=size, help="WIDTHxHEIGHT in pixels, as 640x480")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--ray", action="store_true", help="render on a Ray cluster")
+    parser.add_argument("--layers", action="store_true", help="write mask, depth and keypoints too")
+    parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
+    parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply or .glb")
+    parser.add_argument("--mesh-scale", type=float, default=1.0, help="metres a unit of the mesh")
+    parser.add_argument(
+        "--eclipse-rate", type=float, default=0.0, help="share in the Earth's shadow"
+    )
+    parser.add_argument(
+        "--motion", type=float, default=0.0, help="longest motion blur, pixels of 1280"
+    )
+    parser.add_argument("--jpeg", type=int, default=0, help="JPEG quality 1-100; 0 is none")
+    parser.add_argument("--randomize", type=float, default=0.0, help="domain randomisation, 0-1")
+
+
+def render(options: Namespace) -> None:
+    """Render images with exact labels, in URSO's layout."""
+    from ffpose.geometry import Camera
+    from ffpose.render import Randomization, get_scene, load_craft
+    from ffpose.render.writer import write_dataset
+
+    scene = get_scene(options.scene)
+    sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
+    scene = replace(
+        scene,
+        sensor=sensor,
+        eclipse_rate=options.eclipse_rate,
+        randomization=Randomization.of_strength(options.randomize),
+        camera=Camera.read(options.camera) if options.camera else scene.camera,
+        craft=load_craft(options.mesh, options.mesh_scale) if options.mesh else scene.craft,
+    )
+    written = write_dataset(
+        scene,
+        options.out,
+        options.count,
+        options.seed,
+        start=options.start,
+        size=None if options.size is None else image_size(options.size),
+        workers=options.workers,
+        layers=options.layers,
+        progress=True,
+        ray=options.ray,
+    )
+    say(f"{written.folder}: {written.rendered} images in {written.seconds:.1f} s")
+
+
+def train_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `train`."""
+    from ffpose.training.config import TrainConfig
+
+    parser.add_argument("--config", action="config", help="YAML file, as a run leaves it")
+    parser.add_argument("--resume", action="store_true", help="take up the run in --out")
+    parser.add_argument(
+        "--backbone-weights", default="auto", help='"auto", "none" or a file (default: auto)'
+    )
+    parser.add_class_arguments(TrainConfig, skip={"backbone_weights"})
+
+
+def train(options: Namespace) -> None:
+    """Train a model."""
+    from ffpose.plots import save_figure, training_curves
+    from ffpose.training import TrainConfig
+    from ffpose.training.engine import train as run
+
+    fields = vars(options)
+    resume, _ = fields.pop("resume"), fields.pop("config")
+    result = run(TrainConfig(**fields), resume=resume)
+    save_figure(training_curves(result.history), result.folder.curves)
+    say(f"best epoch {result.best_epoch}: {result.folder.best}")
+
+
+def data_arguments(parser: ArgumentParser) -> None:
+    """Declare which images a command reads."""
+    parser.add_argument("--data.kind", required=True, help="layout of the image set, such as urso")
+    parser.add_argument("--data.root", type=Path, required=True, help="folder of the image set")
+
+
+def evaluate_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `evaluate`."""
+    parser.add_argument("weights", type=Path, help="weights as training left them")
+    data_arguments(parser)
+    parser.add_argument("--data.split", default="test", help="train, val or test (default: test)")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+
+
+def evaluate(options: Namespace) -> None:
+    """Measure a model against labels and against the mean pose."""
+    from ffpose.evaluation import evaluate as run
+    from ffpose.evaluation import format_table, write_results
+    from ffpose.plots import write_evaluation_figures
+
+    data = options.data
+    evaluation = run(options.weights, data.kind, data.root, data.split)
+    write_results(evaluation, options.out)
+    write_evaluation_figures(evaluation, options.out)
+    if options.json:
+        show(evaluation.summary())
+    else:
+        print(format_table(evaluation.summary()))
+
+
+def predict_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `predict`."""
+    parser.add_argument("weights", type=Path, help="weights as training left them")
+    parser.add_argument("images", type=Path, nargs="+", help="image files")
+    parser.add_argument("--json", action="store_true", help="print the poses as JSON")
+    parser.add_argument("--overlay", type=Path, help="folder for images with the axes drawn")
+
+
+def predict(options: Namespace) -> None:
+    """Print the pose seen in each image."""
+    from ffpose.prediction import predict as run
+    from ffpose.prediction import write_overlay
+
+    predictions = []
+    for prediction in run(options.weights, options.images):
+        predictions.append(prediction.to_dict())
+        if not options.json:
+            print(prediction)
+        if options.overlay is not None:
+            say(str(write_overlay(prediction, options.overlay)))
+    if options.json:
+        show({"predictions": predictions})
+
+
+def inspect_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `inspect`."""
+    data_arguments(parser)
+    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+
+
+def inspect(options: Namespace) -> None:
+    """Count, check and draw a set of images."""
+    from ffpose.datasets import list_splits, open_dataset
+    from ffpose.inspection import inspect_dataset
+    from ffpose.transforms import Preprocessing
+
+    kind, root = options.data.kind, options.data.root
+    splits = list_splits(kind, root)
+    summary = inspect_dataset(
+        {split: open_dataset(kind, root, split, Preprocessing()) for split in splits}, options.out
+    )
+    if options.json:
+        show(summary)
+        return
+    for split, figures in summary["splits"].items():
+        failed = sum(len(names) for names in figures["failed"].values())
+        print(f"{split}: {figures['images']} images, {failed} failed checks of labels")
+    print(f"{len(summary['shared_images'])} images stand in more than one split")
+
+
+def bench_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `bench`."""
+    parser.add_argument("subject", choices=["filter"], help="what to measure")
+    parser.add_argument("--json", type=Path, help="file for every timing")
+    parser.add_argument("--plot", type=Path, help="picture to draw")
+    parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
+
+
+def bench(options: Namespace) -> None:
+    """Measure the filter against torch.fft."""
+    from ffpose.bench.filter import run
+
+    run(options.json, options.plot, options.quick)
+
+
+COMMANDS = {
+    "demo": Command("render, train, evaluate and report, in minutes", demo_arguments, demo),
+    "render": Command("render images with exact labels", render_arguments, render),
+    "train": Command("train a model", train_arguments, train),
+    "evaluate": Command("measure a model on labelled images", evaluate_arguments, evaluate),
+    "predict": Command("print the pose seen in each image", predict_arguments, predict),
+    "inspect": Command("count, check and draw a set of images", inspect_arguments, inspect),
+    "bench": Command("measure the filter against torch.fft", bench_arguments, bench),
+}
+
+
+def build_parser() -> ArgumentParser:
+    """Return the parser of all commands but ``info``, which does without one."""
+    import ffpose
+
+    jsonargparse = require("jsonargparse", "pose")
+    parser: ArgumentParser = jsonargparse.ArgumentParser(
+        prog="ffpose", description="Spectral filters, and satellite pose from one image."
+    )
+    parser.add_argument("--version", action="version", version=f"ffpose {ffpose.__version__}")
+    commands = parser.add_subcommands(dest="command", metavar="COMMAND")
+    for name, command in COMMANDS.items():
+        subparser = jsonargparse.ArgumentParser(description=command.run.__doc__)
+        command.add_arguments(subparser)
+        subparser.add_argument(
+            "--debug", action="store_true", help="show the traceback of an error"
+        )
+        commands.add_subcommand(name, subparser, help=command.summary)
+    info = jsonargparse.ArgumentParser()
+    commands.add_subcommand("info", info, help="versions, instruction set, threads, extras")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        arguments: The command line after ``ffpose``; None takes that of the process.
+
+    Returns:
+        The exit code: 0 done, 1 failed. Wrong usage leaves by SystemExit with code 2.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == ["info"]:
+        from ffpose.info import main as info
+
+        return info(words[1:])
+    try:
+        parser = build_parser()
+        options = parser.parse_args(words)
+        options = parser.instantiate(options)
+        chosen = options[options.command]
+        del chosen["debug"]
+        COMMANDS[options.command].run(chosen)
+    except KeyboardInterrupt:
+        say("ffpose: interrupted; files that are written are whole")
+    except Exception as error:
+        if "--debug" in words:
+            raise
+        say(f"ffpose: {describe(error)}")
+    else:
+        return 0
+    return 1
+
+
+def describe(error: Exception) -> str:
+    """Return an error in one line; the type of one that is not meant for users stands before it."""
+    text = " ".join(str(error).split())
+    if isinstance(error, ValueError | OSError | ImportError | RuntimeError) and text:
+        return text
+    return f"{type(error).__name__}: {text}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,96 @@
+"""What a bug report should hold: versions, instruction set, threads, and which extras are there.
+
+Works with NumPy alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any
+
+import ffpose
+from ffpose.arrays import instruction_set
+
+_REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+).*;\s*extra\s*==\s*['\"]([\w-]+)['\"]")
+
+
+def collect() -> dict[str, Any]:
+    """Return the facts about this installation and machine, as JSON can hold them."""
+    return {
+        "ffpose": ffpose.__version__,
+        "instruction_set": instruction_set(),
+        "ffpose_isa": os.environ.get("FFPOSE_ISA"),
+        "cores": os.cpu_count(),
+        "threads": threads(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "numpy": metadata.version("numpy"),
+        "extras": extras(metadata.requires("ffpose") or []),
+    }
+
+
+def threads() -> int:
+    """Return how many threads the filter uses: torch's, and one for NumPy users without torch."""
+    try:
+        import torch
+    except ModuleNotFoundError:
+        return 1
+    return torch.get_num_threads()
+
+
+def extras(requirements: Sequence[str]) -> dict[str, dict[str, str | None]]:
+    """Return, for each extra, the packages it asks for and their versions, None where missing.
+
+    Args:
+        requirements: Lines of metadata, such as ``torch>=2.10; extra == 'torch'``.
+    """
+    found: dict[str, dict[str, str | None]] = {}
+    for line in requirements:
+        package, extra = package_of(line)
+        if extra is not None and package != "ffpose":
+            found.setdefault(extra, {})[package] = _version(package)
+    return found
+
+
+def package_of(requirement: str) -> tuple[str, str | None]:
+    """Return the package that a line of metadata asks for, and the extra that it is part of.
+
+    Example:
+        >>> package_of("torch>=2.10; extra == 'torch'")
+        ('torch', 'torch')
+        >>> package_of("numpy>=1.26")
+        ('numpy>=1.26', None)
+    """
+    match = _REQUIREMENT.match(requirement)
+    return (match[1], match[2]) if match else (requirement, None)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run ``ffpose info``; apart from the other commands, as theirs need an extra to be parsed."""
+    parser = argparse.ArgumentParser(prog="ffpose info", description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    facts = collect()
+    if parser.parse_args(arguments).json:
+        print(json.dumps(facts, indent=2))
+        return 0
+    extras_found = facts.pop("extras")
+    for name, value in facts.items():
+        print(f"{name.replace('_', ' '):16} {'-' if value is None else value}")
+    for extra, packages in extras_found.items():
+        listed = ", ".join(f"{name} {version or 'missing'}" for name, version in packages.items())
+        print(f"{'extra ' + extra:16} {listed}")
+    return 0

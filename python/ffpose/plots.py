@@ -1,0 +1,186 @@
+"""Figures of training and evaluation. Every function returns a figure; `save_figure` writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+from ffpose.errors import require
+from ffpose.evaluation import Evaluation
+from ffpose.files import atomic_write
+from ffpose.overlay import draw_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MODEL_COLOUR = "#2f6fdf"
+BASELINE_COLOUR = "#9aa3af"
+TRUTH_COLOURS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
+"""Of the true axes: pale, as the predicted ones are drawn over them."""
+
+GALLERY_TILE = (480, 360)
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write ``figure``, whole or not at all, in the format of the suffix."""
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, dpi=120)
+
+
+def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
+    """Draw the loss and the validation errors over the epochs.
+
+    Args:
+        history: Rows as ``results.csv`` holds them, the last epoch last.
+
+    Raises:
+        ValueError: There is no epoch.
+    """
+    if not history:
+        raise ValueError("training curves: expected at least one epoch, got none")
+    figure = _figure(10.5, 2.9)
+    epochs = [float(row["epoch"]) for row in history]
+    panels = (
+        ("train_loss", "training loss"),
+        ("val_median_translation_error_m", "median translation error, m"),
+        ("val_median_rotation_error_deg", "median rotation error, degrees"),
+    )
+    for axes, (column, title) in zip(figure.subplots(1, 3), panels, strict=True):
+        values = [float(row[column]) for row in history]
+        axes.plot(epochs, values, color=MODEL_COLOUR, marker="." if len(epochs) < 40 else "")
+        axes.set_xlabel("epoch")
+        _title(axes, title)
+        if column.startswith("val"):
+            axes.set_ylim(bottom=0)
+    return figure
+
+
+def error_cdf(evaluation: Evaluation) -> Figure:
+    """Draw, for each error, the part of the images that lie below it; model and baseline."""
+    figure = _figure(9.0, 3.4)
+    for axes, (name, unit, model, baseline) in zip(
+        figure.subplots(1, 2), _error_pairs(evaluation), strict=True
+    ):
+        for values, label, colour in (
+            (model, "model", MODEL_COLOUR),
+            (baseline, "mean pose", BASELINE_COLOUR),
+        ):
+            share = np.arange(1, len(values) + 1) / len(values)
+            axes.step(np.sort(values), share, where="post", label=label, color=colour)
+            axes.plot(np.median(values), 0.5, "o", color=colour)
+        axes.set_xlabel(f"{name} error, {unit}")
+        axes.set_ylim(0, 1)
+        axes.set_xlim(left=0)
+        _title(axes, f"images below a {name} error (dot: median)")
+        axes.legend(frameon=False, loc="lower right")
+    return figure
+
+
+def error_histograms(evaluation: Evaluation) -> Figure:
+    """Draw how the errors are distributed, as the paper's Figure 8 does."""
+    figure = _figure(9.0, 3.2)
+    for axes, (name, unit, model, baseline) in zip(
+        figure.subplots(1, 2), _error_pairs(evaluation), strict=True
+    ):
+        edges = np.linspace(0.0, max(model.max(), baseline.max()), 41)
+        axes.hist(baseline, edges, color=BASELINE_COLOUR, alpha=0.55, label="mean pose")
+        axes.hist(model, edges, color=MODEL_COLOUR, alpha=0.85, label="model")
+        axes.set_xlabel(f"{name} error, {unit}")
+        axes.set_ylabel("images")
+        _title(axes, f"distribution of the {name} error")
+        axes.legend(frameon=False)
+    return figure
+
+
+def errors_by_distance(evaluation: Evaluation) -> Figure:
+    """Draw each image's errors over the distance of the object."""
+    figure = _figure(9.0, 3.2)
+    distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
+    for axes, (name, unit, model, _) in zip(
+        figure.subplots(1, 2), _error_pairs(evaluation), strict=True
+    ):
+        axes.scatter(distance, model, s=9, color=MODEL_COLOUR, alpha=0.6, linewidths=0)
+        axes.set_xlabel("true distance, m")
+        axes.set_ylabel(f"{name} error, {unit}")
+        axes.set_ylim(bottom=0)
+        _title(axes, f"{name} error over distance")
+    return figure
+
+
+def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
+    """Return image ``index`` with the true axes, pale and wide, under the predicted ones."""
+    dataset = evaluation.dataset
+    image = dataset.load_image(index)
+    if image.width < GALLERY_TILE[0]:
+        scale = GALLERY_TILE[0] / image.width
+        image = image.resize((GALLERY_TILE[0], round(image.height * scale)))
+    camera, wide = dataset.camera, max(4, image.width // 80)
+    truth = dataset.records[index].pose
+    image = draw_axes(image, truth, camera, colours=TRUTH_COLOURS, width=wide)
+    return draw_axes(image, evaluation.pose(index), camera, width=max(2, wide // 3))
+
+
+def caption(evaluation: Evaluation, index: int) -> str:
+    """Return the errors of image ``index`` in words."""
+    errors = evaluation.errors
+    return f"{float(errors.translation_m[index]):.2f} m, {float(errors.rotation_deg[index]):.1f}°"
+
+
+def worst_gallery(evaluation: Evaluation, count: int = 16, columns: int = 4) -> Figure:
+    """Draw the ``count`` worst predictions on their images, the worst first."""
+    worst = evaluation.ranking[::-1][:count].tolist()
+    rows = -(-len(worst) // columns)
+    figure = _figure(3.0 * columns, 2.5 * rows)
+    grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes in grid:
+        axes.set_axis_off()
+    for axes, index in zip(grid, worst, strict=False):
+        axes.imshow(np.asarray(draw_prediction(evaluation, index)))
+        axes.set_title(
+            f"{evaluation.dataset.names[index]}\n{caption(evaluation, index)}", fontsize=8
+        )
+    return figure
+
+
+def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
+    """Write all figures of an evaluation to the folder ``out`` and return their paths."""
+    figures = {
+        "error_cdf.png": error_cdf,
+        "error_histograms.png": error_histograms,
+        "errors_by_distance.png": errors_by_distance,
+        "worst.png": worst_gallery,
+    }
+    for name, draw in figures.items():
+        save_figure(draw(evaluation), out / name)
+    return [out / name for name in figures]
+
+
+def _error_pairs(
+    evaluation: Evaluation,
+) -> list[tuple[str, str, np.ndarray[tuple[int], np.dtype[np.float64]], np.ndarray]]:
+    """Return name, unit, and the errors ``(N,)`` of model and baseline, for both errors."""
+    model, baseline = evaluation.errors, evaluation.baseline_errors
+    return [
+        ("translation", "m", model.translation_m.numpy(), baseline.translation_m.numpy()),
+        ("rotation", "degrees", model.rotation_deg.numpy(), baseline.rotation_deg.numpy()),
+    ]
+
+
+def _figure(width: float, height: float) -> Figure:
+    """Return an empty figure of so many inches, apart from pyplot's global list."""
+    figure: Figure = require("matplotlib.figure", "pose").Figure(
+        figsize=(width, height), layout="constrained"
+    )
+    return figure
+
+
+def _title(axes: Axes, text: str) -> None:
+    axes.set_title(text, fontsize=10, loc="left")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(visible=True, color="#e6e8ec", linewidth=0.8)
+    axes.set_axisbelow(True)

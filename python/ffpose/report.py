@@ -1,0 +1,159 @@
+"""One page that shows what a training run came to, its pictures inside, to be opened or mailed."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING
+
+from PIL import Image
+
+from ffpose.evaluation import Evaluation
+from ffpose.files import atomic_write
+from ffpose.plots import (
+    GALLERY_TILE,
+    caption,
+    draw_prediction,
+    error_cdf,
+    error_histograms,
+    errors_by_distance,
+    training_curves,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ROWS = (
+    ("median_translation_error_m", "median translation error", "m"),
+    ("mean_translation_error_m", "mean translation error", "m"),
+    ("median_rotation_error_deg", "median rotation error", "°"),
+    ("mean_rotation_error_deg", "mean rotation error", "°"),
+    ("esa_score", "ESA score", ""),
+    ("speed_plus_score", "SPEED+ score", ""),
+)
+"""Key in the summary, name, and unit of each figure."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a page says.
+
+    Attributes:
+        title: Its heading.
+        subtitle: One sentence below it.
+        evaluation: Predictions on images that were not trained on.
+        history: The rows of ``results.csv``.
+        facts: Names and values for the table at the end.
+        command: The command that makes all of it again.
+    """
+
+    title: str
+    subtitle: str
+    evaluation: Evaluation
+    history: Sequence[Mapping[str, float | str]]
+    facts: Mapping[str, str]
+    command: str
+
+
+def write_report(report: Report, path: Path) -> None:
+    """Write ``report`` as one HTML file that refers to no other file."""
+    template = resources.files("ffpose").joinpath("report.html").read_text(encoding="utf-8")
+    evaluation = report.evaluation
+    summary = evaluation.summary()
+    page = Template(template).substitute(
+        title=html.escape(report.title),
+        subtitle=html.escape(report.subtitle),
+        headline="".join(_card(summary, *row) for row in (ROWS[0], ROWS[2])),
+        figures=_figures_table(summary),
+        galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
+        curves=_embed_figure(training_curves(report.history)),
+        distributions="".join(
+            _embed_figure(draw(evaluation))
+            for draw in (error_cdf, error_histograms, errors_by_distance)
+        ),
+        facts="".join(
+            f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
+            for name, value in report.facts.items()
+        ),
+        command=html.escape(report.command),
+    )
+    with atomic_write(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _card(summary: Mapping[str, object], key: str, name: str, unit: str) -> str:
+    model, baseline = _value(summary, key), _baseline_value(summary, key)
+    times = f"{baseline / model:.1f} times less" if model > 0 else "less"
+    return (
+        f'<div class="card">{name}<b>{model:.2f} {unit}</b>'
+        f'<span class="quiet">{times} than the mean pose, {baseline:.2f} {unit}</span></div>'
+    )
+
+
+def _figures_table(summary: Mapping[str, object]) -> str:
+    rows = ["<tr><th></th><th>model</th><th>mean pose</th><th>ratio</th></tr>"]
+    for key, name, unit in ROWS:
+        model, baseline = _value(summary, key), _baseline_value(summary, key)
+        rows.append(
+            f"<tr><td>{name}</td><td>{model:.3f} {unit}</td><td>{baseline:.3f} {unit}</td>"
+            f"<td>{model / baseline:.2f}</td></tr>"
+        )
+    return "".join(rows)
+
+
+def _value(summary: Mapping[str, object], key: str) -> float:
+    value = summary[key]
+    assert isinstance(value, float)
+    return value
+
+
+def _baseline_value(summary: Mapping[str, object], key: str) -> float:
+    baseline = summary["mean_pose_baseline"]
+    assert isinstance(baseline, dict)
+    return _value(baseline, key)
+
+
+def _groups(evaluation: Evaluation, size: int = 8) -> list[tuple[str, list[int]]]:
+    """Return headings and images: the best, those about the median, and the worst."""
+    ranking = evaluation.ranking.tolist()
+    size = min(size, len(ranking))
+    middle = (len(ranking) - size) // 2
+    return [
+        ("The best", ranking[:size]),
+        ("About the median", ranking[middle : middle + size]),
+        ("The worst", ranking[::-1][:size]),
+    ]
+
+
+def _gallery(evaluation: Evaluation, heading: str, indices: list[int]) -> str:
+    tiles = "".join(
+        f"<figure>{_embed_image(draw_prediction(evaluation, index), caption(evaluation, index))}"
+        f"<figcaption>{html.escape(evaluation.dataset.names[index])}: "
+        f"{caption(evaluation, index)}</figcaption></figure>"
+        for index in indices
+    )
+    return f'<h3>{heading}</h3><div class="gallery">{tiles}</div>'
+
+
+def _embed_image(image: Image.Image, text: str) -> str:
+    buffer = io.BytesIO()
+    image.thumbnail(GALLERY_TILE)
+    image.save(buffer, "JPEG", quality=88)
+    return _tag("image/jpeg", buffer.getvalue(), text)
+
+
+def _embed_figure(figure: Figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg")
+    return _tag("image/svg+xml", buffer.getvalue(), "figure")
+
+
+def _tag(kind: str, data: bytes, text: str) -> str:
+    encoded = base64.b64encode(data).decode("ascii")
+    return f'<img src="data:{kind};base64,{encoded}" alt="{html.escape(text)}">'

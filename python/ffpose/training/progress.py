@@ -1,0 +1,91 @@
+"""What a training run tells the person who waits for it, on standard error."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+if TYPE_CHECKING:
+    from ffpose.training.checkpoint import Row
+    from ffpose.training.stages import Epoch
+
+
+class Reporter:
+    """A progress bar for the steps and one line for every finished epoch.
+
+    Args:
+        epochs: Epochs of the whole run.
+        finished: How many of them a run that is taken up has behind it.
+        steps: Steps an epoch.
+        quiet: Whether to print nothing.
+    """
+
+    def __init__(self, epochs: int, finished: int, steps: int, *, quiet: bool) -> None:
+        self._console = Console(stderr=True, quiet=quiet)
+        self._bar = Progress(
+            TextColumn("epoch {task.fields[epoch]}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[figures]}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(elapsed_when_finished=False),
+            console=self._console,
+            transient=True,
+            disable=quiet,
+        )
+        self._epochs = epochs
+        self._task = self._bar.add_task(
+            "train", total=(epochs - finished) * steps, epoch="", figures=""
+        )
+        self._images = 0
+        self._began = time.perf_counter()
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def notice(self, text: str) -> None:
+        """Print a line above the bar."""
+        self._console.print(text, highlight=False)
+
+    def epoch_begins(self, epoch: Epoch) -> None:
+        """Show which epoch runs, and count its images anew."""
+        self._images, self._began = 0, time.perf_counter()
+        self._bar.update(self._task, epoch=f"{epoch.number}/{self._epochs} {epoch.stage.name}")
+
+    def step(self, loss: float, learning_rate: float, images: int) -> None:
+        """Count one step and show its figures."""
+        self._images += images
+        rate = self._images / max(time.perf_counter() - self._began, 1e-9)
+        figures = f"loss {loss:.4g}  lr {learning_rate:.2e}  {rate:.0f} images/s"
+        self._bar.update(self._task, advance=1, figures=figures)
+
+    def epoch_ends(self, row: Row) -> None:
+        """Print what the epoch came to."""
+        self.notice(
+            f"epoch {row['epoch']}/{self._epochs}  loss {row['train_loss']:.4g}  "
+            f"lr {row['learning_rate']:.2e}  "
+            f"val {row['val_median_translation_error_m']:.3g} m "
+            f"{row['val_median_rotation_error_deg']:.3g}°  "
+            f"{row['images_per_second']:.0f} images/s  {row['seconds']:.1f} s"
+        )

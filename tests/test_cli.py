@@ -1,0 +1,199 @@
+import json
+import subprocess
+import sys
+
+import pytest
+
+from ffpose import __version__
+from ffpose.cli import COMMANDS, image_size, main
+from ffpose.training.checkpoint import read_results
+from tiny_runs import MODEL_FIELDS, write_set
+
+
+@pytest.fixture(scope="module")
+def image_set(tmp_path_factory):
+    return write_set(tmp_path_factory.mktemp("cli") / "set")
+
+
+@pytest.fixture(scope="module")
+def trained(image_set, tmp_path_factory):
+    out = tmp_path_factory.mktemp("cli") / "run"
+    assert main(train_words(image_set, out)) == 0
+    return out
+
+
+def train_words(image_set, out, *more):
+    return [
+        *("train", "--model", "tiny", "--data.kind", "urso", "--data.root", str(image_set)),
+        *("--epochs", "1", "--seed", "3", "--out", str(out), "--backbone-weights", "none"),
+        *("--batch_size", "4", "--model_fields", json.dumps(MODEL_FIELDS), *more),
+    ]
+
+
+def data_words(image_set):
+    return ["--data.kind", "urso", "--data.root", str(image_set)]
+
+
+def test_train_leaves_what_it_promises(trained):
+    names = {path.name for path in trained.iterdir()}
+    promised = {"config.yaml", "results.csv", "last.safetensors", "best.safetensors", "curves.png"}
+    assert promised <= names
+
+
+def test_train_again_from_its_own_config_and_resume(trained, image_set, tmp_path, capsys):
+    again = ["train", "--config", str(trained / "config.yaml"), "--out", str(tmp_path / "again")]
+    assert main(again) == 0
+    assert main(again) == 1
+    assert "holds a training run" in capsys.readouterr().err
+    assert main([*again, "--resume", "--epochs", "2"]) == 0
+    assert len(read_results(tmp_path / "again/results.csv")) == 2
+    first = read_results(tmp_path / "again/results.csv")[0]
+    assert first["train_loss"] == read_results(trained / "results.csv")[0]["train_loss"]
+
+
+def test_evaluate_prints_one_json_document(trained, image_set, tmp_path, capsys):
+    words = ["evaluate", str(trained / "best.safetensors"), *data_words(image_set)]
+    assert main([*words, "--out", str(tmp_path), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["images"] == 6
+    assert document == json.loads((tmp_path / "results.json").read_text())
+    assert (tmp_path / "worst.png").exists()
+
+
+def test_evaluate_prints_a_table(trained, image_set, tmp_path, capsys):
+    words = ["evaluate", str(trained / "best.safetensors"), *data_words(image_set)]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    assert "median_translation_error_m" in capsys.readouterr().out
+
+
+def test_predict(trained, image_set, tmp_path, capsys):
+    images = [str(image_set / f"{index}_rgb.png") for index in (0, 1)]
+    words = ["predict", str(trained / "best.safetensors"), *images]
+    assert main(words) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    assert main([*words, "--json", "--overlay", str(tmp_path)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [entry["image"] for entry in document["predictions"]] == images
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "0_rgb_pose.png",
+        "1_rgb_pose.png",
+    ]
+
+
+def test_inspect(image_set, tmp_path, capsys):
+    words = ["inspect", *data_words(image_set), "--out", str(tmp_path)]
+    assert main(words) == 0
+    assert "train: 10 images" in capsys.readouterr().out
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["splits"]["test"]["images"] == 6
+
+
+def test_render_writes_images(tmp_path):
+    words = ["render", "soyuz_easy", "--out", str(tmp_path), "--count", "2", "--size", "64x48"]
+    assert main(words) == 0
+    assert (tmp_path / "1_rgb.png").exists()
+
+
+def test_render_takes_a_mesh_a_camera_and_a_shard(tmp_path, capsys):
+    (tmp_path / "camera.json").write_text(
+        '{"width": 80, "height": 60, "fx": 90.0, "fy": 90.0, "cx": 40.0, "cy": 30.0}'
+    )
+    (tmp_path / "wedge.obj").write_text(
+        "v 0 0 0\nv 900 0 0\nv 0 700 0\nv 0 0 500\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    )
+    words = ["render", "soyuz_easy", "--out", str(tmp_path / "set"), "--count", "2", "--start", "4"]
+    words += ["--camera", str(tmp_path / "camera.json"), "--layers"]
+    words += ["--mesh", str(tmp_path / "wedge.obj"), "--mesh-scale", "0.001"]
+    words += ["--motion", "4", "--jpeg", "80", "--randomize", "0.3", "--eclipse-rate", "0.34"]
+    assert main(words) == 0, capsys.readouterr().err
+    names = {path.name for path in (tmp_path / "set").iterdir()}
+    assert {"4_rgb.png", "5_rgb.png", "5_mask.png", "5_depth.png"} <= names
+    manifest = json.loads((tmp_path / "set/manifest.json").read_text())
+    assert manifest["parameters"]["scene"]["camera"]["fx"] == 90
+    assert manifest["parameters"]["scene"]["craft"].startswith("wedge.obj sha256:")
+    assert manifest["parameters"]["scene"]["sensor"]["jpeg_quality"] == 80
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["render", "soyuz_easy", "--out", "x", "--count", "1", "--camera", "no.json"], "no.json"),
+        (["render", "soyuz_easy", "--out", "x", "--count", "1", "--mesh", "no.obj"], "no.obj"),
+        (["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "9x9"], "16…8192"),
+        (["predict", "none.safetensors", "a.png"], "none.safetensors"),
+        (["inspect", "--data.kind", "urso", "--data.root", "none", "--out", "x"], "none"),
+        (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),
+    ],
+)
+def test_failed_work_is_one_line_and_code_1(words, line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1
+    assert line in said.err
+
+
+def test_debug_shows_the_traceback(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        main(["predict", str(tmp_path / "none.safetensors"), "a.png", "--debug"])
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["no_such_command"],
+        ["render", "soyuz_easy"],
+        ["render", "soyuz_easy", "--out", "x", "--count", "many"],
+        ["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "640"],
+        ["train", "--out", "x"],
+        ["train", "--data.kind", "urso", "--data.root", "x", "--out", "x", "--epochs", "few"],
+        ["bench", "model"],
+    ],
+)
+def test_wrong_usage_is_code_2(words, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main(words)
+    assert leaving.value.code == 2
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "info"])
+def test_every_command_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main([command, "--help"])
+    assert leaving.value.code == 0
+    assert command in capsys.readouterr().out
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert __version__ in capsys.readouterr().out
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys\n"
+        "from ffpose.cli import main\n"
+        "try: main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'torch', 'matplotlib', 'timm', 'PIL', 'embreex'} & set(sys.modules)\n"
+        "sys.exit(', '.join(heavy) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_interruption_is_said_and_code_1(monkeypatch, capsys, tmp_path):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ffpose.render.writer.write_dataset", interrupt)
+    assert main(["render", "soyuz_easy", "--out", str(tmp_path), "--count", "1"]) == 1
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_image_size():
+    assert image_size("640x480") == (640, 480)

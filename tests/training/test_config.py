@@ -1,0 +1,77 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ffpose.errors import DataError
+from ffpose.training import DataConfig, LossConfig, OptimizerConfig, Stage, TrainConfig
+from ffpose.training.config_file import dump_config, flatten, load_config
+
+
+def config(**fields):
+    return TrainConfig(data=DataConfig("urso", Path("set")), out=Path("run"), **fields)
+
+
+def test_the_defaults_are_the_papers():
+    paper = config()
+    assert (paper.model, paper.batch_size, paper.resolved_stages[0].epochs) == ("base", 8, 500)
+    assert (paper.loss.s_t, paper.loss.s_q) == (-3.0, -6.5)
+    adam = paper.optimizer
+    assert (adam.learning_rate, adam.weight_decay, adam.eps) == (1e-4, 1e-4, 1e-10)
+    assert (adam.schedule, adam.step_epochs, adam.step_factor) == ("step", 200, 0.1)
+
+
+def test_epochs_are_those_of_the_first_stage():
+    stages = (Stage("a", 5), Stage("b", 7))
+    assert config(stages=stages).resolved_stages == stages
+    assert config(stages=stages, epochs=2).resolved_stages == (Stage("a", 2), stages[1])
+
+
+def test_yaml_brings_back_what_was_written(tmp_path):
+    original = config(
+        model_fields={"depth": 3, "image_size": [32, 64]},
+        stages=(Stage("a", 2), Stage("b", 1, ("backbone",))),
+        optimizer=OptimizerConfig(schedule="cosine", warmup_epochs=0.5),
+        loss=LossConfig(antipodal=True),
+        epochs=4,
+    )
+    path = tmp_path / "config.yaml"
+    path.write_text(dump_config(original))
+    assert load_config(path) == original
+
+
+@pytest.mark.parametrize("text", ["sed: 3", "data: [", "seed: many"])
+def test_a_file_that_is_no_configuration_is_named(tmp_path, text):
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    with pytest.raises(DataError, match=r"config\.yaml: not a training configuration"):
+        load_config(path)
+
+
+def test_flat_names_reach_into_groups():
+    flat = flatten(config())
+    assert flat["data.kind"] == "urso"
+    assert flat["optimizer.eps"] == 1e-10
+    assert flat["model_fields"] == {}
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: config(batch_size=0), "batch_size: expected 1 or more, got 0"),
+        (lambda: config(epochs=0), "epochs: expected 1 or more, got 0"),
+        (lambda: config(stages=()), "stages: expected at least one stage"),
+        (lambda: DataConfig("urso", Path(), workers=-1), "data.workers: expected 0 or more"),
+        (lambda: OptimizerConfig(learning_rate=0), "learning_rate: expected more than 0, got 0"),
+        (lambda: OptimizerConfig(schedule="linear"), "expected step or cosine, got 'linear'"),
+    ],
+)
+def test_bad_values_are_refused(build, message):
+    with pytest.raises(ValueError, match=message):
+        build()
+
+
+def test_the_configuration_alone_does_not_load_torch():
+    code = "import sys; from ffpose.training import TrainConfig; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

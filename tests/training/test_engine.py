@@ -1,0 +1,215 @@
+from dataclasses import replace
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from ffpose.errors import DataError
+from ffpose.losses import PoseLoss
+from ffpose.models import read_metadata
+from ffpose.training import NonFiniteLossError, OptimizerConfig, Stage, train
+from ffpose.training.checkpoint import RunFolder, read_results
+from ffpose.training.run import build_optimizer, build_run, translation_statistics
+from tiny_runs import train_config, write_set
+
+
+@pytest.fixture(scope="module")
+def image_set(tmp_path_factory):
+    return write_set(tmp_path_factory.mktemp("engine") / "set")
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def run_quietly(config, **options):
+    return train(config, quiet=True, **options)
+
+
+def same_files(first, second):
+    return all(
+        all(torch.equal(a, b) for a, b in zip(x.values(), y.values(), strict=True))
+        for name in ("last.safetensors", "best.safetensors")
+        for x, y in [(load_file(first / name), load_file(second / name))]
+    )
+
+
+def without_times(path):
+    times = ("seconds", "images_per_second")
+    return [{k: v for k, v in row.items() if k not in times} for row in read_results(path)]
+
+
+def test_a_run_leaves_its_files_and_nothing_else(image_set, tmp_path):
+    result = run_quietly(train_config(image_set, tmp_path / "run"))
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
+        "best.safetensors",
+        "best.safetensors.sha256",
+        "config.yaml",
+        "last.safetensors",
+        "last.safetensors.sha256",
+        "results.csv",
+        "state.pt",
+    ]
+    rows = read_results(tmp_path / "run/results.csv")
+    assert [row["epoch"] for row in rows] == [1, 2]
+    assert {"train_loss", "learning_rate", "val_esa_score", "seconds"} <= set(rows[0])
+    assert result.best_epoch in (1, 2)
+    lowest = min(result.history, key=lambda row: row["val_esa_score"])
+    assert lowest["epoch"] == result.best_epoch
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(image_set, tmp_path, workers):
+    whole = train_config(image_set, tmp_path / "whole", epochs=3)
+    whole = replace(whole, data=replace(whole.data, workers=workers))
+    run_quietly(whole)
+    part = replace(whole, out=tmp_path / "part")
+    run_quietly(replace(part, epochs=1))
+    run_quietly(replace(part, epochs=2), resume=True)
+    run_quietly(part, resume=True)
+    assert same_files(tmp_path / "whole", tmp_path / "part")
+    assert without_times(tmp_path / "whole/results.csv") == without_times(
+        tmp_path / "part/results.csv"
+    )
+
+
+def test_a_kill_between_weights_and_state_costs_the_epoch_alone(image_set, tmp_path, monkeypatch):
+    whole = train_config(image_set, tmp_path / "whole", epochs=2)
+    run_quietly(whole)
+    killed = replace(whole, out=tmp_path / "killed")
+    run_quietly(replace(killed, epochs=1))
+
+    def kill(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunFolder, "save_state", kill)
+        with pytest.raises(KeyboardInterrupt):
+            run_quietly(killed, resume=True)
+    run_quietly(killed, resume=True)
+    assert same_files(whole.out, killed.out)
+
+
+def test_resume_where_no_epoch_was_finished_begins(image_set, tmp_path):
+    result = run_quietly(train_config(image_set, tmp_path / "new", epochs=1), resume=True)
+    assert len(result.history) == 1
+
+
+def test_resuming_a_finished_run_changes_nothing(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    before = (config.out / "last.safetensors").read_bytes()
+    assert len(run_quietly(config, resume=True).history) == 1
+    assert (config.out / "last.safetensors").read_bytes() == before
+
+
+def test_a_run_is_not_overwritten(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    with pytest.raises(FileExistsError, match="holds a training run"):
+        run_quietly(config)
+
+
+def test_resume_refuses_another_configuration(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    with pytest.raises(ValueError, match=r"expected seed=0 .*got 1"):
+        run_quietly(replace(config, seed=1), resume=True)
+    with pytest.raises(ValueError, match="expected stages that begin with the 1 finished"):
+        run_quietly(replace(config, stages=(Stage("other", 2),)), resume=True)
+
+
+def test_resume_refuses_a_truncated_state(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    state = config.out / "state.pt"
+    state.write_bytes(state.read_bytes()[:-1000])
+    with pytest.raises(DataError, match=r"state\.pt: not a training state"):
+        run_quietly(config, resume=True)
+
+
+def test_another_seed_gives_another_model(image_set, tmp_path):
+    run_quietly(train_config(image_set, tmp_path / "a", epochs=1))
+    run_quietly(train_config(image_set, tmp_path / "b", epochs=1, seed=1))
+    assert not same_files(tmp_path / "a", tmp_path / "b")
+
+
+def test_weights_remember_how_images_are_read(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    config = replace(config, data=replace(config.data, mode="center_crop"))
+    run_quietly(config)
+    metadata = read_metadata(tmp_path / "run/best.safetensors")
+    assert metadata.preprocessing.mode == "center_crop"
+    assert metadata.preprocessing.size == (64, 64)
+
+
+def test_frozen_parts_do_not_change(image_set, tmp_path):
+    frozen = ("backbone", "orientation_branch")
+    stages = (Stage("joint", 1), Stage("translation", 1, frozen))
+    config = train_config(image_set, tmp_path / "run", epochs=None, stages=stages)
+    run_quietly(replace(config, stages=stages[:1]))
+    before = load_file(tmp_path / "run/last.safetensors")
+    run_quietly(config, resume=True)
+    after = load_file(tmp_path / "run/last.safetensors")
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert changed
+    assert all(name.startswith("translation_branch") for name in changed)
+
+
+def test_a_loss_that_is_no_number_names_the_images(image_set, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        PoseLoss, "_quaternion_distance", lambda _, q, q_hat: (q * q_hat).sum(1) * torch.nan
+    )
+    config = train_config(image_set, tmp_path / "run", batch_size=10)
+    with pytest.raises(NonFiniteLossError, match=r"the loss became nan in epoch 1; images: ") as e:
+        run_quietly(config)
+    named = str(e.value).split("images: ")[1].split(", ")
+    assert sorted(named) == sorted(f"{index}_rgb.png" for index in range(10))
+    assert not (tmp_path / "run/last.safetensors").exists()
+
+
+def test_training_lowers_the_loss(image_set, tmp_path):
+    config = train_config(
+        image_set,
+        tmp_path / "run",
+        epochs=12,
+        optimizer=OptimizerConfig(learning_rate=3e-3, schedule="cosine", clip_norm=1.0),
+    )
+    config = replace(config, data=replace(config.data, augment=False, cache=True))
+    losses = [row["train_translation_loss"] for row in run_quietly(config).history]
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_the_head_counts_from_the_training_splits_mean(image_set, tmp_path):
+    run = build_run(train_config(image_set, tmp_path / "run"))
+    assert run.model.config.translation_mean == pytest.approx(run.train_set.poses[:, :3].mean(0))
+    raw = build_run(train_config(image_set, tmp_path / "raw", normalize_translation=False))
+    assert raw.model.config.translation_mean == (0.0, 0.0, 0.0)
+
+
+def test_translation_statistics_by_hand():
+    poses = torch.zeros(2, 7, dtype=torch.float64).numpy()
+    poses[:, 0] = 1, 3
+    poses[:, 2] = 10, 10
+    assert translation_statistics(poses) == {
+        "translation_mean": (2.0, 0.0, 10.0),
+        "translation_std": (1.0, 1.0, 1.0),
+    }
+
+
+def test_loss_weights_have_no_decay():
+    model, loss = torch.nn.Linear(2, 2), PoseLoss()
+    groups = build_optimizer(model, loss, OptimizerConfig()).param_groups
+    decay = {id(p): group["weight_decay"] for group in groups for p in group["params"]}
+    assert decay[id(loss.s_t)] == decay[id(loss.s_q)] == 0
+    assert decay[id(model.weight)] == 1e-4
+    assert {group["eps"] for group in groups} == {1e-10}
+
+
+def test_unknown_model_lists_the_known(image_set, tmp_path):
+    with pytest.raises(ValueError, match="expected one of base, small, tiny, got 'huge'"):
+        run_quietly(train_config(image_set, tmp_path / "run", model="huge"))
