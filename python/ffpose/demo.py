@@ -190,7 +190,7 @@ def _document(
     """Return what ``report.json`` holds."""
     summary = evaluation.summary()
     baseline = summary["mean_pose_baseline"]
-    written = [path for path in sorted(out.rglob("*")) if path.is_file()]
+    written = {path for path in out.rglob("*") if path.is_file() and path.parent != out / "images"}
     return {
         "images": config.images,
         "train_seconds": trained.seconds,
@@ -205,10 +205,7 @@ def _document(
         "best_epoch": trained.best_epoch,
         "command": command(out),
         "versions": versions(),
-        "files": [
-            *("report.html", "report.json"),
-            *(str(p.relative_to(out)) for p in written if p.parent != out / "images"),
-        ],
+        "files": sorted(str(path.relative_to(out)) for path in written | {out / "report.json"}),
     }
 
 
