@@ -106,6 +106,16 @@ def test_ranking_goes_from_best_to_worst(evaluation):
     assert (np.diff(scores) >= 0).all()
 
 
+def test_typical_images_stand_about_the_median(evaluation):
+    scores = evaluation.errors.esa_score.numpy()
+    for count in (1, 2, len(scores), len(scores) + 1):
+        chosen = evaluation.typical(count)
+        assert len(set(chosen)) == min(count, len(scores))
+        better = int((scores < scores[chosen].min()).sum())
+        worse = int((scores > scores[chosen].max()).sum())
+        assert abs(better - worse) <= 1
+
+
 def test_files_hold_the_figures(evaluation, tmp_path):
     write_results(evaluation, tmp_path / "new")
     assert json.loads((tmp_path / "new/results.json").read_text()) == evaluation.summary()

@@ -65,6 +65,11 @@ class Evaluation:
         """Places of the images from the best to the worst, by their part of the ESA score."""
         return np.argsort(self.errors.esa_score.numpy(), kind="stable")
 
+    def typical(self, count: int) -> list[int]:
+        """Return the ``count`` images in the middle of the ranking; all where there are fewer."""
+        begin = max(0, len(self.ranking) - count) // 2
+        return self.ranking[begin : begin + count].tolist()
+
     def pose(self, index: int) -> Pose:
         """Return the predicted pose of image ``index``."""
         return Pose.from_vector(self.predicted[index])

@@ -131,15 +131,23 @@ def caption(evaluation: Evaluation, index: int) -> str:
     return f"{float(errors.translation_m[index]):.2f} m, {float(errors.rotation_deg[index]):.1f}°"
 
 
-def worst_gallery(evaluation: Evaluation, count: int = 16, columns: int = 4) -> Figure:
+def worst_gallery(evaluation: Evaluation, count: int = 16) -> Figure:
     """Draw the ``count`` worst predictions on their images, the worst first."""
-    worst = evaluation.ranking[::-1][:count].tolist()
-    rows = -(-len(worst) // columns)
+    return _gallery(evaluation, evaluation.ranking[::-1][:count].tolist())
+
+
+def typical_gallery(evaluation: Evaluation, count: int = 8) -> Figure:
+    """Draw the ``count`` predictions about the median, of which as many are better as are worse."""
+    return _gallery(evaluation, evaluation.typical(count))
+
+
+def _gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) -> Figure:
+    rows = -(-len(indices) // columns)
     figure = _figure(3.0 * columns, 2.5 * rows)
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes in grid:
         axes.set_axis_off()
-    for axes, index in zip(grid, worst, strict=False):
+    for axes, index in zip(grid, indices, strict=False):
         axes.imshow(np.asarray(draw_prediction(evaluation, index)))
         axes.set_title(
             f"{evaluation.dataset.names[index]}\n{caption(evaluation, index)}", fontsize=8
@@ -153,6 +161,7 @@ def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
         "error_cdf.png": error_cdf,
         "error_histograms.png": error_histograms,
         "errors_by_distance.png": errors_by_distance,
+        "typical.png": typical_gallery,
         "worst.png": worst_gallery,
     }
     for name, draw in figures.items():

@@ -122,11 +122,9 @@ def _baseline_value(summary: Mapping[str, object], key: str) -> float:
 def _groups(evaluation: Evaluation, size: int = 8) -> list[tuple[str, list[int]]]:
     """Return headings and images: the best, those about the median, and the worst."""
     ranking = evaluation.ranking.tolist()
-    size = min(size, len(ranking))
-    middle = (len(ranking) - size) // 2
     return [
         ("The best", ranking[:size]),
-        ("About the median", ranking[middle : middle + size]),
+        ("About the median", evaluation.typical(size)),
         ("The worst", ranking[::-1][:size]),
     ]
 
