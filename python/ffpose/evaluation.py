@@ -68,7 +68,8 @@ class Evaluation:
     def typical(self, count: int) -> list[int]:
         """Return the ``count`` images in the middle of the ranking; all where there are fewer."""
         begin = max(0, len(self.ranking) - count) // 2
-        return self.ranking[begin : begin + count].tolist()
+        chosen: list[int] = self.ranking[begin : begin + count].tolist()
+        return chosen
 
     def pose(self, index: int) -> Pose:
         """Return the predicted pose of image ``index``."""

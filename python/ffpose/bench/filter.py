@@ -157,7 +157,7 @@ def run(json_path: Path | None = None, plot: Path | None = None, quick: bool = F
 
 def _measured(todo: list[Case], seconds: float) -> Iterable[Result]:
     for number, case in enumerate(todo, 1):
-        print(f"[{number}/{len(todo)}] {case.label}, {case.threads} threads", file=sys.stderr)
+        print(f"[{number}/{len(todo)}] {case.label}, threads: {case.threads}", file=sys.stderr)
         yield measure(case, seconds)
 
 
@@ -239,7 +239,7 @@ def _print_table(results: list[Result]) -> None:
             f"{result.ratio:.2f}",
             f"{result.largest_difference:.1e}",
         )
-    console = Console()
+    console = Console(width=None if sys.stdout.isatty() else 110)
     console.print(table)
     for key, group in _groups(results).items():
         worst = min(group, key=lambda result: result.ratio)

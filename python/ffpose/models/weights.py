@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from ffpose import __version__
@@ -68,7 +68,7 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: Weigh
     }
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
     with atomic_write(path) as temporary:
-        save_file(tensors, temporary, header)
+        temporary.write_bytes(save(tensors, header))  # save_file would deny others to read it
         digest = _sha256(temporary)
         # Between the two renames a kill leaves weights without a checksum, never with a wrong one.
         checksum_path(path).unlink(missing_ok=True)
