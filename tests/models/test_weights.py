@@ -115,7 +115,7 @@ def test_a_write_that_fails_leaves_the_old_file(model, path, monkeypatch):
     def fail(*_args, **_kwargs):
         raise OSError("disk full")
 
-    monkeypatch.setattr("ffpose.models.weights.save_file", fail)
+    monkeypatch.setattr("pathlib.Path.write_bytes", fail)
     with pytest.raises(OSError, match="disk full"):
         model.save_pretrained(path)
     monkeypatch.undo()
