@@ -121,7 +121,7 @@ impl Isa {
 /// One entry for each instruction set and algorithm: below it everything is inlined and compiled with its features.
 macro_rules! element {
     ($element:ty, $avx2:ident, $avx512:ident, $neon:ident) => {
-        #[allow(private_bounds, private_interfaces)]
+        #[allow(private_bounds, private_interfaces)] // algorithms are this crate's alone, the trait is sealed
         impl Element for $element {
             #[inline(always)]
             #[allow(clippy::cast_possible_truncation)] // the rounding is what is asked for

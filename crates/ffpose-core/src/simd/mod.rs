@@ -45,7 +45,7 @@ pub trait Element:
 
     /// Runs `algorithm` with the vectors of `isa`.
     #[doc(hidden)]
-    #[allow(private_bounds, private_interfaces)]
+    #[allow(private_bounds, private_interfaces)] // algorithms are this crate's alone, the trait is sealed
     fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A);
 }
 
