@@ -4,7 +4,7 @@
 
 use std::thread;
 
-/// Elements of work below which another thread costs more than it brings: starting one takes about 30 µs.
+/// Elements of work below which another thread is taken to cost more than it brings: an estimate, not a measurement.
 const WORTH_A_THREAD: usize = 1 << 17;
 
 /// How many threads to use for `elements` of work when the caller allows `most`.
