@@ -11,7 +11,7 @@ from ffpose.nn.filterformer import (
 from ffpose.nn.heads import HyperHead
 from ffpose.nn.position import PositionCode, PositionKind
 from ffpose.nn.quaternion import QuaternionActivation
-from ffpose.nn.spectral import GlobalFilter, SpectralFilter
+from ffpose.nn.spectral import GlobalFilter, SequenceFilter, SpectralFilter
 
 __all__ = [
     "FILTERS",
@@ -24,6 +24,7 @@ __all__ = [
     "PositionCode",
     "PositionKind",
     "QuaternionActivation",
+    "SequenceFilter",
     "SpectralFilter",
     "make_filter",
 ]

@@ -1,7 +1,7 @@
-"""Learnable spectral filters: `SpectralFilter`, and `GlobalFilter` with GFNet's interface.
+"""Learnable spectral filters: `SpectralFilter`, `SequenceFilter`, and GFNet's `GlobalFilter`.
 
-Both compute ``irfft2(rfft2(x) * W)`` by `ffpose.ops.spectral_filter`. GFNet transforms with
-``norm="ortho"``; the norms of the two transforms cancel, and so its weights mean the same here.
+All compute ``irfft2(rfft2(x) * W)`` by `ffpose.ops.spectral_filter`. GFNet and FMLP-Rec transform
+with ``norm="ortho"``; the norms of the two transforms cancel, so their weights mean the same here.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from ffpose.nn.resampling import resample_weight
 from ffpose.ops import Layout, spectral_filter, weight_shape
 
 INIT_STD = 0.02
@@ -80,9 +81,114 @@ class SpectralFilter(nn.Module):
             raise ValueError(f"x: expected shape (..., {sizes}), got {tuple(x.shape)}")
         return spectral_filter(x, self.weight, self.layout)
 
+    def resized(self, size: Sequence[int]) -> SpectralFilter:
+        """Return a new filter that acts as this one at another size (`ffpose.nn.resampling`).
+
+        Args:
+            size: As the class takes it; the channels of layout ``"grid"`` stay as they are.
+
+        Returns:
+            A filter with a parameter of its own, whose dtype, device and ``requires_grad`` are
+            this one's.
+
+        Raises:
+            ValueError: A wrong number of sizes, a size below one, or other channels.
+        """
+        size = tuple(size)
+        if len(size) != len(self.size) or min(size) < 1 or size[2:] != self.size[2:]:
+            wanted = ", ".join(["rows", "columns", *map(str, self.size[2:])])
+            raise ValueError(f"size: expected ({wanted}), each at least 1, got {size}")
+        weight = resample_weight(self.weight, self.size, size[:2], self.layout)
+        twin = SpectralFilter(size, self.layout, std=self.std, device="meta")
+        twin.weight = _parameter_like(self.weight, weight)
+        return twin.train(self.training)
+
     def extra_repr(self) -> str:
         """Return what ``print`` shows between the parentheses."""
         return f"{self.size}, layout={self.layout!r}"
+
+
+class SequenceFilter(nn.Module):
+    """Filters along the tokens of a sequence, each channel with a learned half spectrum of its own.
+
+    The filter layer of FMLP-Rec (Zhou et al., "Filter-enhanced MLP is All You Need for Sequential
+    Recommendation", 2022) and of many time-series models. It is layout ``"grid"`` with one row.
+
+    Args:
+        length: Tokens L of a sequence.
+        dim: Channels C.
+        std: Standard deviation of real and imaginary part at the start.
+        device: Of the parameter.
+        dtype: Of the parameter: float32 or float64. Half precision input takes a float32 weight.
+
+    Attributes:
+        weight: Real parameter ``(L//2+1, C, 2)``.
+
+    Raises:
+        ValueError: A size below one.
+
+    Example:
+        >>> filter = SequenceFilter(50, 64)
+        >>> filter(torch.zeros(2, 50, 64)).shape
+        torch.Size([2, 50, 64])
+    """
+
+    def __init__(
+        self,
+        length: int,
+        dim: int,
+        *,
+        std: float = INIT_STD,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        super().__init__()
+        if min(length, dim) < 1:
+            raise ValueError(f"length, dim: expected each at least 1, got {(length, dim)}")
+        self.length, self.dim = length, dim
+        self.std = std
+        shape = weight_shape((1, length, dim), "grid")[1:]
+        self.weight = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Draw the weight anew."""
+        nn.init.normal_(self.weight, std=self.std)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Filter ``x (..., L, C)``; any number of leading dimensions.
+
+        Raises:
+            ValueError: The last dimensions are not ``(L, C)``, or the device is not the weight's.
+            TypeError: The dtype does not go with the weight's.
+        """
+        if tuple(x.shape[-2:]) != (self.length, self.dim):
+            raise ValueError(
+                f"x: expected shape (..., {self.length}, {self.dim}), got {tuple(x.shape)}"
+            )
+        return spectral_filter(x.unsqueeze(-3), self.weight.unsqueeze(0), "grid").squeeze(-3)
+
+    def resized(self, length: int) -> SequenceFilter:
+        """Return a new filter that acts as this one at another length (`ffpose.nn.resampling`).
+
+        Returns:
+            A filter with a parameter of its own, whose dtype, device and ``requires_grad`` are
+            this one's.
+
+        Raises:
+            ValueError: A length below one.
+        """
+        if length < 1:
+            raise ValueError(f"length: expected at least 1, got {length}")
+        grid = (1, self.length, self.dim)
+        weight = resample_weight(self.weight.unsqueeze(0), grid, (1, length), "grid").squeeze(0)
+        twin = SequenceFilter(length, self.dim, std=self.std, device="meta")
+        twin.weight = _parameter_like(self.weight, weight)
+        return twin.train(self.training)
+
+    def extra_repr(self) -> str:
+        """Return what ``print`` shows between the parentheses."""
+        return f"{self.length}, {self.dim}"
 
 
 class GlobalFilter(nn.Module):
@@ -134,6 +240,42 @@ class GlobalFilter(nn.Module):
         grid = x.reshape(-1, rows, columns, self.dim)
         return spectral_filter(grid, self.complex_weight, "grid").reshape(x.shape)
 
+    def resized(
+        self, size: tuple[int, int], spatial_size: tuple[int, int] | None = None
+    ) -> GlobalFilter:
+        """Return a new filter that acts as this one on another grid (`ffpose.nn.resampling`).
+
+        Args:
+            size: ``(rows, columns)`` of the grid to be.
+            spatial_size: ``(rows, columns)`` of the grid that this filter is for; a square when
+                None, as in `forward`. The weight alone does not tell even from odd columns.
+
+        Returns:
+            A filter with a parameter of its own, whose dtype, device and ``requires_grad`` are
+            this one's. Where its grid is not square, its `forward` wants ``spatial_size``.
+
+        Raises:
+            ValueError: A size below one, or a ``spatial_size`` that does not fit the weight.
+        """
+        rows, columns = spatial_size or (self.h, self.h)
+        if (rows, columns // 2 + 1) != (self.h, self.w):
+            raise ValueError(
+                f"spatial_size: expected {self.h} rows, and columns with"
+                f" columns // 2 + 1 = {self.w}, got {(rows, columns)}"
+            )
+        if len(size) != 2 or min(size) < 1:
+            raise ValueError(f"size: expected (rows, columns), each at least 1, got {tuple(size)}")
+        grid = (rows, columns, self.dim)
+        weight = resample_weight(self.complex_weight, grid, size, "grid")
+        with torch.device("meta"):
+            twin = GlobalFilter(self.dim, *weight.shape[:2])
+        twin.complex_weight = _parameter_like(self.complex_weight, weight)
+        return twin.train(self.training)
+
     def extra_repr(self) -> str:
         """Return what ``print`` shows between the parentheses."""
         return f"{self.dim}, h={self.h}, w={self.w}"
+
+
+def _parameter_like(parameter: nn.Parameter, data: Tensor) -> nn.Parameter:
+    return nn.Parameter(data, requires_grad=parameter.requires_grad)
