@@ -143,8 +143,8 @@ def test_the_copy_is_one_of_its_own(module, size):
         (SequenceFilter(4, 2), (0,), "at least 1, got 0"),
         (GlobalFilter(2, 4, 3), ((8, 0),), r"at least 1, got \(8, 0\)"),
         (GlobalFilter(2, 4, 3), ((8,),), r"\(rows, columns\), .* got \(8,\)"),
-        (GlobalFilter(2, 4, 4), ((8, 8),), r"expected 4 rows .* = 4, got \(4, 4\)"),
-        (GlobalFilter(2, 4, 3), ((8, 8), (4, 6)), r"expected 4 rows .* = 3, got \(4, 6\)"),
+        (GlobalFilter(2, 4, 4), ((8, 8),), r"expected 4 rows, .* = 4, got \(4, 4\)"),
+        (GlobalFilter(2, 4, 3), ((8, 8), (4, 6)), r"expected 4 rows, .* = 3, got \(4, 6\)"),
     ],
 )
 def test_wrong_sizes(module, arguments, text):
