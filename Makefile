@@ -8,7 +8,7 @@ RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -n
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python bench wheel clean tools
+.PHONY: help demo test all format lint typecheck test-rust test-python test-arm bench wheel clean tools
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -40,6 +40,9 @@ test-rust: tools ## the Rust tests, with optimisation
 
 test-python: $(VENV)/.dev ## the Python tests and the examples of the docs
 	$(BIN)/python -m pytest -q
+
+test-arm: ## the Rust tests for 64-bit ARM under qemu; not needed to use ffpose
+	.ci/test-arm
 
 bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
