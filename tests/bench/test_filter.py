@@ -1,52 +1,102 @@
-import json
+"""The benchmark as a whole, on cases that take no time."""
 
-import numpy as np
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import pytest
 import torch
-from scipy import fft
 
+from ffpose.arrays import instruction_set
+from ffpose.bench import children
 from ffpose.bench import filter as bench
+from ffpose.bench.cases import MATRICES, OURS, SCIPY, TORCH, Case, overhead_cases
+from ffpose.bench.plan import Plan
+from ffpose.bench.worker import Request
 
 
-def test_the_rival_is_the_filter_of_the_paper():
-    generator = np.random.default_rng(1)
-    x = generator.standard_normal((2, 6, 8))
-    weight = generator.standard_normal((6, 5, 2))
-    expected = fft.irfft2(fft.rfft2(x) * (weight[..., 0] + 1j * weight[..., 1]), s=(6, 8))
-    got = bench.torch_fft_filter(torch.from_numpy(x), torch.from_numpy(weight), "tokens")
-    np.testing.assert_allclose(got.numpy(), expected, atol=1e-12)
+def tiny_plan():
+    cases = [
+        Case("tokens", (4, 6), 1, work, 1, (OURS, TORCH, MATRICES))
+        for work in ("forward", "forward+backward")
+    ]
+    cases.append(Case("sequence", (6, 2), 8, contenders=(OURS, TORCH, SCIPY)))
+    return Plan({instruction_set(): [*cases, *overhead_cases()]}, 0.001, ("a note",))
 
 
-@pytest.mark.parametrize("backward", [False, True])
-@pytest.mark.parametrize(("layout", "size"), [("tokens", (6, 8)), ("grid", (4, 6, 3))])
-def test_both_sides_of_a_measurement_compute_the_same(layout, size, backward):
-    threads = torch.get_num_threads()
-    result = bench.measure(bench.Case(layout, size, 2, backward, 1), seconds=0.001)
-    assert result.largest_difference < 1e-5
-    assert result.ratio == result.torch_fft.median / result.ffpose.median
-    assert torch.get_num_threads() == threads
-
-
-def test_geometric_mean_by_hand():
-    assert bench.geometric_mean([1.0, 2.0, 4.0]) == pytest.approx(2.0)
-
-
+@pytest.mark.slow
 def test_run_writes_a_document_and_a_picture(tmp_path, monkeypatch, capsys):
-    todo = [bench.Case("tokens", (4, 6), 1, backward, 1) for backward in (False, True)]
-    monkeypatch.setattr(bench, "cases", lambda quick: todo)
+    monkeypatch.setattr(bench, "make_plan", lambda quick: tiny_plan())
     bench.run(tmp_path / "filter.json", tmp_path / "filter.png", quick=True)
     document = json.loads((tmp_path / "filter.json").read_text())
-    assert [entry["case"]["backward"] for entry in document["results"]] == [False, True]
-    assert set(document["geometric_mean_ratio"]) == {
-        "tokens, forward, 1 thread",
-        "tokens, forward+backward, 1 thread",
-    }
-    assert document["environment"]["torch"] == torch.__version__
+    assert document["notes"] == ["a note"]
+    assert [each["setting"]["allocator"] for each in document["processes"]] == ["default", "kept"]
+    assert all(each["environment"]["torch"] == torch.__version__ for each in document["processes"])
+    assert all(each["peaks"][0]["flops"] > 1e8 for each in document["processes"])
+    assert len(document["results"]) == 3 + 4
+    first = document["results"][0]
+    assert set(first["timings"]) == {"default", "kept"}
+    assert set(first["ratio"]) == {TORCH, MATRICES}
+    assert {mean["group"] for mean in document["geometric_means"]} == {"other sizes"}
+    assert [each["work"] for each in document["overheads"]] == ["forward", "recorded"]
     assert (tmp_path / "filter.png").read_bytes().startswith(b"\x89PNG")
-    assert "geometric mean" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "geometric mean" in printed
+    assert "a note" in printed
 
 
 def test_a_missing_folder_is_found_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(bench, "measure", lambda *_: pytest.fail("measured first"))
+    monkeypatch.setattr(bench, "run_child", lambda *_: pytest.fail("measured first"))
     with pytest.raises(FileNotFoundError, match="expected an existing folder"):
         bench.run(json_path=tmp_path / "absent" / "filter.json")
+
+
+def test_a_child_is_held_to_what_was_chosen(tmp_path):
+    setting = children.Setting("scalar", "kept")
+    request = Request([Case("tokens", (4, 6), 1)], 0.001)
+    opening, measurement = children.run_child(setting, request, str(tmp_path))
+    assert opening.environment["instruction_set"] == "scalar"
+    assert measurement.case == request.cases[0]
+    assert children.Setting("avx2", "default").variables() == {
+        "FFPOSE_ISA": "avx2",
+        "MKL_ENABLE_INSTRUCTIONS": "AVX2",
+        "ATEN_CPU_CAPABILITY": "avx2",
+    }
+
+
+def test_a_child_that_fails_is_quoted(tmp_path):
+    setting = children.Setting("none", "default")
+    with pytest.raises(RuntimeError, match=r"\(none, allocator default\) failed: .*got .none"):
+        list(
+            children.run_child(setting, Request([Case("tokens", (4, 6), 1)], 0.001), str(tmp_path))
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="sees in /proc that the measuring has begun")
+def test_an_interrupted_benchmark_leaves_nothing(tmp_path):
+    words = ["bench", "filter", "--quick", "--json", "filter.json", "--plot", "filter.png"]
+    child = subprocess.Popen(
+        [sys.executable, "-m", "ffpose.cli", *words],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
+    )
+    grandchildren = Path(f"/proc/{child.pid}/task/{child.pid}/children")
+    deadline = time.monotonic() + 60
+    while not grandchildren.read_text() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    os.killpg(child.pid, signal.SIGINT)  # as a terminal does: to parent and child
+    printed, told = child.communicate(timeout=30)
+    assert child.returncode == 1
+    assert "interrupted" in told
+    assert "Traceback" not in told
+    assert printed == ""
+    assert list(tmp_path.iterdir()) == []

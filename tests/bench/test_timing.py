@@ -3,33 +3,51 @@ import time
 
 import pytest
 
-from ffpose.bench.timing import interleave
+from ffpose.bench.timing import FEWEST_ROUNDS, Contender, interleave, summarise, time_calls
 
 
-def test_rivals_take_turns():
+def test_contenders_take_turns():
     order = []
-    rivals = {name: lambda name=name: (order.append(name), time.sleep(0.002)) for name in "ab"}
-    result = interleave(rivals, seconds=0.006, rounds=3, warmup_seconds=0.0)
-    assert result["a"].rounds == 3
-    turns = [name for name, inner in result.items() for _ in range(inner.inner)]
-    assert order[-3 * len(turns) :] == turns * 3
+    contenders = {
+        name: Contender(lambda name=name: (order.append(name), time.sleep(0.002))) for name in "ab"
+    }
+    result = interleave(contenders, seconds=0.011, warmup_seconds=0.0)
+    assert result["a"].rounds == result["b"].rounds == FEWEST_ROUNDS
+    turns = [name for name, each in result.items() for _ in range(each.inner)]
+    assert order[-FEWEST_ROUNDS * len(turns) :] == turns * FEWEST_ROUNDS
 
 
 def test_a_sleep_is_measured_as_long_as_it_is():
-    result = interleave({"sleep": lambda: time.sleep(0.01)}, seconds=0.05, rounds=5)
+    result = interleave({"sleep": Contender(lambda: time.sleep(0.01))}, seconds=0.05)
     assert result["sleep"].lower >= 0.01
     assert result["sleep"].lower <= result["sleep"].median <= result["sleep"].upper
+
+
+def test_what_prepares_a_call_is_done_before_each_and_not_timed():
+    order = []
+    contender = Contender(
+        lambda: order.append("call"), lambda: (order.append("prepare"), time.sleep(0.01))
+    )
+    assert time_calls(contender, 3) < 0.01
+    assert order == ["prepare", "call"] * 3
+
+
+def test_quartiles_by_hand():
+    timing = summarise([5.0, 1.0, 2.0, 4.0, 3.0], inner=7)
+    assert (timing.lower, timing.median, timing.upper) == (2.0, 3.0, 4.0)
+    assert (timing.rounds, timing.inner) == (5, 7)
+    between = summarise([1.0, 2.0, 3.0, 4.0], inner=1)
+    assert (between.lower, between.median, between.upper) == (1.75, 2.5, 3.25)
 
 
 def test_the_garbage_collector_is_put_back():
     assert gc.isenabled()
     with pytest.raises(ZeroDivisionError):
-        interleave({"broken": lambda: 1 / 0})
-    interleave({"fine": lambda: None}, seconds=0.001)
+        interleave({"broken": Contender(lambda: 1 / 0)}, 0.001)
+    interleave({"fine": Contender(lambda: None)}, 0.001)
     assert gc.isenabled()
 
 
-@pytest.mark.parametrize(("rivals", "rounds"), [({}, 5), ({"a": int}, 2)])
-def test_nothing_to_time_is_refused(rivals, rounds):
-    with pytest.raises(ValueError, match="expected at least 1 rival and 3 rounds"):
-        interleave(rivals, rounds=rounds)
+def test_nothing_to_time_is_refused():
+    with pytest.raises(ValueError, match="expected at least 1 contender, got none"):
+        interleave({}, 0.001)

@@ -1,12 +1,23 @@
-"""Interleaved timing: rivals take turns in one run, so that a machine's drift hits them alike."""
+"""Interleaved timing: contenders take turns, so that a machine's drift hits them alike."""
 
 from __future__ import annotations
 
 import gc
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+
+FEWEST_ROUNDS = 5
+MOST_ROUNDS = 15
+
+
+@dataclass(frozen=True)
+class Contender:
+    """What is timed, and what is done before each call without being timed."""
+
+    call: Callable[[], object]
+    prepare: Callable[[], object] | None = None
 
 
 @dataclass(frozen=True)
@@ -21,63 +32,68 @@ class Timing:
 
 
 def interleave(
-    rivals: Mapping[str, Callable[[], object]],
-    seconds: float = 0.5,
-    rounds: int = 15,
-    warmup_seconds: float = 0.05,
+    contenders: Mapping[str, Contender], seconds: float, warmup_seconds: float = 0.05
 ) -> dict[str, Timing]:
-    """Times rivals in turn, A B A B …, and gives each its median seconds a call.
+    """Time contenders in turn, A B A B …, and give each its median seconds a call.
 
     Args:
-        rivals: what to time, by name; each is called without arguments.
-        seconds: time to spend on each rival, warm-up not counted.
-        rounds: turns of each rival; at least 3.
-        warmup_seconds: time to spend on each rival first; its last call sizes the turns.
+        contenders: What to time, by name.
+        seconds: Time to spend on each, warm-up not counted; more where `FEWEST_ROUNDS` calls of
+            the slowest take longer.
+        warmup_seconds: Time to spend on each first; the fastest call then sizes the turns.
 
     Returns:
-        One `Timing` for each rival, under its name.
+        One `Timing` for each, under its name.
 
     Raises:
-        ValueError: with no rival or fewer than 3 rounds.
+        ValueError: There is no contender.
     """
-    if not rivals or rounds < 3:
-        raise ValueError(
-            f"expected at least 1 rival and 3 rounds, got {len(rivals)} rivals and {rounds} rounds"
-        )
-    inner = {
-        name: max(1, int(seconds / rounds / _warm_up(call, warmup_seconds)))
-        for name, call in rivals.items()
-    }
-    samples: dict[str, list[float]] = {name: [] for name in rivals}
+    if not contenders:
+        raise ValueError("expected at least 1 contender, got none")
+    fastest = {name: _warm_up(each, warmup_seconds) for name, each in contenders.items()}
+    slowest = max(fastest.values())
+    rounds = max(FEWEST_ROUNDS, min(MOST_ROUNDS, int(seconds / slowest)))
+    inner = {name: max(1, int(seconds / rounds / each)) for name, each in fastest.items()}
+    samples: dict[str, list[float]] = {name: [] for name in contenders}
     collecting = gc.isenabled()
     gc.disable()
     try:
         for _ in range(rounds):
-            for name, call in rivals.items():
-                samples[name].append(_time_calls(call, inner[name]))
+            for name, contender in contenders.items():
+                samples[name].append(time_calls(contender, inner[name]))
     finally:
         if collecting:
             gc.enable()
-    return {name: _summarise(values, inner[name]) for name, values in samples.items()}
+    return {name: summarise(values, inner[name]) for name, values in samples.items()}
 
 
-def _warm_up(call: Callable[[], object], seconds: float) -> float:
-    """Calls until `seconds` are over (at least twice) and returns the fastest call's time."""
-    end = time.perf_counter() + seconds
-    fastest = _time_calls(call, 1)
-    while True:
-        fastest = min(fastest, _time_calls(call, 1))
-        if time.perf_counter() >= end:
-            return fastest
-
-
-def _time_calls(call: Callable[[], object], count: int) -> float:
-    start = time.perf_counter()
+def time_calls(contender: Contender, count: int) -> float:
+    """Return the seconds a call takes, over ``count`` calls."""
+    if contender.prepare is None:
+        start = time.perf_counter()
+        for _ in range(count):
+            contender.call()
+        return (time.perf_counter() - start) / count
+    total = 0.0
     for _ in range(count):
-        call()
-    return (time.perf_counter() - start) / count
+        contender.prepare()
+        start = time.perf_counter()
+        contender.call()
+        total += time.perf_counter() - start
+    return total / count
 
 
-def _summarise(values: list[float], inner: int) -> Timing:
+def summarise(values: Sequence[float], inner: int) -> Timing:
+    """Return median and quartiles of at least two samples, by linear interpolation between them."""
     lower, median, upper = statistics.quantiles(values, n=4, method="inclusive")
     return Timing(median, lower, upper, len(values), inner)
+
+
+def _warm_up(contender: Contender, seconds: float) -> float:
+    """Call until ``seconds`` are over (at least twice) and return the fastest call's time."""
+    end = time.perf_counter() + seconds
+    fastest = time_calls(contender, 1)
+    while True:
+        fastest = min(fastest, time_calls(contender, 1))
+        if time.perf_counter() >= end:
+            return fastest

@@ -1,0 +1,98 @@
+"""Child processes: each measures with one instruction set and one way of keeping memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from typing import IO, Any
+
+from ffpose.bench.machine import Peak
+from ffpose.bench.measure import Measurement
+from ffpose.bench.worker import Request
+
+ALLOCATORS: Mapping[str, Mapping[str, str]] = {
+    "default": {},
+    # The C library then keeps freed memory. torch's temporaries are sometimes faster so, as no
+    # page is fetched anew, and sometimes slower; both sides get the better of both.
+    "kept": {"MALLOC_MMAP_THRESHOLD_": "2000000000", "MALLOC_TRIM_THRESHOLD_": "4000000000"},
+}
+
+RIVALS_HELD: Mapping[str, Mapping[str, str]] = {
+    "avx2": {"MKL_ENABLE_INSTRUCTIONS": "AVX2", "ATEN_CPU_CAPABILITY": "avx2"},
+}
+"""What holds torch to an instruction set. There is no such thing for "scalar": it runs free."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is chosen for a whole process: our instruction set, and a key of `ALLOCATORS`."""
+
+    isa: str
+    allocator: str
+
+    def variables(self) -> dict[str, str]:
+        """Return the environment variables that choose it."""
+        held = RIVALS_HELD.get(self.isa, {})
+        return {"FFPOSE_ISA": self.isa, **held, **ALLOCATORS[self.allocator]}
+
+
+@dataclass(frozen=True)
+class Opening:
+    """What a child tells of itself before its measurements."""
+
+    setting: Setting
+    environment: Mapping[str, Any]
+    peaks: tuple[Peak, ...]
+
+
+def run_child(setting: Setting, request: Request, caches: str) -> Iterator[Opening | Measurement]:
+    """Start a child, and give what it tells: one `Opening`, then each `Measurement`.
+
+    Args:
+        setting: For the child.
+        request: What it shall measure.
+        caches: A folder for what torch.compile builds, so that each thing is built once.
+
+    Raises:
+        RuntimeError: The child failed; its last words are told.
+    """
+    variables = {**os.environ, **setting.variables(), "TORCHINDUCTOR_CACHE_DIR": caches}
+    with tempfile.TemporaryFile("w+") as errors, _started(variables, errors) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        with suppress(BrokenPipeError), child.stdin as stdin:  # of one that died: told below
+            json.dump(asdict(request), stdin)
+        lines = map(json.loads, child.stdout)
+        for opening in lines:
+            peaks = tuple(Peak(**peak) for peak in opening["peaks"])
+            yield Opening(setting, opening["environment"], peaks)
+            break
+        yield from map(Measurement.from_json, lines)
+        if child.wait() != 0:
+            errors.seek(0)
+            last = (errors.read().strip().splitlines() or ["no message"])[-1]
+            words = f"{setting.isa}, allocator {setting.allocator}"
+            raise RuntimeError(f"the measuring process ({words}) failed: {last}")
+
+
+@contextmanager
+def _started(variables: dict[str, str], errors: IO[str]) -> Iterator[subprocess.Popen[str]]:
+    """Start a worker, and see that it does not outlive the block."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "ffpose.bench.worker"],
+        env=variables,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        text=True,
+    ) as child:
+        try:
+            yield child
+        finally:
+            child.kill()

@@ -1,0 +1,109 @@
+"""Which cases are measured with which instruction set, and what cannot be measured here."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from ffpose.arrays import instruction_set
+from ffpose.bench.cases import (
+    BATCHES,
+    COMPILED,
+    COPY,
+    FEW,
+    GRID,
+    HALF,
+    LARGEST_BATCH,
+    MATRICES,
+    OTHER,
+    SCIPY,
+    TOKENS,
+    Case,
+    overhead_cases,
+    sweep,
+)
+from ffpose.bench.machine import cores
+from ffpose.bench.matrices import fits
+
+SLOWER: Mapping[str, tuple[str, ...]] = {
+    "avx512": ("avx512", "avx2", "scalar"),
+    "avx2": ("avx2", "scalar"),
+    "neon": ("neon", "scalar"),
+    "scalar": ("scalar",),
+}
+"""For the best instruction set of a machine, all that it has."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done.
+
+    Attributes:
+        cases: By instruction set, the machine's best first.
+        seconds: For each contender of a case.
+        notes: What is left out or done otherwise, for the reader of the figures.
+    """
+
+    cases: Mapping[str, Sequence[Case]]
+    seconds: float
+    notes: tuple[str, ...]
+
+
+def make_plan(quick: bool) -> Plan:
+    """Return the whole table, or the few cases of ``--quick``."""
+    rivals, notes = available_rivals(quick)
+    best = instruction_set()
+    if quick:
+        cases = [*with_rivals(sweep(FEW, (1, 8), 1), rivals), *overhead_cases()]
+        return Plan({best: cases}, 0.1, (*notes, "quick: few sizes, one thread"))
+    cases = [*with_rivals(sweep(GRID + TOKENS + OTHER, BATCHES, 1), rivals), *overhead_cases()]
+    if cores() > 1:
+        cases += sweep(GRID + TOKENS, BATCHES, 2)
+    by_isa = {best: cases}
+    isas = (best,) if "FFPOSE_ISA" in os.environ else SLOWER[best]
+    for isa in isas[1:]:
+        sizes, batches = (
+            (GRID + TOKENS, (1,)) if isa == "scalar" else (GRID + TOKENS + OTHER, BATCHES)
+        )
+        by_isa[isa] = sweep(sizes, batches, 1)
+    if "scalar" in by_isa and best != "scalar":
+        notes = (*notes, "scalar: against torch.fft with all its instruction sets")
+    return Plan(by_isa, 0.25, notes)
+
+
+def available_rivals(quick: bool) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Return the rivals besides torch.fft that can be measured here, and why others cannot."""
+    found, notes = {MATRICES}, []
+    if importlib.util.find_spec("scipy") is not None:
+        found.add(SCIPY)
+    else:
+        notes.append(f"{SCIPY} is not measured: SciPy is not installed")
+    if quick:
+        notes.append(f"{COMPILED} is not measured: it takes too long to compile")
+    elif shutil.which(os.environ.get("CXX", "g++")) is not None:
+        found.add(COMPILED)
+        notes.append(f"{COMPILED}: batch 1 alone, as each size is compiled anew")
+    else:
+        notes.append(f"{COMPILED} is not measured: it needs a C++ compiler, and g++ is not found")
+    return frozenset(found), tuple(notes)
+
+
+def with_rivals(cases: Sequence[Case], rivals: frozenset[str]) -> list[Case]:
+    """Return ``cases``, each with all those that can take part in it."""
+    return [replace(case, contenders=case.contenders + _more(case, rivals)) for case in cases]
+
+
+def _more(case: Case, rivals: frozenset[str]) -> tuple[str, ...]:
+    forward, one_of_few = case.work == "forward", (case.kind, case.size) in FEW
+    in_tables = case.group != "other sizes"
+    wanted = {
+        SCIPY: one_of_few and forward and SCIPY in rivals,
+        MATRICES: one_of_few and fits(case.plane),
+        COMPILED: one_of_few and case.batch == 1 and COMPILED in rivals,
+        HALF: in_tables and case.batch == LARGEST_BATCH,
+        COPY: in_tables and case.batch == LARGEST_BATCH and forward and case.kind == "grid",
+    }
+    return tuple(name for name, takes_part in wanted.items() if takes_part)

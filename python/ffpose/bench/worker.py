@@ -1,0 +1,48 @@
+"""The child process of a benchmark: ``python -m ffpose.bench.worker``.
+
+Instruction set, allocator and thread pools are chosen once a process, so each choice has a process
+of its own. It reads one JSON document, a `Request`, from standard input, and writes one a line to
+standard output: first the environment and the peaks, then each `Measurement` as it is made.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ffpose.bench.cases import Case
+from ffpose.bench.machine import environment, measure_peak
+from ffpose.bench.measure import measure
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a child is asked for: cases, and the seconds for each contender of each."""
+
+    cases: Sequence[Case]
+    seconds: float
+
+
+def main() -> None:
+    """Answer the request on standard input."""
+    fields = json.load(sys.stdin)
+    request = Request([Case.from_json(each) for each in fields["cases"]], fields["seconds"])
+    threads = sorted({case.threads for case in request.cases})
+    peaks = [asdict(measure_peak(count)) for count in threads]
+    _write({"environment": environment(), "peaks": peaks})
+    for case in request.cases:
+        _write(asdict(measure(case, request.seconds)))
+
+
+def _write(document: dict[str, Any]) -> None:
+    print(json.dumps(document), flush=True)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit(130)  # the parent, interrupted too, tells the user
