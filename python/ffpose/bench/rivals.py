@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ffpose.bench.cases import COMPILED, COPY, HALF, MATRICES, OURS, SCIPY, TORCH, Case, Kind
+from ffpose.bench.cases import COMPILED, COPY, HALF, MATRICES, OURS, SCIPY, Case, Kind
 from ffpose.bench.matrices import MatrixFilter
 from ffpose.bench.timing import Contender
 from ffpose.ops import spectral_filter
@@ -67,7 +67,7 @@ def _filter(name: str, case: Case) -> Filter:
     if name == MATRICES:
         return MatrixFilter(case.kind, *case.plane)
     plain = torch_filter(case.kind)
-    return {TORCH: plain, COMPILED: torch.compile(plain, dynamic=False)}[name]
+    return torch.compile(plain, dynamic=False) if name == COMPILED else plain
 
 
 def _contender_of(
