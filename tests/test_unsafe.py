@@ -14,7 +14,7 @@ PLACES = {
     "ffpose-py/src/tensor.rs": "torch's memory, by its C description",
 }
 
-UNSAFE = re.compile(r"\bunsafe\s+(?:fn|impl|trait|extern)\b|\bunsafe\s*\{")
+UNSAFE = re.compile(r"\bunsafe\s+(?:fn|impl|trait|extern)\b|\bunsafe\s*[({]")
 
 
 def code(path: Path) -> str:

@@ -62,6 +62,8 @@ def make_plan(quick: bool) -> Plan:
     cases = [*with_rivals(sweep(GRID + TOKENS + OTHER, BATCHES, 1), rivals), *overhead_cases()]
     if cores() > 1:
         cases += sweep(GRID + TOKENS, BATCHES, 2)
+    else:
+        notes = (*notes, "one core: two threads are not measured")
     by_isa = {best: cases}
     isas = (best,) if "FFPOSE_ISA" in os.environ else SLOWER[best]
     for isa in isas[1:]:
