@@ -1,6 +1,8 @@
 //! The filter and its gradients against the sums that define them, for every instruction set of the machine.
 
 mod common;
+#[cfg(target_arch = "x86_64")]
+mod disassembly;
 
 use common::{Numbers, exact, filter, weight_gradient};
 use ffpose_core::{Error, Gradients, Isa, Layout, Real, Scratch, Shape, SpectralFilter};

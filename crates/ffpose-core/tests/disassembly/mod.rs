@@ -1,0 +1,133 @@
+//! What the compiler made of the kernels, read from this very program: vector instructions, and no calls among them.
+//!
+//! A helper that is not inlined is compiled without the instruction set and takes its vectors through memory, at
+//! a tenth of the speed. No result shows that, so the machine code is looked at.
+
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::process::Command;
+
+/// Parts of the names of what a kernel may call: it ends the call, or it moves numbers.
+const ALLOWED: [&str; 9] = [
+    "4core9panicking",
+    "4core6option",
+    "4core6result",
+    "4core5slice5index",
+    "len_mismatch_fail",
+    "out_of_bounds",
+    "memcpy",
+    "memmove",
+    "memset",
+];
+
+/// Parts of the names of what brings a weight to kernel order, once a weight: an entry that calls it is no codelet.
+const PACKING: [&str; 1] = ["_pack"];
+
+/// What matters of one function: fused instructions on its vectors, of each element type, and what it calls.
+#[derive(Default)]
+struct Function {
+    singles: usize,
+    doubles: usize,
+    calls: Vec<String>,
+}
+
+impl Function {
+    fn read(&mut self, name: &str, instruction: &str, slots: &BTreeMap<u64, String>) {
+        let register = if name.contains("3run6avx512") { "%zmm" } else { "%ymm" };
+        let (operation, operands) = instruction.split_once(' ').unwrap_or((instruction, ""));
+        if operation.starts_with("vf") && operands.contains(register) {
+            self.singles += usize::from(operation.ends_with("ps"));
+            self.doubles += usize::from(operation.ends_with("pd"));
+        }
+        if operation.starts_with("call") {
+            self.calls.push(callee(instruction, slots));
+        }
+    }
+}
+
+#[test]
+#[cfg_attr(debug_assertions, ignore = "nothing is inlined without optimisation")]
+fn kernels_are_vector_code_without_calls() {
+    let Some((relocations, disassembly)) = objdump("-R").zip(objdump("-d")) else {
+        println!("skipped: objdump, of binutils, is not installed");
+        return;
+    };
+    let functions = functions(&disassembly, &relocations);
+    for entry in ["3run4avx2", "3run6avx512"] {
+        let entries: Vec<_> = functions.iter().filter(|(name, _)| name.contains(entry)).collect();
+        let singles: usize = entries.iter().map(|(_, code)| code.singles).sum();
+        let doubles: usize = entries.iter().map(|(_, code)| code.doubles).sum();
+        assert!(singles.min(doubles) > 100, "{entry}: {singles} fused on f32, {doubles} on f64");
+        for (name, code) in entries {
+            if code.calls.iter().any(|callee| contains_any(callee, &PACKING)) {
+                continue;
+            }
+            let calls: Vec<_> =
+                code.calls.iter().filter(|callee| !contains_any(callee, &ALLOWED)).collect();
+            assert!(calls.is_empty(), "{name} calls {calls:?}");
+        }
+    }
+}
+
+fn contains_any(name: &str, parts: &[&str]) -> bool {
+    parts.iter().any(|part| name.contains(part))
+}
+
+/// What objdump says of this program; nothing where there is no objdump.
+fn objdump(flag: &str) -> Option<String> {
+    let program = std::env::current_exe().unwrap();
+    let done =
+        match Command::new("objdump").args([flag, "--no-show-raw-insn"]).arg(program).output() {
+            Err(error) if error.kind() == ErrorKind::NotFound => return None,
+            done => done.unwrap(),
+        };
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    Some(String::from_utf8_lossy(&done.stdout).into_owned())
+}
+
+/// The functions of a disassembly by name; names of what they call through the table that `relocations` fills.
+fn functions(disassembly: &str, relocations: &str) -> BTreeMap<String, Function> {
+    let names: BTreeMap<u64, &str> = disassembly.lines().filter_map(heading).collect();
+    let slots: BTreeMap<u64, String> =
+        relocations.lines().filter_map(|line| slot(line, &names)).collect();
+    let mut functions = BTreeMap::<String, Function>::new();
+    let mut current = Function::default();
+    let mut name = "";
+    for line in disassembly.lines().chain(["0 <>:"]) {
+        if let Some((_, next)) = heading(line) {
+            functions.insert(name.to_owned(), std::mem::take(&mut current));
+            name = next;
+        } else if let Some((_, instruction)) = line.split_once('\t') {
+            current.read(name, instruction, &slots);
+        }
+    }
+    functions
+}
+
+/// Address and name of `0000000000045a10 <name>:`.
+fn heading(line: &str) -> Option<(u64, &str)> {
+    let (address, name) = line.strip_suffix(">:")?.split_once(" <")?;
+    Some((u64::from_str_radix(address, 16).ok()?, name))
+}
+
+/// Address and name of a slot in the table, from `00000000004d1f28 R_X86_64_RELATIVE  *ABS*+0x45a10` or from a line with a name.
+fn slot(line: &str, names: &BTreeMap<u64, &str>) -> Option<(u64, String)> {
+    let mut words = line.split_whitespace();
+    let address = u64::from_str_radix(words.next()?, 16).ok()?;
+    let value = words.nth(1)?;
+    let name = match value.strip_prefix("*ABS*+0x") {
+        Some(target) => *names.get(&u64::from_str_radix(target, 16).ok()?)?,
+        None => value,
+    };
+    Some((address, name.to_owned()))
+}
+
+/// The name of what is called: directly, or through the slot whose address stands behind `#`; else the instruction.
+fn callee(instruction: &str, slots: &BTreeMap<u64, String>) -> String {
+    let indirect = instruction.split_once("# ").and_then(|(_, comment)| {
+        let address = comment.split_whitespace().next()?;
+        slots.get(&u64::from_str_radix(address, 16).ok()?).cloned()
+    });
+    let direct = instruction.split_once('<').map(|(_, name)| name.trim_end_matches('>').to_owned());
+    indirect.or(direct).unwrap_or_else(|| instruction.to_owned())
+}
