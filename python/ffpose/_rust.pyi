@@ -4,6 +4,7 @@ Every function raises TypeError for an argument or dtype that is not float32 or 
 ValueError for a shape, a stride or a value.
 """
 
+from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -20,6 +21,7 @@ __all__ = [
     "normalize_quaternion_backward",
     "quaternion_to_euler",
     "rotation_error",
+    "shade_earth",
     "spectral_filter",
     "spectral_filter_backward",
     "speed_plus_score",
@@ -44,8 +46,17 @@ def spectral_filter_backward(
 ) -> tuple[NDArray[_Real] | None, NDArray[_Real] | None]: ...
 def isa() -> str: ...
 def fractal_noise(
-    points: NDArray[np.float32], lattice: NDArray[np.float32], heights: NDArray[np.float32]
+    points: NDArray[np.float32], heights: NDArray[np.float32]
 ) -> NDArray[np.float32]: ...
+def shade_earth(
+    rays: NDArray[np.float32],
+    nadir: Sequence[float],
+    altitude: float,
+    sun: Sequence[float],
+    ground: Sequence[Sequence[float]],
+    detail: int,
+    pixel_angle: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
 def normalize_quaternion(q: NDArray[_Real]) -> NDArray[_Real]: ...
 def normalize_quaternion_backward(grad: NDArray[_Real], q: NDArray[_Real]) -> NDArray[_Real]: ...
 def canonical_quaternion(q: NDArray[_Real]) -> NDArray[_Real]: ...

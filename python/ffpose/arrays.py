@@ -8,6 +8,7 @@ first ``(w, x, y, z)``; angles are in degrees, translations in metres.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -246,16 +247,15 @@ def speed_plus_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayL
     return _rust.speed_plus_score(*_pose_arrays(t, q, t_hat, q_hat))
 
 
-def fractal_noise(points: ArrayLike, lattice: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
+def fractal_noise(points: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
     """Fractal value noise in three dimensions, a sum of octaves; float32 alone.
 
-    Every octave reads the same lattice, in a frame that is turned and about twice as fine as that
-    of the one before. The result has the same bits on every machine.
+    Each octave has a random value in -1…1 at every whole number and is smooth between; it is in a
+    frame that is turned and about twice as fine as that of the one before. The result has the same
+    bits on every machine.
 
     Args:
-        points: Points ``(3, N)``; one unit is one cell of the lattice in the first octave.
-        lattice: Random values ``(L, L, L)``, L a power of two up to 1024. The noise meets them at
-            whole numbers, is smooth between, and has period L.
+        points: Points ``(3, N)``; in the first octave random values are 1 apart.
         heights: What each octave is multiplied by, ``(K,)``.
 
     Returns:
@@ -266,15 +266,56 @@ def fractal_noise(points: ArrayLike, lattice: ArrayLike, heights: ArrayLike) -> 
         ValueError: Another shape.
 
     Examples:
-        Halfway between two lattice points lies their mean:
+        Halfway between two whole numbers lies the mean of their values:
 
-        >>> lattice = np.arange(8, dtype=np.float32).reshape(2, 2, 2)
-        >>> points = np.array([[0.0], [0.0], [0.5]], dtype=np.float32)
-        >>> fractal_noise(points, lattice, np.ones(1, dtype=np.float32))
-        array([0.5], dtype=float32)
+        >>> points = np.array([[0.0, 0.5, 1.0]] + [[3.0] * 3] * 2, dtype=np.float32)
+        >>> first, half, second = fractal_noise(points, np.ones(1, dtype=np.float32))
+        >>> bool(abs(half - (first + second) / 2) < 1e-6)
+        True
     """
-    return _rust.fractal_noise(
-        _array(points, "points"), _array(lattice, "lattice"), _array(heights, "heights")
+    return _rust.fractal_noise(_array(points, "points"), _array(heights, "heights"))
+
+
+def shade_earth(
+    rays: ArrayLike,
+    nadir: Sequence[float],
+    altitude: float,
+    sun: Sequence[float],
+    ground: Sequence[Sequence[float]],
+    detail: int,
+    pixel_angle: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Light that comes from the Earth and its air along rays from a low orbit; float32 alone.
+
+    Lengths are in Earth radii, vectors in the frame of the camera. The result has the same bits on
+    every machine.
+
+    Args:
+        rays: Unit vectors ``(3, N)``.
+        nadir: Unit vector to the Earth's centre.
+        altitude: Height of the camera above the ground.
+        sun: Unit vector to the sun.
+        ground: Rotation ``(3, 3)`` into the frame of land and clouds.
+        detail: Octaves of the clouds, 0…255; finer images need more.
+        pixel_angle: Angle of one pixel in radians, over which the Earth's rim is smoothed.
+
+    Returns:
+        Radiance ``(3, N)``, red, green and blue; and the part ``(N,)`` of what lies behind that
+        still shows.
+
+    Raises:
+        TypeError: ``rays`` is not of float32.
+        ValueError: Another shape.
+
+    Examples:
+        Away from the Earth there is nothing to see:
+
+        >>> up, down = (0.0, 0.0, -1.0), (0.0, 0.0, 1.0)
+        >>> shade_earth(np.float32([[0], [0], [1]]), up, 0.06, down, np.eye(3).tolist(), 6, 1e-3)[1]
+        array([1.], dtype=float32)
+    """
+    return _rust.shade_earth(
+        _array(rays, "rays"), nadir, altitude, sun, ground, detail, pixel_angle
     )
 
 

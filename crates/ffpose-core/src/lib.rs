@@ -12,6 +12,7 @@
 
 #![deny(unsafe_code)]
 
+pub mod earth;
 mod error;
 mod fft;
 mod general;

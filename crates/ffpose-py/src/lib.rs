@@ -1,6 +1,7 @@
 //! `ffpose._rust`: ffpose-core for NumPy arrays. Every function checks, releases the GIL, computes and maps errors.
 
 mod border;
+mod earth;
 mod noise;
 mod pose;
 mod spectral;
@@ -10,6 +11,8 @@ use pyo3::prelude::*;
 /// The compiled core of ffpose. Arrays are C-contiguous float32 or float64.
 #[pymodule]
 mod _rust {
+    #[pymodule_export]
+    use super::earth::shade_earth;
     #[pymodule_export]
     use super::noise::fractal_noise;
     #[pymodule_export]

@@ -6,17 +6,16 @@ use pyo3::prelude::*;
 
 use crate::border::{array, enter};
 
-/// Fractal noise (N,) at points (3, N), from a lattice (L, L, L) and the heights (K,) of its octaves; float32.
+/// Fractal noise (N,) at points (3, N), from the heights (K,) of its octaves; float32.
 #[pyfunction]
 pub(crate) fn fractal_noise<'py>(
     py: Python<'py>,
     points: &Bound<'py, PyAny>,
-    lattice: &Bound<'py, PyAny>,
     heights: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let points = array::<f32>("points", points)?;
-    let (lattice, heights) = (array::<f32>("lattice", lattice)?, array::<f32>("heights", heights)?);
-    let (points, lattice, heights) = (points.as_array(), lattice.as_array(), heights.as_array());
-    let sums = enter(py, || noise::fractal(points, lattice, heights))?;
+    let heights = array::<f32>("heights", heights)?;
+    let (points, heights) = (points.as_array(), heights.as_array());
+    let sums = enter(py, || noise::fractal(points, heights))?;
     Ok(PyArray1::from_owned_array(py, sums))
 }

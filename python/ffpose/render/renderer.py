@@ -20,14 +20,18 @@ from ffpose.render.shading import Finish, Light, earth_visible, reflected, sun_v
 from ffpose.render.sky import draw_stars, sun_disc
 from ffpose.render.tracer import Tracer
 from ffpose.render.vectors import Floats
-from ffpose.render.view import Window, find_window, look, pixel_rays, smoothed
+from ffpose.render.view import View, Window, find_window, look, pixel_rays, smoothed
 
 MIN_SIDE, MAX_SIDE = 16, 8192
 BLOCK = 8192
 """Pixels of background computed at once: their temporaries stay in the processor's cache."""
 
-LAMP = 6.0
-"""The camera's lamp in eclipse: at 10 m it gives a surface six per cent of the sun's light."""
+BAND = 1 << 16
+"""Samples of the spacecraft computed at once, for the same reason."""
+
+LAMP = 30.0
+"""The camera's lamp in eclipse: at 10 m it gives a surface a third of the sun's light. No lamp is
+so strong: the number stands for a longer exposure too."""
 
 SAMPLES = ((0.02, 4), (0.06, 3), (1.0, 2))
 """Samples along each side of a pixel, by how much of the frame the spacecraft's rectangle fills."""
@@ -149,18 +153,34 @@ def _draw_craft(
     window = find_window(craft.mesh.vertices, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
-    tracer = prepared(craft)[0]
-    samples = _sample_count(window, camera)
-    view = look(tracer, window, camera, pose, samples)
-    footprint = view.hits.distance * np.float32(1 / camera.fx)
-    surface = finish.surface(view, footprint)
+    tracer, samples = prepared(craft)[0], _sample_count(window, camera)
+    colors = []
+    for band in window.bands(BAND // samples**2):
+        view = look(tracer, band, camera, pose, samples)
+        colors.append(_shade(view, tracer, band, samples, camera, finish, light, rng))
+        _composite(radiance, band, view.hits.ray, colors[-1], samples)
+    return np.concatenate(colors, axis=1)
+
+
+def _shade(
+    view: View,
+    tracer: Tracer,
+    window: Window,
+    samples: int,
+    camera: Camera,
+    finish: Finish,
+    light: Light,
+    rng: np.random.Generator,
+) -> Floats:
+    """(3, H) radiance of what a view met."""
+    surface = finish.surface(view, view.hits.distance * np.float32(1 / camera.fx))
     place = view.place
     sunlit = sun_visible(tracer, place, surface.normal, light)
-    earthlit = earth_visible(tracer, place, surface.normal, light, rng)
-    earthlit = smoothed(earthlit, view.hits.ray, window, samples)
-    color = reflected(surface, view, light, sunlit, earthlit)
-    _composite(radiance, window, view.hits.ray, color, samples)
-    return color
+    # About one sample of each pixel is enough, as the rays are few and their mean is smoothed.
+    some = slice(None, None, samples**2)
+    earthlit = earth_visible(tracer, place[:, some], surface.normal[:, some], light, rng)
+    earthlit = smoothed(earthlit, view.hits.ray[some], view.hits.ray, window, samples)
+    return reflected(surface, view, light, sunlit, earthlit)
 
 
 def _sample_count(window: Window, camera: Camera) -> int:

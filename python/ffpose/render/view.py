@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +16,8 @@ from ffpose.render.tracer import Hits, Tracer
 from ffpose.render.vectors import Floats, rotate
 
 NEAR_M = 0.05
+LEAST_ROWS = 8
+"""Of a band: what is smoothed over neighbours has some."""
 
 
 class Window(NamedTuple):
@@ -28,6 +32,13 @@ class Window(NamedTuple):
     def shape(self) -> tuple[int, int]:
         """(rows, columns)."""
         return self.bottom - self.top, self.right - self.left
+
+    def bands(self, pixels: int) -> Iterator[Window]:
+        """Cut into whole rows, of about as many pixels each, but at least `LEAST_ROWS` high."""
+        rows, columns = self.shape
+        count = max(1, rows // max(LEAST_ROWS, pixels // columns))
+        edges = [self.top + rows * n // count for n in range(count + 1)]
+        return (self._replace(top=top, bottom=bottom) for top, bottom in pairwise(edges))
 
 
 class View(NamedTuple):
@@ -81,24 +92,39 @@ def look(tracer: Tracer, window: Window, camera: Camera, pose: Pose, samples: in
     return View(eye, rays.take(hits.ray, axis=1), hits)
 
 
-def smoothed(values: Floats, ray: NDArray[np.intp], window: Window, samples: int) -> Floats:
+def smoothed(
+    values: Floats,
+    known: NDArray[np.intp],
+    ray: NDArray[np.intp],
+    window: Window,
+    samples: int,
+) -> Floats:
     """Mean of a noisy quantity over the neighbourhood of each sample's pixel, 5 pixels wide.
 
     Args:
-        values: (H,) at the samples.
-        ray: (H,) the samples' numbers, as in `View`.
+        values: (K,) at some of the samples.
+        known: (K,) the numbers of these.
+        ray: (H,) the numbers of all samples, as in `View`.
         window: the pixels.
         samples: samples along each side of a pixel.
+
+    Returns:
+        (H,) means; 1 where no value is near.
     """
     rows, columns = window.shape
-    pixel = ray // (columns * samples) // samples * columns + ray % (columns * samples) // samples
     cells = rows * columns
-    cells = rows * columns
-    sums = [np.bincount(pixel, values, cells), np.bincount(pixel, minlength=cells)]
-    both = np.stack(sums, dtype=np.float64).reshape(2, rows, columns)
-    total, count = _box(_box(both)).reshape(2, -1)
-    mean = total.take(pixel) / count.take(pixel)
-    return np.asarray(mean, dtype=np.float32)
+    at = _pixel(known, columns, samples)
+    sums = [np.bincount(at, values, cells), np.bincount(at, minlength=cells)]
+    grids = np.stack(sums, dtype=np.float64).reshape(2, rows, columns)
+    total, count = _box(_box(grids)).reshape(2, -1)
+    mean = np.divide(total, count, out=np.ones(cells), where=count > 0).astype(np.float32)
+    return mean.take(_pixel(ray, columns, samples))
+
+
+def _pixel(ray: NDArray[np.intp], columns: int, samples: int) -> NDArray[np.intp]:
+    """Numbers of the pixels that samples lie in."""
+    row, column = np.divmod(ray, columns * samples)
+    return np.asarray(row // samples * columns + column // samples)
 
 
 def _box(grids: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,27 @@
+//! The Earth of rendered scenes for NumPy arrays.
+
+use ffpose_core::earth::{Earth, Seen, shade};
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+
+use crate::border::{array, enter};
+
+/// Radiance (3, N) of the Earth along rays (3, N), and the part (N,) of what lies behind that still shows; float32.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, clippy::type_complexity)] // Python gives the fields of `Earth` one by one
+pub(crate) fn shade_earth<'py>(
+    py: Python<'py>,
+    rays: &Bound<'py, PyAny>,
+    nadir: [f32; 3],
+    altitude: f32,
+    sun: [f32; 3],
+    ground: [[f32; 3]; 3],
+    detail: u8,
+    pixel_angle: f32,
+) -> PyResult<(Bound<'py, PyArray2<f32>>, Bound<'py, PyArray1<f32>>)> {
+    let rays = array::<f32>("rays", rays)?;
+    let (rays, earth) =
+        (rays.as_array(), Earth { nadir, altitude, sun, ground, detail, pixel_angle });
+    let Seen { radiance, behind } = enter(py, || shade(&earth, rays))?;
+    Ok((PyArray2::from_owned_array(py, radiance), PyArray1::from_owned_array(py, behind)))
+}
