@@ -6,6 +6,10 @@ import hashlib
 import json
 import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -207,6 +211,38 @@ def test_disk_that_fills_up_is_one_error_and_the_next_run_carries_on(folder, tmp
     done = write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
     assert (done.rendered, done.kept) == (8, 4)
     assert contents(tmp_path) == contents(folder)
+
+
+RUN = """
+import sys
+from ffpose.render import write_dataset
+
+if __name__ == "__main__":
+    write_dataset("soyuz_easy", sys.argv[1], 100_000, seed=7, size=(64, 48), workers=2)
+"""
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_their_parent_and_the_next_run_carries_on(folder, tmp_path, end):
+    (tmp_path / "run.py").write_text(RUN)
+    command = [sys.executable, tmp_path / "run.py", tmp_path / "set"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as run:
+        waits = 0
+        while not list(tmp_path.glob("set/*_rgb.png")) and waits < 600:
+            time.sleep(0.1)
+            waits += 1
+        run.send_signal(end)
+        # The workers hold this pipe too: it ends with the last of them.
+        run.communicate(timeout=30)
+    images = {f"{index}_rgb.png" for index in range(12)}
+    left = {path.name for path in (tmp_path / "set").iterdir()} - {"manifest.json"}
+    assert left & images
+    for name in left - images:
+        assert name.endswith("_rgb.png")
+        (tmp_path / "set" / name).unlink()
+    done = write_dataset("soyuz_easy", tmp_path / "set", 12, seed=7, size=SIZE)
+    assert done.kept == len(left & images)
+    assert contents(tmp_path / "set") == contents(folder)
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason="the extra `ray` is not installed")

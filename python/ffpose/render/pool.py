@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import tempfile
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -95,12 +98,29 @@ _worker_job: list[Job] = []
 """The job of this worker process; sent once, because a spacecraft may be a large mesh."""
 
 
+_busy = threading.Lock()
+"""Held by this worker process while it writes."""
+
+
 def _start_worker(job: Job) -> None:
     _worker_job[:] = [job]
+    # The parent alone answers to Ctrl-C: it lets every worker finish its image.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End this worker, between two images, when its parent has ended in whatever way."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        with _busy:
+            os._exit(1)
 
 
 def _worker_render(index: int) -> str:
-    return render_one(_worker_job[0], index)
+    with _busy:
+        return render_one(_worker_job[0], index)
 
 
 def _on_ray(job: Job, indices: Sequence[int]) -> Iterator[tuple[int, str]]:
