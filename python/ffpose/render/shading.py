@@ -1,7 +1,7 @@
 """Light on the spacecraft's surface: Lambert's law under a GGX microfacet layer.
 
 Radiance is in units of that of a white diffuse surface facing the sun, so the sun's irradiance is
-pi. Sources: Walter et al. 2007 (GGX), Schlick 1994 (Fresnel), Smith's shadowing in Karis' form.
+pi. Sources: Walter et al. 2007 (GGX with Smith's shadowing), Schlick 1994 (Fresnel).
 """
 
 from __future__ import annotations
@@ -173,20 +173,30 @@ def _highlight(surface: Surface, rays: Floats, sun: Floats, mirror: Floats) -> F
     facing = np.maximum(dot(half, surface.normal), 0)
     cos_view = np.maximum(-dot(rays, surface.normal), np.float32(1e-3))
     cos_sun = np.maximum(dot(sun, surface.normal), np.float32(1e-3))
-    slope = surface.roughness**4
-    spread = slope / (facing * facing * (slope - 1) + 1) ** 2
-    k = (surface.roughness + 1) ** 2 / 8
-    shadowing = np.reciprocal((cos_view * (1 - k) + k) * (cos_sun * (1 - k) + k))
+    lobe = _lobe(surface, facing) / (_reach(surface, cos_view) * _reach(surface, cos_sun))
     grazing = (1 - np.clip(dot(sun, half), 0, 1)) ** 5
-    result: Floats = (mirror + (1 - mirror) * grazing) * (spread * shadowing * np.float32(0.25))
+    result: Floats = (mirror + (1 - mirror) * grazing) * lobe
     return result
 
 
 def _lamp_glint(surface: Surface, facing: Floats, mirror: Floats) -> Floats:
     """The GGX lobe seen from the light itself, times pi."""
+    lobe: Floats = _lobe(surface, facing) / _reach(surface, facing) ** 2
+    return mirror * lobe
+
+
+def _lobe(surface: Surface, facing: Floats) -> Floats:
+    """GGX's share of microfacets that face the half vector, times pi."""
     slope = surface.roughness**4
-    spread: Floats = slope / (facing * facing * (slope - 1) + 1) ** 2
-    return mirror * (spread * np.float32(0.25))
+    result: Floats = slope / (facing * facing * (slope - 1) + 1) ** 2
+    return result
+
+
+def _reach(surface: Surface, cosine: Floats) -> Floats:
+    """What Smith's shadowing divides by for one direction, twice the cosine already taken out."""
+    slope = surface.roughness**4
+    result: Floats = cosine + np.sqrt(slope + (1 - slope) * cosine * cosine)
+    return result
 
 
 def _earth_shine(
