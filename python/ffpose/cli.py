@@ -76,7 +76,7 @@ def render_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply or .glb")
     parser.add_argument("--mesh-scale", type=float, default=1.0, help="metres a unit of the mesh")
     parser.add_argument(
-        "--eclipse-rate", type=float, default=0.0, help="share in the Earth's shadow"
+        "--eclipse-rate", type=float, help="share in the Earth's shadow; as in orbit by default"
     )
     parser.add_argument(
         "--motion", type=float, default=0.0, help="longest motion blur, pixels of 1280"
@@ -96,7 +96,7 @@ def render(options: Namespace) -> None:
     scene = replace(
         scene,
         sensor=sensor,
-        eclipse_rate=options.eclipse_rate,
+        eclipse_rate=scene.eclipse_rate if options.eclipse_rate is None else options.eclipse_rate,
         randomization=Randomization.of_strength(options.randomize),
         camera=Camera.read(options.camera) if options.camera else scene.camera,
         craft=load_craft(options.mesh, options.mesh_scale) if options.mesh else scene.craft,

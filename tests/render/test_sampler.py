@@ -94,3 +94,26 @@ def test_contradicting_ranges_are_one_error():
     scene = Scene("x", "soyuz", (2.0, 2.5), 0.1, min_visible=1.0)
     with pytest.raises(ValueError, match="found no pose"):
         label(scene, 0, 0)
+
+
+def eclipse_share_of_a_year():
+    """Mean over the year of the part of a circular orbit at 410 km, 51.6 degrees, without sun."""
+    rng = np.random.default_rng(0)
+    season, node = rng.uniform(0, 2 * np.pi, (2, 100_000))
+    tilt, inclination = np.radians([23.44, 51.6])
+    sun = [np.cos(season), np.sin(season) * np.cos(tilt), np.sin(season) * np.sin(tilt)]
+    normal = np.array([np.sin(inclination) * np.sin(node), -np.sin(inclination) * np.cos(node)])
+    out_of_plane = (np.array(sun[:2]) * normal).sum(axis=0) + sun[2] * np.cos(inclination)
+    shadow = np.sqrt(1 - (6371 / (6371 + 410)) ** 2) / np.sqrt(1 - out_of_plane**2)
+    return np.where(shadow < 1, np.arccos(np.minimum(shadow, 1)) / np.pi, 0).mean()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_sets_are_eclipsed_and_backlit_as_often_as_an_orbit(name):
+    rng = np.random.default_rng(1)
+    drawn = [sample_surroundings(SCENES[name], rng) for _ in range(4000)]
+    eclipsed = np.array([around.eclipsed for around in drawn])
+    # Three standard deviations of a share of a third among 4000.
+    assert abs(eclipsed.mean() - eclipse_share_of_a_year()) < 0.0225
+    sun = np.array([around.sun for around in drawn])[~eclipsed]
+    assert abs((sun[:, 2] > 0).mean() - 0.5) < 0.03

@@ -28,7 +28,7 @@ class Scene:
             its number; the attitude is uniform over rotations within these bounds.
         min_visible: at least this part of the spacecraft's extent lies in the frame.
         eclipse_rate: share of the images taken in the Earth's shadow by the light of a lamp at the
-            camera; 0 as in URSO, `ORBIT_ECLIPSE_RATE` as in a low orbit.
+            camera.
         camera: the camera at full size; images of other sizes are this one resized.
         sensor: how light becomes numbers.
         randomization: how far pictures leave what is real; not at all by default.
@@ -40,7 +40,7 @@ class Scene:
     lateral_m: float
     attitude_range_deg: tuple[float, float, float] = (180.0, 60.0, 180.0)
     min_visible: float = 0.9
-    eclipse_rate: float = 0.0
+    eclipse_rate: float = ORBIT_ECLIPSE_RATE
     camera: Camera = URSO_CAMERA
     sensor: Sensor = field(default_factory=Sensor)
     randomization: Randomization = field(default_factory=Randomization)
