@@ -55,6 +55,16 @@ def test_eclipse_is_lit_by_the_lamp_alone():
     assert bright >= 3
 
 
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_exposure_neither_hides_nor_burns_the_spacecraft(name, rate):
+    scene = replace(SCENES[name], eclipse_rate=rate)
+    for index in range(8):
+        seen = render(scene, 3, index, SIZE).image[render_layers(scene, 3, index, SIZE).mask]
+        assert np.median(seen.mean(axis=1)) > 20
+        assert (seen.min(axis=1) > 250).mean() < 0.1
+
+
 def rays_from_nadir(degrees):
     angle = np.radians(np.atleast_1d(degrees))
     return np.stack([np.sin(angle), 0 * angle, np.cos(angle)]).astype(np.float32)
