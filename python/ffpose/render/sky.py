@@ -21,7 +21,6 @@ STAR_FLUX = 0.25
 
 def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
     """(H, W, 3) radiance of stars uniform over the sky with the true count for each magnitude."""
-    image = np.zeros((camera.height, camera.width, 3), dtype=np.float32)
     total = rng.poisson(STARS_TO_MAGNITUDE_ZERO * 10 ** (0.5 * FAINTEST))
     rays = rng.standard_normal((total, 3))
     # Counts grow as 10^(0.5 m), so a uniform share of them gives a magnitude.
@@ -35,13 +34,15 @@ def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
     # A star falls on four pixels, shared as its place between their centres says.
     base = np.floor(pixel - 0.5).astype(np.int64)
     part = pixel - 0.5 - base
+    image = np.zeros((camera.height * camera.width, 3), dtype=np.float32)
     for dy in (0, 1):
         for dx in (0, 1):
             column, row = base[:, 0] + dx, base[:, 1] + dy
             weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
             seen = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-            np.add.at(image, (row[seen], column[seen]), (weight[:, None] * light)[seen])
-    return image
+            at = row[seen] * camera.width + column[seen]
+            np.add.at(image, at, (weight[:, None] * light)[seen])
+    return image.reshape(camera.height, camera.width, 3)
 
 
 def sun_disc(sun: NDArray[np.float64], rays: Floats, pixel_angle: float) -> Floats:
