@@ -15,6 +15,7 @@ from ffpose import _rust
 FUSED = re.compile(r"\tvfn?m(?:add|sub)\d+(p[sd]) .*%([yz]mm)")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="reads x86 machine code")
 @pytest.mark.skipif(shutil.which("objdump") is None, reason="objdump, of binutils, is missing")
 def test_avx2_and_avx512_of_both_precisions():
