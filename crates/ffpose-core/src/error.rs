@@ -49,6 +49,12 @@ pub enum Error {
         /// Channels, or 1.
         lanes: usize,
     },
+    /// Working memory that there is not.
+    #[error("expected {bytes} bytes of working memory, got none: there is not so much")]
+    Memory {
+        /// The bytes that the call needs.
+        bytes: usize,
+    },
     /// A vector of length zero where a direction or a distance is needed.
     #[error("{name} must have a norm above zero, got a zero vector in row {row}")]
     ZeroNorm {

@@ -15,6 +15,7 @@ use rustfft::{Fft, FftPlanner};
 use transpose::transpose;
 
 use crate::kernel::{Backward, Kernel};
+use crate::parallel::Team;
 use crate::{Layout, Real, Shape};
 
 pub(crate) struct General<T: Real> {
@@ -173,7 +174,7 @@ impl<T: Real> Kernel<T> for General<T> {
         2 * (self.planes() * self.plane_len() + 3 * self.spectrum_len() + self.inner_len())
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T]) {
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
         let packed: &mut [Complex<T>] = cast_slice_mut(packed);
         let norm = self.norm(1.0);
         for (bin, lanes) in weight.outer_iter().enumerate() {
@@ -188,10 +189,10 @@ impl<T: Real> Kernel<T> for General<T> {
         x: ArrayView3<'_, T>,
         packed: &[T],
         mut y: ArrayViewMut3<'_, T>,
-        scratch: &mut [T],
+        team: &mut Team<'_, T>,
     ) {
         let weights = cast_slice(packed).chunks_exact(self.spectrum_len());
-        let Buffers { planes, spectrum, mut work, .. } = self.buffers(scratch);
+        let Buffers { planes, spectrum, mut work, .. } = self.buffers(team.scratch());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.gather(x, planes);
             for (plane, weight) in planes.chunks_exact_mut(self.plane_len()).zip(weights.clone()) {
@@ -203,9 +204,9 @@ impl<T: Real> Kernel<T> for General<T> {
         }
     }
 
-    fn backward(&self, pass: Backward<'_, T>, scratch: &mut [T]) {
+    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
-        let Buffers { planes, inputs, spectrum, input, mut work } = self.buffers(scratch);
+        let Buffers { planes, inputs, spectrum, input, mut work } = self.buffers(team.scratch());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
             self.gather(grad, planes);
             if grad_sum.is_some() {
@@ -231,7 +232,12 @@ impl<T: Real> Kernel<T> for General<T> {
         }
     }
 
-    fn unpack_gradient(&self, grad_sum: &[T], mut grad_weight: ArrayViewMut3<'_, T>) {
+    fn unpack_gradient(
+        &self,
+        grad_sum: &[T],
+        mut grad_weight: ArrayViewMut3<'_, T>,
+        _: &mut Team<'_, T>,
+    ) {
         let sums: &[Complex<T>] = cast_slice(grad_sum);
         let (rows, half) = (self.shape.rows, self.shape.half());
         let (once, twice) = (self.norm(1.0), self.norm(2.0));

@@ -8,9 +8,12 @@
 //!
 //! In an image view the lanes are contiguous, batch and point strides are positive and otherwise arbitrary. In a
 //! weight view real and imaginary part are neighbours and the stride of the lanes is 2. No dimension is zero, and
-//! `packed`, `grad_sum` and `scratch` have exactly the lengths that the kernel asked for; the driver has checked it.
+//! `packed`, `grad_sum` and the team's scratches have exactly the lengths that the kernel asked for; the driver has checked it.
+//! A team has several members only where a call is one single piece; results must not depend on how many.
 
 use ndarray::{ArrayView3, ArrayViewMut3};
+
+use crate::parallel::Team;
 
 /// The transform of one [`crate::Shape`], planned once.
 ///
@@ -23,11 +26,11 @@ pub(crate) trait Kernel<T>: Send + Sync {
     /// Numbers in the packed weight of one tile, and in its gradient sum; the same for a last, shorter tile.
     fn packed_len(&self) -> usize;
 
-    /// Numbers of scratch that a call needs, with any content.
+    /// Numbers of scratch that each member of a team needs, with any content.
     fn scratch_len(&self) -> usize;
 
     /// Brings the weight of one tile from natural order to the kernel's own, scaled by the norm of the transform.
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T]);
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>);
 
     /// `y = irfft2(rfft2(x) · W)`, overwriting `y`.
     fn forward(
@@ -35,15 +38,20 @@ pub(crate) trait Kernel<T>: Send + Sync {
         x: ArrayView3<'_, T>,
         packed: &[T],
         y: ArrayViewMut3<'_, T>,
-        scratch: &mut [T],
+        team: &mut Team<'_, T>,
     );
 
     /// The gradients that `pass` asks for.
-    fn backward(&self, pass: Backward<'_, T>, scratch: &mut [T]);
+    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>);
 
     /// Brings a gradient sum to natural order, times `c_v / (rows · columns)`, overwriting `grad_weight`;
     /// `c_v` is 1 in the columns of DC and Nyquist and 2 between them, which stand for two columns each.
-    fn unpack_gradient(&self, grad_sum: &[T], grad_weight: ArrayViewMut3<'_, T>);
+    fn unpack_gradient(
+        &self,
+        grad_sum: &[T],
+        grad_weight: ArrayViewMut3<'_, T>,
+        team: &mut Team<'_, T>,
+    );
 }
 
 /// One piece of a backward pass. `G` and `X` are the spectra of `grad` and `x`.

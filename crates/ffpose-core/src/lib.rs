@@ -16,6 +16,7 @@ pub mod earth;
 mod error;
 mod fft;
 mod general;
+mod half;
 mod kernel;
 pub mod noise;
 mod parallel;
@@ -31,6 +32,8 @@ mod spectral;
 mod tiling;
 
 pub use error::Error;
+pub use half::{Bf16, F16, Half, Number};
+pub use parallel::{Pool, StdThreads};
 pub use real::Real;
 pub use scratch::Scratch;
 pub use shape::{Layout, Shape};

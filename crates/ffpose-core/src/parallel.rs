@@ -1,40 +1,114 @@
 //! The one place that decides on threads.
 //!
-//! Threads live as long as one call: no pool, so nothing that a forked process could wait for in vain.
+//! The core owns no threads: a [`Pool`] lends them. [`StdThreads`] is for callers without one.
 
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 
-/// Elements of work below which another thread is taken to cost more than it brings: an estimate, not a measurement.
-const WORTH_A_THREAD: usize = 1 << 17;
+/// Threads that a caller lends.
+pub trait Pool: Sync {
+    /// Threads that may work at a time, the caller's own among them; at least 1.
+    fn threads(&self) -> usize;
 
-/// How many threads to use for `elements` of work when the caller allows `most`.
-pub(crate) fn worth(most: usize, elements: usize) -> usize {
-    most.min(elements / WORTH_A_THREAD).max(1)
+    /// Elements of work below which another of these threads costs more than it brings.
+    fn grain(&self) -> usize;
+
+    /// Calls `work` once with each of `0..workers`, on several threads if there are, and returns when all are done.
+    ///
+    /// A panic in `work` reaches the caller, after the others are done.
+    fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync));
 }
 
-/// Runs `work` on every job: one thread for each scratch, the caller's own among them, and contiguous runs of jobs.
+/// At most this many threads of the operating system, which live as long as one call: nothing is left behind that a
+/// forked process could wait for in vain.
+#[derive(Clone, Copy, Debug)]
+pub struct StdThreads(pub usize);
+
+impl Pool for StdThreads {
+    fn threads(&self) -> usize {
+        self.0
+    }
+
+    fn grain(&self) -> usize {
+        1 << 16 // about 20 microseconds to start a thread
+    }
+
+    fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync)) {
+        thread::scope(|scope| {
+            for worker in 1..workers {
+                scope.spawn(move || work(worker));
+            }
+            work(0);
+        });
+    }
+}
+
+/// How many threads of `pool` to use for `elements` of work.
+pub(crate) fn worth(pool: &dyn Pool, elements: usize) -> usize {
+    pool.threads().min(elements / pool.grain()).max(1)
+}
+
+/// Runs `work` on every job. Each of `workers` takes the next job as soon as it is done with one.
 ///
-/// Jobs write to places of their own, so the result does not depend on the number of threads.
-pub(crate) fn run<J: Send, S: Send>(
-    mut jobs: Vec<J>,
-    mut scratches: Vec<S>,
-    work: impl Fn(J, &mut S) + Sync,
+/// Jobs write to places of their own, so the result does not depend on who does which.
+pub(crate) fn run<J, W: ExactSizeIterator + Send>(
+    pool: &dyn Pool,
+    workers: W,
+    jobs: impl Iterator<Item = J> + Send,
+    work: impl Fn(J, &mut W::Item) + Sync,
 ) {
-    let each = jobs.len().div_ceil(scratches.len().max(1));
-    let run_one = |jobs: Vec<J>, mut scratch: S| {
-        for job in jobs {
-            work(job, &mut scratch);
+    let count = workers.len();
+    let (workers, jobs) = (Mutex::new(workers), Mutex::new(jobs));
+    let run_worker = |_| {
+        if let Some(mut worker) = next(&workers) {
+            while let Some(job) = next(&jobs) {
+                work(job, &mut worker);
+            }
         }
     };
-    thread::scope(|scope| {
-        while jobs.len() > each
-            && let Some(scratch) = scratches.pop()
-        {
-            let last = jobs.split_off(jobs.len() - each);
-            scope.spawn(move || run_one(last, scratch));
-        }
-        if let Some(scratch) = scratches.pop() {
-            run_one(jobs, scratch);
-        }
-    });
+    if count == 1 {
+        run_worker(0);
+    } else {
+        pool.run(count, &run_worker);
+    }
+}
+
+/// The next item of an iterator that threads share.
+fn next<I: Iterator>(items: &Mutex<I>) -> Option<I::Item> {
+    items.lock().unwrap_or_else(PoisonError::into_inner).next()
+}
+
+/// Threads that may share the work on one piece, and scratch for each; often one alone.
+#[allow(dead_code)] // for kernels that share an image
+pub(crate) struct Team<'a, T> {
+    pool: &'a dyn Pool,
+    /// Scratch of all members, `pitch` apart and `len` long.
+    memory: &'a mut [T],
+    pitch: usize,
+    len: usize,
+}
+
+impl<'a, T> Team<'a, T> {
+    /// As many members as `memory` has scratches, `pitch` numbers apart and `len` long.
+    pub(crate) fn new(pool: &'a dyn Pool, memory: &'a mut [T], pitch: usize, len: usize) -> Self {
+        Self { pool, memory, pitch, len }
+    }
+
+    /// The scratch of a member, for work that is not shared.
+    pub(crate) fn scratch(&mut self) -> &mut [T] {
+        &mut self.memory[..self.len]
+    }
+
+    #[allow(dead_code)] // for kernels that share an image
+    /// Runs `work` on every job, each with the scratch of the member who does it; see [`run`].
+    pub(crate) fn run<J>(
+        &mut self,
+        jobs: impl Iterator<Item = J> + Send,
+        work: impl Fn(J, &mut [T]) + Sync,
+    ) where
+        T: Send,
+    {
+        let members = self.memory.chunks_exact_mut(self.pitch);
+        run(self.pool, members, jobs, |job, scratch| work(job, &mut scratch[..self.len]));
+    }
 }

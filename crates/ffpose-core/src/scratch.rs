@@ -1,8 +1,10 @@
 //! Memory that filters work in, lent by the caller.
 
+use bytemuck::allocation::try_zeroed_vec;
 use bytemuck::cast_slice_mut;
 
-use crate::Real;
+use crate::parallel::{Pool, Team};
+use crate::{Error, Real};
 
 /// Bytes of a cache line, and of the widest vector: where slices begin.
 const LINE: usize = 64;
@@ -10,54 +12,130 @@ const LINE: usize = 64;
 /// Memory that a filter works in. It grows to what a call needs and serves filters of any shape and element type.
 #[derive(Debug, Default)]
 pub struct Scratch {
-    workers: Vec<f64>,
-    sums: Vec<f64>,
+    memory: Vec<f64>,
 }
 
-/// What one worker works in.
+/// What a call asks for: lengths are counts of numbers.
+#[derive(Clone, Copy)]
+pub(crate) struct Needs {
+    /// Workers, who take jobs each for himself.
+    pub(crate) workers: usize,
+    /// Members of each worker's team.
+    pub(crate) members: usize,
+    pub(crate) packed: usize,
+    /// For each member.
+    pub(crate) kernel: usize,
+    pub(crate) wide: usize,
+    /// For all workers together.
+    pub(crate) shared: usize,
+}
+
+/// What one worker works in, with any content.
 pub(crate) struct Worker<'a, T> {
     /// For the packed weight of a tile.
     pub(crate) packed: &'a mut [T],
-    /// For the kernel.
-    pub(crate) scratch: &'a mut [T],
+    /// For the kernel, and who may help it.
+    pub(crate) team: Team<'a, T>,
+    /// For images of half precision in the kernel's.
+    pub(crate) wide: &'a mut [T],
+}
+
+/// The workers of a call.
+pub(crate) struct Workers<'a, T> {
+    pool: &'a dyn Pool,
+    needs: Needs,
+    memory: &'a mut [T],
+}
+
+impl<T> Workers<'_, T> {
+    /// Every worker.
+    pub(crate) fn each(&mut self) -> impl ExactSizeIterator<Item = Worker<'_, T>> + Send
+    where
+        T: Send,
+    {
+        let (pool, Needs { members, packed, kernel, wide, .. }) = (self.pool, self.needs);
+        let [packed_lines, kernel_lines, _] = self.needs.lines::<T>();
+        self.memory.chunks_exact_mut(self.needs.each::<T>()).map(move |memory| {
+            let (packed_part, rest) = memory.split_at_mut(packed_lines);
+            let (kernel_part, wide_part) = rest.split_at_mut(kernel_lines * members);
+            Worker {
+                packed: &mut packed_part[..packed],
+                team: Team::new(pool, kernel_part, kernel_lines, kernel),
+                wide: &mut wide_part[..wide],
+            }
+        })
+    }
+}
+
+impl Needs {
+    /// Whole lines for each slice; a member has at least one.
+    fn lines<T>(&self) -> [usize; 3] {
+        let line = LINE / size_of::<T>();
+        [self.packed, self.kernel.max(1), self.wide].map(|len| len.next_multiple_of(line))
+    }
+
+    /// Numbers for one worker.
+    fn each<T>(&self) -> usize {
+        let [packed, kernel, wide] = self.lines::<T>();
+        kernel.saturating_mul(self.members).saturating_add(packed).saturating_add(wide)
+    }
 }
 
 impl Scratch {
     /// Gives memory back if it is more than `bytes`; for callers that keep a scratch between calls.
     pub fn keep_at_most(&mut self, bytes: usize) {
-        if (self.workers.len() + self.sums.len()) * size_of::<f64>() > bytes {
-            *self = Self::default();
+        if self.memory.len() * size_of::<f64>() > bytes {
+            self.memory = Vec::new();
         }
     }
 
-    /// `workers` workers, with any content, and `sums` zeros.
-    pub(crate) fn lend<T: Real>(
+    /// Workers on `pool`, and what they share, with any content.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] if there is not so much.
+    pub(crate) fn lend<'a, T: Real>(
+        &'a mut self,
+        pool: &'a dyn Pool,
+        needs: Needs,
+    ) -> Result<(Workers<'a, T>, &'a mut [T]), Error> {
+        let len = needs.each::<T>().saturating_mul(needs.workers);
+        let (memory, shared) = self.aligned(len, needs.shared)?;
+        Ok((Workers { pool, needs, memory }, shared))
+    }
+
+    /// Two slices of these lengths, one behind the other, from the beginning of a line on.
+    fn aligned<T: Real>(
         &mut self,
-        workers: usize,
-        packed_len: usize,
-        scratch_len: usize,
-        sums: usize,
-    ) -> (Vec<Worker<'_, T>>, &mut [T]) {
-        let line = LINE / size_of::<T>();
-        let start = packed_len.next_multiple_of(line);
-        let each = start + scratch_len.next_multiple_of(line);
-        let memory = aligned(&mut self.workers, workers * each);
-        let workers = memory.chunks_exact_mut(each).map(|worker| {
-            let (packed, scratch) = worker.split_at_mut(start);
-            Worker { packed: &mut packed[..packed_len], scratch: &mut scratch[..scratch_len] }
-        });
-        let sums = aligned(&mut self.sums, sums);
-        sums.fill(T::default());
-        (workers.collect(), sums)
+        first: usize,
+        second: usize,
+    ) -> Result<(&mut [T], &mut [T]), Error> {
+        let len = first.saturating_add(second);
+        let bytes = len.saturating_mul(size_of::<T>()).saturating_add(LINE);
+        let needed = bytes.div_ceil(size_of::<f64>());
+        if self.memory.len() < needed {
+            self.memory = Vec::new(); // given back before more is asked for
+            self.memory = try_zeroed_vec(needed).map_err(|()| Error::Memory { bytes })?;
+        }
+        let skip = self.memory.as_ptr().align_offset(LINE);
+        let memory: &mut [T] = cast_slice_mut(&mut self.memory[skip..]);
+        Ok(memory[..len].split_at_mut(first))
     }
 }
 
-/// `len` numbers from the beginning of a line on.
-fn aligned<T: Real>(memory: &mut Vec<f64>, len: usize) -> &mut [T] {
-    let needed = (len * size_of::<T>() + LINE).div_ceil(size_of::<f64>());
-    if memory.len() < needed {
-        *memory = vec![0.0; needed];
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::StdThreads;
+
+    #[test]
+    fn memory_that_there_is_not_is_an_error() {
+        let mut scratch = Scratch::default();
+        for workers in [usize::MAX, usize::MAX >> 12, 1 << 40] {
+            let needs = Needs { workers, members: 8, packed: 9, kernel: 1000, wide: 0, shared: 7 };
+            let result = scratch.lend::<f32>(&StdThreads(1), needs);
+            assert!(matches!(result.map(|_| ()), Err(Error::Memory { .. })));
+        }
+        let needs = Needs { workers: 1, members: 8, packed: 9, kernel: 1000, wide: 0, shared: 7 };
+        assert!(scratch.lend::<f32>(&StdThreads(1), needs).is_ok());
     }
-    let skip = memory.as_ptr().align_offset(LINE);
-    &mut cast_slice_mut(&mut memory[skip..])[..len]
 }

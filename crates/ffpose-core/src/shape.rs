@@ -123,7 +123,7 @@ impl Shape {
     }
 
     /// Positions of one image: rows of its matrix form `(points, lanes)`.
-    fn points(&self) -> usize {
+    pub(crate) fn points(&self) -> usize {
         match self.layout {
             Layout::Tokens => self.rows,
             Layout::Grid => self.rows * self.columns,
@@ -178,11 +178,10 @@ fn contiguous<S: RawData>(
     array: ArrayBase<S, IxDyn>,
     dim: (usize, usize, usize),
 ) -> Result<ArrayBase<S, Ix3>, Error> {
-    let got = array.strides().to_vec();
     if !array.is_standard_layout() {
-        return Err(Error::Strides { name, got });
+        return Err(Error::Strides { name, got: array.strides().to_vec() });
     }
-    array.into_shape_with_order(dim).map_err(|_| Error::Strides { name, got })
+    Ok(array.into_shape_with_order(dim).expect("as many elements, in order"))
 }
 
 /// A shape as Python writes it.

@@ -8,31 +8,39 @@
 
 use std::any::{Any, TypeId};
 use std::cell::RefCell;
-use std::collections::HashMap;
 use std::sync::Arc;
 
-use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD};
+use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimension, Slice};
 
 use crate::general::General;
+use crate::half::Number;
 use crate::kernel::{Backward, Kernel};
-use crate::scratch::{Scratch, Worker};
+use crate::parallel::{self, Pool};
+use crate::scratch::{Needs, Scratch, Worker};
 use crate::tiling::Tiling;
-use crate::{Error, Isa, Layout, Real, Shape, fft, parallel};
+use crate::{Error, Isa, Layout, Real, Shape, fft};
+
+const BATCH: Axis = Axis(0);
 
 /// Plans that one thread keeps; a program that filters more shapes than this in turn plans again.
 const PLANS_KEPT: usize = 64;
 
+/// A plan with what it is for, compared one by one: for few plans that is quicker than hashing.
+type Plan = (TypeId, Shape, Box<dyn Any>);
+
 thread_local! {
-    static PLANS: RefCell<HashMap<(TypeId, Shape), Box<dyn Any>>> = RefCell::default();
+    static PLANS: RefCell<Vec<Plan>> = RefCell::default();
 }
 
 /// A spectral filter for images of one shape: planned once, run on any batch with any weight.
 ///
 /// Arrays are C-contiguous. `x`, `y` and their gradients are `(..., X, Y)` or `(..., H, W, C)`, with any number of
 /// leading axes; `weight` and its gradient are `(X, Y/2+1, 2)` or `(H, W/2+1, C, 2)`, real and imaginary parts last.
+/// Elements are `T`, or half precision where `T` is `f32`: computed in `f32`, each result rounded once.
 /// Results are bit-identical for any number of threads, and `y` and the gradient of `x` for any split of the batch.
 #[derive(Clone)]
 pub struct SpectralFilter<T> {
+    isa: Isa,
     shape: Shape,
     /// None for images without elements, which have no transform.
     kernel: Option<Arc<dyn Kernel<T>>>,
@@ -40,20 +48,20 @@ pub struct SpectralFilter<T> {
 
 /// Where the gradients of a backward pass go, if they are wanted.
 #[derive(Debug)]
-pub struct Gradients<'a, T> {
+pub struct Gradients<'a, X, W> {
     /// Gradient with respect to `x`: `irfft2(rfft2(grad) · conj W)`.
-    pub x: Option<ArrayViewMutD<'a, T>>,
+    pub x: Option<ArrayViewMutD<'a, X>>,
     /// Gradient with respect to the weight, summed over the batch.
-    pub weight: Option<ArrayViewMutD<'a, T>>,
+    pub weight: Option<ArrayViewMutD<'a, W>>,
 }
 
 /// The arguments of a backward pass, checked: images `(batch, points, lanes)`, weights `(bins, lanes, 2)`.
-struct Pass<'a, T> {
-    grad: ArrayView3<'a, T>,
-    x: ArrayView3<'a, T>,
-    weight: ArrayView3<'a, T>,
-    grad_x: Option<ArrayViewMut3<'a, T>>,
-    grad_weight: Option<ArrayViewMut3<'a, T>>,
+struct Pass<'a, X, W> {
+    grad: ArrayView3<'a, X>,
+    x: ArrayView3<'a, X>,
+    weight: ArrayView3<'a, W>,
+    grad_x: Option<ArrayViewMut3<'a, X>>,
+    grad_weight: Option<ArrayViewMut3<'a, W>>,
 }
 
 impl<T: Real> SpectralFilter<T> {
@@ -61,56 +69,68 @@ impl<T: Real> SpectralFilter<T> {
     #[must_use]
     pub fn new(isa: Isa, shape: Shape) -> Self {
         let kernel = (!shape.is_empty()).then(|| plan_kernel(isa, shape));
-        Self { shape, kernel }
+        Self { isa, shape, kernel }
     }
 
     /// The plan for a shape, made at its first use on this thread and kept for the next.
     ///
     /// # Errors
     /// [`Error::Isa`] as [`Isa::current`].
-    #[allow(clippy::missing_panics_doc)] // the key names the element type
     pub fn planned(shape: Shape) -> Result<Self, Error> {
         let isa = Isa::current()?;
         Ok(PLANS.with_borrow_mut(|plans| {
+            let kept = plans.iter().find(|plan| (plan.0, plan.1) == (TypeId::of::<T>(), shape));
+            if let Some(plan) = kept.and_then(|plan| plan.2.downcast_ref::<Self>()) {
+                return plan.clone();
+            }
             if plans.len() >= PLANS_KEPT {
                 plans.clear();
             }
-            plans
-                .entry((TypeId::of::<T>(), shape))
-                .or_insert_with(|| Box::new(Self::new(isa, shape)))
-                .downcast_ref::<Self>()
-                .expect("the key names the element type")
-                .clone()
+            let plan = Self::new(isa, shape);
+            plans.push((TypeId::of::<T>(), shape, Box::new(plan.clone())));
+            plan
         }))
     }
 
-    /// Filters `x` with `weight` into `y`, of the shape of `x`, on at most `threads` threads.
+    /// Filters `x` with `weight` into `y`, of the shape of `x`, on threads of `pool`.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::Strides`]; `y` is then untouched.
-    pub fn forward(
+    /// [`Error::Shape`], [`Error::Strides`] or [`Error::Memory`]; `y` is then untouched.
+    pub fn forward<X: Number<Real = T>, W: Number<Real = T>>(
         &self,
-        x: ArrayViewD<'_, T>,
-        weight: ArrayViewD<'_, T>,
-        y: ArrayViewMutD<'_, T>,
-        threads: usize,
+        x: ArrayViewD<'_, X>,
+        weight: ArrayViewD<'_, W>,
+        y: ArrayViewMutD<'_, X>,
+        pool: &dyn Pool,
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
-        let like_x = x.shape().to_vec();
-        let x = self.shape.images("x", &like_x, x)?;
-        let y = self.shape.images_mut("y", &like_x, y)?;
+        let like_x = x.raw_dim();
+        let x = self.shape.images("x", like_x.slice(), x)?;
+        let y = self.shape.images_mut("y", like_x.slice(), y)?;
         let weight = self.shape.bins("weight", weight)?;
         let Some(kernel) = self.kernel.as_deref().filter(|_| !x.is_empty()) else {
             return Ok(());
         };
 
-        let threads = parallel::worth(threads, x.len());
+        let threads = parallel::worth(pool, x.len());
         let tiling = self.tiling(kernel, x.dim().0, Some(threads));
-        let (workers, _) = scratch.lend(threads, kernel.packed_len(), kernel.scratch_len(), 0);
-        let jobs = tiling.images_mut(y).enumerate().collect();
-        parallel::run(jobs, workers, |(piece, y), Worker { packed, scratch }| {
-            kernel.pack(tiling.bins(weight, tiling.tile_of(piece)), packed);
-            kernel.forward(tiling.images(x, piece), packed, y, scratch);
+        let image_len = self.image_len::<X>(kernel);
+        let shared = widened_len::<W>(weight.len());
+        let needs = needs(kernel, threads, tiling.pieces(), 2 * image_len, shared);
+        let (mut workers, wide_weight) = scratch.lend(pool, needs)?;
+        let weight = W::read(self.isa, weight, wide_weight);
+        let jobs = tiling.images_mut(y).enumerate();
+        parallel::run(pool, workers.each(), jobs, |(piece, mut y), worker| {
+            let Worker { packed, team, wide } = worker;
+            let (wide_x, wide_y) = wide.split_at_mut(image_len);
+            kernel.pack(tiling.bins(weight, tiling.tile_of(piece)), packed, team);
+            let x = tiling.images(x, piece);
+            for some in together::<X>(x.dim().0) {
+                let x = X::read(self.isa, x.slice_axis(BATCH, some), wide_x);
+                X::write(self.isa, y.slice_axis_mut(BATCH, some), wide_y, |y| {
+                    kernel.forward(x, packed, y, team);
+                });
+            }
         });
         Ok(())
     }
@@ -119,86 +139,118 @@ impl<T: Real> SpectralFilter<T> {
     ///
     /// The weight's gradient is `c_v / N · Σ_b conj(X_b) · G_b` with N points in a plane and `c_v` = 1 in the columns
     /// of DC and Nyquist, 2 between them: what autograd gives for the real tensor of parts. The order of the sum
-    /// follows from shapes alone, never from `threads`.
+    /// follows from shapes alone, never from `pool`.
     ///
     /// # Errors
-    /// [`Error::Shape`] or [`Error::Strides`]; the gradients are then untouched.
-    pub fn backward<'a>(
+    /// [`Error::Shape`], [`Error::Strides`] or [`Error::Memory`]; the gradients are then untouched.
+    pub fn backward<'a, X: Number<Real = T>, W: Number<Real = T>>(
         &self,
-        grad: ArrayViewD<'a, T>,
-        x: ArrayViewD<'a, T>,
-        weight: ArrayViewD<'a, T>,
-        gradients: Gradients<'a, T>,
-        threads: usize,
+        grad: ArrayViewD<'a, X>,
+        x: ArrayViewD<'a, X>,
+        weight: ArrayViewD<'a, W>,
+        gradients: Gradients<'a, X, W>,
+        pool: &dyn Pool,
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let mut pass = self.pass(grad, x, weight, gradients)?;
         match self.kernel.as_deref() {
-            Some(kernel) if !pass.x.is_empty() => self.run_backward(kernel, pass, threads, scratch),
-            _ => pass.grad_weight.iter_mut().for_each(|grad| grad.fill(T::default())),
+            Some(kernel) if !pass.x.is_empty() => self.run_backward(kernel, pass, pool, scratch),
+            _ => {
+                pass.grad_weight.iter_mut().for_each(|grad| grad.fill(W::default()));
+                Ok(())
+            }
         }
-        Ok(())
     }
 
     /// Checks the arguments of a backward pass.
-    fn pass<'a>(
+    fn pass<'a, X: Number, W: Number>(
         &self,
-        grad: ArrayViewD<'a, T>,
-        x: ArrayViewD<'a, T>,
-        weight: ArrayViewD<'a, T>,
-        gradients: Gradients<'a, T>,
-    ) -> Result<Pass<'a, T>, Error> {
-        let shape = self.shape;
-        let like_x = x.shape().to_vec();
+        grad: ArrayViewD<'a, X>,
+        x: ArrayViewD<'a, X>,
+        weight: ArrayViewD<'a, W>,
+        gradients: Gradients<'a, X, W>,
+    ) -> Result<Pass<'a, X, W>, Error> {
+        let (shape, dim) = (self.shape, x.raw_dim());
+        let like_x = dim.slice();
         Ok(Pass {
-            x: shape.images("x", &like_x, x)?,
-            grad: shape.images("grad", &like_x, grad)?,
+            x: shape.images("x", like_x, x)?,
+            grad: shape.images("grad", like_x, grad)?,
             weight: shape.bins("weight", weight)?,
-            grad_x: gradients.x.map(|g| shape.images_mut("grad_x", &like_x, g)).transpose()?,
+            grad_x: gradients.x.map(|g| shape.images_mut("grad_x", like_x, g)).transpose()?,
             grad_weight: gradients.weight.map(|g| shape.bins_mut("grad_weight", g)).transpose()?,
         })
     }
 
-    fn run_backward(
+    fn run_backward<X: Number<Real = T>, W: Number<Real = T>>(
         &self,
         kernel: &dyn Kernel<T>,
-        pass: Pass<'_, T>,
-        threads: usize,
+        pass: Pass<'_, X, W>,
+        pool: &dyn Pool,
         scratch: &mut Scratch,
-    ) {
+    ) -> Result<(), Error> {
         let Pass { grad, x, weight, grad_x, grad_weight } = pass;
-        let threads = parallel::worth(threads, x.len());
+        let threads = parallel::worth(pool, x.len());
         let summed = grad_weight.is_some();
         let tiling = self.tiling(kernel, x.dim().0, (!summed).then_some(threads));
         let packed_len = kernel.packed_len();
-        let sums = if summed { tiling.pieces() * packed_len } else { 0 };
-        let (workers, sums) = scratch.lend(threads, packed_len, kernel.scratch_len(), sums);
-        let grad_sums = summed.then(|| sums.chunks_exact_mut(packed_len));
+        let sums = if summed { tiling.pieces().saturating_mul(packed_len) } else { 0 };
+        let image_len = self.image_len::<X>(kernel);
+        let shared = sums.saturating_add(widened_len::<W>(weight.len()));
+        let needs = needs(kernel, threads, tiling.pieces(), 3 * image_len, shared);
+        let (mut workers, shared) = scratch.lend(pool, needs)?;
+        let (sums, wide_weight) = shared.split_at_mut(sums);
+        sums.fill(T::default());
+        let weight = W::read(self.isa, weight, wide_weight);
         let jobs = in_order(tiling.pieces(), grad_x.map(|g| tiling.images_mut(g)))
-            .zip(in_order(tiling.pieces(), grad_sums))
-            .enumerate()
-            .collect();
-        parallel::run(jobs, workers, |(piece, (grad_x, grad_sum)), Worker { packed, scratch }| {
+            .zip(in_order(tiling.pieces(), summed.then(|| sums.chunks_exact_mut(packed_len))))
+            .enumerate();
+        parallel::run(pool, workers.each(), jobs, |(piece, (mut grad_x, mut grad_sum)), worker| {
+            let Worker { packed, team, wide } = worker;
+            let (wide_grad, rest) = wide.split_at_mut(image_len);
+            let (wide_x, wide_grad_x) = rest.split_at_mut(image_len);
             if grad_x.is_some() {
-                kernel.pack(tiling.bins(weight, tiling.tile_of(piece)), packed);
+                kernel.pack(tiling.bins(weight, tiling.tile_of(piece)), packed, team);
             }
             let (grad, x) = (tiling.images(grad, piece), tiling.images(x, piece));
-            kernel.backward(Backward { grad, x, packed, grad_x, grad_sum }, scratch);
+            for some in together::<X>(x.dim().0) {
+                let grad = X::read(self.isa, grad.slice_axis(BATCH, some), wide_grad);
+                let x = X::read(self.isa, x.slice_axis(BATCH, some), wide_x);
+                let mut run = |grad_x: Option<ArrayViewMut3<'_, T>>| {
+                    let grad_sum = grad_sum.as_deref_mut();
+                    kernel.backward(Backward { grad, x, packed, grad_x, grad_sum }, team);
+                };
+                match &mut grad_x {
+                    Some(grad_x) => {
+                        let grad_x = grad_x.slice_axis_mut(BATCH, some);
+                        X::write(self.isa, grad_x, wide_grad_x, |grad_x| run(Some(grad_x)));
+                    }
+                    None => run(None),
+                }
+            }
         });
         if let Some(grad_weight) = grad_weight {
             let total = add_parts(sums, tiling.tiles() * packed_len).chunks_exact(packed_len);
-            let jobs = total.zip(tiling.bins_mut(grad_weight)).collect();
-            parallel::run(jobs, vec![(); threads], |(sum, grad_weight), ()| {
-                kernel.unpack_gradient(sum, grad_weight);
+            W::write(self.isa, grad_weight, wide_weight, |grad_weight| {
+                let jobs = total.zip(tiling.bins_mut(grad_weight));
+                parallel::run(pool, workers.each(), jobs, |(sum, grad_weight), worker| {
+                    kernel.unpack_gradient(sum, grad_weight, &mut worker.team);
+                });
             });
         }
+        Ok(())
     }
 
-    /// Parts of the batch: as many as keep `threads` busy, or, without threads, a number that follows from shapes.
+    /// Parts of the batch: as many as let `threads` share the work evenly, or, without threads, a number that follows
+    /// from shapes.
     fn tiling(&self, kernel: &dyn Kernel<T>, images: usize, threads: Option<usize>) -> Tiling {
         let tiles = self.shape.lanes.div_ceil(kernel.tile());
-        let parts = threads.map_or_else(|| sum_parts(tiles, images), |n| n.div_ceil(tiles));
+        let parts = threads.map_or_else(|| sum_parts(tiles, images), |n| even_parts(tiles, n));
         Tiling::new(self.shape, kernel.tile(), images, parts.min(images))
+    }
+
+    /// Numbers in the wider copy of an image of a piece.
+    fn image_len<X: Number>(&self, kernel: &dyn Kernel<T>) -> usize {
+        widened_len::<X>(self.shape.points() * kernel.tile().min(self.shape.lanes))
     }
 }
 
@@ -214,6 +266,12 @@ fn plan_kernel<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>> {
     } else {
         fft::plan(isa, shape)
     }
+}
+
+/// Parts that let `threads` share `tiles` of each evenly; many tiles do without.
+fn even_parts(tiles: usize, threads: usize) -> usize {
+    let even = (1..threads).find(|parts| (tiles * parts).is_multiple_of(threads));
+    if tiles >= 8 * threads { 1 } else { even.unwrap_or(threads) }
 }
 
 /// Parts in which a gradient is summed over `images`: few tiles leave too little work for threads, so that parts of
@@ -235,4 +293,29 @@ fn add_parts<T: Real>(parts: &mut [T], len: usize) -> &[T] {
 fn in_order<I: Iterator>(len: usize, items: Option<I>) -> impl Iterator<Item = Option<I::Item>> {
     let absent = if items.is_some() { 0 } else { len };
     items.into_iter().flatten().map(Some).chain((0..absent).map(|_| None))
+}
+
+/// Images that are filtered at once: one if it is widened for that, and else all.
+fn together<X: Number>(images: usize) -> impl Iterator<Item = Slice> {
+    let step = if X::WIDENED { 1 } else { images };
+    (0..images).step_by(step).map(move |first| Slice::from(first..first + step))
+}
+
+/// Numbers in the copy of `len` elements in a wider type, if there is one.
+fn widened_len<N: Number>(len: usize) -> usize {
+    if N::WIDENED { len } else { 0 }
+}
+
+/// What a call of so many pieces needs, whose workers hold `wide` numbers of a piece in a wider type. A single piece
+/// is for all threads together.
+fn needs<T>(
+    kernel: &dyn Kernel<T>,
+    threads: usize,
+    pieces: usize,
+    wide: usize,
+    shared: usize,
+) -> Needs {
+    let (workers, members) = if pieces == 1 { (1, threads) } else { (threads.min(pieces), 1) };
+    let (packed, kernel) = (kernel.packed_len(), kernel.scratch_len());
+    Needs { workers, members, packed, kernel, wide, shared }
 }

@@ -5,7 +5,10 @@ mod common;
 mod disassembly;
 
 use common::{Numbers, exact, filter, weight_gradient};
-use ffpose_core::{Error, Gradients, Isa, Layout, Real, Scratch, Shape, SpectralFilter};
+use ffpose_core::{
+    Bf16, Error, F16, Gradients, Half, Isa, Layout, Number, Real, Scratch, Shape, SpectralFilter,
+    StdThreads,
+};
 use ndarray::{ArrayD, Axis};
 
 /// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
@@ -49,29 +52,29 @@ fn cases() -> Vec<(Layout, Vec<usize>)> {
     grids.chain(TOKENS.iter().map(|shape| (Layout::Tokens, shape.to_vec()))).collect()
 }
 
-fn forward<T: Real + Default>(
-    filter: &SpectralFilter<T>,
-    x: &ArrayD<T>,
-    weight: &ArrayD<T>,
+fn forward<X: Number, W: Number<Real = X::Real>>(
+    filter: &SpectralFilter<X::Real>,
+    x: &ArrayD<X>,
+    weight: &ArrayD<W>,
     threads: usize,
-) -> ArrayD<T> {
-    let mut y = ArrayD::from_elem(x.raw_dim(), T::nearest(f64::NAN));
+) -> ArrayD<X> {
+    let mut y = ArrayD::from_elem(x.raw_dim(), X::default());
     let scratch = &mut Scratch::default();
-    filter.forward(x.view(), weight.view(), y.view_mut(), threads, scratch).unwrap();
+    filter.forward(x.view(), weight.view(), y.view_mut(), &StdThreads(threads), scratch).unwrap();
     y
 }
 
-fn backward<T: Real + Default>(
-    filter: &SpectralFilter<T>,
-    [grad, x, weight]: [&ArrayD<T>; 3],
+fn backward<X: Number, W: Number<Real = X::Real>>(
+    filter: &SpectralFilter<X::Real>,
+    (grad, x, weight): (&ArrayD<X>, &ArrayD<X>, &ArrayD<W>),
     threads: usize,
-) -> (ArrayD<T>, ArrayD<T>) {
-    let mut grad_x = ArrayD::from_elem(x.raw_dim(), T::nearest(f64::NAN));
-    let mut grad_weight = ArrayD::from_elem(weight.raw_dim(), T::nearest(f64::NAN));
+) -> (ArrayD<X>, ArrayD<W>) {
+    let mut grad_x = ArrayD::from_elem(x.raw_dim(), X::default());
+    let mut grad_weight = ArrayD::from_elem(weight.raw_dim(), W::default());
     let gradients = Gradients { x: Some(grad_x.view_mut()), weight: Some(grad_weight.view_mut()) };
     let scratch = &mut Scratch::default();
     let (grad, x, weight) = (grad.view(), x.view(), weight.view());
-    filter.backward(grad, x, weight, gradients, threads, scratch).unwrap();
+    filter.backward(grad, x, weight, gradients, &StdThreads(threads), scratch).unwrap();
     (grad_x, grad_weight)
 }
 
@@ -94,7 +97,7 @@ fn plans<T: Real>(shape: Shape) -> impl Iterator<Item = SpectralFilter<T>> {
     Isa::available().into_iter().map(move |isa| SpectralFilter::new(isa, shape))
 }
 
-fn agrees_with_the_sums<T: Real + Default>(eps: f64) {
+fn agrees_with_the_sums<T: Real + Number<Real = T>>(eps: f64) {
     for (layout, dim) in cases() {
         let shape = Shape::of_images(layout, &dim).unwrap();
         let mut numbers = Numbers(dim.iter().product::<usize>() as u64);
@@ -107,7 +110,7 @@ fn agrees_with_the_sums<T: Real + Default>(eps: f64) {
             let close = |what, got: &_, expected: &_| {
                 assert_close(got, expected, shape, eps, &format!("{what} {layout:?} {dim:?}"));
             };
-            let (grad_x, grad_weight) = backward(&plan, [&grad, &x, &weight], 1);
+            let (grad_x, grad_weight) = backward(&plan, (&grad, &x, &weight), 1);
             close("y", &forward(&plan, &x, &weight, 1), &filter(layout, &x64, &weight64));
             close("grad_x", &grad_x, &filter(layout, &grad64, &conjugate));
             let expected = weight_gradient(layout, &grad64, &x64, &weight64);
@@ -136,7 +139,7 @@ fn gradients_are_adjoint_to_the_filter() {
         let [grad, x, other] = [(); 3].map(|()| numbers.array::<f64>(&dim));
         let [weight, step] = [(); 2].map(|()| numbers.array::<f64>(&shape.weight()));
         for plan in plans(shape) {
-            let (grad_x, grad_weight) = backward(&plan, [&grad, &x, &weight], 1);
+            let (grad_x, grad_weight) = backward(&plan, (&grad, &x, &weight), 1);
             let by_x = dot(&grad, &filter(layout, &other, &weight));
             let by_weight = dot(&grad, &filter(layout, &x, &step));
             let scale = 1e-12 * x.len() as f64;
@@ -162,16 +165,45 @@ fn threads_and_batches_do_not_change_a_bit() {
         let weight = numbers.array::<f32>(&shape.weight());
         for plan in plans::<f32>(shape) {
             let y = forward(&plan, &x, &weight, 1);
-            let gradients = backward(&plan, [&grad, &x, &weight], 1);
+            let gradients = backward(&plan, (&grad, &x, &weight), 1);
             for threads in [2, 3, 8] {
                 assert_eq!(forward(&plan, &x, &weight, threads), y);
-                assert_eq!(backward(&plan, [&grad, &x, &weight], threads), gradients);
+                assert_eq!(backward(&plan, (&grad, &x, &weight), threads), gradients);
             }
             let last = x.slice_axis(Axis(0), (-1..).into()).to_owned();
             let expected = y.slice_axis(Axis(0), (-1..).into()).to_owned();
             assert_eq!(forward(&plan, &last, &weight, 1), expected);
         }
     }
+}
+
+/// Bit by bit the result in single precision, rounded once.
+fn half_precision_is_rounded_once<H: Half + PartialEq + std::fmt::Debug>() {
+    for (layout, dim) in [(Layout::Grid, vec![3, 14, 14, 20]), (Layout::Tokens, vec![3, 28, 37])] {
+        let shape = Shape::of_images(layout, &dim).unwrap();
+        let mut numbers = Numbers(13);
+        let rounded = |array: ArrayD<f32>| array.mapv(H::nearest);
+        let [x, grad] = [(); 2].map(|()| rounded(numbers.array(&dim)));
+        let weight = rounded(numbers.array::<f32>(&shape.weight()));
+        let [x32, grad32, weight32] = [&x, &grad, &weight].map(|array| array.mapv(H::widened));
+        for plan in plans::<f32>(shape) {
+            let y = rounded(forward(&plan, &x32, &weight32, 1));
+            assert_eq!(forward(&plan, &x, &weight, 2), y);
+            assert_eq!(forward(&plan, &x, &weight32, 1), y);
+            let (grad_x, grad_weight) = backward(&plan, (&grad32, &x32, &weight32), 1);
+            let grad_x = rounded(grad_x);
+            let got = backward(&plan, (&grad, &x, &weight32), 1);
+            assert_eq!(got, (grad_x.clone(), grad_weight.clone()));
+            let got = backward(&plan, (&grad, &x, &weight), 2);
+            assert_eq!(got, (grad_x, rounded(grad_weight)));
+        }
+    }
+}
+
+#[test]
+fn half_precision_is_computed_in_single_precision() {
+    half_precision_is_rounded_once::<Bf16>();
+    half_precision_is_rounded_once::<F16>();
 }
 
 #[test]
@@ -181,12 +213,19 @@ fn a_gradient_is_the_same_alone() {
     let [grad, x] = [(); 2].map(|()| numbers.array::<f32>(&[5, 6, 7, 9]));
     let weight = numbers.array::<f32>(&shape.weight());
     for plan in plans::<f32>(shape) {
-        let (grad_x, grad_weight) = backward(&plan, [&grad, &x, &weight], 1);
+        let (grad_x, grad_weight) = backward(&plan, (&grad, &x, &weight), 1);
         let (mut alone_x, mut alone_weight) = (grad_x.clone() * 0.0, grad_weight.clone() * 0.0);
         let mut scratch = Scratch::default();
         let mut run = |gradients| {
-            plan.backward(grad.view(), x.view(), weight.view(), gradients, 1, &mut scratch)
-                .unwrap();
+            plan.backward(
+                grad.view(),
+                x.view(),
+                weight.view(),
+                gradients,
+                &StdThreads(1),
+                &mut scratch,
+            )
+            .unwrap();
         };
         run(Gradients { x: Some(alone_x.view_mut()), weight: None });
         run(Gradients { x: None, weight: Some(alone_weight.view_mut()) });
@@ -201,10 +240,10 @@ fn one_scratch_serves_filters_of_all_shapes() {
     for (layout, dim) in cases() {
         let shape = Shape::of_images(layout, &dim).unwrap();
         let mut numbers = Numbers(11);
-        let (x, weight) = (numbers.array::<f32>(&dim), numbers.array(&shape.weight()));
+        let (x, weight) = (numbers.array::<f32>(&dim), numbers.array::<f32>(&shape.weight()));
         let plan = SpectralFilter::planned(shape).unwrap();
         let mut y = ArrayD::zeros(x.raw_dim());
-        plan.forward(x.view(), weight.view(), y.view_mut(), 1, &mut scratch).unwrap();
+        plan.forward(x.view(), weight.view(), y.view_mut(), &StdThreads(1), &mut scratch).unwrap();
         assert_eq!(y, forward(&plan, &x, &weight, 1));
     }
 }
@@ -213,10 +252,10 @@ fn one_scratch_serves_filters_of_all_shapes() {
 fn nothing_is_filtered_to_nothing() {
     for dim in [vec![0, 4, 6, 3], vec![2, 0, 6, 3], vec![2, 4, 0, 3], vec![2, 4, 6, 0]] {
         let shape = Shape::of_images(Layout::Grid, &dim).unwrap();
-        let (x, weight) = (ArrayD::<f32>::zeros(dim), ArrayD::zeros(shape.weight()));
+        let (x, weight) = (ArrayD::<f32>::zeros(dim), ArrayD::<f32>::zeros(shape.weight()));
         for plan in plans(shape) {
             assert!(forward(&plan, &x, &weight, 1).is_empty());
-            let (_, grad_weight) = backward(&plan, [&x, &x, &weight], 1);
+            let (_, grad_weight) = backward(&plan, (&x, &x, &weight), 1);
             assert_eq!(grad_weight, weight);
         }
     }
@@ -227,8 +266,8 @@ fn wrong_shapes_are_refused() {
     let shape = Shape::of_images(Layout::Tokens, &[4, 6]).unwrap();
     let plan = SpectralFilter::<f32>::planned(shape).unwrap();
     let attempt = |x: &[usize], weight: &[usize], y: &[usize]| {
-        let [x, weight, mut y] = [x, weight, y].map(|dim| ArrayD::zeros(dim.to_vec()));
-        plan.forward(x.view(), weight.view(), y.view_mut(), 1, &mut Scratch::default())
+        let [x, weight, mut y] = [x, weight, y].map(|dim| ArrayD::<f32>::zeros(dim.to_vec()));
+        plan.forward(x.view(), weight.view(), y.view_mut(), &StdThreads(1), &mut Scratch::default())
     };
     let wrong = |name, expected: &str, got: &[usize]| {
         Err(Error::Shape { name, expected: expected.into(), got: got.to_vec() })
@@ -247,9 +286,10 @@ fn wrong_shapes_are_refused() {
 fn strides_are_refused() {
     let shape = Shape::of_images(Layout::Tokens, &[4, 4]).unwrap();
     let plan = SpectralFilter::<f32>::planned(shape).unwrap();
-    let (x, weight, mut y) =
-        (ArrayD::zeros(vec![4, 4]), ArrayD::zeros(vec![4, 3, 2]), ArrayD::zeros(vec![4, 4]));
-    let result = plan.forward(x.t(), weight.view(), y.view_mut(), 1, &mut Scratch::default());
+    let [x, weight, mut y] =
+        [vec![4, 4], vec![4, 3, 2], vec![4, 4]].map(|dim| ArrayD::<f32>::zeros(dim));
+    let result =
+        plan.forward(x.t(), weight.view(), y.view_mut(), &StdThreads(1), &mut Scratch::default());
     assert_eq!(result, Err(Error::Strides { name: "x", got: vec![1, 4] }));
 }
 

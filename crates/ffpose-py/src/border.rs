@@ -7,9 +7,12 @@ use numpy::{
     Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
     PyUntypedArrayMethods,
 };
-use pyo3::exceptions::{PyOverflowError, PyRuntimeError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
+
+/// Elements from which on other Python threads may run meanwhile: about 20 microseconds of work.
+const WORTH_THE_GIL: usize = 1 << 14;
 
 /// Axes that `ndarray` views of NumPy arrays may have.
 const MOST_AXES: usize = 32;
@@ -45,9 +48,28 @@ pub(crate) fn enter<R: Send>(
     py: Python<'_>,
     compute: impl FnOnce() -> Result<R, Error> + Send,
 ) -> PyResult<R> {
-    match py.detach(|| catch_unwind(AssertUnwindSafe(compute))) {
-        Ok(result) => result.map_err(|error| PyValueError::new_err(error.to_string())),
+    enter_sized(py, usize::MAX, compute)
+}
+
+/// As [`enter`], but keeps the GIL while it computes on few `elements`: that takes less than giving it away, to a
+/// thread that may then hold it for milliseconds.
+pub(crate) fn enter_sized<R: Send>(
+    py: Python<'_>,
+    elements: usize,
+    compute: impl FnOnce() -> Result<R, Error> + Send,
+) -> PyResult<R> {
+    let guarded = || catch_unwind(AssertUnwindSafe(compute));
+    match if elements < WORTH_THE_GIL { guarded() } else { py.detach(guarded) } {
+        Ok(result) => result.map_err(raised),
         Err(_) => Err(PyRuntimeError::new_err("ffpose failed inside; please report this call")),
+    }
+}
+
+fn raised(error: Error) -> PyErr {
+    let text = error.to_string();
+    match error {
+        Error::Memory { .. } => PyMemoryError::new_err(text),
+        _ => PyValueError::new_err(text),
     }
 }
 

@@ -1,10 +1,12 @@
-//! `ffpose._rust`: ffpose-core for NumPy arrays. Every function checks, releases the GIL, computes and maps errors.
+//! `ffpose._rust`: ffpose-core for NumPy arrays and torch tensors. Every function checks, releases the GIL, computes and maps errors.
 
 mod border;
 mod earth;
 mod noise;
+mod pool;
 mod pose;
 mod spectral;
+mod tensor;
 
 use pyo3::prelude::*;
 
@@ -22,7 +24,9 @@ mod _rust {
         translation_error,
     };
     #[pymodule_export]
-    use super::spectral::{isa, spectral_filter, spectral_filter_backward};
+    use super::spectral::{
+        filter_tensors, filter_tensors_backward, isa, spectral_filter, spectral_filter_backward,
+    };
 
     #[pymodule_export]
     #[allow(non_upper_case_globals)] // Python's name for it

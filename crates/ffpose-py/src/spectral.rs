@@ -1,12 +1,17 @@
-//! The spectral filter for NumPy arrays.
+//! The spectral filter, for NumPy arrays and for torch tensors.
 
 use std::cell::RefCell;
 
-use ffpose_core::{Gradients, Isa, Scratch, Shape, SpectralFilter};
+use ffpose_core::{
+    Bf16, Error, F16, Gradients, Isa, Real, Scratch, Shape, SpectralFilter, StdThreads,
+};
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 
-use crate::border::{Threads, array, empty_like, enter, with_dtype};
+use crate::border::{Threads, array, empty_like, enter, enter_sized, with_dtype};
+use crate::pool::TorchPool;
+use crate::tensor::{Dtype, Tensor, TensorElement};
 
 /// A gradient or None.
 type Gradient<'py> = Option<Bound<'py, PyAny>>;
@@ -37,9 +42,9 @@ pub(crate) fn spectral_filter<'py>(
         let mut out = y.try_readwrite()?;
         let (x, weight, out) = (x.as_array(), weight.as_array(), out.as_array_mut());
         enter(py, || {
-            let shape = Shape::of_images(layout.parse()?, x.shape())?;
-            let filter = SpectralFilter::planned(shape)?;
-            with_scratch(|scratch| filter.forward(x, weight, out, num_threads.0, scratch))
+            let filter = planned(layout, x.shape())?;
+            let pool = StdThreads(num_threads.0);
+            with_scratch(|scratch| filter.forward(x, weight, out, &pool, scratch))
         })?;
         Ok(y.into_any())
     })
@@ -73,13 +78,108 @@ pub(crate) fn spectral_filter_backward<'py>(
             weight: out_weight.as_mut().map(|g| g.as_array_mut()),
         };
         enter(py, || {
-            let shape = Shape::of_images(layout.parse()?, x.shape())?;
-            let filter = SpectralFilter::planned(shape)?;
-            with_scratch(|scratch| filter.backward(grad, x, weight, gradients, num_threads.0, scratch))
+            let filter = planned(layout, x.shape())?;
+            let pool = StdThreads(num_threads.0);
+            with_scratch(|scratch| filter.backward(grad, x, weight, gradients, &pool, scratch))
         })?;
         drop((out_x, out_weight));
         Ok((grad_x.map(Bound::into_any), grad_weight.map(Bound::into_any)))
     })
+}
+
+/// Calls a function for the element types of two tensors: one type, or half precision with a float32 weight.
+macro_rules! with_types_of {
+    ($x:ident, $weight:ident, $function:ident $arguments:tt) => {
+        match ($x.dtype(), $weight.dtype()) {
+            (Dtype::F32, Dtype::F32) => $function::<f32, f32> $arguments,
+            (Dtype::F64, Dtype::F64) => $function::<f64, f64> $arguments,
+            (Dtype::BF16, Dtype::F32) => $function::<Bf16, f32> $arguments,
+            (Dtype::BF16, Dtype::BF16) => $function::<Bf16, Bf16> $arguments,
+            (Dtype::F16, Dtype::F32) => $function::<F16, f32> $arguments,
+            (Dtype::F16, Dtype::F16) => $function::<F16, F16> $arguments,
+            (x, weight) => Err(PyTypeError::new_err(format!(
+                "weight must have the dtype of x, or float32 where that is half precision, got {weight} for {x}"
+            ))),
+        }
+    };
+}
+
+/// Writes irfft2(rfft2(x) * weight) to y, a tensor like x.
+#[pyfunction]
+pub(crate) fn filter_tensors(
+    py: Python<'_>,
+    x: &Bound<'_, PyAny>,
+    weight: &Bound<'_, PyAny>,
+    y: &Bound<'_, PyAny>,
+    layout: &str,
+    num_threads: Threads,
+) -> PyResult<()> {
+    let (x, weight) = (Tensor::new("x", x)?, Tensor::new("weight", weight)?);
+    let y = Tensor::new("y", y)?;
+    with_types_of!(x, weight, forward(py, &x, &weight, y, layout, num_threads.0))
+}
+
+fn forward<X: TensorElement, W: TensorElement<Real = X::Real>>(
+    py: Python<'_>,
+    x: &Tensor<'_>,
+    weight: &Tensor<'_>,
+    y: Tensor<'_>,
+    layout: &str,
+    threads: usize,
+) -> PyResult<()> {
+    let y = y.view_mut::<X>(&[x, weight])?;
+    let (x, weight) = (x.view::<X>()?, weight.view::<W>()?);
+    enter_sized(py, x.len(), || {
+        let filter = planned(layout, x.shape())?;
+        let pool = TorchPool::new(threads);
+        with_scratch(|scratch| filter.forward(x, weight, y, &pool, scratch))
+    })
+}
+
+/// Writes the gradients of `filter_tensors` to those of two tensors that are not None.
+#[pyfunction]
+#[allow(clippy::too_many_arguments)] // Python passes them one by one
+pub(crate) fn filter_tensors_backward(
+    py: Python<'_>,
+    grad: &Bound<'_, PyAny>,
+    x: &Bound<'_, PyAny>,
+    weight: &Bound<'_, PyAny>,
+    grad_x: Option<&Bound<'_, PyAny>>,
+    grad_weight: Option<&Bound<'_, PyAny>>,
+    layout: &str,
+    num_threads: Threads,
+) -> PyResult<()> {
+    let inputs = [Tensor::new("grad", grad)?, Tensor::new("x", x)?, Tensor::new("weight", weight)?];
+    let grad_x = grad_x.map(|g| Tensor::new("grad_x", g)).transpose()?;
+    let grad_weight = grad_weight.map(|g| Tensor::new("grad_weight", g)).transpose()?;
+    let [_, x, weight] = &inputs;
+    with_types_of!(x, weight, backward(py, &inputs, grad_x, grad_weight, layout, num_threads.0))
+}
+
+fn backward<X: TensorElement, W: TensorElement<Real = X::Real>>(
+    py: Python<'_>,
+    inputs: &[Tensor<'_>; 3],
+    grad_x: Option<Tensor<'_>>,
+    grad_weight: Option<Tensor<'_>>,
+    layout: &str,
+    threads: usize,
+) -> PyResult<()> {
+    let [grad, x, weight] = inputs;
+    let others: Vec<_> = inputs.iter().chain(&grad_weight).collect();
+    let grad_x = grad_x.map(|g| g.view_mut(&others)).transpose()?;
+    let grad_weight = grad_weight.map(|g| g.view_mut(&[grad, x, weight])).transpose()?;
+    let gradients = Gradients { x: grad_x, weight: grad_weight };
+    let (grad, x, weight) = (grad.view::<X>()?, x.view::<X>()?, weight.view::<W>()?);
+    enter_sized(py, x.len(), || {
+        let filter = planned(layout, x.shape())?;
+        let pool = TorchPool::new(threads);
+        with_scratch(|scratch| filter.backward(grad, x, weight, gradients, &pool, scratch))
+    })
+}
+
+/// The plan for the images of an array.
+fn planned<T: Real>(layout: &str, x: &[usize]) -> Result<SpectralFilter<T>, Error> {
+    SpectralFilter::planned(Shape::of_images(layout.parse()?, x)?)
 }
 
 /// Runs `compute` with this thread's scratch.

@@ -10,6 +10,7 @@ use super::pack::{Bins, Packing, Scales};
 use super::passes::inverted;
 use super::rows::{Place, Rows};
 use crate::kernel::{Backward, Kernel};
+use crate::parallel::Team;
 use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 
 /// Bytes of the lanes of one tile: a cache line, so that every line of an image is used whole.
@@ -173,7 +174,7 @@ impl<T: Element> Kernel<T> for Grid<T> {
         slack::<T>() + 2 * self.columns.len() + self.work_len() + self.points * self.lanes
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T]) {
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
         let lanes = weight.axis_chunks_iter(Axis(1), self.lanes);
         for (weight, packed) in lanes.zip(packed.chunks_exact_mut(self.columns.packed_len())) {
             let (bins, lanes, _) = weight.dim();
@@ -192,9 +193,9 @@ impl<T: Element> Kernel<T> for Grid<T> {
         x: ArrayView3<'_, T>,
         packed: &[T],
         mut y: ArrayViewMut3<'_, T>,
-        scratch: &mut [T],
+        team: &mut Team<'_, T>,
     ) {
-        let Scratch { spectrum, work, padded, .. } = self.scratch(scratch);
+        let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
         for (x, mut y) in x.outer_iter().zip(y.outer_iter_mut()) {
             let lanes = x
                 .axis_chunks_iter(Axis(1), self.lanes)
@@ -207,9 +208,9 @@ impl<T: Element> Kernel<T> for Grid<T> {
         }
     }
 
-    fn backward(&self, pass: Backward<'_, T>, scratch: &mut [T]) {
+    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
-        let mut scratch = self.scratch(scratch);
+        let mut scratch = self.scratch(team.scratch());
         for image in 0..grad.len_of(Axis(0)) {
             for (tile, start) in (0..grad.len_of(Axis(2))).step_by(self.lanes).enumerate() {
                 let lanes = s![image, .., start..(start + self.lanes).min(grad.len_of(Axis(2)))];
@@ -223,7 +224,12 @@ impl<T: Element> Kernel<T> for Grid<T> {
         }
     }
 
-    fn unpack_gradient(&self, grad_sum: &[T], mut grad_weight: ArrayViewMut3<'_, T>) {
+    fn unpack_gradient(
+        &self,
+        grad_sum: &[T],
+        mut grad_weight: ArrayViewMut3<'_, T>,
+        _: &mut Team<'_, T>,
+    ) {
         let lanes = grad_weight.axis_chunks_iter_mut(Axis(1), self.lanes);
         for (mut gradient, sum) in lanes.zip(grad_sum.chunks_exact(self.columns.packed_len())) {
             let (bins, lanes, _) = gradient.dim();

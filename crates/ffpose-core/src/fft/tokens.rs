@@ -12,6 +12,7 @@ use super::pair::{join, split};
 use super::tokens_pack::Packing;
 use super::transform::Transform;
 use crate::kernel::{Backward, Kernel};
+use crate::parallel::Team;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, MAX_LANES, Tile, TileMut, Vector, aligned, complex_vectors,
     slack,
@@ -185,7 +186,7 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         slack::<T>() + lines + self.work_len() + self.padded_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T]) {
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
         self.packing.pack(self.isa, weight, packed);
     }
 
@@ -194,9 +195,9 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         x: ArrayView3<'_, T>,
         packed: &[T],
         mut y: ArrayViewMut3<'_, T>,
-        scratch: &mut [T],
+        team: &mut Team<'_, T>,
     ) {
-        let Scratch { spectrum, line, work, padded, .. } = self.scratch(scratch);
+        let Scratch { spectrum, line, work, padded, .. } = self.scratch(team.scratch());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.forward_x(x, spectrum, line, work, padded);
             for (block, weight) in packed.chunks_exact(self.block_len()).enumerate() {
@@ -209,9 +210,10 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         }
     }
 
-    fn backward(&self, pass: Backward<'_, T>, scratch: &mut [T]) {
+    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
-        let Scratch { spectrum, other, line, other_line, work, padded } = self.scratch(scratch);
+        let Scratch { spectrum, other, line, other_line, work, padded } =
+            self.scratch(team.scratch());
         for image in 0..grad.len_of(Axis(0)) {
             self.forward_x(grad.index_axis(Axis(0), image), spectrum, line, work, padded);
             if grad_sum.is_some() {
@@ -239,7 +241,12 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         }
     }
 
-    fn unpack_gradient(&self, grad_sum: &[T], grad_weight: ArrayViewMut3<'_, T>) {
+    fn unpack_gradient(
+        &self,
+        grad_sum: &[T],
+        grad_weight: ArrayViewMut3<'_, T>,
+        _: &mut Team<'_, T>,
+    ) {
         self.packing.unpack(self.isa, grad_sum, grad_weight);
     }
 }

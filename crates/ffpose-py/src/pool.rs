@@ -1,0 +1,107 @@
+//! Threads for tensors: torch's own, found at run time, so that `torch.set_num_threads` and torch's other work count.
+
+use std::any::Any;
+use std::ffi::c_void;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::{Mutex, OnceLock, PoisonError};
+
+use ffpose_core::{Pool, StdThreads};
+
+/// `torch_parallel_for(begin, end, grain, body, context)` of torch's stable C interface; 0 is success.
+type ParallelFor = unsafe extern "C" fn(i64, i64, i64, Body, *mut c_void) -> i32;
+type Body = unsafe extern "C" fn(i64, i64, *mut c_void);
+
+/// At most so many of torch's threads; where there are none to be found, of the operating system's.
+pub(crate) struct TorchPool {
+    parallel_for: Option<ParallelFor>,
+    others: StdThreads,
+}
+
+/// Elements of work below which another of torch's threads costs more than it brings.
+const WORTH_A_THREAD: usize = 1 << 14;
+
+/// What the threads of one call share.
+struct Call<'a> {
+    work: &'a (dyn Fn(usize) + Sync),
+    panic: Mutex<Option<Box<dyn Any + Send>>>,
+}
+
+impl TorchPool {
+    pub(crate) fn new(threads: usize) -> Self {
+        let parallel_for = if threads > 1 { parallel_for() } else { None };
+        Self { parallel_for, others: StdThreads(threads) }
+    }
+}
+
+impl Pool for TorchPool {
+    fn threads(&self) -> usize {
+        self.others.threads()
+    }
+
+    fn grain(&self) -> usize {
+        if self.parallel_for.is_some() { WORTH_A_THREAD } else { self.others.grain() }
+    }
+
+    fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync)) {
+        match self.parallel_for {
+            Some(parallel_for) => run(parallel_for, workers, work),
+            None => self.others.run(workers, work),
+        }
+    }
+}
+
+fn run(parallel_for: ParallelFor, workers: usize, work: &(dyn Fn(usize) + Sync)) {
+    let call = Call { work, panic: Mutex::new(None) };
+    let context = (&raw const call).cast_mut().cast();
+    let count = i64::try_from(workers).expect("fewer workers than elements");
+    // SAFETY: `run_range` takes a `Call` for its context, and `call` lives until torch has returned from it.
+    let status = unsafe { parallel_for(0, count, 1, run_range, context) };
+    if let Some(panic) = call.panic.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        resume_unwind(panic);
+    }
+    assert!(status == 0, "torch_parallel_for failed with status {status}");
+}
+
+/// Runs workers `begin..end`. A panic must not cross torch's frames: it is kept for the caller.
+///
+/// # Safety
+/// `context` points to a [`Call`].
+unsafe extern "C" fn run_range(begin: i64, end: i64, context: *mut c_void) {
+    // SAFETY: as the caller promises.
+    let call = unsafe { &*context.cast::<Call<'_>>() };
+    for worker in begin..end {
+        let worker = usize::try_from(worker).expect("counted from zero");
+        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| (call.work)(worker))) {
+            call.panic.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(panic);
+        }
+    }
+}
+
+/// torch's function, in the process that found it: a forked child has none of the threads that it would wait for.
+fn parallel_for() -> Option<ParallelFor> {
+    static FOUND: OnceLock<Option<(ParallelFor, u32)>> = OnceLock::new();
+    let found = FOUND.get_or_init(|| Some((find_parallel_for()?, std::process::id())));
+    found.filter(|(_, process)| *process == std::process::id()).map(|(function, _)| function)
+}
+
+/// Looks for the function in the library that the process has loaded.
+///
+/// Python loads torch's libraries for themselves, so that the symbols of the whole process do not have it.
+#[cfg(target_os = "linux")]
+fn find_parallel_for() -> Option<ParallelFor> {
+    // SAFETY: both names are C strings; NOLOAD opens nothing that runs code, and a library without a handle is not
+    // asked. torch declares the function with the type that its address is given here.
+    unsafe {
+        let library = libc::dlopen(c"libtorch_cpu.so".as_ptr(), libc::RTLD_NOW | libc::RTLD_NOLOAD);
+        if library.is_null() {
+            return None;
+        }
+        let function = libc::dlsym(library, c"torch_parallel_for".as_ptr());
+        std::mem::transmute::<*mut c_void, Option<ParallelFor>>(function)
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn find_parallel_for() -> Option<ParallelFor> {
+    None
+}
