@@ -26,7 +26,10 @@ FUNCTIONS = [
 ]
 GOOD = {
     "x": X,
+    "y": X,
     "grad": X,
+    "grad_x": X,
+    "grad_weight": W,
     "weight": W,
     "layout": "tokens",
     "num_threads": 1,

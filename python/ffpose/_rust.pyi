@@ -1,7 +1,11 @@
 """Compiled core. Arrays are C-contiguous and aligned, and of one dtype within a call.
 
-Every function raises TypeError for an argument or dtype that is not float32 or float64, and
-ValueError for a shape, a stride or a value.
+Every function raises TypeError for an argument or dtype that is not float32 or float64,
+ValueError for a shape, a stride or a value, and MemoryError for working memory that there is not.
+
+The functions for torch tensors write to tensors that the caller made, with memory of their own.
+They also take bfloat16 and float16, with a weight of the same dtype or of float32, and run in
+torch's threads.
 """
 
 from collections.abc import Sequence
@@ -9,12 +13,15 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 __all__ = [
     "__version__",
     "canonical_quaternion",
     "esa_score",
     "euler_to_quaternion",
+    "filter_tensors",
+    "filter_tensors_backward",
     "fractal_noise",
     "isa",
     "normalize_quaternion",
@@ -44,6 +51,16 @@ def spectral_filter_backward(
     need_weight: bool,
     num_threads: int = 1,
 ) -> tuple[NDArray[_Real] | None, NDArray[_Real] | None]: ...
+def filter_tensors(x: Tensor, weight: Tensor, y: Tensor, layout: str, num_threads: int) -> None: ...
+def filter_tensors_backward(
+    grad: Tensor,
+    x: Tensor,
+    weight: Tensor,
+    grad_x: Tensor | None,
+    grad_weight: Tensor | None,
+    layout: str,
+    num_threads: int,
+) -> None: ...
 def isa() -> str: ...
 def fractal_noise(
     points: NDArray[np.float32], heights: NDArray[np.float32]

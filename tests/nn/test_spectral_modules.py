@@ -78,6 +78,32 @@ def test_half_precision_input_keeps_its_dtype():
     assert module(torch.randn(2, 8, 6).bfloat16()).dtype == torch.bfloat16
 
 
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+@pytest.mark.parametrize(
+    ("module", "shape"),
+    [
+        (SpectralFilter((8, 6)), (2, 8, 6)),
+        (SpectralFilter((4, 6, 3), "grid"), (2, 4, 6, 3)),
+        (GlobalFilter(3, 4, 3), (2, 16, 3)),
+    ],
+)
+def test_modules_of_half_precision_train(module, shape, dtype):
+    module = copy.deepcopy(module).to(dtype)
+    (weight,) = module.parameters()
+    x = torch.randn(shape, dtype=dtype, requires_grad=True)
+    y = module(x)
+    y.sum().backward()
+    assert {t.dtype for t in (y, x.grad, weight.grad)} == {dtype}
+
+
+def test_autocast_may_hand_over_half_precision():
+    linear, module = nn.Linear(6, 6), SpectralFilter((8, 6))
+    with torch.autocast("cpu", torch.bfloat16):
+        y = module(linear(torch.randn(2, 8, 6)))
+    y.float().sum().backward()
+    assert (y.dtype, module.weight.grad.dtype) == (torch.bfloat16, torch.float32)
+
+
 def test_dtype_device_and_std_of_the_parameter():
     module = SpectralFilter((8, 6), std=0.5, dtype=torch.float64)
     assert module.weight.dtype == torch.float64

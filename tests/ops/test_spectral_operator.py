@@ -1,6 +1,11 @@
 """The spectral filter on tensors: numbers, derivatives, graphs, and what it refuses."""
 
 import math
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -8,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from ffpose import _rust
 from ffpose.ops import spectral_filter, weight_shape
 from ffpose.ops.fourier import filter_backward_by_fft, filter_by_fft
 
@@ -17,6 +23,7 @@ backward_op = torch.ops.ffpose.spectral_filter_backward
 # torch's own forward-mode derivatives call what torch deprecates.
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated")
 
+HALVES = [torch.bfloat16, torch.float16]
 PLANE = {"tokens": (-2, -1), "grid": (-3, -2)}
 SHAPES = [
     ("tokens", (2, 6, 5)),
@@ -39,9 +46,10 @@ def by_definition(x, weight, layout):
     return torch.fft.irfft2(product, s=[x.shape[d] for d in dim], dim=dim)
 
 
-def arguments(layout, shape, dtype=torch.float64, requires_grad=False):
+def arguments(layout, shape, dtype=torch.float64, requires_grad=False, weight_dtype=None):
     rank = 2 if layout == "tokens" else 3
-    weight_dtype = torch.float32 if dtype in (torch.bfloat16, torch.float16) else dtype
+    if weight_dtype is None:
+        weight_dtype = torch.float32 if dtype in HALVES else dtype
     x = torch.randn(shape, dtype=dtype)
     weight = torch.randn(weight_shape(shape[-rank:], layout), dtype=weight_dtype)
     return x.requires_grad_(requires_grad), weight.requires_grad_(requires_grad)
@@ -120,19 +128,47 @@ def test_columns_without_partner_act_by_their_hermitian_part(by):
     torch.testing.assert_close(by(x, weight, "tokens"), expected)
 
 
-@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+@pytest.mark.parametrize("dtype", HALVES)
 @pytest.mark.parametrize("by", [spectral_filter, filter_by_fft])
 def test_half_precision_is_rounded_once(dtype, by):
     x, weight = arguments("grid", (2, 6, 4, 3), dtype)
     y = by(x, weight, "grid")
     assert y.dtype == dtype
     torch.testing.assert_close(y, by(x.float(), weight, "grid").to(dtype), rtol=0, atol=0)
+    halved = weight.to(dtype)
+    expected = by(x.float(), halved.float(), "grid").to(dtype)
+    torch.testing.assert_close(by(x, halved, "grid"), expected, rtol=0, atol=0)
 
 
-def test_gradients_of_half_precision_have_their_own_dtypes():
-    x, weight = arguments("tokens", (2, 6, 4), torch.bfloat16, requires_grad=True)
-    spectral_filter(x, weight).sum().backward()
-    assert (x.grad.dtype, weight.grad.dtype) == (torch.bfloat16, torch.float32)
+@pytest.mark.parametrize("dtype", HALVES)
+@pytest.mark.parametrize("weight_dtype", ["of x", torch.float32])
+@pytest.mark.parametrize(
+    ("layout", "shape"),
+    [("grid", (5, 14, 14, 24)), ("tokens", (3, 49, 40)), ("grid", (2, 9, 7, 2))],
+)
+def test_half_precision_is_as_near_as_one_rounding(layout, shape, dtype, weight_dtype):
+    """Against float64 on the same rounded inputs, whose gradients are sums over the whole batch."""
+    weight_dtype = dtype if weight_dtype == "of x" else weight_dtype
+    x, weight = arguments(layout, shape, dtype, requires_grad=True, weight_dtype=weight_dtype)
+    exact_x, exact_weight = (t.detach().double().requires_grad_() for t in (x, weight))
+    grad = torch.randn_like(x)
+    y, exact = spectral_filter(x, weight, layout), by_definition(exact_x, exact_weight, layout)
+    y.backward(grad)
+    exact.backward(grad.double())
+    of_float32 = 4 * torch.finfo(torch.float32).eps * math.log2(exact[0].numel())
+    pairs = ((y, exact), (x.grad, exact_x.grad), (weight.grad, exact_weight.grad))
+    for (got, expected), of in zip(pairs, (dtype, dtype, weight_dtype), strict=True):
+        assert got.dtype == of
+        rounding = torch.finfo(of).eps / 2 * expected.abs() + torch.finfo(of).tiny
+        assert ((got - expected).abs() <= rounding + of_float32 * expected.abs().max()).all()
+
+
+@pytest.mark.parametrize("by", [filter_by_fft, forward_op])
+def test_every_way_takes_weights_of_half_precision(by):
+    x, weight = arguments("tokens", (2, 6, 5), torch.bfloat16, weight_dtype=torch.bfloat16)
+    torch.testing.assert_close(by(x, weight, "tokens"), spectral_filter(x, weight))
+    got = filter_backward_by_fft(x, x, weight, "tokens", True, True)
+    torch.testing.assert_close(got, backward_op(x, x, weight, "tokens", True, True))
 
 
 @pytest.mark.parametrize(
@@ -211,18 +247,113 @@ def test_a_dispatch_mode_sees_the_operator():
     assert forward_op.default in seen
 
 
-def test_threads_and_splits_of_the_batch_do_not_change_a_bit():
+@pytest.fixture
+def threads():
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+LARGE = [
+    ("grid", (5, 14, 14, 40), torch.float32),
+    ("grid", (1, 28, 28, 100), torch.float64),
+    ("grid", (33, 10, 9, 8), torch.bfloat16),
+    ("tokens", (1, 196, 256), torch.float32),
+    ("tokens", (7, 49, 100), torch.float16),
+]
+
+
+@pytest.mark.parametrize(("layout", "shape", "dtype"), LARGE)
+def test_threads_and_splits_of_the_batch_do_not_change_a_bit(layout, shape, dtype, threads):
+    x, weight = arguments(layout, shape, dtype)
+    grad = torch.randn_like(x)
+    threads(1)
+    expected = spectral_filter(x, weight, layout)
+    gradients = backward_op(grad, x, weight, layout, True, True)
+    for count in (2, 3):
+        threads(count)
+        assert torch.equal(spectral_filter(x, weight, layout), expected)
+        got = backward_op(grad, x, weight, layout, True, True)
+        assert all(map(torch.equal, got, gradients))
+    for parts in (x.shape[0], 2):
+        y = torch.cat([spectral_filter(part, weight, layout) for part in x.chunk(parts)])
+        assert torch.equal(y, expected)
+
+
+def run_large(_=None):
+    layout, shape, dtype = LARGE[0]
+    torch.manual_seed(1)
+    return spectral_filter(*arguments(layout, shape, dtype), layout)
+
+
+def test_threads_of_the_user_may_use_the_pool_together(threads):
+    threads(2)
     x, weight = arguments("grid", (5, 14, 14, 40), torch.float32)
-    threads = torch.get_num_threads()
+    expected = spectral_filter(x, weight, "grid")
+    with ThreadPoolExecutor(4) as executor:
+        for y in executor.map(lambda _: spectral_filter(x, weight, "grid"), range(40)):
+            assert torch.equal(y, expected)
+
+
+class Filtered(torch.utils.data.Dataset):
+    def __len__(self):
+        return 4
+
+    def __getitem__(self, index):
+        return run_large()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_forked_workers_of_a_loader_after_use(threads):
+    threads(2)
+    expected = run_large()
+    loader = torch.utils.data.DataLoader(
+        Filtered(), batch_size=None, num_workers=2, multiprocessing_context="fork", timeout=60
+    )
+    assert all(torch.equal(y, expected) for y in loader)
+
+
+# Other operations of torch may hang in such a child, for their threads are gone: NumPy compares.
+FORK_AFTER_USE = """
+import os, sys
+import numpy as np
+import torch
+from ffpose.ops import spectral_filter
+torch.set_num_threads(2)
+x, weight = torch.randn(5, 14, 14, 40), torch.randn(14, 8, 40, 2)
+expected = spectral_filter(x, weight, "grid").numpy()
+child = os.fork()
+if child == 0:
+    y = spectral_filter(x, weight, "grid").numpy()
+    os._exit(0 if np.array_equal(y, expected) else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+def test_fork_after_use_with_several_threads():
+    subprocess.run([sys.executable, "-c", FORK_AFTER_USE], check=True, timeout=120)
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timers")
+def test_an_interrupt_leaves_everything_in_order():
+    x, weight = arguments("grid", (5, 14, 14, 40), torch.float32)
+    expected = spectral_filter(x, weight, "grid")
+
+    def filter_until_interrupted(delay):
+        signal.setitimer(signal.ITIMER_REAL, delay)
+        while True:
+            spectral_filter(x, weight, "grid")
+
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
     try:
-        torch.set_num_threads(1)
-        expected = spectral_filter(x, weight, "grid")
-        torch.set_num_threads(3)
-        assert torch.equal(spectral_filter(x, weight, "grid"), expected)
+        for delay in (0.001, 0.002, 0.005):
+            with pytest.raises(KeyboardInterrupt):
+                filter_until_interrupted(delay)
+            assert torch.equal(spectral_filter(x, weight, "grid"), expected)
     finally:
-        torch.set_num_threads(threads)
-    one_by_one = torch.stack([spectral_filter(each, weight, "grid") for each in x])
-    assert torch.equal(one_by_one, expected)
+        signal.signal(signal.SIGALRM, before)
 
 
 # torch.func and vmap
@@ -328,7 +459,8 @@ WEIGHT = torch.zeros(4, 4, 2)
         (X, WEIGHT[..., :1], "tokens", ValueError, r"expected shape \(4, 4, 2\).*got \(4, 4, 1\)"),
         (X, WEIGHT, "grid", ValueError, r"expected shape \(2, 3, 6, 2\).*got \(4, 4, 2\)"),
         (X, WEIGHT.double(), "tokens", TypeError, r"expected torch.float32.*got torch.float64"),
-        (X.bfloat16(), WEIGHT.bfloat16(), "tokens", TypeError, r"torch.float32.*torch.bfloat16"),
+        (X, WEIGHT.bfloat16(), "tokens", TypeError, r"torch.float32 for.*got torch.bfloat16"),
+        (X.bfloat16(), WEIGHT.half(), "tokens", TypeError, r"torch.bfloat16 or torch.float32 for"),
         (X.int(), WEIGHT, "tokens", TypeError, r"expected one of torch.float32.*got torch.int32"),
         (X.cfloat(), WEIGHT, "tokens", TypeError, r"got torch.complex64"),
         (X, WEIGHT.to("meta"), "tokens", ValueError, r"expected device cpu.*got meta"),
@@ -364,3 +496,23 @@ def test_wrong_gradients(grad, error, text):
 def test_weight_shape_of_another_rank(size):
     with pytest.raises(ValueError, match=f"expected 2 sizes, got {len(size)}"):
         weight_shape(size, "tokens")
+
+
+@pytest.mark.parametrize(
+    ("replaced", "error", "text"),
+    [
+        ({"x": X.numpy()}, TypeError, r"x must be a torch\.Tensor, got .*ndarray"),
+        ({"x": X.transpose(1, 2)}, ValueError, r"x must be contiguous, got strides \[24, 1, 6\]"),
+        ({"x": X.int()}, TypeError, "weight must have the dtype of x.*float32 for int32"),
+        ({"weight": WEIGHT[:3]}, ValueError, r"weight must have shape \(4, 4, 2\)"),
+        ({"y": X.double()}, TypeError, "y must be float32, got float64"),
+        ({"y": X[:1] + 1}, ValueError, r"y must have shape \(2, 4, 6\), got \(1, 4, 6\)"),
+        ({"y": X}, ValueError, "y must have memory of its own, got that of x"),
+        ({"layout": "rows"}, ValueError, 'must be "tokens" or "grid", got "rows"'),
+        ({"num_threads": 0}, ValueError, "num_threads must be at least 1, got 0"),
+    ],
+)
+def test_the_door_to_rust_checks_what_it_is_given(replaced, error, text):
+    good = {"x": X, "weight": WEIGHT, "y": X + 1, "layout": "tokens", "num_threads": 1}
+    with pytest.raises(error, match=text):
+        _rust.filter_tensors(**good | replaced)

@@ -122,6 +122,11 @@ impl Scratch {
     }
 }
 
+/// Asks whether `bytes` are there before many small things are made of them, which cannot fail one by one.
+pub(crate) fn check_room(bytes: usize) -> Result<(), Error> {
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| Error::Memory { bytes })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

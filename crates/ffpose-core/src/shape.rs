@@ -75,6 +75,11 @@ impl Shape {
         self.columns / 2 + 1
     }
 
+    /// Numbers in the half spectrum of a plane.
+    pub(crate) fn bins_len(&self) -> usize {
+        self.rows.saturating_mul(self.half())
+    }
+
     /// Whether an image has no elements.
     pub(crate) fn is_empty(&self) -> bool {
         self.rows == 0 || self.columns == 0 || self.lanes == 0

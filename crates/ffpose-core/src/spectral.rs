@@ -16,7 +16,7 @@ use crate::general::General;
 use crate::half::Number;
 use crate::kernel::{Backward, Kernel};
 use crate::parallel::{self, Pool};
-use crate::scratch::{Needs, Scratch, Worker};
+use crate::scratch::{self, Needs, Scratch, Worker};
 use crate::tiling::Tiling;
 use crate::{Error, Isa, Layout, Real, Shape, fft};
 
@@ -24,6 +24,9 @@ const BATCH: Axis = Axis(0);
 
 /// Plans that one thread keeps; a program that filters more shapes than this in turn plans again.
 const PLANS_KEPT: usize = 64;
+
+/// More bytes than the tables of a plan take for each number of a plane's half spectrum.
+const BYTES_A_BIN: usize = 64;
 
 /// A plan with what it is for, compared one by one: for few plans that is quicker than hashing.
 type Plan = (TypeId, Shape, Box<dyn Any>);
@@ -75,21 +78,22 @@ impl<T: Real> SpectralFilter<T> {
     /// The plan for a shape, made at its first use on this thread and kept for the next.
     ///
     /// # Errors
-    /// [`Error::Isa`] as [`Isa::current`].
+    /// [`Error::Isa`] as [`Isa::current`]; [`Error::Memory`] if there is no room for a plan.
     pub fn planned(shape: Shape) -> Result<Self, Error> {
         let isa = Isa::current()?;
-        Ok(PLANS.with_borrow_mut(|plans| {
+        PLANS.with_borrow_mut(|plans| {
             let kept = plans.iter().find(|plan| (plan.0, plan.1) == (TypeId::of::<T>(), shape));
             if let Some(plan) = kept.and_then(|plan| plan.2.downcast_ref::<Self>()) {
-                return plan.clone();
+                return Ok(plan.clone());
             }
             if plans.len() >= PLANS_KEPT {
                 plans.clear();
             }
+            scratch::check_room(shape.bins_len().saturating_mul(BYTES_A_BIN))?;
             let plan = Self::new(isa, shape);
             plans.push((TypeId::of::<T>(), shape, Box::new(plan.clone())));
-            plan
-        }))
+            Ok(plan)
+        })
     }
 
     /// Filters `x` with `weight` into `y`, of the shape of `x`, on threads of `pool`.

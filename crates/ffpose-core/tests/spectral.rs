@@ -286,8 +286,7 @@ fn wrong_shapes_are_refused() {
 fn strides_are_refused() {
     let shape = Shape::of_images(Layout::Tokens, &[4, 4]).unwrap();
     let plan = SpectralFilter::<f32>::planned(shape).unwrap();
-    let [x, weight, mut y] =
-        [vec![4, 4], vec![4, 3, 2], vec![4, 4]].map(|dim| ArrayD::<f32>::zeros(dim));
+    let [x, weight, mut y] = [vec![4, 4], vec![4, 3, 2], vec![4, 4]].map(ArrayD::<f32>::zeros);
     let result =
         plan.forward(x.t(), weight.view(), y.view_mut(), &StdThreads(1), &mut Scratch::default());
     assert_eq!(result, Err(Error::Strides { name: "x", got: vec![1, 4] }));

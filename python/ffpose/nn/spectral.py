@@ -32,7 +32,8 @@ class SpectralFilter(nn.Module):
         layout: ``"tokens"`` or ``"grid"``.
         std: Standard deviation of real and imaginary part at the start.
         device: Of the parameter.
-        dtype: Of the parameter: float32 or float64. Half precision input takes a float32 weight.
+        dtype: Of the parameter: float32, float64 or half precision. Half precision input takes a
+            float32 weight too, as under autocast.
 
     Attributes:
         weight: Real parameter ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``.

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, cast
 
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.autograd import Function, forward_ad
+from torch.autograd import forward_ad
+from torch.compiler import is_compiling
 from torch.nn import Parameter
 
 HALF_DTYPES = (torch.bfloat16, torch.float16)
@@ -55,29 +56,25 @@ def check_alike(name: str, tensor: Tensor, like_name: str, like: Tensor) -> None
         )
 
 
-def can_call_rust(*tensors: Tensor) -> bool:
+def is_plain(*tensors: Tensor) -> bool:
     """Whether Rust may be called at once: the dispatcher costs more than a small call.
 
-    Not so for a tensor that is not simply numbers in the CPU's memory (of a subclass, fake, batched
-    by vmap, tracked by `torch.func`), nor while someone records what happens: autograd of either
-    mode, ``torch.compile`` and ``torch.export``, ``torch.jit.trace``, a dispatch mode.
+    Not so for what is not simply numbers in the CPU's memory (no tensor, of a subclass, fake,
+    batched by vmap, tracked by `torch.func`), nor while someone else records what happens:
+    ``torch.compile`` and ``torch.export``, ``torch.jit.trace``, forward-mode derivatives, a
+    dispatch mode. Whether a gradient is asked for is another question.
     """
-    if (
-        torch.compiler.is_compiling()
-        or torch._C._len_torch_dispatch_stack()
-        or torch._C._get_tracing_state()
-        or forward_ad._current_level >= 0
-    ):
+    if is_compiling() or _dispatch_modes() or _tracing_state() or forward_ad._current_level >= 0:
         return False
-    with_gradient = torch.is_grad_enabled()
     for tensor in tensors:
-        if (
-            (with_gradient and tensor.requires_grad)
-            or type(tensor) not in _PLAIN_TYPES
-            or torch._C._dispatch_keys(tensor).raw_repr() not in _PLAIN_KEYS
-        ):
+        if type(tensor) not in _PLAIN_TYPES or _dispatch_keys(tensor).raw_repr() not in _PLAIN_KEYS:
             return False
     return True
+
+
+def transforms_at_work() -> bool:
+    """Whether `torch.func` is at work, which records by rules of its own."""
+    return torch._C._are_functorch_transforms_active()
 
 
 def _plain_keys() -> frozenset[int]:
@@ -85,9 +82,12 @@ def _plain_keys() -> frozenset[int]:
     tensor = torch.empty(0, device="cpu")
     with torch.inference_mode():
         of_inference = torch.empty(0, device="cpu")
-    return frozenset(torch._C._dispatch_keys(each).raw_repr() for each in (tensor, of_inference))
+    return frozenset(_dispatch_keys(each).raw_repr() for each in (tensor, of_inference))
 
 
+_dispatch_keys = torch._C._dispatch_keys
+_dispatch_modes = torch._C._len_torch_dispatch_stack
+_tracing_state = torch._C._get_tracing_state
 _PLAIN_KEYS = _plain_keys()
 _PLAIN_TYPES = frozenset((Tensor, Parameter))
 
@@ -108,31 +108,6 @@ def to_tensor(array: NDArray[Any], dtype: torch.dtype) -> Tensor:
 def below_autograd() -> AbstractContextManager[None]:
     """Within it operators go to their device's kernel, past the one that records for autograd."""
     return cast("AbstractContextManager[None]", torch._C._AutoDispatchBelowAutograd())
-
-
-def fast_apply(function: type[Function]) -> Callable[..., Any]:
-    """Return ``function.apply`` at a fraction of its cost where `torch.func` is not at work.
-
-    `torch.func` asks for `forward` and `setup_context` as separate methods; torch takes tens of
-    microseconds longer over those than over both in one, which is what is called otherwise.
-    """
-
-    def forward(ctx: Any, *inputs: Any) -> Any:
-        output = function.forward(*inputs)
-        function.setup_context(ctx, inputs, output)
-        return output
-
-    methods = {"forward": forward, "backward": function.backward, "jvp": function.jvp}
-    combined = cast(
-        "type[Function]",
-        type(function.__name__, (Function,), {k: staticmethod(v) for k, v in methods.items()}),
-    )
-
-    def apply(*inputs: Any) -> Any:
-        chosen = function if torch._C._are_functorch_transforms_active() else combined
-        return chosen.apply(*inputs)
-
-    return apply
 
 
 def add(a: Tensor | None, b: Tensor | None) -> Tensor | None:

@@ -41,7 +41,7 @@ def filter_backward_by_fft(
         product = spectrum * _complex_weight(weight, x, layout).conj()
         for_x = _inverse(product, x, layout)
     if need_weight:
-        for_weight = _correlate(spectrum, x, layout)
+        for_weight = _correlate(spectrum, x, layout).to(weight.dtype)
     return for_x, for_weight
 
 
@@ -62,6 +62,7 @@ def _complex_weight(weight: Tensor, x: Tensor, layout: Layout) -> Tensor:
     The product then is Hermitian there too, and the result does not hang on what an FFT library
     makes of columns that are not.
     """
+    weight = weight.to(arithmetic_dtype(weight.dtype))
     spectrum = torch.view_as_complex(weight.contiguous()).clone()
     columns = _lone_columns(x.shape[PLANE[layout][1]])
     chosen = spectrum[:, columns]

@@ -67,9 +67,9 @@ def check_filter(x: Tensor, weight: Tensor, layout: Layout) -> None:
     check_layout(layout)
     check_tensor("x", x)
     check_tensor("weight", weight)
-    expected_dtype = arithmetic_dtype(x.dtype)
-    if weight.dtype != expected_dtype:
-        raise TypeError(f"weight: expected {expected_dtype} for x of {x.dtype}, got {weight.dtype}")
+    if weight.dtype not in (x.dtype, arithmetic_dtype(x.dtype)):
+        expected = " or ".join(map(str, dict.fromkeys((x.dtype, arithmetic_dtype(x.dtype)))))
+        raise TypeError(f"weight: expected {expected} for x of {x.dtype}, got {weight.dtype}")
     if weight.device != x.device:
         raise ValueError(f"weight: expected device {x.device}, that of x, got {weight.device}")
     if x.dim() < RANK[layout]:

@@ -18,12 +18,12 @@ from ffpose import _rust
 from ffpose.ops.bridge import (
     arithmetic_dtype,
     below_autograd,
-    can_call_rust,
     check_alike,
     check_tensor,
-    fast_apply,
+    is_plain,
     to_array,
     to_tensor,
+    transforms_at_work,
 )
 
 FORWARD = "ffpose::normalize_quaternion"
@@ -54,19 +54,23 @@ def normalize_quaternion(q: Tensor) -> Tensor:
         TypeError: A dtype that does not fit.
     """
     _check(q)
-    if can_call_rust(q):
-        return _forward_rust(q)
+    if is_plain(q):
+        if not (torch.is_grad_enabled() and q.requires_grad):
+            return _forward_rust(q)
+        if not transforms_at_work():
+            recorded: Tensor = _NormalizeQuaternionOnCpu.apply(q)
+            return recorded
     if torch.compiler.is_compiling():
         return _forward_op(q)
-    result: Tensor = _apply_forward(q)
+    result: Tensor = _NormalizeQuaternion.apply(q)
     return result
 
 
 def _gradient(grad: Tensor, q: Tensor) -> Tensor:
     """Return ``B(grad, q)``."""
-    if can_call_rust(grad, q):
+    if not torch.is_grad_enabled() and is_plain(grad, q):
         return _backward_rust(grad, q)
-    result: Tensor = _apply_backward(grad, q)
+    result: Tensor = _NormalizeQuaternionBackward.apply(grad, q)
     return result
 
 
@@ -75,8 +79,6 @@ class _NormalizeQuaternion(Function):
 
     @staticmethod
     def forward(q: Tensor) -> Tensor:
-        if can_call_rust(q):
-            return _forward_rust(q)
         with below_autograd():
             return _forward_op(q)
 
@@ -101,13 +103,22 @@ class _NormalizeQuaternion(Function):
         return normalize_quaternion(_batch_first(q, in_dims[0], info.batch_size)), 0
 
 
+class _NormalizeQuaternionOnCpu(Function):
+    """`_NormalizeQuaternion` where nobody but autograd looks on; see `ffpose.ops.spectral`."""
+
+    @staticmethod
+    def forward(ctx: Any, q: Tensor) -> Tensor:
+        ctx.save_for_backward(q)
+        return _forward_rust(q)
+
+    backward = _NormalizeQuaternion.backward
+
+
 class _NormalizeQuaternionBackward(Function):
     """``B(g, q) = (g - u <u, g>) / ‖q‖``."""
 
     @staticmethod
     def forward(grad: Tensor, q: Tensor) -> Tensor:
-        if can_call_rust(grad, q):
-            return _backward_rust(grad, q)
         with below_autograd():
             return _backward_op(grad, q)
 
@@ -221,18 +232,16 @@ def _backward_fake(grad: Tensor, q: Tensor) -> Tensor:
     return q.new_empty(q.shape)
 
 
-_apply_forward = fast_apply(_NormalizeQuaternion)
-_apply_backward = fast_apply(_NormalizeQuaternionBackward)
-
-
 def _record_forward(q: Tensor) -> Any:
+    if is_plain(q):
+        return normalize_quaternion(q)
     _check(q)
-    return _apply_forward(q)
+    return _NormalizeQuaternion.apply(q)
 
 
 def _record_backward(grad: Tensor, q: Tensor) -> Any:
     _check_gradient(grad, q)
-    return _apply_backward(grad, q)
+    return _NormalizeQuaternionBackward.apply(grad, q)
 
 
 torch.library.impl(FORWARD, "cpu", _forward_cpu)

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 from torch.autograd import Function
 
-from ffpose.ops.bridge import add, below_autograd, can_call_rust, fast_apply, unbatch
+from ffpose.ops.bridge import add, below_autograd, is_plain, transforms_at_work, unbatch
 from ffpose.ops.layout import Layout, check_filter, check_gradient
 from ffpose.ops.spectral_kernels import (
     BACKWARD,
@@ -46,7 +46,7 @@ def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Ten
             last in layout ``"grid"``, the DFT over H and W of each channel. float32, float64, or
             half precision, which is computed in float32. Any strides; may be empty.
         weight: ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``, real and imaginary part last, of the
-            dtype of ``x``; float32 where that is half precision.
+            dtype of ``x``; or float32 where that is half precision.
         layout: ``"tokens"`` or ``"grid"``.
 
     Returns:
@@ -56,12 +56,16 @@ def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Ten
         ValueError: A rank, size, device or layout that does not fit.
         TypeError: A dtype that does not fit.
     """
+    if is_plain(x, weight):
+        if not (torch.is_grad_enabled() and (x.requires_grad or weight.requires_grad)):
+            return forward_rust(x, weight, layout)
+        if not transforms_at_work():
+            recorded: Tensor = _SpectralFilterOnCpu.apply(x, weight, layout)
+            return recorded
     check_filter(x, weight, layout)
-    if can_call_rust(x, weight):
-        return forward_rust(x, weight, layout)
     if torch.compiler.is_compiling():
         return forward_op(x, weight, layout)
-    result: Tensor = _apply_forward(x, weight, layout)
+    result: Tensor = _SpectralFilter.apply(x, weight, layout)
     return result
 
 
@@ -71,8 +75,10 @@ def _gradients(
     """Return ``F(grad, weight*)`` and ``C(grad, x)``, None in place of one that is not needed."""
     if not (need_x or need_weight):
         return None, None
-    call = backward_rust if can_call_rust(grad, x, weight) else _apply_backward
-    for_x, for_weight = call(grad, x, weight, layout, need_x, need_weight)
+    arguments = (grad, x, weight, layout, need_x, need_weight)
+    if not torch.is_grad_enabled() and is_plain(grad, x, weight):
+        return backward_rust(*arguments)
+    for_x, for_weight = _SpectralFilterBackward.apply(*arguments)
     return for_x if need_x else None, for_weight if need_weight else None
 
 
@@ -81,8 +87,6 @@ class _SpectralFilter(Function):
 
     @staticmethod
     def forward(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
-        if can_call_rust(x, weight):
-            return forward_rust(x, weight, layout)
         with below_autograd():
             return forward_op(x, weight, layout)
 
@@ -118,6 +122,22 @@ class _SpectralFilter(Function):
         return torch.stack([spectral_filter(x, weight, layout) for x, weight in samples]), 0
 
 
+class _SpectralFilterOnCpu(Function):
+    """`_SpectralFilter` where nobody but autograd looks on.
+
+    torch takes tens of microseconds longer over `forward` and `setup_context` as separate methods,
+    which `torch.func` asks for, than over both in one.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        ctx.layout = layout
+        return forward_rust(x, weight, layout)
+
+    backward = _SpectralFilter.backward
+
+
 class _SpectralFilterBackward(Function):
     """``F(g, w*)`` and ``C(g, x)``."""
 
@@ -125,8 +145,6 @@ class _SpectralFilterBackward(Function):
     def forward(
         grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
     ) -> tuple[Tensor, Tensor]:
-        if can_call_rust(grad, x, weight):
-            return backward_rust(grad, x, weight, layout, need_x, need_weight)
         with below_autograd():
             return backward_op(grad, x, weight, layout, need_x, need_weight)
 
@@ -195,25 +213,25 @@ class _SpectralFilterBackward(Function):
     ) -> tuple[tuple[Tensor, Tensor], tuple[int, int]]:
         """Each sample has a gradient for the weight of its own, so this is a loop."""
         samples = unbatch((grad, x, weight), in_dims, info.batch_size)
-        gradients = [_apply_backward(*each, layout, need_x, need_weight) for each in samples]
+        gradients = [
+            _SpectralFilterBackward.apply(*each, layout, need_x, need_weight) for each in samples
+        ]
         for_x, for_weight = zip(*gradients, strict=True)
         return (torch.stack(for_x), torch.stack(for_weight)), (0, 0)
 
 
-_apply_forward = fast_apply(_SpectralFilter)
-_apply_backward = fast_apply(_SpectralFilterBackward)
-
-
 def _record_forward(x: Tensor, weight: Tensor, layout: Layout) -> Any:
+    if is_plain(x, weight):
+        return spectral_filter(x, weight, layout)
     check_filter(x, weight, layout)
-    return _apply_forward(x, weight, layout)
+    return _SpectralFilter.apply(x, weight, layout)
 
 
 def _record_backward(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
 ) -> Any:
     check_gradient(grad, x, weight, layout)
-    return _apply_backward(grad, x, weight, layout, need_x, need_weight)
+    return _SpectralFilterBackward.apply(grad, x, weight, layout, need_x, need_weight)
 
 
 torch.library.impl(FORWARD, "Autograd", _record_forward)

@@ -1,7 +1,7 @@
 """The operators ``spectral_filter`` and ``spectral_filter_backward`` for each device.
 
-On the CPU Rust computes, in as many threads as `torch.get_num_threads` says; elsewhere torch.fft;
-for fake tensors, shapes alone. Derivatives are in `ffpose.ops.spectral`.
+On the CPU Rust computes, in torch's own threads, as many as `torch.get_num_threads` says; elsewhere
+torch.fft; for fake tensors, shapes alone. Derivatives are in `ffpose.ops.spectral`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from ffpose import _rust
-from ffpose.ops.bridge import to_array, to_tensor
 from ffpose.ops.fourier import filter_backward_by_fft, filter_by_fft
 from ffpose.ops.layout import Layout, check_filter, check_gradient
 
@@ -38,28 +37,35 @@ backward_op: Callable[..., tuple[Tensor, Tensor]] = (
 
 
 def forward_rust(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
-    """Filter CPU tensors that were checked; arguments as in `ffpose.ops.spectral_filter`."""
-    y = _rust.spectral_filter(to_array(x), to_array(weight), layout, torch.get_num_threads())
-    return to_tensor(y, x.dtype)
+    """Filter CPU tensors; arguments and errors as in `ffpose.ops.spectral_filter`.
+
+    Rust checks what it is given, so that a good call pays for no second check in Python.
+    """
+    x, weight = x.contiguous(), weight.contiguous()
+    y = torch.empty_like(x)
+    try:
+        _rust.filter_tensors(x, weight, y, layout, torch.get_num_threads())
+    except (TypeError, ValueError):
+        check_filter(x, weight, layout)  # says the same in the words of every other device
+        raise
+    return y
 
 
 def backward_rust(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
-) -> tuple[Tensor, Tensor]:
-    """Return both gradients of CPU tensors that were checked, ``(0,)`` for one not needed."""
-    arrays = (to_array(grad), to_array(x), to_array(weight))
-    grad_x, grad_weight = _rust.spectral_filter_backward(
-        *arrays, layout, need_x, need_weight, torch.get_num_threads()
-    )
-    return (
-        x.new_empty(0) if grad_x is None else to_tensor(grad_x, x.dtype),
-        weight.new_empty(0) if grad_weight is None else to_tensor(grad_weight, weight.dtype),
-    )
-
-
-def _forward_cpu(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
-    check_filter(x, weight, layout)
-    return forward_rust(x, weight, layout)
+) -> tuple[Tensor | None, Tensor | None]:
+    """Return both gradients of CPU tensors, None for one not needed; errors as in the forward."""
+    grad, x, weight = grad.contiguous(), x.contiguous(), weight.contiguous()
+    grad_x = torch.empty_like(x) if need_x else None
+    grad_weight = torch.empty_like(weight) if need_weight else None
+    try:
+        _rust.filter_tensors_backward(
+            grad, x, weight, grad_x, grad_weight, layout, torch.get_num_threads()
+        )
+    except (TypeError, ValueError):
+        check_gradient(grad, x, weight, layout)
+        raise
+    return grad_x, grad_weight
 
 
 def _forward_elsewhere(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
@@ -75,8 +81,11 @@ def _forward_fake(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
 def _backward_cpu(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
 ) -> tuple[Tensor, Tensor]:
-    check_gradient(grad, x, weight, layout)
-    return backward_rust(grad, x, weight, layout, need_x, need_weight)
+    for_x, for_weight = backward_rust(grad, x, weight, layout, need_x, need_weight)
+    return (
+        x.new_empty(0) if for_x is None else for_x,
+        weight.new_empty(0) if for_weight is None else for_weight,
+    )
 
 
 def _backward_elsewhere(
@@ -96,7 +105,7 @@ def _backward_fake(
     )
 
 
-torch.library.impl(FORWARD, "cpu", _forward_cpu)
+torch.library.impl(FORWARD, "cpu", forward_rust)
 torch.library.impl(FORWARD, "default", _forward_elsewhere)
 torch.library.register_fake(FORWARD, _forward_fake)
 torch.library.impl(BACKWARD, "cpu", _backward_cpu)
