@@ -253,3 +253,28 @@ def test_an_unknown_instruction_set_is_refused():
 
 def test_the_version_is_that_of_the_package():
     assert ffpose.__version__ == metadata.version("ffpose")
+
+
+OUT_OF_MEMORY = """
+import resource
+import numpy as np
+import ffpose
+x = np.ones((2048, 2048, 1), np.float32)
+weight = np.ones((2048, 1025, 1, 2), np.float32)
+with open("/proc/self/statm") as file:
+    used = int(file.read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 2 * x.nbytes, -1))
+try:
+    ffpose.spectral_filter(x, weight, "grid")
+except MemoryError as error:
+    print(error)
+resource.setrlimit(resource.RLIMIT_AS, (-1, -1))
+np.testing.assert_allclose(ffpose.spectral_filter(x, weight, "grid").sum(), x.sum(), rtol=1e-3)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the sizes that Linux tells")
+def test_working_memory_that_does_not_fit_is_an_error():
+    command = [sys.executable, "-c", OUT_OF_MEMORY]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert re.match(r"expected \d+ bytes of working memory, got none", done.stdout)
