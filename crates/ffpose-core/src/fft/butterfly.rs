@@ -106,19 +106,56 @@ fn odd<V: Vector, const N: usize, const END: usize>(x: [Complex<V>; N]) -> [Comp
         difference[j] = x[j] - x[N - j];
         out[0] = out[0] + sum[j];
     });
+    // real parts of all outputs, then imaginary ones: either half is as many numbers as fit in registers
     unroll!(k in 1..END {
-        let (c, s) = Roots::<N>::TABLE[k];
-        let mut even = sum[1].scale_add(constant(c), x[0]);
-        let mut odd = difference[1].scale(constant(s));
-        unroll!(j in 2..END {
-            let (c, s) = Roots::<N>::TABLE[j * k % N];
-            even = sum[j].scale_add(constant(c), even);
-            odd = difference[j].scale_add(constant(s), odd);
-        });
-        out[k] = even.sub_i(odd);
-        out[N - k] = even.add_i(odd);
+        let even = cosines::<V, N, END>(k, x[0].re, re(sum));
+        let odd = sines::<V, N, END>(k, im(difference));
+        (out[k].re, out[N - k].re) = (even + odd, even - odd);
+    });
+    unroll!(k in 1..END {
+        let even = cosines::<V, N, END>(k, x[0].im, im(sum));
+        let odd = sines::<V, N, END>(k, re(difference));
+        (out[k].im, out[N - k].im) = (even - odd, even + odd);
     });
     out
+}
+
+#[inline(always)]
+fn re<V: Vector, const N: usize>(z: [Complex<V>; N]) -> [V; N] {
+    let mut parts = [z[0].re; N];
+    for n in 0..N {
+        parts[n] = z[n].re;
+    }
+    parts
+}
+
+#[inline(always)]
+fn im<V: Vector, const N: usize>(z: [Complex<V>; N]) -> [V; N] {
+    let mut parts = [z[0].im; N];
+    for n in 0..N {
+        parts[n] = z[n].im;
+    }
+    parts
+}
+
+/// `start + Σ_j a[j] cos(2π j k / N)` for `0 < j < END`
+#[inline(always)]
+fn cosines<V: Vector, const N: usize, const END: usize>(k: usize, start: V, a: [V; N]) -> V {
+    let mut total = start;
+    unroll!(j in 1..END {
+        total = a[j].mul_add(constant(Roots::<N>::TABLE[j * k % N].0), total);
+    });
+    total
+}
+
+/// `Σ_j a[j] sin(2π j k / N)` for `0 < j < END`
+#[inline(always)]
+fn sines<V: Vector, const N: usize, const END: usize>(k: usize, a: [V; N]) -> V {
+    let mut total = a[1] * constant(Roots::<N>::TABLE[k].1);
+    unroll!(j in 2..END {
+        total = a[j].mul_add(constant(Roots::<N>::TABLE[j * k % N].1), total);
+    });
+    total
 }
 
 /// 4 by 4: input `n = 4 p + q`, a twiddle, output `k = p + 4 q`.

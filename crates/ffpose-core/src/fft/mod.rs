@@ -14,6 +14,8 @@ mod middle;
 mod pack;
 mod pair;
 mod passes;
+mod planes;
+mod planes_pack;
 mod prime;
 mod real;
 mod roots;
@@ -21,13 +23,13 @@ mod rows;
 #[cfg(test)]
 mod tests;
 mod tokens;
-mod tokens_pack;
 mod transform;
 mod unroll;
 
 use std::sync::Arc;
 
 use grid::Grid;
+use planes::Planes;
 use tokens::Tokens;
 
 use crate::kernel::Kernel;
@@ -38,6 +40,9 @@ use crate::{Layout, Real, Shape};
 pub(crate) fn plan<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>> {
     match shape.layout {
         Layout::Grid => Arc::new(Grid::new(isa, shape.rows, shape.columns)),
-        Layout::Tokens => Arc::new(Tokens::new(isa, shape.rows, shape.columns)),
+        Layout::Tokens => match Tokens::new(isa, shape.rows, shape.columns) {
+            Some(tokens) => Arc::new(tokens),
+            None => Arc::new(Planes::new(isa, shape.rows, shape.columns)),
+        },
     }
 }

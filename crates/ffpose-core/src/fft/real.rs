@@ -100,31 +100,39 @@ fn sines<V: Vector>(k: usize, a: [V; 3]) -> V {
     a[2].mul_add(constant(s(3)), a[1].mul_add(constant(s(2)), a[0] * constant(s(1))))
 }
 
-/// Length 8: sums and differences of halves, then 4 real and 4 shifted.
-impl RealDft<8, 4> for Codelet {
-    fn frequencies() -> [usize; 4] {
-        [0, 2, 1, 5]
-    }
+/// Powers of two: sums and differences of halves, then one real half and one shifted.
+macro_rules! real_power_of_two {
+    ($n:literal, $half:literal, $frequencies:expr) => {
+        impl RealDft<$n, $half> for Codelet {
+            fn frequencies() -> [usize; $half] {
+                $frequencies
+            }
 
-    #[inline(always)]
-    fn real_dft<V: Vector>(x: [V; 8]) -> [Complex<V>; 4] {
-        let mut halves = [Complex::new(x[0], x[0]); 4];
-        for n in 0..4 {
-            halves[n] = Complex::new(x[n] + x[n + 4], x[n] - x[n + 4]);
-        }
-        Self::two_real_dft(halves)
-    }
+            #[inline(always)]
+            fn real_dft<V: Vector>(x: [V; $n]) -> [Complex<V>; $half] {
+                let mut halves = [Complex::new(x[0], x[0]); $half];
+                for n in 0..$half {
+                    halves[n] = Complex::new(x[n] + x[n + $half], x[n] - x[n + $half]);
+                }
+                Self::two_real_dft(halves)
+            }
 
-    #[inline(always)]
-    fn real_idft<V: Vector>(spectrum: [Complex<V>; 4]) -> [V; 8] {
-        let halves = Self::two_real_idft(spectrum);
-        let mut x = [spectrum[0].re; 8];
-        for n in 0..4 {
-            (x[n], x[n + 4]) = (halves[n].re + halves[n].im, halves[n].re - halves[n].im);
+            #[inline(always)]
+            fn real_idft<V: Vector>(spectrum: [Complex<V>; $half]) -> [V; $n] {
+                let halves = Self::two_real_idft(spectrum);
+                let mut x = [spectrum[0].re; $n];
+                for n in 0..$half {
+                    let Complex { re, im } = halves[n];
+                    (x[n], x[n + $half]) = (re + im, re - im);
+                }
+                x
+            }
         }
-        x
-    }
+    };
 }
+
+real_power_of_two!(8, 4, [0, 2, 1, 5]);
+real_power_of_two!(16, 8, [0, 4, 2, 10, 1, 5, 9, 13]);
 
 /// The two real lines, as real and imaginary part of an array of `Q`, that a real DFT of an even length `P` across a line of
 /// `P Q` leaves in its slot 0: those of frequencies 0 and `P / 2` modulo `P`.
@@ -139,6 +147,45 @@ pub(crate) trait TwoReal<const Q: usize> {
     fn two_real_dft<V: Vector>(lines: [Complex<V>; Q]) -> [Complex<V>; Q];
 
     fn two_real_idft<V: Vector>(spectrum: [Complex<V>; Q]) -> [Complex<V>; Q];
+}
+
+/// Nothing to do.
+impl TwoReal<1> for Codelet {
+    fn frequencies() -> [(usize, usize); 1] {
+        [(0, 0)]
+    }
+
+    #[inline(always)]
+    fn two_real_dft<V: Vector>(lines: [Complex<V>; 1]) -> [Complex<V>; 1] {
+        lines
+    }
+
+    #[inline(always)]
+    fn two_real_idft<V: Vector>(spectrum: [Complex<V>; 1]) -> [Complex<V>; 1] {
+        spectrum
+    }
+}
+
+impl TwoReal<3> for Codelet {
+    fn frequencies() -> [(usize, usize); 3] {
+        [(0, 0), (0, 2), (1, 2)]
+    }
+
+    #[inline(always)]
+    fn two_real_dft<V: Vector>([x, y, z]: [Complex<V>; 3]) -> [Complex<V>; 3] {
+        let (c, s): (V, V) = (constant(-0.5), constant(Roots::<3>::TABLE[1].1));
+        let (sum, difference) = (y + z, y - z);
+        let (even, odd) = (sum.scale_add(c, x), difference.scale(s));
+        [x + sum, Complex::new(even.re, odd.re), Complex::new(even.im, odd.im)]
+    }
+
+    #[inline(always)]
+    fn two_real_idft<V: Vector>([x, a, b]: [Complex<V>; 3]) -> [Complex<V>; 3] {
+        let (c, s): (V, V) = (constant(-0.5), constant(Roots::<3>::TABLE[1].1));
+        let (sum, difference) = (Complex::new(a.re, b.re), Complex::new(a.im, b.im));
+        let even = sum.scale_add(c, x);
+        [x + sum, difference.scale_add(s, even), difference.neg_scale_add(s, even)]
+    }
 }
 
 impl TwoReal<7> for Codelet {

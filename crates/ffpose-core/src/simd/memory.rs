@@ -105,6 +105,23 @@ impl<'a, T: Element> Tile<'a, T> {
         unsafe { std::mem::transmute_copy(&vectors) }
     }
 
+    pub(crate) fn points(&self) -> usize {
+        self.points
+    }
+
+    pub(crate) fn lanes(&self) -> usize {
+        self.lanes
+    }
+
+    /// One point as points of `lanes` lanes.
+    #[inline(always)]
+    pub(crate) fn point(&self, point: usize, lanes: usize) -> Self {
+        assert!(point < self.points);
+        // SAFETY: the point is one of the view's (checked above).
+        let start = unsafe { self.start.add(point * self.stride) };
+        Self { start, points: self.lanes / lanes, lanes, stride: lanes, view: PhantomData }
+    }
+
     /// This tile without its first lanes.
     #[inline(always)]
     pub(crate) fn skip_lanes(self, lane: usize) -> Self {
@@ -212,6 +229,15 @@ impl<'a, T: Element> TileMut<'a, T> {
         TileMut { start, points, lanes: self.lanes - lane, stride, view: PhantomData }
     }
 
+    /// One point as points of `lanes` lanes.
+    #[inline(always)]
+    pub(crate) fn point(&mut self, point: usize, lanes: usize) -> TileMut<'_, T> {
+        assert!(point < self.points);
+        // SAFETY: the point is one of the view's (checked above).
+        let start = unsafe { self.start.add(point * self.stride) };
+        TileMut { start, points: self.lanes / lanes, lanes, stride: lanes, view: PhantomData }
+    }
+
     /// The same points, to read.
     #[inline(always)]
     pub(crate) fn reader(&self) -> Tile<'_, T> {
@@ -299,6 +325,45 @@ pub(crate) fn scatter<E: Copy, const N: usize>(
     }
 }
 
+/// `buffer[first + offsets[0] * step]`, ..., these offsets below `span`.
+#[inline(always)]
+pub(crate) fn gather_at<E: Copy, const N: usize>(
+    buffer: &[E],
+    first: usize,
+    offsets: [usize; N],
+    step: usize,
+    span: usize,
+) -> [E; N] {
+    assert!(first + (span - 1) * step < buffer.len());
+    // SAFETY: an array of uninitialised elements needs no initialisation.
+    let mut elements: [MaybeUninit<E>; N] = unsafe { MaybeUninit::uninit().assume_init() };
+    for (element, offset) in elements.iter_mut().zip(offsets) {
+        assert!(offset < span); // constants, as a rule
+        // SAFETY: at most the index checked above.
+        element.write(unsafe { *buffer.get_unchecked(first + offset * step) });
+    }
+    // SAFETY: the loop wrote every element; the two types have the same layout.
+    unsafe { std::mem::transmute_copy(&elements) }
+}
+
+/// `buffer[first + offsets[0] * step] = elements[0]`, ..., these offsets below `span`.
+#[inline(always)]
+pub(crate) fn scatter_at<E: Copy, const N: usize>(
+    buffer: &mut [E],
+    first: usize,
+    offsets: [usize; N],
+    step: usize,
+    span: usize,
+    elements: [E; N],
+) {
+    assert!(first + (span - 1) * step < buffer.len());
+    for (element, offset) in elements.into_iter().zip(offsets) {
+        assert!(offset < span); // constants, as a rule
+        // SAFETY: at most the index checked above.
+        unsafe { *buffer.get_unchecked_mut(first + offset * step) = element };
+    }
+}
+
 /// Bytes at a multiple of which buffers of vectors start: the largest vector, and a cache line.
 const ALIGNMENT: usize = 64;
 
@@ -311,6 +376,26 @@ pub(crate) const fn slack<T>() -> usize {
 pub(crate) fn aligned<T>(buffer: &mut [T]) -> &mut [T] {
     let skipped = buffer.as_ptr().align_offset(ALIGNMENT);
     &mut buffer[skipped..]
+}
+
+/// A table that starts at an aligned element.
+pub(crate) struct Table<T> {
+    memory: Vec<T>,
+    skipped: usize,
+}
+
+impl<T: Element> Table<T> {
+    pub(crate) fn new(values: &[T]) -> Self {
+        let mut memory = vec![T::default(); values.len() + slack::<T>()];
+        let skipped = memory.as_ptr().align_offset(ALIGNMENT);
+        memory[skipped..][..values.len()].copy_from_slice(values);
+        memory.truncate(skipped + values.len());
+        Self { memory, skipped }
+    }
+
+    pub(crate) fn values(&self) -> &[T] {
+        &self.memory[self.skipped..]
+    }
 }
 
 /// `buffer`, a part of an aligned one, as complex vectors.

@@ -23,7 +23,9 @@ use std::ops::{Add, Mul, Neg, Sub};
 
 pub(crate) use complex::Complex;
 pub use isa::Isa;
-pub(crate) use memory::{Tile, TileMut, aligned, complex_vectors, gather, scatter, slack};
+pub(crate) use memory::{
+    Table, Tile, TileMut, aligned, complex_vectors, gather, gather_at, scatter, scatter_at, slack,
+};
 
 /// The most lanes that a [`Vector`] of this crate has.
 pub(crate) const MAX_LANES: usize = 16;
@@ -78,6 +80,9 @@ pub(crate) trait Vector:
 
     /// Undoes [`interleave`](Vector::interleave).
     fn deinterleave(low: Self, high: Self) -> (Self, Self);
+
+    /// The lanes in reverse.
+    fn reverse(self) -> Self;
 
     /// Transposes a square of `LANES` vectors.
     ///

@@ -9,7 +9,7 @@ use super::Vector;
 /// A vector type from the names of its intrinsics, which need no more than the base architecture.
 macro_rules! vector {
     ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident $neg:ident
-     $mul_add:ident $neg_mul_add:ident $zip1:ident $zip2:ident $uzp1:ident $uzp2:ident) => {
+     $mul_add:ident $neg_mul_add:ident $zip1:ident $zip2:ident $uzp1:ident $uzp2:ident $reverse:ident) => {
         #[derive(Clone, Copy)]
         #[repr(transparent)]
         pub(crate) struct $name($raw);
@@ -72,6 +72,12 @@ macro_rules! vector {
                 // SAFETY: every 64-bit ARM has the instructions.
                 unsafe { (Self($uzp1(low.0, high.0)), Self($uzp2(low.0, high.0))) }
             }
+
+            #[inline(always)]
+            fn reverse(self) -> Self {
+                // SAFETY: every 64-bit ARM has the instructions.
+                Self(unsafe { $reverse(self.0) })
+            }
         }
     };
     (@operator $name:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
@@ -87,6 +93,19 @@ macro_rules! vector {
 }
 
 vector!(F32x4(float32x4_t), f32; vdupq_n_f32 vld1q_f32 vst1q_f32 vaddq_f32 vsubq_f32 vmulq_f32 vnegq_f32
-    vfmaq_f32 vfmsq_f32 vzip1q_f32 vzip2q_f32 vuzp1q_f32 vuzp2q_f32);
+    vfmaq_f32 vfmsq_f32 vzip1q_f32 vzip2q_f32 vuzp1q_f32 vuzp2q_f32 reverse_f32x4);
 vector!(F64x2(float64x2_t), f64; vdupq_n_f64 vld1q_f64 vst1q_f64 vaddq_f64 vsubq_f64 vmulq_f64 vnegq_f64
-    vfmaq_f64 vfmsq_f64 vzip1q_f64 vzip2q_f64 vuzp1q_f64 vuzp2q_f64);
+    vfmaq_f64 vfmsq_f64 vzip1q_f64 vzip2q_f64 vuzp1q_f64 vuzp2q_f64 reverse_f64x2);
+
+#[inline]
+#[target_feature(enable = "neon")]
+fn reverse_f32x4(a: float32x4_t) -> float32x4_t {
+    let swapped = vrev64q_f32(a);
+    vextq_f32::<2>(swapped, swapped)
+}
+
+#[inline]
+#[target_feature(enable = "neon")]
+fn reverse_f64x2(a: float64x2_t) -> float64x2_t {
+    vextq_f64::<1>(a, a)
+}

@@ -72,4 +72,9 @@ impl<T: Element + Neg<Output = T>> Vector for Scalar<T> {
     fn deinterleave(low: Self, high: Self) -> (Self, Self) {
         (low, high)
     }
+
+    #[inline(always)]
+    fn reverse(self) -> Self {
+        self
+    }
 }

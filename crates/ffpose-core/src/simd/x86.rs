@@ -11,7 +11,7 @@ use super::Vector;
 /// The operations are safe although the intrinsics need their instruction set: see the module's documentation.
 macro_rules! vector {
     ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident
-     $mul_add:ident $neg_mul_add:ident $xor:ident $interleave:ident $deinterleave:ident $($transpose:ident)?) => {
+     $mul_add:ident $neg_mul_add:ident $xor:ident $interleave:ident $deinterleave:ident $reverse:ident $($transpose:ident)?) => {
         #[derive(Clone, Copy)]
         #[repr(transparent)]
         pub(crate) struct $name($raw);
@@ -77,6 +77,12 @@ macro_rules! vector {
                 (Self(a), Self(b))
             }
 
+            #[inline(always)]
+            fn reverse(self) -> Self {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                Self(unsafe { $reverse(self.0) })
+            }
+
             $(#[inline(always)]
             fn transpose(square: &mut [Self]) {
                 // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
@@ -97,13 +103,15 @@ macro_rules! vector {
 }
 
 vector!(F32x8(__m256), f32; _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
-    _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8 transpose_f32x8);
+    _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8
+    reverse_f32x8 transpose_f32x8);
 vector!(F64x4(__m256d), f64; _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_add_pd _mm256_sub_pd _mm256_mul_pd
-    _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4 transpose_f64x4);
+    _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4
+    reverse_f64x4 transpose_f64x4);
 vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
-    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16);
+    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 reverse_f32x16);
 vector!(F64x8(__m512d), f64; _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_add_pd _mm512_sub_pd _mm512_mul_pd
-    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8);
+    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 reverse_f64x8);
 
 #[inline]
 #[target_feature(enable = "avx2")]
@@ -164,6 +172,31 @@ fn deinterleave_f64x8(low: __m512d, high: __m512d) -> (__m512d, __m512d) {
     let even = _mm512_setr_epi64(0, 2, 4, 6, 8, 10, 12, 14);
     let odd = _mm512_setr_epi64(1, 3, 5, 7, 9, 11, 13, 15);
     (_mm512_permutex2var_pd(low, even, high), _mm512_permutex2var_pd(low, odd, high))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn reverse_f32x8(a: __m256) -> __m256 {
+    _mm256_permutevar8x32_ps(a, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn reverse_f64x4(a: __m256d) -> __m256d {
+    _mm256_permute4x64_pd::<0x1b>(a)
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn reverse_f32x16(a: __m512) -> __m512 {
+    let order = _mm512_setr_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
+    _mm512_permutexvar_ps(order, a)
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn reverse_f64x8(a: __m512d) -> __m512d {
+    _mm512_permutexvar_pd(_mm512_setr_epi64(7, 6, 5, 4, 3, 2, 1, 0), a)
 }
 
 /// 4 by 4 inside the halves, then the halves: 24 instructions where interleaving needs 48.

@@ -9,7 +9,7 @@ use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use super::columns::Columns;
 use super::pair::{join, split};
-use super::tokens_pack::Packing;
+use super::planes_pack::Packing;
 use super::transform::Transform;
 use crate::kernel::{Backward, Kernel};
 use crate::parallel::Team;
@@ -19,7 +19,7 @@ use crate::simd::{
 };
 
 /// The plan for planes `(points, width)`.
-pub(crate) struct Tokens<T> {
+pub(crate) struct Planes<T> {
     isa: Isa,
     lanes: usize,
     width: usize,
@@ -45,7 +45,7 @@ struct Rows {
     pitch: usize,
 }
 
-impl<T: Element> Tokens<T> {
+impl<T: Element> Planes<T> {
     pub(crate) fn new(isa: Isa, points: usize, width: usize) -> Self {
         let along_x = Transform::new(isa, points);
         let along_y = Columns::new(isa, width, 1, false);
@@ -172,7 +172,7 @@ impl<T: Element> Tokens<T> {
     }
 }
 
-impl<T: Element> Kernel<T> for Tokens<T> {
+impl<T: Element> Kernel<T> for Planes<T> {
     fn tile(&self) -> usize {
         self.width
     }

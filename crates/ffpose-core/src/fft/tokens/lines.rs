@@ -1,0 +1,243 @@
+//! Rows of an image, as real lines of vectors, to slots of a block and back.
+//!
+//! A line of `M` vectors has `M / 2` slots: slot `k` is frequency `k`, and slot 0 has the two real frequencies 0 and `M / 2` as
+//! real and imaginary part. `M = P Q`: `P` real across, then `Q`; for odd `Q` without twiddles (Good–Thomas), for a power of two
+//! with (Cooley–Tukey).
+
+use super::columns::Block;
+use crate::fft::butterfly::{Codelet, Dft, turn};
+use crate::fft::real::{RealDft, TwoReal};
+use crate::fft::unroll::unroll;
+use crate::simd::{
+    Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, gather, scatter,
+};
+
+/// The lengths that have a codelet.
+const LENGTHS: [usize; 7] = [4, 8, 16, 24, 32, 48, 64];
+
+/// Whether [`forward`] and [`inverse`] exist for lines of `length` vectors.
+pub(super) fn has_codelet(length: usize) -> bool {
+    LENGTHS.contains(&length)
+}
+
+/// Runs `$run` with the constants of the codelet of length `$length`; the lengths are [`LENGTHS`].
+macro_rules! with_codelet {
+    ($length:expr, ($p:ident, $q:ident, $rows:ident) => $run:expr) => {
+        with_codelet!(@ $length, $p, $q, $rows, $run,
+            4 4 1 2, 8 8 1 4, 16 4 4 2, 24 8 3 4, 32 4 8 2, 48 16 3 8, 64 8 8 4)
+    };
+    (@ $length:expr, $p:ident, $q:ident, $rows:ident, $run:expr,
+     $($length_of:literal $p_of:literal $q_of:literal $rows_of:literal),*) => {
+        match $length {
+            $($length_of => {
+                const $p: usize = $p_of;
+                const $q: usize = $q_of;
+                const $rows: usize = $rows_of;
+                $run
+            })*
+            length => unreachable!("no codelet for lines of {length}"),
+        }
+    };
+}
+
+/// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors.
+pub(super) fn forward<T: Element>(
+    isa: Isa,
+    image: Tile<'_, T>,
+    block: Block<'_, T>,
+    work: &mut [T],
+) {
+    with_codelet!(image.lanes() / isa.lanes::<T>(), (P, Q, ROWS) => {
+        isa.run(Forward::<T, P, Q, ROWS> { image, block, work });
+    });
+}
+
+/// Rows of `block`, doubled but for slot 0, to rows of `image`, up to a factor of their length.
+pub(super) fn inverse<T: Element>(
+    isa: Isa,
+    block: Block<'_, T>,
+    image: TileMut<'_, T>,
+    work: &mut [T],
+) {
+    with_codelet!(image.reader().lanes() / isa.lanes::<T>(), (P, Q, ROWS) => {
+        isa.run(Inverse::<T, P, Q, ROWS> { block, image, work });
+    });
+}
+
+/// A line of `P Q`; `ROWS` is `P / 2`.
+struct Line<const P: usize, const Q: usize, const ROWS: usize>;
+
+impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS> {
+    const LENGTH: usize = P * Q;
+    const COPRIME: bool = Q % 2 == 1;
+
+    /// The points of transform `q` across.
+    const POINTS: [[usize; P]; Q] = {
+        let mut points = [[0; P]; Q];
+        let mut n = 0;
+        while n < P * Q {
+            let (p, q) = (n / Q, n % Q);
+            points[q][p] = if Self::COPRIME { (Q * p + P * q) % (P * Q) } else { n };
+            n += 1;
+        }
+        points
+    };
+
+    /// The frequency of element `k` of row `row`, as the codelets leave it.
+    const fn frequency(row: usize, k: usize) -> usize {
+        if row > 0 {
+            return Self::joined(real_frequency(P, row), k);
+        }
+        let half = Q.div_ceil(2);
+        let (line, k) = match (k < half, Self::COPRIME) {
+            (true, _) => (0, real_frequency(Q, k)),
+            (false, true) => (1, real_frequency(Q, k + 1 - half)),
+            (false, false) => (1, 2 * (k - half)),
+        };
+        Self::joined(line * P / 2, k)
+    }
+
+    /// The frequency that is `p` modulo `P` and, across, `q` modulo `Q`.
+    const fn joined(p: usize, q: usize) -> usize {
+        if !Self::COPRIME {
+            return p + P * q;
+        }
+        let mut k = p;
+        while k % Q != q {
+            k += P;
+        }
+        k
+    }
+
+    /// The slot of each element of the rows, and whether it holds its conjugate.
+    const SLOTS: [[(usize, bool); Q]; ROWS] = {
+        let mut slots = [[(0, false); Q]; ROWS];
+        let mut i = 0;
+        while i < ROWS * Q {
+            let k = Self::frequency(i / Q, i % Q);
+            slots[i / Q][i % Q] = if 2 * k > P * Q { (P * Q - k, true) } else { (k, false) };
+            i += 1;
+        }
+        slots
+    };
+}
+
+/// The frequency of a slot of a real codelet of length `n`.
+const fn real_frequency(n: usize, slot: usize) -> usize {
+    const EIGHT: [usize; 4] = [0, 2, 1, 5];
+    const SIXTEEN: [usize; 8] = [0, 4, 2, 10, 1, 5, 9, 13];
+    match n {
+        8 => EIGHT[slot],
+        16 => SIXTEEN[slot],
+        3 => (n - slot) % n,
+        _ => slot,
+    }
+}
+
+struct Forward<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
+    image: Tile<'a, T>,
+    block: Block<'a, T>,
+    work: &'a mut [T],
+}
+
+impl<T: Element, const P: usize, const Q: usize, const ROWS: usize> Algorithm<T>
+    for Forward<'_, T, P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let Block { vectors, pitch } = self.block;
+        let block = complex_vectors::<V>(vectors);
+        let work = &mut complex_vectors::<V>(self.work)[..ROWS * Q];
+        for row in 0..self.image.points() {
+            let line = self.image.point(row, V::LANES);
+            let slots = &mut block[row * pitch..][..ROWS * Q];
+            unroll!(q in 0..Q {
+                let points = Line::<P, Q, ROWS>::POINTS[q];
+                let across = line.gather_at::<V, P>(0, points, Line::<P, Q, ROWS>::LENGTH);
+                scatter(work, q, Q, <Codelet as RealDft<P, ROWS>>::real_dft(across));
+            });
+            let zeroth = <Codelet as TwoReal<Q>>::two_real_dft(gather(work, 0, 1));
+            Line::<P, Q, ROWS>::put(slots, 0, zeroth);
+            unroll!(row in 1..ROWS {
+                let mut z = gather::<_, Q>(work, row * Q, 1);
+                if !Line::<P, Q, ROWS>::COPRIME {
+                    for q in 1..Q {
+                        z[q] = turn::<V, 64>(z[q], Line::<P, Q, ROWS>::turns(row, q));
+                    }
+                }
+                Line::<P, Q, ROWS>::put(slots, row, <Codelet as Dft<Q>>::dft(z));
+            });
+        }
+    }
+}
+
+impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS> {
+    /// The twiddle of an element, in parts of 64 of a turn.
+    #[inline(always)]
+    const fn turns(row: usize, q: usize) -> usize {
+        64 / Self::LENGTH * q * real_frequency(P, row)
+    }
+
+    /// Writes the elements of a row to their slots.
+    #[inline(always)]
+    fn put<V: Vector>(slots: &mut [Complex<V>], row: usize, z: [Complex<V>; Q]) {
+        for q in 0..Q {
+            let (slot, conjugate) = Self::SLOTS[row][q];
+            slots[slot] = if conjugate { z[q].conj() } else { z[q] };
+        }
+    }
+
+    /// Reads the elements of a row from their slots.
+    #[inline(always)]
+    fn get<V: Vector>(slots: &[Complex<V>], row: usize) -> [Complex<V>; Q] {
+        let mut z = [Complex::zero(); Q];
+        for q in 0..Q {
+            let (slot, conjugate) = Self::SLOTS[row][q];
+            z[q] = if conjugate { slots[slot].conj() } else { slots[slot] };
+        }
+        z
+    }
+}
+
+struct Inverse<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
+    block: Block<'a, T>,
+    image: TileMut<'a, T>,
+    work: &'a mut [T],
+}
+
+impl<T: Element, const P: usize, const Q: usize, const ROWS: usize> Algorithm<T>
+    for Inverse<'_, T, P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(mut self) {
+        let Block { vectors, pitch } = self.block;
+        let block = complex_vectors::<V>(vectors);
+        let work = &mut complex_vectors::<V>(self.work)[..ROWS * Q];
+        for row in 0..self.image.reader().points() {
+            let slots = &block[row * pitch..][..ROWS * Q];
+            let zeroth = Line::<P, Q, ROWS>::get(slots, 0);
+            scatter(work, 0, 1, <Codelet as TwoReal<Q>>::two_real_idft(zeroth));
+            unroll!(row in 1..ROWS {
+                let z = Line::<P, Q, ROWS>::get(slots, row);
+                let mut z = <Codelet as Dft<Q>>::idft(z);
+                if !Line::<P, Q, ROWS>::COPRIME {
+                    for q in 1..Q {
+                        let turns = Line::<P, Q, ROWS>::turns(row, q);
+                        z[q] = turn::<V, 64>(z[q].swap(), turns).swap();
+                    }
+                }
+                scatter(work, row * Q, 1, z);
+            });
+            let mut line = self.image.point(row, V::LANES);
+            unroll!(q in 0..Q {
+                let across = <Codelet as RealDft<P, ROWS>>::real_idft(gather(work, q, Q));
+                let points = Line::<P, Q, ROWS>::POINTS[q];
+                line.scatter_at::<V, P>(0, points, Line::<P, Q, ROWS>::LENGTH, across);
+            });
+        }
+    }
+}
