@@ -79,7 +79,6 @@ fn next<I: Iterator>(items: &Mutex<I>) -> Option<I::Item> {
 }
 
 /// Threads that may share the work on one piece, and scratch for each; often one alone.
-#[allow(dead_code)] // for kernels that share an image
 pub(crate) struct Team<'a, T> {
     pool: &'a dyn Pool,
     /// Scratch of all members, `pitch` apart and `len` long.
@@ -99,7 +98,12 @@ impl<'a, T> Team<'a, T> {
         &mut self.memory[..self.len]
     }
 
-    #[allow(dead_code)] // for kernels that share an image
+    /// Numbers that all members share, and the team with so much less scratch for each.
+    pub(crate) fn share(&mut self, len: usize) -> (&mut [T], Team<'_, T>) {
+        let (shared, memory) = self.memory.split_at_mut(len);
+        (shared, Team { pool: self.pool, memory, pitch: self.pitch, len: self.len - len })
+    }
+
     /// Runs `work` on every job, each with the scratch of the member who does it; see [`run`].
     pub(crate) fn run<J>(
         &mut self,
@@ -108,7 +112,7 @@ impl<'a, T> Team<'a, T> {
     ) where
         T: Send,
     {
-        let members = self.memory.chunks_exact_mut(self.pitch);
+        let members = self.memory.chunks_mut(self.pitch);
         run(self.pool, members, jobs, |job, scratch| work(job, &mut scratch[..self.len]));
     }
 }

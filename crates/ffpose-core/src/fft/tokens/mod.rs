@@ -10,46 +10,7 @@
 //!
 //! Between passes the spectrum is in the output, block after block. No pass moves more than a few rows of it into its scratch.
 
-mod columns;
-mod lanes;
-mod lines;
-mod order;
-mod pack;
-
-use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
-
-use self::columns::{Block, block_to_image, image_to_block};
-use self::lanes::{Accumulate, Filter, Middle, Product, Turns};
-use self::order::{SPARE, Step};
-use self::pack::{Pack, Plan, Unpack};
-use super::roots::root;
-use crate::kernel::{Backward, Kernel};
-use crate::simd::{Complex, Element, Isa, Table, Tile, TileMut, aligned, slack};
-
-/// The plan for images `(X, Y)`.
-pub(crate) struct Tokens<T> {
-    isa: Isa,
-    lanes: usize,
-    width: usize,
-    /// `X = A B`.
-    factors: [usize; 2],
-    /// `exp(-2πi x2 u1 / X)`, for each `x2` in turn.
-    twiddles: Vec<Complex<T>>,
-    steps: Vec<Step>,
-    rows_each: usize,
-    turns: Table<T>,
-}
-
-/// Scratch of one call.
-struct Scratch<'a, T> {
-    block: &'a mut [T],
-    other: &'a mut [T],
-    work: &'a mut [T],
-    spectrum: &'a mut [T],
-    other_spectrum: &'a mut [T],
-}
-
-/// Runs `$run` with the constant `$run_length` equal to the largest power of two in lanes and slots.
+/// Runs `$run` with the constant `$name` equal to `$length`, a power of two.
 macro_rules! with_run {
     ($length:expr, $name:ident => $run:expr) => {
         with_run!(@ $length, $name, $run, 1 2 4 8 16)
@@ -63,6 +24,38 @@ macro_rules! with_run {
             length => unreachable!("runs of {length} lanes"),
         }
     };
+}
+
+mod columns;
+mod lanes;
+mod lines;
+mod order;
+mod pack;
+mod passes;
+
+use ndarray::{ArrayView3, ArrayViewMut3, Axis};
+
+use self::columns::Block;
+use self::lanes::{Accumulate, Product};
+use self::order::{SPARE, Step};
+use self::pack::{Pack, Plan, Unpack};
+use super::roots::root;
+use crate::kernel::{Backward, Kernel};
+use crate::parallel::Team;
+use crate::simd::{Complex, Element, Isa, Table};
+
+/// The plan for images `(X, Y)`.
+pub(crate) struct Tokens<T> {
+    isa: Isa,
+    lanes: usize,
+    width: usize,
+    /// `X = A B`.
+    factors: [usize; 2],
+    /// `exp(-2πi x2 u1 / X)`, for each `x2` in turn.
+    twiddles: Vec<Complex<T>>,
+    steps: Vec<Step>,
+    rows_each: usize,
+    turns: Table<T>,
 }
 
 impl<T: Element> Tokens<T> {
@@ -114,104 +107,37 @@ impl<T: Element> Tokens<T> {
         self.slots() | 1
     }
 
-    fn block_len(&self) -> usize {
-        let [a, b] = self.factors;
-        2 * self.lanes * self.pitch() * a.max(2 * b + SPARE)
-    }
-
     /// Numbers of the packed weight of a step.
     fn packed_len_of(&self, step: &Step) -> usize {
         step.rows.len() * self.width
-    }
-
-    fn scratch<'a>(&self, scratch: &'a mut [T]) -> Scratch<'a, T> {
-        let (block, rest) = aligned(scratch).split_at_mut(self.block_len());
-        let (other, rest) = rest.split_at_mut(self.block_len());
-        let (work, rest) = rest.split_at_mut(self.width);
-        let (spectrum, rest) = rest.split_at_mut(self.points() * self.width);
-        let other_spectrum = &mut rest[..self.points() * self.width];
-        Scratch { block, other, work, spectrum, other_spectrum }
     }
 
     fn plan(&self) -> Plan {
         Plan { points: self.points(), width: self.width, slots: self.slots() }
     }
 
-    /// An image to the transforms of its lines and of their parts `x1`.
-    fn first_pass(
-        &self,
-        x: ArrayView2<'_, T>,
-        mut spectrum: ArrayViewMut2<'_, T>,
-        block: &mut [T],
-        work: &mut [T],
-    ) {
-        let ([a, b], pitch) = (self.factors, self.pitch());
-        let x = x.to_shape((a, b, self.width)).expect("rows of an image");
-        let mut spectrum = blocks(&mut spectrum, self.factors);
-        let columns = x.axis_iter(Axis(1)).zip(spectrum.axis_iter_mut(Axis(1)));
-        for ((x, y), twiddles) in columns.zip(self.twiddles.chunks_exact(a)) {
-            lines::forward(self.isa, Tile::new(x), Block { vectors: block, pitch }, work);
-            let block = Block { vectors: block, pitch };
-            block_to_image::<T, false>(self.isa, block, twiddles, TileMut::new(y));
-        }
+    /// Numbers of the spectrum of an image.
+    fn spectrum_len(&self) -> usize {
+        self.points() * self.width
     }
 
-    /// Undoes [`first_pass`](Self::first_pass) in place, up to a factor.
-    fn last_pass(&self, mut y: ArrayViewMut2<'_, T>, block: &mut [T], work: &mut [T]) {
-        let ([a, _], pitch) = (self.factors, self.pitch());
-        let mut y = blocks(&mut y, self.factors);
-        for (y, twiddles) in y.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a)) {
-            let y = TileMut::new(y);
-            let to = Block { vectors: block, pitch };
-            image_to_block::<T, true>(self.isa, y.reader(), twiddles, to);
-            lines::inverse(self.isa, Block { vectors: block, pitch }, y, work);
-        }
+    /// The parts of a packed weight that belong to each step.
+    fn parts<'a>(&self, packed: &'a [T]) -> impl Iterator<Item = &'a [T]> {
+        let mut rest = packed;
+        self.steps.iter().map(move |step| {
+            let part;
+            (part, rest) = rest.split_at(self.packed_len_of(step));
+            part
+        })
     }
 
-    /// The blocks of a step to `block`, transformed.
-    fn gather(&self, step: usize, spectrum: ArrayView3<'_, T>, block: &mut [T]) {
-        let ([a, b], pitch) = (self.factors, self.pitch());
-        let row = 2 * self.lanes * pitch;
-        for (number, u1) in blocks_of(a, step).enumerate() {
-            let image = Tile::new(spectrum.index_axis_move(Axis(0), u1));
-            let vectors = &mut block[number * b * row..];
-            image_to_block::<T, false>(self.isa, image, &[], Block { vectors, pitch });
-        }
-        let Step { copies, fillers, .. } = &self.steps[step];
-        for &(from, to) in copies {
-            block.copy_within(from * row..(from + 1) * row, to * row);
-        }
-        block[fillers * row..(fillers + 2) * row].fill(T::default());
-    }
-
-    /// Undoes [`gather`](Self::gather), up to a factor.
-    fn put(&self, step: usize, block: &mut [T], mut spectrum: ArrayViewMut3<'_, T>) {
-        let ([a, b], pitch) = (self.factors, self.pitch());
-        for (number, u1) in blocks_of(a, step).enumerate() {
-            let vectors = &mut block[number * b * 2 * self.lanes * pitch..];
-            let image = TileMut::new(spectrum.index_axis_mut(Axis(0), u1));
-            block_to_image::<T, true>(self.isa, Block { vectors, pitch }, &[], image);
-        }
-    }
-
-    /// `middle` on the spectrum of a block.
-    fn filter(&self, step: &Step, block: &mut [T], middle: impl Middle<T>) {
-        let turns = Turns {
-            rows: &step.rows,
-            rows_each: self.rows_each,
-            slots: self.slots(),
-            twiddles: self.turns.values(),
-        };
-        let block = Block { vectors: block, pitch: self.pitch() };
-        with_run!(self.run(), RUN => self.isa.run(Filter::<T, _, RUN> { block, turns, middle }));
-    }
-
-    /// The places of each step in a packed weight.
-    fn places(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
-        self.steps.iter().scan(0, |end, step| {
-            let start = *end;
-            *end += self.packed_len_of(step);
-            Some(start..*end)
+    /// As [`parts`](Self::parts), to write.
+    fn parts_mut<'a>(&self, packed: &'a mut [T]) -> impl Iterator<Item = &'a mut [T]> {
+        let mut rest = packed;
+        self.steps.iter().map(move |step| {
+            let part;
+            (part, rest) = std::mem::take(&mut rest).split_at_mut(self.packed_len_of(step));
+            part
         })
     }
 }
@@ -226,15 +152,14 @@ impl<T: Element> Kernel<T> for Tokens<T> {
     }
 
     fn scratch_len(&self) -> usize {
-        slack::<T>() + 2 * self.block_len() + self.width + 2 * self.points() * self.width
+        2 * self.spectrum_len() + self.member_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T]) {
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
         let (plan, weight) = (self.plan(), weight.to_slice().expect("a whole weight"));
-        for (step, places) in self.steps.iter().zip(self.places()) {
-            let packed = &mut packed[places];
+        team.run(self.steps.iter().zip(self.parts_mut(packed)), |(step, packed), _| {
             with_run!(self.run(), RUN => self.isa.run(Pack::<T, RUN> { plan, step, weight, packed }));
-        }
+        });
     }
 
     fn forward(
@@ -242,69 +167,85 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         x: ArrayView3<'_, T>,
         packed: &[T],
         mut y: ArrayViewMut3<'_, T>,
-        scratch: &mut [T],
+        team: &mut Team<'_, T>,
     ) {
-        let Scratch { block, work, .. } = self.scratch(scratch);
         for (x, mut y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            self.first_pass(x, y.view_mut(), block, work);
-            let mut spectrum = blocks(&mut y, self.factors);
-            for (number, (step, places)) in self.steps.iter().zip(self.places()).enumerate() {
-                self.gather(number, spectrum.view(), block);
-                self.filter(step, block, Product::<T, false>(&packed[places]));
-                self.put(number, block, spectrum.view_mut());
-            }
-            self.last_pass(y, block, work);
+            self.first_pass(x, y.view_mut(), team);
+            let steps = self.rows_of_steps(y.view_mut()).into_iter();
+            team.run(
+                self.steps.iter().zip(steps).zip(self.parts(packed)),
+                |((step, mut rows), weight), scratch| {
+                    let [block, ..] = self.scratch(scratch);
+                    self.gather(step, &rows, block);
+                    self.filter(step, block, Product::<T, false>(weight));
+                    self.put(block, &mut rows);
+                },
+            );
+            self.last_pass(y, team);
         }
     }
 
-    fn backward(&self, pass: Backward<'_, T>, scratch: &mut [T]) {
+    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
-        let Scratch { block, other, work, spectrum, other_spectrum } = self.scratch(scratch);
-        let (shape, inverse) = ((self.points(), self.width), grad_x.is_some());
-        let mut other_spectrum =
-            ArrayViewMut2::from_shape(shape, other_spectrum).expect("room for an image");
+        let inverse = grad_x.is_some();
+        let (spectra, mut team) = team.share(2 * self.spectrum_len());
+        let (spectrum, other) = spectra.split_at_mut(self.spectrum_len());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
             let mut spectrum = match &mut grad_x {
                 Some(grad_x) => grad_x.index_axis_mut(Axis(0), image),
-                None => {
-                    ArrayViewMut2::from_shape(shape, &mut *spectrum).expect("room for an image")
-                }
+                None => self.image(spectrum),
             };
-            self.first_pass(grad, spectrum.view_mut(), block, work);
-            if grad_sum.is_some() {
-                self.first_pass(x, other_spectrum.view_mut(), block, work);
-            }
-            let mut rows = blocks(&mut spectrum, self.factors);
-            let other_rows = blocks(&mut other_spectrum, self.factors);
-            for (number, (step, places)) in self.steps.iter().zip(self.places()).enumerate() {
-                self.gather(number, rows.view(), block);
-                let product = inverse.then(|| Product::<T, true>(&packed[places.clone()]));
-                if let Some(sum) = &mut grad_sum {
-                    self.gather(number, other_rows.view(), other);
-                    let x = Block { vectors: other, pitch: self.pitch() };
-                    let accumulate = Accumulate { x, sum: &mut sum[places] };
-                    match product {
-                        Some(product) => self.filter(step, block, (accumulate, product)),
-                        None => self.filter(step, block, accumulate),
+            self.first_pass(grad, spectrum.view_mut(), &mut team);
+            let x = grad_sum.is_some().then(|| {
+                let mut other = self.image(other);
+                self.first_pass(x, other.view_mut(), &mut team);
+                self.rows_of_steps(other)
+            });
+            let sums = grad_sum.as_deref_mut().map(|sum| self.parts_mut(sum));
+            let pairs = x.into_iter().flatten().zip(sums.into_iter().flatten()).map(Some);
+            let pairs = pairs.chain(std::iter::repeat_with(|| None)); // without sum
+            let steps = self
+                .steps
+                .iter()
+                .zip(self.rows_of_steps(spectrum.view_mut()))
+                .zip(self.parts(packed))
+                .zip(pairs);
+            team.run(steps, |(((step, mut rows), weight), sum), scratch| {
+                let [block, other, _] = self.scratch(scratch);
+                self.gather(step, &rows, block);
+                let product = Product::<T, true>(weight);
+                match sum {
+                    Some((x, sum)) => {
+                        self.gather(step, &x, other);
+                        let x = Block { vectors: other, pitch: self.pitch() };
+                        let accumulate = Accumulate { x, sum };
+                        if inverse {
+                            self.filter(step, block, (accumulate, product));
+                        } else {
+                            self.filter(step, block, accumulate);
+                        }
                     }
-                } else if let Some(product) = product {
-                    self.filter(step, block, product);
+                    None => self.filter(step, block, product),
                 }
                 if inverse {
-                    self.put(number, block, rows.view_mut());
+                    self.put(block, &mut rows);
                 }
-            }
+            });
             if inverse {
-                self.last_pass(spectrum, block, work);
+                self.last_pass(spectrum, &mut team);
             }
         }
     }
 
-    fn unpack_gradient(&self, grad_sum: &[T], grad_weight: ArrayViewMut3<'_, T>) {
+    fn unpack_gradient(
+        &self,
+        grad_sum: &[T],
+        grad_weight: ArrayViewMut3<'_, T>,
+        _: &mut Team<'_, T>,
+    ) {
         let plan = self.plan();
         let gradient = grad_weight.into_slice().expect("a whole weight");
-        for (step, places) in self.steps.iter().zip(self.places()) {
-            let sum = &grad_sum[places];
+        for (step, sum) in self.steps.iter().zip(self.parts(grad_sum)) {
             let gradient = &mut *gradient;
             with_run!(self.run(), RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
         }
@@ -317,17 +258,6 @@ fn factors(points: usize) -> Option<[usize; 2]> {
     pairs
         .filter(|[a, b]| columns::has_codelet(*a) && columns::has_codelet(*b))
         .min_by_key(|[a, b]| a.abs_diff(*b))
-}
-
-/// The blocks of a step.
-fn blocks_of(a: usize, u1: usize) -> impl Iterator<Item = usize> {
-    [u1, a - u1].into_iter().take(if u1 == 0 || 2 * u1 == a { 1 } else { 2 })
-}
-
-/// Rows `(X, Y)` as `(A, B, Y)`.
-fn blocks<'a, T>(rows: &'a mut ArrayViewMut2<'_, T>, [a, b]: [usize; 2]) -> ArrayViewMut3<'a, T> {
-    let width = rows.ncols();
-    rows.view_mut().into_shape_with_order((a, b, width)).expect("rows without gaps")
 }
 
 /// `exp(-2πi k y / Y)` for each group and each `y` of some rows: real parts of all lanes, then imaginary ones.

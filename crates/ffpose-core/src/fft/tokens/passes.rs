@@ -1,0 +1,134 @@
+//! The passes over an image, each as jobs on rows of their own.
+
+use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis};
+
+use super::columns::{Block, block_to_image, image_to_block};
+use super::lanes::{Filter, Middle, Turns};
+use super::order::{SPARE, Step};
+use super::{Tokens, lines};
+use crate::parallel::Team;
+use crate::simd::{Element, Tile, TileMut, aligned, slack};
+
+/// The rows of blocks `u1` and, unless it is the same, `-u1`.
+pub(super) type Rows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];
+
+impl<T: Element> Tokens<T> {
+    /// Numbers of a block of any step.
+    fn block_len(&self) -> usize {
+        let [a, b] = self.factors;
+        2 * self.lanes * self.pitch() * a.max(2 * b + SPARE)
+    }
+
+    /// Scratch of one member of a team.
+    pub(super) fn member_len(&self) -> usize {
+        slack::<T>() + 2 * self.block_len() + self.width
+    }
+
+    /// Two blocks, and room for half a line of complex vectors.
+    pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> [&'a mut [T]; 3] {
+        let (block, rest) = aligned(scratch).split_at_mut(self.block_len());
+        let (other, rest) = rest.split_at_mut(self.block_len());
+        [block, other, &mut rest[..self.width]]
+    }
+
+    /// `spectrum` as an image.
+    pub(super) fn image<'a>(&self, spectrum: &'a mut [T]) -> ArrayViewMut2<'a, T> {
+        ArrayViewMut2::from_shape((self.points(), self.width), spectrum).expect("room for an image")
+    }
+
+    /// An image to the transforms of its lines and of their parts `x1`.
+    pub(super) fn first_pass(
+        &self,
+        x: ArrayView2<'_, T>,
+        spectrum: ArrayViewMut2<'_, T>,
+        team: &mut Team<'_, T>,
+    ) {
+        let ([a, b], pitch) = (self.factors, self.pitch());
+        let x = x.into_shape_with_order((a, b, self.width)).expect("rows without gaps");
+        let mut spectrum = self.blocks(spectrum);
+        let columns = x.axis_iter(Axis(1)).zip(spectrum.axis_iter_mut(Axis(1)));
+        team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
+            let [vectors, _, work] = self.scratch(scratch);
+            lines::forward(self.isa, Tile::new(x), Block { vectors, pitch }, work);
+            block_to_image::<T, false>(
+                self.isa,
+                Block { vectors, pitch },
+                twiddles,
+                TileMut::new(y),
+            );
+        });
+    }
+
+    /// Undoes [`first_pass`](Self::first_pass) in place, up to a factor.
+    pub(super) fn last_pass(&self, y: ArrayViewMut2<'_, T>, team: &mut Team<'_, T>) {
+        let ([a, _], pitch) = (self.factors, self.pitch());
+        let mut y = self.blocks(y);
+        let columns = y.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
+        team.run(columns, |(y, twiddles), scratch| {
+            let [vectors, _, work] = self.scratch(scratch);
+            let image = TileMut::new(y);
+            image_to_block::<T, true>(self.isa, image.reader(), twiddles, Block { vectors, pitch });
+            lines::inverse(self.isa, Block { vectors, pitch }, image, work);
+        });
+    }
+
+    /// Rows `(X, Y)` as `(A, B, Y)`.
+    fn blocks<'a>(&self, rows: ArrayViewMut2<'a, T>) -> ArrayViewMut3<'a, T> {
+        let [a, b] = self.factors;
+        rows.into_shape_with_order((a, b, self.width)).expect("rows without gaps")
+    }
+
+    /// The rows of each step.
+    pub(super) fn rows_of_steps<'a>(&self, spectrum: ArrayViewMut2<'a, T>) -> Vec<Rows<'a, T>> {
+        let a = self.factors[0];
+        let (mut blocks, mut rest) = (Vec::with_capacity(a), self.blocks(spectrum));
+        for _ in 0..a {
+            let (first, others) = rest.split_at(Axis(0), 1);
+            blocks.push(Some(first.index_axis_move(Axis(0), 0)));
+            rest = others;
+        }
+        (0..=a / 2)
+            .map(|u1| [blocks[u1].take(), blocks.get_mut(a - u1).and_then(Option::take)])
+            .collect()
+    }
+
+    /// The blocks of a step to `block`, transformed.
+    pub(super) fn gather(&self, step: &Step, rows: &Rows<'_, T>, block: &mut [T]) {
+        let (pitch, row) = (self.pitch(), 2 * self.lanes * self.pitch());
+        for (rows, vectors) in rows.iter().flatten().zip(block.chunks_mut(self.factors[1] * row)) {
+            image_to_block::<T, false>(
+                self.isa,
+                Tile::new(rows.view()),
+                &[],
+                Block { vectors, pitch },
+            );
+        }
+        for &(from, to) in &step.copies {
+            block.copy_within(from * row..(from + 1) * row, to * row);
+        }
+        block[step.fillers * row..][..2 * row].fill(T::default());
+    }
+
+    /// Undoes [`gather`](Self::gather), up to a factor.
+    pub(super) fn put(&self, block: &mut [T], rows: &mut Rows<'_, T>) {
+        let (pitch, row) = (self.pitch(), 2 * self.lanes * self.pitch());
+        for (rows, vectors) in
+            rows.iter_mut().flatten().zip(block.chunks_mut(self.factors[1] * row))
+        {
+            let image = TileMut::new(rows.view_mut());
+            block_to_image::<T, true>(self.isa, Block { vectors, pitch }, &[], image);
+        }
+    }
+
+    /// `middle` on the spectrum of a block.
+    pub(super) fn filter(&self, step: &Step, block: &mut [T], middle: impl Middle<T>) {
+        let turns = Turns {
+            rows: &step.rows,
+            rows_each: self.rows_each,
+            slots: self.slots(),
+            twiddles: self.turns.values(),
+        };
+        let block = Block { vectors: block, pitch: self.pitch() };
+        with_run!(self.run(), RUN => self.isa.run(Filter::<T, _, RUN> { block, turns, middle }));
+    }
+}
