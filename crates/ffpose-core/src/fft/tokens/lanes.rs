@@ -6,6 +6,8 @@
 //!
 //! Rows come in pairs of `u` and `-u`, since slot 0 is two real lines as one complex line: they part to slot 0 of the two rows.
 
+use std::hint::black_box;
+
 use super::columns::Block;
 use crate::fft::butterfly::{Codelet, Dft};
 use crate::fft::pair::{join, split};
@@ -19,8 +21,6 @@ pub(super) struct Turns<'a, T> {
     /// The least number of rows in pairs whose slots fill groups without a rest.
     pub(super) rows_each: usize,
     pub(super) slots: usize,
-    /// Whether the slots begin with slot 0.
-    pub(super) is_first: bool,
     /// What the items of such rows are turned by: for each group and each `y` a complex vector.
     pub(super) twiddles: &'a [T],
 }
@@ -165,15 +165,13 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
         Codelet: Dft<N>,
     {
         assert!(RUN <= N, "a run is part of a group");
-        let Turns { rows, rows_each, slots, is_first, twiddles } = self.turns;
+        let Turns { rows, rows_each, slots, twiddles } = self.turns;
         let Block { vectors, pitch } = self.block;
         let block = complex_vectors::<V>(vectors);
         let groups = rows_each * slots / N;
         for (turn, rows) in rows.chunks_exact(rows_each).enumerate() {
-            if is_first {
-                split_rows(block, pitch, rows);
-                self.middle.begin::<V>(rows);
-            }
+            split_rows(block, pitch, rows);
+            self.middle.begin::<V>(rows);
             for number in 0..groups {
                 let place = turn * groups + number;
                 let group = Group { place, rows, slots, twiddles, number };
@@ -183,7 +181,7 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
                     back::<V, N, RUN>(block, pitch, group, z);
                 }
             }
-            if M::INVERSE && is_first {
+            if M::INVERSE {
                 join_rows(block, pitch, rows);
             }
         }
@@ -263,7 +261,9 @@ fn back<V: Vector, const N: usize, const RUN: usize>(
 ) where
     Codelet: Dft<N>,
 {
-    let (mut z, twiddles) = (Codelet::idft(z), vectors::<V, N>(group.twiddles, group.number));
+    // loaded again: the compiler would keep them on the stack
+    let twiddles = vectors::<V, N>(group.twiddles, black_box(group.number));
+    let mut z = Codelet::idft(z);
     for y in 1..N {
         z[y] = z[y].times_conj(twiddles[y]);
     }

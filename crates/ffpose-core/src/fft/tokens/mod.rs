@@ -38,7 +38,7 @@ use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 use self::columns::Block;
 use self::lanes::{Accumulate, Product};
 use self::order::{SPARE, Step};
-use self::pack::{Chunk, Pack, Plan, Unpack};
+use self::pack::{Pack, Plan, Unpack};
 use super::roots::root;
 use crate::kernel::{Backward, Kernel};
 use crate::parallel::Team;
@@ -68,7 +68,7 @@ impl<T: Element> Tokens<T> {
         }
         let factors = factors(points)?;
         let slots = width / lanes / 2;
-        let pairs_each = lanes / lanes.min((2 * slots) & (2 * slots).wrapping_neg());
+        let pairs_each = lanes / lanes.min(2 * slots & (2 * slots).wrapping_neg());
         let steps: Vec<_> =
             (0..=factors[0] / 2).map(|u1| Step::new(factors, u1, pairs_each)).collect();
         let twiddles = (0..points).map(|i| (i / factors[0]) * (i % factors[0]));
@@ -77,7 +77,7 @@ impl<T: Element> Tokens<T> {
             Complex::new(T::nearest(c), T::nearest(-s))
         });
         let rows_each = 2 * pairs_each;
-        let mut tokens = Self {
+        Some(Self {
             isa,
             lanes,
             width,
@@ -85,10 +85,8 @@ impl<T: Element> Tokens<T> {
             twiddles: twiddles.collect(),
             steps,
             rows_each,
-            turns: Table::new(&[]),
-        };
-        tokens.turns = Table::new(&turns(width, lanes, rows_each, tokens.slots_each()));
-        Some(tokens)
+            turns: Table::new(&turns(width, lanes, rows_each)),
+        })
     }
 
     fn points(&self) -> usize {
@@ -99,25 +97,14 @@ impl<T: Element> Tokens<T> {
         self.width / self.lanes / 2
     }
 
-    /// Slots that are filtered together: as few as fill groups, for the cache's sake.
-    fn slots_each(&self) -> usize {
-        if self.slots().is_multiple_of(self.lanes) { self.lanes } else { self.slots() }
-    }
-
     /// Items of one row that stay together in a group.
     fn run(&self) -> usize {
         self.lanes.min(self.slots() & self.slots().wrapping_neg())
     }
 
-    /// The chunks of a step, each with its part of the step's packed weight.
-    fn chunks<'a>(&'a self, step: &'a Step) -> impl Iterator<Item = Chunk<'a>> {
-        let slots = self.slots_each();
-        (0..self.slots()).step_by(slots).map(move |first| Chunk { step, first, slots })
-    }
-
-    /// Numbers of a chunk of a packed weight.
-    fn chunk_len(&self, step: &Step) -> usize {
-        step.rows.len() * self.slots_each() * 2 * self.lanes
+    /// Complex vectors from one row of a block to the next: odd, since an even number would meet the same few sets of the cache.
+    fn pitch(&self) -> usize {
+        self.slots() | 1
     }
 
     /// Numbers of the packed weight of a step.
@@ -171,13 +158,7 @@ impl<T: Element> Kernel<T> for Tokens<T> {
     fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
         let (plan, weight) = (self.plan(), weight.to_slice().expect("a whole weight"));
         team.run(self.steps.iter().zip(self.parts_mut(packed)), |(step, packed), _| {
-            for (chunk, packed) in
-                self.chunks(step).zip(packed.chunks_exact_mut(self.chunk_len(step)))
-            {
-                with_run!(self.run(), RUN => {
-                    self.isa.run(Pack::<T, RUN> { plan, chunk, weight, packed });
-                });
-            }
+            with_run!(self.run(), RUN => self.isa.run(Pack::<T, RUN> { plan, step, weight, packed }));
         });
     }
 
@@ -191,17 +172,15 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         for (x, mut y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.first_pass(x, y.view_mut(), team);
             let steps = self.rows_of_steps(y.view_mut()).into_iter();
-            let steps = self.steps.iter().zip(steps).zip(self.parts(packed));
-            team.run(steps, |((step, mut rows), weight), scratch| {
-                let [block, ..] = self.scratch(scratch);
-                for (chunk, weight) in
-                    self.chunks(step).zip(weight.chunks_exact(self.chunk_len(step)))
-                {
-                    self.gather(chunk, &rows, block);
-                    self.filter(chunk, block, Product::<T, false>(weight));
-                    self.put(chunk, block, &mut rows);
-                }
-            });
+            team.run(
+                self.steps.iter().zip(steps).zip(self.parts(packed)),
+                |((step, mut rows), weight), scratch| {
+                    let [block, ..] = self.scratch(scratch);
+                    self.gather(step, &rows, block);
+                    self.filter(step, block, Product::<T, false>(weight));
+                    self.put(block, &mut rows);
+                },
+            );
             self.last_pass(y, team);
         }
     }
@@ -231,29 +210,25 @@ impl<T: Element> Kernel<T> for Tokens<T> {
                 .zip(self.rows_of_steps(spectrum.view_mut()))
                 .zip(self.parts(packed))
                 .zip(pairs);
-            team.run(steps, |(((step, mut rows), weight), mut sum), scratch| {
+            team.run(steps, |(((step, mut rows), weight), sum), scratch| {
                 let [block, other, _] = self.scratch(scratch);
-                let len = self.chunk_len(step);
-                for (number, chunk) in self.chunks(step).enumerate() {
-                    let places = number * len..(number + 1) * len;
-                    self.gather(chunk, &rows, block);
-                    let product = Product::<T, true>(&weight[places.clone()]);
-                    match &mut sum {
-                        Some((x, sum)) => {
-                            self.gather(chunk, x, other);
-                            let accumulate =
-                                Accumulate { x: self.chunk_block(other), sum: &mut sum[places] };
-                            if inverse {
-                                self.filter(chunk, block, (accumulate, product));
-                            } else {
-                                self.filter(chunk, block, accumulate);
-                            }
+                self.gather(step, &rows, block);
+                let product = Product::<T, true>(weight);
+                match sum {
+                    Some((x, sum)) => {
+                        self.gather(step, &x, other);
+                        let x = Block { vectors: other, pitch: self.pitch() };
+                        let accumulate = Accumulate { x, sum };
+                        if inverse {
+                            self.filter(step, block, (accumulate, product));
+                        } else {
+                            self.filter(step, block, accumulate);
                         }
-                        None => self.filter(chunk, block, product),
                     }
-                    if inverse {
-                        self.put(chunk, block, &mut rows);
-                    }
+                    None => self.filter(step, block, product),
+                }
+                if inverse {
+                    self.put(block, &mut rows);
                 }
             });
             if inverse {
@@ -271,12 +246,8 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         let plan = self.plan();
         let gradient = grad_weight.into_slice().expect("a whole weight");
         for (step, sum) in self.steps.iter().zip(self.parts(grad_sum)) {
-            for (chunk, sum) in self.chunks(step).zip(sum.chunks_exact(self.chunk_len(step))) {
-                let gradient = &mut *gradient;
-                with_run!(self.run(), RUN => {
-                    self.isa.run(Unpack::<T, RUN> { plan, chunk, sum, gradient });
-                });
-            }
+            let gradient = &mut *gradient;
+            with_run!(self.run(), RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
         }
     }
 }
@@ -289,22 +260,22 @@ fn factors(points: usize) -> Option<[usize; 2]> {
         .min_by_key(|[a, b]| a.abs_diff(*b))
 }
 
-/// `exp(-2πi k y / Y)` for each group and each `y` of some rows, in chunks of slots: real parts of all lanes, then imaginary ones.
-fn turns<T: Element>(width: usize, lanes: usize, rows: usize, slots_each: usize) -> Vec<T> {
+/// `exp(-2πi k y / Y)` for each group and each `y` of some rows: real parts of all lanes, then imaginary ones.
+fn turns<T: Element>(width: usize, lanes: usize, rows: usize) -> Vec<T> {
     let slots = width / lanes / 2;
     let mut numbers = Vec::new();
-    for first in (0..slots).step_by(slots_each) {
-        for group in 0..rows * slots_each / lanes {
-            let frequencies = (0..lanes).map(|lane| {
-                let item = group * lanes + lane;
-                let (row, slot) = (item / slots_each, first + item % slots_each);
-                if slot == 0 { row % 2 * slots } else { slot }
-            });
-            for y in 0..lanes {
-                let roots = frequencies.clone().map(|k| root(k * y, width));
-                numbers.extend(roots.clone().map(|(c, _)| T::nearest(c)));
-                numbers.extend(roots.map(|(_, s)| T::nearest(-s)));
-            }
+    for group in 0..rows * slots / lanes {
+        for y in 0..lanes {
+            let roots: Vec<_> = (0..lanes)
+                .map(|lane| {
+                    let (row, slot) =
+                        ((group * lanes + lane) / slots, (group * lanes + lane) % slots);
+                    let k = if slot == 0 { row % 2 * slots } else { slot };
+                    root(k * y, width)
+                })
+                .collect();
+            numbers.extend(roots.iter().map(|&(c, _)| T::nearest(c)));
+            numbers.extend(roots.iter().map(|&(_, s)| T::nearest(-s)));
         }
     }
     numbers

@@ -13,15 +13,6 @@ pub(super) struct Plan {
     /// Along X and Y.
     pub(super) points: usize,
     pub(super) width: usize,
-    /// Half the vectors of a line.
-    pub(super) slots: usize,
-}
-
-/// Some slots of the rows of a step.
-#[derive(Clone, Copy)]
-pub(super) struct Chunk<'a> {
-    pub(super) step: &'a Step,
-    pub(super) first: usize,
     pub(super) slots: usize,
 }
 
@@ -67,18 +58,12 @@ impl Plan {
 
     /// The runs of `RUN` lanes of a group.
     #[inline(always)]
-    fn runs<const RUN: usize>(
-        self,
-        chunk: Chunk<'_>,
-        group: usize,
-        lanes: usize,
-    ) -> [Run; MAX_LANES] {
+    fn runs<const RUN: usize>(self, step: &Step, group: usize, lanes: usize) -> [Run; MAX_LANES] {
         let mut runs = [Run::default(); MAX_LANES];
         for (i, run) in runs.iter_mut().take(lanes / RUN).enumerate() {
             let item = group * lanes + i * RUN;
-            let (row, slot) = (item / chunk.slots, chunk.first + item % chunk.slots);
-            let frequencies = &chunk.step.frequencies;
-            *run = match (frequencies[row], frequencies[row ^ 1]) {
+            let (row, slot) = (item / self.slots, item % self.slots);
+            *run = match (step.frequencies[row], step.frequencies[row ^ 1]) {
                 (Some(u), Some(minus_u)) => Run {
                     direct: u * self.half() + slot,
                     mirror: minus_u * self.half() + self.width - slot - (RUN - 1),
@@ -90,31 +75,30 @@ impl Plan {
         runs
     }
 
-    /// The items of slots 0, each in turn with the bins of its vectors: calls `put` with the rows of `u` and `-u`, the place
-    /// of the real part and the bin.
+    /// The items of slots 0 of a step of so many lanes, each in turn with the bins of its vectors: calls `put` with the rows of `u`
+    /// and `-u`, the place of the real part and the bin.
     #[inline(always)]
-    fn lone(self, chunk: Chunk<'_>, lanes: usize, mut put: impl FnMut([usize; 2], usize, Bin)) {
-        if chunk.first > 0 {
-            return;
-        }
-        for (pair, frequencies) in chunk.step.frequencies.as_chunks().0.iter().enumerate() {
-            let [Some(u), Some(minus_u)] = *frequencies else { continue };
-            for line in 0..2 {
-                let item = (2 * pair + line) * chunk.slots;
-                let start = item / lanes * 2 * lanes * lanes + item % lanes;
-                for j in 0..lanes {
-                    let bin = self.bin((line + 2 * j) * self.slots);
-                    put([u, minus_u], start + 2 * lanes * j, bin);
-                }
+    fn lone(self, step: &Step, lanes: usize, mut put: impl FnMut([usize; 2], usize, Bin)) {
+        for (row, &u) in step.frequencies.iter().enumerate() {
+            let pair = row - row % 2;
+            let (Some(_), Some(u), Some(minus_u)) =
+                (u, step.frequencies[pair], step.frequencies[pair + 1])
+            else {
+                continue;
+            };
+            let item = row * self.slots;
+            for j in 0..lanes {
+                let place = (item / lanes * lanes + j) * 2 * lanes + item % lanes;
+                put([u, minus_u], place, self.bin(row % 2 * self.slots + 2 * self.slots * j));
             }
         }
     }
 }
 
-/// `weight` `(X, Y/2+1)` of complex numbers to the groups of a chunk.
+/// `weight` `(X, Y/2+1)` of complex numbers to the groups of a step.
 pub(super) struct Pack<'a, T, const RUN: usize> {
     pub(super) plan: Plan,
-    pub(super) chunk: Chunk<'a>,
+    pub(super) step: &'a Step,
     pub(super) weight: &'a [T],
     pub(super) packed: &'a mut [T],
 }
@@ -122,12 +106,12 @@ pub(super) struct Pack<'a, T, const RUN: usize> {
 impl<T: Element, const RUN: usize> Algorithm<T> for Pack<'_, T, RUN> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Self { plan, chunk, weight, packed } = self;
+        let Self { plan, step, weight, packed } = self;
         let (weight, half) = (weight.as_chunks::<2>().0, plan.half());
         let scale = V::splat(T::nearest(2.0 * plan.norm()));
         let groups = packed.chunks_exact_mut(2 * V::LANES * V::LANES);
         for (group, packed) in groups.enumerate() {
-            let runs = plan.runs::<RUN>(chunk, group, V::LANES);
+            let runs = plan.runs::<RUN>(step, group, V::LANES);
             let (direct, mirror) = packed.split_at_mut(V::LANES * V::LANES);
             for j in 0..V::LANES / 2 {
                 let mut numbers = [T::default(); 2 * MAX_LANES];
@@ -159,7 +143,7 @@ impl<T: Element, const RUN: usize> Algorithm<T> for Pack<'_, T, RUN> {
         }
         let once = T::nearest(0.5 * plan.norm());
         let shared = T::nearest(0.25 * plan.norm());
-        plan.lone(chunk, V::LANES, |[u, minus_u], place, bin| {
+        plan.lone(step, V::LANES, |[u, minus_u], place, bin| {
             let (re, im) = match bin {
                 Bin::Direct(k) => {
                     let z = weight[u * half + k];
@@ -179,10 +163,10 @@ impl<T: Element, const RUN: usize> Algorithm<T> for Pack<'_, T, RUN> {
     }
 }
 
-/// The sums of the groups of a chunk to its rows of `gradient` `(X, Y/2+1)` of complex numbers.
+/// The sums of the groups of a step to its rows of `gradient` `(X, Y/2+1)` of complex numbers.
 pub(super) struct Unpack<'a, T, const RUN: usize> {
     pub(super) plan: Plan,
-    pub(super) chunk: Chunk<'a>,
+    pub(super) step: &'a Step,
     pub(super) sum: &'a [T],
     pub(super) gradient: &'a mut [T],
 }
@@ -190,11 +174,11 @@ pub(super) struct Unpack<'a, T, const RUN: usize> {
 impl<T: Element, const RUN: usize> Algorithm<T> for Unpack<'_, T, RUN> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Self { plan, chunk, sum, gradient } = self;
+        let Self { plan, step, sum, gradient } = self;
         let (gradient, half) = (gradient.as_chunks_mut::<2>().0, plan.half());
         let scale = V::splat(T::nearest(2.0 * plan.norm()));
         for (group, sum) in sum.chunks_exact(2 * V::LANES * V::LANES).enumerate() {
-            let runs = plan.runs::<RUN>(chunk, group, V::LANES);
+            let runs = plan.runs::<RUN>(step, group, V::LANES);
             let sum = Tile::dense(sum, V::LANES);
             for j in 0..V::LANES {
                 let [re, im] = sum.gather::<V, 2>(2 * j, 1);
@@ -217,7 +201,7 @@ impl<T: Element, const RUN: usize> Algorithm<T> for Unpack<'_, T, RUN> {
         }
         let once = T::nearest(0.5 * plan.norm());
         let shared = T::nearest(0.25 * plan.norm());
-        plan.lone(chunk, V::LANES, |[u, minus_u], place, bin| {
+        plan.lone(step, V::LANES, |[u, minus_u], place, bin| {
             let (re, im) = (sum[place], sum[place + V::LANES]);
             let minus = T::default() - im;
             match bin {

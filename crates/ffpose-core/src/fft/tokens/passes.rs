@@ -1,11 +1,10 @@
 //! The passes over an image, each as jobs on rows of their own.
 
-use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis, Ix2, SliceInfo, SliceInfoElem, s};
+use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis};
 
 use super::columns::{Block, block_to_image, image_to_block};
 use super::lanes::{Filter, Middle, Turns};
-use super::order::SPARE;
-use super::pack::Chunk;
+use super::order::{SPARE, Step};
 use super::{Tokens, lines};
 use crate::parallel::Team;
 use crate::simd::{Element, Tile, TileMut, aligned, slack};
@@ -17,9 +16,7 @@ impl<T: Element> Tokens<T> {
     /// Numbers of a block of any step.
     fn block_len(&self) -> usize {
         let [a, b] = self.factors;
-        let lines = a * pitch(self.slots());
-        let chunk = (2 * b + SPARE) * pitch(self.slots_each());
-        2 * self.lanes * lines.max(chunk)
+        2 * self.lanes * self.pitch() * a.max(2 * b + SPARE)
     }
 
     /// Scratch of one member of a team.
@@ -46,7 +43,7 @@ impl<T: Element> Tokens<T> {
         spectrum: ArrayViewMut2<'_, T>,
         team: &mut Team<'_, T>,
     ) {
-        let ([a, b], pitch) = (self.factors, pitch(self.slots()));
+        let ([a, b], pitch) = (self.factors, self.pitch());
         let x = x.into_shape_with_order((a, b, self.width)).expect("rows without gaps");
         let mut spectrum = self.blocks(spectrum);
         let columns = x.axis_iter(Axis(1)).zip(spectrum.axis_iter_mut(Axis(1)));
@@ -64,7 +61,7 @@ impl<T: Element> Tokens<T> {
 
     /// Undoes [`first_pass`](Self::first_pass) in place, up to a factor.
     pub(super) fn last_pass(&self, y: ArrayViewMut2<'_, T>, team: &mut Team<'_, T>) {
-        let ([a, _], pitch) = (self.factors, pitch(self.slots()));
+        let ([a, _], pitch) = (self.factors, self.pitch());
         let mut y = self.blocks(y);
         let columns = y.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
         team.run(columns, |(y, twiddles), scratch| {
@@ -95,56 +92,43 @@ impl<T: Element> Tokens<T> {
             .collect()
     }
 
-    /// The columns of a chunk in an image.
-    fn columns(&self, chunk: Chunk<'_>) -> SliceInfo<[SliceInfoElem; 2], Ix2, Ix2> {
-        let column = |slot| 2 * self.lanes * slot;
-        s![.., column(chunk.first)..column(chunk.first + chunk.slots)]
-    }
-
-    /// Scratch as the block of a chunk.
-    pub(super) fn chunk_block<'a>(&self, vectors: &'a mut [T]) -> Block<'a, T> {
-        Block { vectors, pitch: pitch(self.slots_each()) }
-    }
-
-    /// The rows of a chunk to `block`, transformed.
-    pub(super) fn gather(&self, chunk: Chunk<'_>, rows: &Rows<'_, T>, block: &mut [T]) {
-        let row = 2 * self.lanes * pitch(chunk.slots);
-        for (rows, block) in rows.iter().flatten().zip(block.chunks_mut(self.factors[1] * row)) {
-            let image = Tile::new(rows.slice(self.columns(chunk)));
-            image_to_block::<T, false>(self.isa, image, &[], self.chunk_block(block));
+    /// The blocks of a step to `block`, transformed.
+    pub(super) fn gather(&self, step: &Step, rows: &Rows<'_, T>, block: &mut [T]) {
+        let (pitch, row) = (self.pitch(), 2 * self.lanes * self.pitch());
+        for (rows, vectors) in rows.iter().flatten().zip(block.chunks_mut(self.factors[1] * row)) {
+            image_to_block::<T, false>(
+                self.isa,
+                Tile::new(rows.view()),
+                &[],
+                Block { vectors, pitch },
+            );
         }
-        for &(from, to) in &chunk.step.copies {
+        for &(from, to) in &step.copies {
             block.copy_within(from * row..(from + 1) * row, to * row);
         }
-        block[chunk.step.fillers * row..][..2 * row].fill(T::default());
+        block[step.fillers * row..][..2 * row].fill(T::default());
     }
 
     /// Undoes [`gather`](Self::gather), up to a factor.
-    pub(super) fn put(&self, chunk: Chunk<'_>, block: &mut [T], rows: &mut Rows<'_, T>) {
-        let row = 2 * self.lanes * pitch(chunk.slots);
-        for (rows, block) in rows.iter_mut().flatten().zip(block.chunks_mut(self.factors[1] * row))
+    pub(super) fn put(&self, block: &mut [T], rows: &mut Rows<'_, T>) {
+        let (pitch, row) = (self.pitch(), 2 * self.lanes * self.pitch());
+        for (rows, vectors) in
+            rows.iter_mut().flatten().zip(block.chunks_mut(self.factors[1] * row))
         {
-            let image = TileMut::new(rows.slice_mut(self.columns(chunk)));
-            block_to_image::<T, true>(self.isa, self.chunk_block(block), &[], image);
+            let image = TileMut::new(rows.view_mut());
+            block_to_image::<T, true>(self.isa, Block { vectors, pitch }, &[], image);
         }
     }
 
     /// `middle` on the spectrum of a block.
-    pub(super) fn filter(&self, chunk: Chunk<'_>, block: &mut [T], middle: impl Middle<T>) {
-        let len = self.rows_each * chunk.slots * 2 * self.lanes;
+    pub(super) fn filter(&self, step: &Step, block: &mut [T], middle: impl Middle<T>) {
         let turns = Turns {
-            rows: &chunk.step.rows,
+            rows: &step.rows,
             rows_each: self.rows_each,
-            slots: chunk.slots,
-            is_first: chunk.first == 0,
-            twiddles: &self.turns.values()[chunk.first / chunk.slots * len..][..len],
+            slots: self.slots(),
+            twiddles: self.turns.values(),
         };
-        let block = self.chunk_block(block);
+        let block = Block { vectors: block, pitch: self.pitch() };
         with_run!(self.run(), RUN => self.isa.run(Filter::<T, _, RUN> { block, turns, middle }));
     }
-}
-
-/// Complex vectors from one row of a block to the next: odd, since an even number would meet the same few sets of the cache.
-fn pitch(slots: usize) -> usize {
-    slots | 1
 }
