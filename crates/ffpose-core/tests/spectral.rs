@@ -30,7 +30,7 @@ const GRIDS: [[usize; 4]; 16] = [
     [1, 3, 50, 1],
     [1, 37, 4, 16],
 ];
-const TOKENS: [[usize; 3]; 14] = [
+const TOKENS: [[usize; 3]; 17] = [
     [2, 14, 16],
     [1, 196, 64],
     [1, 28, 128],
@@ -45,6 +45,9 @@ const TOKENS: [[usize; 3]; 14] = [
     [1, 64, 9],
     [1, 3, 256],
     [9, 5, 6],
+    [2, 49, 64],
+    [1, 56, 192],
+    [1, 98, 128],
 ];
 
 fn cases() -> Vec<(Layout, Vec<usize>)> {
@@ -157,6 +160,8 @@ fn threads_and_batches_do_not_change_a_bit() {
         (Layout::Grid, vec![16, 90, 100, 3]),
         (Layout::Tokens, vec![37, 70, 128]),
         (Layout::Tokens, vec![10, 151, 251]),
+        (Layout::Tokens, vec![1, 784, 256]),
+        (Layout::Tokens, vec![9, 196, 128]),
     ];
     for (layout, dim) in large {
         let shape = Shape::of_images(layout, &dim).unwrap();

@@ -238,6 +238,18 @@ impl<'a, T: Element> TileMut<'a, T> {
         TileMut { start, points: self.lanes / lanes, lanes, stride: lanes, view: PhantomData }
     }
 
+    /// Fetches `count` elements from lane `lane` of `points` points into the first cache, for writing soon. Stores that miss it
+    /// wait for each other, and prefetches do not.
+    #[inline(always)]
+    pub(crate) fn prefetch(&self, points: usize, lane: usize, count: usize) {
+        for point in 0..points {
+            for line in 0..(count * size_of::<T>()).div_ceil(ALIGNMENT) {
+                let element = point * self.stride + lane + line * (ALIGNMENT / size_of::<T>());
+                prefetch(self.start.wrapping_add(element));
+            }
+        }
+    }
+
     /// The same points, to read.
     #[inline(always)]
     pub(crate) fn reader(&self) -> Tile<'_, T> {
@@ -294,6 +306,19 @@ impl<'a, T: Element> TileMut<'a, T> {
             high.store(start.add(V::LANES));
         }
     }
+}
+
+/// Fetches the cache line of `at`, which may be anywhere, for writing.
+#[inline(always)]
+fn prefetch<T>(at: *const T) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_ET0, _mm_prefetch};
+        // SAFETY: every x86-64 has the instruction, which never faults.
+        unsafe { _mm_prefetch::<_MM_HINT_ET0>(at.cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = at;
 }
 
 /// `buffer[first]`, `buffer[first + step]`, ...

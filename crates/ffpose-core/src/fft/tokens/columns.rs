@@ -9,12 +9,7 @@ use crate::simd::{
 };
 
 /// The lengths that have a codelet.
-const LENGTHS: [usize; 5] = [7, 8, 14, 16, 28];
-
-/// Whether [`image_to_block`] and [`block_to_image`] exist for `length`.
-pub(super) fn has_codelet(length: usize) -> bool {
-    LENGTHS.contains(&length)
-}
+pub(super) const LENGTHS: [usize; 5] = [7, 8, 14, 16, 28];
 
 /// Rows of complex vectors in scratch, `pitch` apart.
 pub(super) struct Block<'a, T> {
@@ -163,6 +158,7 @@ where
         let twiddles = self.twiddles;
         assert!(INVERSE || twiddles.len() == P * Q);
         for slot in 0..self.image.reader().lanes() / (2 * V::LANES) {
+            self.image.prefetch(P * Q, 2 * (slot + 1) * V::LANES, 2 * V::LANES);
             let mut across = [[Complex::zero(); Q]; P];
             unroll!(q in 0..Q {
                 let inputs = Column::<P, Q>::INPUTS[q];

@@ -37,7 +37,7 @@ use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 
 use self::columns::Block;
 use self::lanes::{Accumulate, Product};
-use self::order::{SPARE, Step};
+use self::order::Step;
 use self::pack::{Pack, Plan, Unpack};
 use super::roots::root;
 use crate::kernel::{Backward, Kernel};
@@ -54,6 +54,7 @@ pub(crate) struct Tokens<T> {
     /// `exp(-2πi x2 u1 / X)`, for each `x2` in turn.
     twiddles: Vec<Complex<T>>,
     steps: Vec<Step>,
+    /// Rows of a step that fill groups without a rest, and what their items are turned by.
     rows_each: usize,
     turns: Table<T>,
 }
@@ -68,7 +69,7 @@ impl<T: Element> Tokens<T> {
         }
         let factors = factors(points)?;
         let slots = width / lanes / 2;
-        let pairs_each = lanes / lanes.min(2 * slots & (2 * slots).wrapping_neg());
+        let pairs_each = lanes / lanes.min((2 * slots) & (2 * slots).wrapping_neg());
         let steps: Vec<_> =
             (0..=factors[0] / 2).map(|u1| Step::new(factors, u1, pairs_each)).collect();
         let twiddles = (0..points).map(|i| (i / factors[0]) * (i % factors[0]));
@@ -202,14 +203,10 @@ impl<T: Element> Kernel<T> for Tokens<T> {
                 self.rows_of_steps(other)
             });
             let sums = grad_sum.as_deref_mut().map(|sum| self.parts_mut(sum));
-            let pairs = x.into_iter().flatten().zip(sums.into_iter().flatten()).map(Some);
-            let pairs = pairs.chain(std::iter::repeat_with(|| None)); // without sum
-            let steps = self
-                .steps
-                .iter()
-                .zip(self.rows_of_steps(spectrum.view_mut()))
-                .zip(self.parts(packed))
-                .zip(pairs);
+            let sums = x.into_iter().flatten().zip(sums.into_iter().flatten()).map(Some);
+            let sums_if_wanted = sums.chain(std::iter::repeat_with(|| None));
+            let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
+            let steps = steps.zip(self.parts(packed)).zip(sums_if_wanted);
             team.run(steps, |(((step, mut rows), weight), sum), scratch| {
                 let [block, other, _] = self.scratch(scratch);
                 self.gather(step, &rows, block);
@@ -254,10 +251,8 @@ impl<T: Element> Kernel<T> for Tokens<T> {
 
 /// `X = A B` with codelets for both, as near to a square as can be.
 fn factors(points: usize) -> Option<[usize; 2]> {
-    let pairs = (1..=points).filter(|a| points.is_multiple_of(*a)).map(|a| [a, points / a]);
-    pairs
-        .filter(|[a, b]| columns::has_codelet(*a) && columns::has_codelet(*b))
-        .min_by_key(|[a, b]| a.abs_diff(*b))
+    let pairs = columns::LENGTHS.into_iter().flat_map(|a| columns::LENGTHS.map(|b| [a, b]));
+    pairs.filter(|[a, b]| a * b == points).min_by_key(|[a, b]| a.abs_diff(*b))
 }
 
 /// `exp(-2πi k y / Y)` for each group and each `y` of some rows: real parts of all lanes, then imaginary ones.
