@@ -41,8 +41,14 @@ GOOD = {
     "t_hat": T,
     "rpy": T,
     "points": np.ones((3, 2), np.float32),
-    "lattice": np.ones((2, 2, 2), np.float32),
     "heights": np.ones(2, np.float32),
+    "rays": np.ones((3, 2), np.float32),
+    "nadir": (0.0, 1.0, 0.0),
+    "altitude": 400.0,
+    "sun": (1.0, 0.0, 0.0),
+    "ground": np.eye(3).tolist(),
+    "detail": 3,
+    "pixel_angle": 1e-3,
 }
 
 

@@ -7,7 +7,7 @@ use std::fmt;
 
 use divan::counter::BytesCount;
 use divan::{Bencher, black_box};
-use ffpose_core::{Gradients, Layout, Scratch, Shape, SpectralFilter};
+use ffpose_core::{Gradients, Layout, Scratch, Shape, SpectralFilter, StdThreads};
 use ndarray::ArrayD;
 
 fn main() {
@@ -70,7 +70,13 @@ fn forward(bencher: Bencher, case: Case) {
     let mut y = ArrayD::zeros(case.1);
     let (filter, mut scratch) = (case.filter(), Scratch::default());
     bencher.counter(BytesCount::new(2 * case.bytes())).bench_local(|| {
-        filter.forward(black_box(x.view()), weight.view(), y.view_mut(), 1, &mut scratch)
+        filter.forward(
+            black_box(x.view()),
+            weight.view(),
+            y.view_mut(),
+            &StdThreads(1),
+            &mut scratch,
+        )
     });
 }
 
@@ -83,6 +89,6 @@ fn backward(bencher: Bencher, case: Case) {
         let gradients =
             Gradients { x: Some(for_x.view_mut()), weight: Some(for_weight.view_mut()) };
         let grad = black_box(grad.view());
-        filter.backward(grad, x.view(), weight.view(), gradients, 1, &mut scratch)
+        filter.backward(grad, x.view(), weight.view(), gradients, &StdThreads(1), &mut scratch)
     });
 }

@@ -7,7 +7,9 @@ use super::fused::Fused;
 use super::middle::{Accumulate, Middle, Product};
 use super::pair::{join, split};
 use super::transform::Transform;
-use crate::simd::{Algorithm, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter};
+use crate::simd::{
+    Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter,
+};
 
 /// How the columns of one tile are transformed.
 pub(crate) struct Columns<T> {
@@ -99,41 +101,76 @@ impl<T: Element> Columns<T> {
         mut middle: M,
         work: &mut [T],
     ) {
-        let (isa, transform, length) =
-            (self.isa, &self.transform, self.numbers(self.transform.len()));
-        let columns = spectrum.chunks_exact_mut(self.numbers(self.pitch()));
-        let mut columns = columns.take(self.count).enumerate();
-        if self.packed_pair
-            && let Some((_, column)) = columns.next()
-        {
-            transform.forward(&mut column[..length], work);
-            isa.run(PairStep::<T, M, INVERSE> {
-                outputs: transform.outputs(),
-                column,
-                places: work,
-                middle: &mut middle,
-            });
-            if INVERSE {
-                transform.inverse(&mut column[..length], work);
-            }
+        let (isa, transform, layout) = (self.isa, &self.transform, self.layout());
+        let spectrum = &mut spectrum[..self.len()];
+        if let Some(fused) = self.fused {
+            let columns = Through { layout, spectrum, middle, work };
+            fused.run::<T, M, INVERSE>(isa, transform.passes(), columns);
+            return;
         }
-        let place = |column| {
-            if column == 0 { 0 } else { self.first_places() + (column - 1) * transform.len() }
-        };
-        for (column, line) in columns {
-            let (line, position, place) =
-                (&mut line[..length], column * self.pitch(), place(column));
-            if INVERSE && let Some(fused) = self.fused {
-                fused.run(isa, transform.passes(), line, &mut middle, position, place);
-                continue;
+        let length = self.numbers(transform.len());
+        let columns = spectrum.chunks_exact_mut(self.numbers(layout.pitch));
+        for (column, line) in columns.enumerate() {
+            transform.forward(&mut line[..length], work);
+            if self.packed_pair && column == 0 {
+                let outputs = layout.outputs;
+                isa.run(PairStep::<T, M, INVERSE> {
+                    outputs,
+                    column: line,
+                    places: work,
+                    middle: &mut middle,
+                });
+            } else {
+                isa.run(Step {
+                    line: &mut line[..length],
+                    middle: &mut middle,
+                    position: column * layout.pitch,
+                    place: layout.place(column),
+                });
             }
-            transform.forward(line, work);
-            isa.run(Step { line, middle: &mut middle, position, place });
             if INVERSE {
-                transform.inverse(line, work);
+                transform.inverse(&mut line[..length], work);
             }
         }
     }
+
+    fn layout(&self) -> Layout<'_> {
+        Layout {
+            outputs: self.transform.outputs(),
+            pitch: self.pitch(),
+            packed_pair: self.packed_pair,
+            first_places: self.first_places(),
+        }
+    }
+}
+
+/// Where columns and their places are.
+#[derive(Clone, Copy)]
+pub(crate) struct Layout<'a> {
+    /// The position of each frequency.
+    pub(crate) outputs: &'a [usize],
+    /// Complex vectors from one column to the next.
+    pub(crate) pitch: usize,
+    /// Column 0 is two real columns.
+    pub(crate) packed_pair: bool,
+    first_places: usize,
+}
+
+impl Layout<'_> {
+    /// The first place of a column in a packed weight.
+    #[inline(always)]
+    pub(crate) fn place(&self, column: usize) -> usize {
+        if column == 0 { 0 } else { self.first_places + (column - 1) * self.outputs.len() }
+    }
+}
+
+/// Columns that go forward, through a middle, and back.
+pub(crate) struct Through<'a, T, M> {
+    pub(crate) layout: Layout<'a>,
+    pub(crate) spectrum: &'a mut [T],
+    pub(crate) middle: M,
+    /// Room for the places of column 0.
+    pub(crate) work: &'a mut [T],
 }
 
 /// `middle` on a column.
@@ -153,7 +190,7 @@ impl<T: Element, M: Middle<T>> Algorithm<T> for Step<'_, T, M> {
     }
 }
 
-/// `middle` on the packed column 0, and its real columns packed again if the inverse follows, else left as places.
+/// [`pair_step`] on vectors of an instruction set.
 struct PairStep<'a, T, M, const INVERSE: bool> {
     outputs: &'a [usize],
     column: &'a mut [T],
@@ -166,19 +203,30 @@ impl<T: Element, M: Middle<T>, const INVERSE: bool> Algorithm<T> for PairStep<'_
     fn run<V: Vector<Element = T>>(self) {
         let (column, places) =
             (complex_vectors::<V>(self.column), complex_vectors::<V>(self.places));
-        let length = self.outputs.len();
-        for k in 0..=length / 2 {
-            let (position, mirror) = (self.outputs[k], self.outputs[(length - k) % length]);
-            let both = self.middle.apply(2 * k, 2 * k, split(column[position], column[mirror]));
-            if INVERSE {
-                (column[position], column[mirror]) = join(both);
-            } else {
-                scatter(places, 2 * k, 1, both);
-            }
+        pair_step::<V, M, INVERSE>(self.outputs, column, places, self.middle);
+    }
+}
+
+/// `middle` on the packed column 0, and its real columns packed again if the inverse follows, else left as places.
+#[inline(always)]
+pub(crate) fn pair_step<V: Vector, M: Middle<V::Element>, const INVERSE: bool>(
+    outputs: &[usize],
+    column: &mut [Complex<V>],
+    places: &mut [Complex<V>],
+    middle: &mut M,
+) {
+    let length = outputs.len();
+    for k in 0..=length / 2 {
+        let (position, mirror) = (outputs[k], outputs[(length - k) % length]);
+        let both = middle.apply(2 * k, 2 * k, split(column[position], column[mirror]));
+        if INVERSE {
+            (column[position], column[mirror]) = join(both);
+        } else {
+            scatter(places, 2 * k, 1, both);
         }
-        if !INVERSE {
-            let count = length / 2 * 2 + 2;
-            column[..count].copy_from_slice(&places[..count]);
-        }
+    }
+    if !INVERSE {
+        let count = length / 2 * 2 + 2;
+        column[..count].copy_from_slice(&places[..count]);
     }
 }

@@ -1,10 +1,11 @@
 //! Columns of short lengths: the last pass forward, what is done with the spectrum, and the first pass back share registers.
 
 use super::butterfly::{Codelet, Dft};
+use super::columns::{Layout, Through, pair_step};
 use super::middle::Middle;
 use super::passes::{Digits, Pass, forward, inverse};
 use super::transform::Transform;
-use crate::simd::{Algorithm, Element, Isa, Vector, complex_vectors, gather, scatter};
+use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
 
 /// A length `P Q` as two passes known at compile time; `P` may be 1.
 #[derive(Clone, Copy)]
@@ -40,58 +41,87 @@ impl Fused {
         with_radices!(radices, (P, Q) => { let _ = (P, Q); Some(Self { radices }) }, _ => None)
     }
 
-    /// Transforms `line`, applies `middle` from `position` and `place` on, and transforms back.
-    pub(crate) fn run<T: Element, M: Middle<T>>(
+    /// Transforms the columns, applies the middle and transforms back; without `INVERSE` the spectrum stays.
+    pub(crate) fn run<T: Element, M: Middle<T>, const INVERSE: bool>(
         self,
         isa: Isa,
         passes: &[Pass<T>],
-        line: &mut [T],
-        middle: &mut M,
-        position: usize,
-        place: usize,
+        columns: Through<'_, T, M>,
     ) {
         with_radices!(self.radices, (P, Q) => {
-            isa.run(Run::<T, M, P, Q> { passes, line, middle, position, place });
+            isa.run(Run::<T, M, INVERSE, P, Q> { passes, columns });
         }, _ => unreachable!("supported pairs only"));
     }
 }
 
-struct Run<'a, T, M, const P: usize, const Q: usize> {
+struct Run<'a, T, M, const INVERSE: bool, const P: usize, const Q: usize> {
     passes: &'a [Pass<T>],
-    line: &'a mut [T],
-    middle: &'a mut M,
-    position: usize,
-    place: usize,
+    columns: Through<'a, T, M>,
 }
 
-impl<T: Element, M: Middle<T>, const P: usize, const Q: usize> Run<'_, T, M, P, Q> {
+impl<T: Element, M: Middle<T>, const INVERSE: bool, const P: usize, const Q: usize>
+    Run<'_, T, M, INVERSE, P, Q>
+where
+    Codelet: Dft<P> + Dft<Q>,
+{
     /// Powers of two have twiddles between the passes.
     const DIGITS: Digits = if Q.is_multiple_of(2) {
         Digits { outer: 1, middle: Q, inner: 1 }
     } else {
         Digits { outer: 1, middle: 1, inner: Q }
     };
+
+    /// The first pass forward.
+    #[inline(always)]
+    fn enter<V: Vector<Element = T>>(&self, line: &mut [Complex<V>]) {
+        if P > 1 {
+            forward::<V, P>(line, Self::DIGITS, self.passes[0].twiddles());
+        }
+    }
+
+    /// The last pass back.
+    #[inline(always)]
+    fn leave<V: Vector<Element = T>>(&self, line: &mut [Complex<V>]) {
+        if P > 1 {
+            inverse::<V, P>(line, Self::DIGITS, self.passes[0].twiddles());
+        }
+    }
 }
 
-impl<T: Element, M: Middle<T>, const P: usize, const Q: usize> Algorithm<T> for Run<'_, T, M, P, Q>
+impl<T: Element, M: Middle<T>, const INVERSE: bool, const P: usize, const Q: usize> Algorithm<T>
+    for Run<'_, T, M, INVERSE, P, Q>
 where
     Codelet: Dft<P> + Dft<Q>,
 {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let line = &mut complex_vectors::<V>(self.line)[..P * Q];
-        let twiddles = self.passes[0].twiddles();
-        if P > 1 {
-            forward::<V, P>(line, Self::DIGITS, twiddles);
-        }
-        for p in 0..P {
-            let start = p * Q;
-            let spectrum = <Codelet as Dft<Q>>::dft(gather(line, start, 1));
-            let spectrum = self.middle.apply(self.position + start, self.place + start, spectrum);
-            scatter(line, start, 1, <Codelet as Dft<Q>>::idft(spectrum));
-        }
-        if P > 1 {
-            inverse::<V, P>(line, Self::DIGITS, twiddles);
+    fn run<V: Vector<Element = T>>(mut self) {
+        let Layout { outputs, pitch, packed_pair, .. } = self.columns.layout;
+        let spectrum = complex_vectors::<V>(std::mem::take(&mut self.columns.spectrum));
+        let places = complex_vectors::<V>(std::mem::take(&mut self.columns.work));
+        for (column, line) in spectrum.chunks_exact_mut(pitch).enumerate() {
+            self.enter(line);
+            if packed_pair && column == 0 {
+                for start in (0..P * Q).step_by(Q) {
+                    scatter(line, start, 1, <Codelet as Dft<Q>>::dft(gather(line, start, 1)));
+                }
+                pair_step::<_, _, INVERSE>(outputs, line, places, &mut self.columns.middle);
+                if INVERSE {
+                    for start in (0..P * Q).step_by(Q) {
+                        scatter(line, start, 1, <Codelet as Dft<Q>>::idft(gather(line, start, 1)));
+                    }
+                }
+            } else {
+                let (position, place) = (column * pitch, self.columns.layout.place(column));
+                for start in (0..P * Q).step_by(Q) {
+                    let z = <Codelet as Dft<Q>>::dft(gather(line, start, 1));
+                    let z = self.columns.middle.apply(position + start, place + start, z);
+                    let z = if INVERSE { <Codelet as Dft<Q>>::idft(z) } else { z };
+                    scatter(line, start, 1, z);
+                }
+            }
+            if INVERSE {
+                self.leave(line);
+            }
         }
     }
 }

@@ -13,13 +13,22 @@ use crate::kernel::{Backward, Kernel};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 
-/// Bytes of the lanes of one tile: a cache line, so that every line of an image is used whole.
-const TILE_BYTES: usize = 64;
+/// Bytes of the lanes that go through the transforms together: a cache line, so that each line of an image comes once.
+const LINE_BYTES: usize = 64;
+
+/// Bytes of the lanes of one tile: neighbouring lines of an image soon after each other, which is what memory is quick at.
+const TILE_BYTES: usize = 4 * LINE_BYTES;
+
+/// Bytes of spectra up to which the lanes of a whole line go together: about half of a second-level cache.
+const SPECTRA_BYTES: usize = 1 << 18;
 
 /// The plan for grids of one height and width.
 pub(crate) struct Grid<T> {
     isa: Isa,
+    /// Lanes of a vector.
     lanes: usize,
+    /// Lanes that go through the transforms together.
+    together: usize,
     points: usize,
     rows: Rows<T>,
     columns: Columns<T>,
@@ -64,9 +73,13 @@ impl<T: Element> Grid<T> {
             hermitian: T::nearest(norm / (first_gain * first_gain)),
             plain: T::nearest(2.0 * norm / (gain * gain)),
         };
+        let lanes = isa.lanes::<T>();
+        let line = LINE_BYTES / size_of::<T>();
+        let spectra = line / lanes * columns.len() * size_of::<T>();
         Self {
             isa,
-            lanes: isa.lanes::<T>(),
+            lanes,
+            together: if spectra <= SPECTRA_BYTES { line } else { lanes },
             points: height * width,
             rows,
             columns,
@@ -79,17 +92,27 @@ impl<T: Element> Grid<T> {
     }
 
     fn scratch<'a>(&self, scratch: &'a mut [T]) -> Scratch<'a, T> {
-        let (spectrum, rest) = aligned(scratch).split_at_mut(self.columns.len());
-        let (other, rest) = rest.split_at_mut(self.columns.len());
+        let spectra = self.spectra(self.together);
+        let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
+        let (other, rest) = rest.split_at_mut(spectra);
         let (work, padded) = rest.split_at_mut(self.work_len());
-        Scratch { spectrum, other, work, padded: &mut padded[..self.points * self.lanes] }
+        Scratch { spectrum, other, work, padded: &mut padded[..self.points * self.together] }
     }
 
     fn place(&self) -> Place<'_> {
-        Place { positions: self.columns.transform().inputs(), pitch: self.columns.pitch() }
+        Place {
+            positions: self.columns.transform().inputs(),
+            pitch: self.columns.pitch(),
+            set: self.columns.len() / (2 * self.lanes),
+        }
     }
 
-    /// An image `(points, lanes)` to `spectrum`; `padded` holds it if it has too few lanes.
+    /// Numbers in the spectra of an image of `lanes` lanes.
+    fn spectra(&self, lanes: usize) -> usize {
+        lanes.div_ceil(self.lanes) * self.columns.len()
+    }
+
+    /// An image `(points, lanes)` to `spectrum`; `padded` holds it if its lanes are not whole vectors.
     fn rows_forward(
         &self,
         image: ArrayView2<'_, T>,
@@ -98,19 +121,21 @@ impl<T: Element> Grid<T> {
         padded: &mut [T],
     ) {
         let lanes = image.ncols();
-        let image = if lanes < self.lanes {
-            let mut whole = ArrayViewMut2::from_shape((self.points, self.lanes), padded)
+        let whole = lanes.next_multiple_of(self.lanes);
+        let image = if lanes < whole {
+            let padded = &mut padded[..self.points * whole];
+            let mut view = ArrayViewMut2::from_shape((self.points, whole), &mut *padded)
                 .expect("room for a tile");
-            whole.fill(T::default());
-            whole.slice_mut(s![.., ..lanes]).assign(&image);
-            Tile::dense(padded, self.lanes)
+            view.fill(T::default());
+            view.slice_mut(s![.., ..lanes]).assign(&image);
+            Tile::dense(padded, whole)
         } else {
             Tile::new(image)
         };
         self.rows.forward(self.isa, image, self.place(), spectrum, work);
     }
 
-    /// `spectrum` to an image `(points, lanes)`, by way of `padded` if it has too few lanes.
+    /// `spectrum` to an image `(points, lanes)`, by way of `padded` if its lanes are not whole vectors.
     fn rows_inverse(
         &self,
         spectrum: &mut [T],
@@ -119,16 +144,13 @@ impl<T: Element> Grid<T> {
         padded: &mut [T],
     ) {
         let lanes = image.ncols();
-        if lanes < self.lanes {
-            self.rows.inverse(
-                self.isa,
-                spectrum,
-                self.place(),
-                TileMut::dense(padded, self.lanes),
-                work,
-            );
+        let whole = lanes.next_multiple_of(self.lanes);
+        if lanes < whole {
+            let padded = &mut padded[..self.points * whole];
+            let tile = TileMut::dense(padded, whole);
+            self.rows.inverse(self.isa, spectrum, self.place(), tile, work);
             let whole =
-                ArrayView2::from_shape((self.points, self.lanes), padded).expect("room for a tile");
+                ArrayView2::from_shape((self.points, whole), padded).expect("room for a tile");
             image.assign(&whole.slice(s![.., ..lanes]));
         } else {
             self.rows.inverse(self.isa, spectrum, self.place(), TileMut::new(image), work);
@@ -140,22 +162,32 @@ impl<T: Element> Grid<T> {
         &self,
         grad: ArrayView2<'_, T>,
         x: ArrayView2<'_, T>,
-        grad_x: Option<(ArrayViewMut2<'_, T>, &[T])>,
-        sum: Option<&mut [T]>,
+        packed: &[T],
+        grad_x: Option<ArrayViewMut2<'_, T>>,
+        mut sum: Option<&mut [T]>,
         scratch: &mut Scratch<'_, T>,
     ) {
         let Scratch { spectrum, other, work, padded } = scratch;
+        let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
+        let other = &mut other[..spectrum.len()];
         self.rows_forward(grad, spectrum, work, padded);
-        match (sum, &grad_x) {
-            (Some(sum), grad_x) => {
-                self.rows_forward(x, other, work, padded);
-                let weight = grad_x.as_ref().map(|(_, weight)| *weight);
-                self.columns.gradient(spectrum, other, weight, sum, work);
-            }
-            (None, Some((_, weight))) => self.columns.filter::<true>(spectrum, weight, work),
-            (None, None) => {}
+        if sum.is_some() {
+            self.rows_forward(x, other, work, padded);
         }
-        if let Some((grad_x, _)) = grad_x {
+        let (len, packed_len) = (self.columns.len(), self.columns.packed_len());
+        let spectra = spectrum.chunks_exact_mut(len).zip(other.chunks_exact_mut(len));
+        for (i, (spectrum, other)) in spectra.enumerate() {
+            let places = i * packed_len..(i + 1) * packed_len;
+            let weight = grad_x.is_some().then(|| &packed[places.clone()]);
+            match (&mut sum, weight) {
+                (Some(sum), _) => {
+                    self.columns.gradient(spectrum, other, weight, &mut sum[places], work);
+                }
+                (None, Some(weight)) => self.columns.filter::<true>(spectrum, weight, work),
+                (None, None) => {}
+            }
+        }
+        if let Some(grad_x) = grad_x {
             self.rows_inverse(spectrum, grad_x, work, padded);
         }
     }
@@ -163,7 +195,7 @@ impl<T: Element> Grid<T> {
 
 impl<T: Element> Kernel<T> for Grid<T> {
     fn tile(&self) -> usize {
-        self.lanes.max(TILE_BYTES / size_of::<T>())
+        TILE_BYTES / size_of::<T>()
     }
 
     fn packed_len(&self) -> usize {
@@ -171,20 +203,22 @@ impl<T: Element> Kernel<T> for Grid<T> {
     }
 
     fn scratch_len(&self) -> usize {
-        slack::<T>() + 2 * self.columns.len() + self.work_len() + self.points * self.lanes
+        slack::<T>()
+            + 2 * self.spectra(self.together)
+            + self.work_len()
+            + self.points * self.together
     }
 
     fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
-        let lanes = weight.axis_chunks_iter(Axis(1), self.lanes);
-        for (weight, packed) in lanes.zip(packed.chunks_exact_mut(self.columns.packed_len())) {
-            let (bins, lanes, _) = weight.dim();
-            if lanes < self.lanes {
-                let mut whole = Array3::from_elem((bins, self.lanes, 2), T::default());
-                whole.slice_mut(s![.., ..lanes, ..]).assign(&weight);
-                self.packing.pack(self.isa, whole.view(), packed);
-            } else {
-                self.packing.pack(self.isa, weight, packed);
-            }
+        let (bins, lanes, _) = weight.dim();
+        let whole = lanes.next_multiple_of(self.lanes);
+        let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
+        if lanes < whole {
+            let mut padded = Array3::from_elem((bins, whole, 2), T::default());
+            padded.slice_mut(s![.., ..lanes, ..]).assign(&weight);
+            self.packing.pack(self.isa, padded.view(), packed);
+        } else {
+            self.packing.pack(self.isa, weight, packed);
         }
     }
 
@@ -196,13 +230,19 @@ impl<T: Element> Kernel<T> for Grid<T> {
         team: &mut Team<'_, T>,
     ) {
         let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
+        let (len, packed_len) = (self.columns.len(), self.columns.packed_len());
         for (x, mut y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            let lanes = x
-                .axis_chunks_iter(Axis(1), self.lanes)
-                .zip(y.axis_chunks_iter_mut(Axis(1), self.lanes));
-            for ((x, y), weight) in lanes.zip(packed.chunks_exact(self.columns.packed_len())) {
+            let parts = x
+                .axis_chunks_iter(Axis(1), self.together)
+                .zip(y.axis_chunks_iter_mut(Axis(1), self.together))
+                .zip(packed.chunks(self.together / self.lanes * packed_len));
+            for ((x, y), packed) in parts {
+                let spectrum = &mut spectrum[..self.spectra(x.ncols())];
                 self.rows_forward(x, spectrum, work, padded);
-                self.columns.filter::<false>(spectrum, weight, work);
+                let spectra = spectrum.chunks_exact_mut(len);
+                for (spectrum, weight) in spectra.zip(packed.chunks_exact(packed_len)) {
+                    self.columns.filter::<false>(spectrum, weight, work);
+                }
                 self.rows_inverse(spectrum, y, work, padded);
             }
         }
@@ -211,15 +251,19 @@ impl<T: Element> Kernel<T> for Grid<T> {
     fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let mut scratch = self.scratch(team.scratch());
+        let (lanes, packed_len) = (grad.len_of(Axis(2)), self.columns.packed_len());
         for image in 0..grad.len_of(Axis(0)) {
-            for (tile, start) in (0..grad.len_of(Axis(2))).step_by(self.lanes).enumerate() {
-                let lanes = s![image, .., start..(start + self.lanes).min(grad.len_of(Axis(2)))];
-                let places =
-                    tile * self.columns.packed_len()..(tile + 1) * self.columns.packed_len();
-                let sum = grad_sum.as_deref_mut().map(|sum| &mut sum[places.clone()]);
-                let grad_x =
-                    grad_x.as_mut().map(|grad_x| (grad_x.slice_mut(lanes), &packed[places]));
-                self.backward_lanes(grad.slice(lanes), x.slice(lanes), grad_x, sum, &mut scratch);
+            for start in (0..lanes).step_by(self.together) {
+                let part = s![image, .., start..(start + self.together).min(lanes)];
+                let place = start / self.lanes * packed_len;
+                self.backward_lanes(
+                    grad.slice(part),
+                    x.slice(part),
+                    &packed[place..],
+                    grad_x.as_mut().map(|grad_x| grad_x.slice_mut(part)),
+                    grad_sum.as_deref_mut().map(|sum| &mut sum[place..]),
+                    &mut scratch,
+                );
             }
         }
     }
@@ -230,16 +274,15 @@ impl<T: Element> Kernel<T> for Grid<T> {
         mut grad_weight: ArrayViewMut3<'_, T>,
         _: &mut Team<'_, T>,
     ) {
-        let lanes = grad_weight.axis_chunks_iter_mut(Axis(1), self.lanes);
-        for (mut gradient, sum) in lanes.zip(grad_sum.chunks_exact(self.columns.packed_len())) {
-            let (bins, lanes, _) = gradient.dim();
-            if lanes < self.lanes {
-                let mut whole = Array3::from_elem((bins, self.lanes, 2), T::default());
-                self.packing.unpack(self.isa, sum, whole.view_mut());
-                gradient.assign(&whole.slice(s![.., ..lanes, ..]));
-            } else {
-                self.packing.unpack(self.isa, sum, gradient);
-            }
+        let (bins, lanes, _) = grad_weight.dim();
+        let whole = lanes.next_multiple_of(self.lanes);
+        let grad_sum = &grad_sum[..whole / self.lanes * self.columns.packed_len()];
+        if lanes < whole {
+            let mut padded = Array3::from_elem((bins, whole, 2), T::default());
+            self.packing.unpack(self.isa, grad_sum, padded.view_mut());
+            grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
+        } else {
+            self.packing.unpack(self.isa, grad_sum, grad_weight);
         }
     }
 }

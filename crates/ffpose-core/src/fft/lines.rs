@@ -46,6 +46,12 @@ where
         if P == 8 { EIGHT[row] } else { row }
     }
 
+    /// Room for a single row, which the compiler keeps in registers.
+    #[inline(always)]
+    fn registers<V: Vector>() -> [Complex<V>; Q] {
+        [Complex::zero(); Q]
+    }
+
     /// The line from point `first` of `image` on, to `spectrum[position]`, `spectrum[position + pitch]`, ...
     #[inline(always)]
     pub(crate) fn forward<V: Vector>(
@@ -56,7 +62,8 @@ where
         pitch: usize,
         work: &mut [Complex<V>],
     ) {
-        let work = &mut work[..ROWS * Q];
+        let mut registers = Self::registers();
+        let work = if ROWS == 1 { &mut registers[..] } else { &mut work[..ROWS * Q] };
         unroll!(q in 0..Q {
             let column = image.gather_at::<V, P>(first, Self::column(q), Self::LENGTH);
             scatter(work, q, Q, <Codelet as RealDft<P, ROWS>>::real_dft(column));
@@ -84,7 +91,8 @@ where
         first: usize,
         work: &mut [Complex<V>],
     ) {
-        let work = &mut work[..ROWS * Q];
+        let mut registers = Self::registers();
+        let work = if ROWS == 1 { &mut registers[..] } else { &mut work[..ROWS * Q] };
         let zeroth = gather(spectrum, position, pitch);
         scatter(work, 0, 1, <Codelet as TwoReal<Q>>::two_real_idft(zeroth));
         unroll!(row in 1..ROWS {

@@ -20,6 +20,7 @@ mod prime;
 mod real;
 mod roots;
 mod rows;
+mod sequence;
 #[cfg(test)]
 mod tests;
 mod tokens;
@@ -30,6 +31,7 @@ use std::sync::Arc;
 
 use grid::Grid;
 use planes::Planes;
+use sequence::Sequence;
 use tokens::Tokens;
 
 use crate::kernel::Kernel;
@@ -39,6 +41,7 @@ use crate::{Layout, Real, Shape};
 /// The kernel for a shape without zeros.
 pub(crate) fn plan<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>> {
     match shape.layout {
+        Layout::Grid if shape.rows == 1 => Arc::new(Sequence::new(isa, shape.columns)),
         Layout::Grid => Arc::new(Grid::new(isa, shape.rows, shape.columns)),
         Layout::Tokens => match Tokens::new(isa, shape.rows, shape.columns) {
             Some(tokens) => Arc::new(tokens),

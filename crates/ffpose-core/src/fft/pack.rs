@@ -57,16 +57,24 @@ impl<T: Element> Packing<T> {
         Self { hermitian, plain, weight, gradient }
     }
 
-    /// `weight` `(bins, lanes, 2)`, to `packed`.
+    /// Numbers in a packed weight of one vector of lanes.
+    fn packed_len(&self, lanes: usize) -> usize {
+        2 * lanes * (self.hermitian.len() + self.plain.len())
+    }
+
+    /// `weight` `(bins, lanes, 2)`, of whole vectors, to `packed`, one vector of lanes after the other.
     pub(crate) fn pack(&self, isa: Isa, weight: ArrayView3<'_, T>, packed: &mut [T]) {
         isa.run(Pack { packing: self, weight: Tile::of_complex(weight), packed });
     }
 
-    /// `sum`, packed, to `gradient` `(bins, lanes, 2)`.
+    /// `sum`, packed, to `gradient` `(bins, lanes, 2)`, of whole vectors.
     pub(crate) fn unpack(&self, isa: Isa, sum: &[T], gradient: ArrayViewMut3<'_, T>) {
         isa.run(Unpack { packing: self, sum, gradient: TileMut::of_complex(gradient) });
     }
 }
+
+/// Bins ahead of the work that are brought to the cache: they are far apart and in no order, so that no processor guesses them.
+const AHEAD: usize = 16;
 
 struct Pack<'a, T> {
     packing: &'a Packing<T>,
@@ -74,20 +82,31 @@ struct Pack<'a, T> {
     packed: &'a mut [T],
 }
 
+/// All lanes of a bin, then the next bin: whole runs of memory.
 impl<T: Element> Algorithm<T> for Pack<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let Packing { hermitian, plain, weight: scales, .. } = self.packing;
-        let mut packed = TileMut::dense(self.packed, V::LANES);
+        let len = self.packing.packed_len(V::LANES);
         let (mean, scale) = (V::splat(scales.hermitian), V::splat(scales.plain));
         for (place, &(bin, mirror)) in hermitian.iter().enumerate() {
-            let (z, mirror) = (self.weight.complex::<V>(bin), self.weight.complex::<V>(mirror));
-            packed.scatter(2 * place, 1, [(z.re + mirror.re) * mean, (z.im - mirror.im) * mean]);
+            for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
+                let weight = self.weight.skip_lanes(2 * i * V::LANES);
+                let (z, mirror) = (weight.complex::<V>(bin), weight.complex::<V>(mirror));
+                let both = [(z.re + mirror.re) * mean, (z.im - mirror.im) * mean];
+                TileMut::dense(packed, V::LANES).scatter(2 * place, 1, both);
+            }
         }
         for (place, &(bin, conjugate)) in plain.iter().enumerate() {
-            let z = self.weight.complex::<V>(bin);
-            let im = if conjugate { -z.im } else { z.im };
-            packed.scatter(2 * (hermitian.len() + place), 1, [z.re * scale, im * scale]);
+            let (ahead, _) = plain[(place + AHEAD).min(plain.len() - 1)];
+            let im_scale = if conjugate { -scale } else { scale };
+            for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
+                let weight = self.weight.skip_lanes(2 * i * V::LANES);
+                weight.prefetch(ahead, 1);
+                let z = weight.complex::<V>(bin);
+                let place = 2 * (hermitian.len() + place);
+                TileMut::dense(packed, V::LANES).scatter(place, 1, [z.re * scale, z.im * im_scale]);
+            }
         }
     }
 }
@@ -102,19 +121,25 @@ impl<T: Element> Algorithm<T> for Unpack<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
         let Packing { hermitian, plain, gradient: scales, .. } = self.packing;
-        let sum = Tile::dense(self.sum, V::LANES);
-        let sum = |place: usize, scale: T| {
-            let [re, im] = sum.gather::<V, 2>(2 * place, 1);
+        let sums = self.sum.chunks_exact(self.packing.packed_len(V::LANES));
+        let sum = |sum, place: usize, scale: T| {
+            let [re, im] = Tile::dense(sum, V::LANES).gather::<V, 2>(2 * place, 1);
             Complex::new(re, im).scale(V::splat(scale))
         };
         for (place, &(bin, mirror)) in hermitian.iter().enumerate() {
-            let z = sum(place, scales.hermitian);
-            self.gradient.set_complex(mirror, z.conj());
-            self.gradient.set_complex(bin, z);
+            for (i, sums) in sums.clone().enumerate() {
+                let z = sum(sums, place, scales.hermitian);
+                let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
+                gradient.set_complex(mirror, z.conj());
+                gradient.set_complex(bin, z);
+            }
         }
         for (place, &(bin, conjugate)) in plain.iter().enumerate() {
-            let z = sum(hermitian.len() + place, scales.plain);
-            self.gradient.set_complex(bin, if conjugate { z.conj() } else { z });
+            for (i, sums) in sums.clone().enumerate() {
+                let z = sum(sums, hermitian.len() + place, scales.plain);
+                let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
+                gradient.set_complex(bin, if conjugate { z.conj() } else { z });
+            }
         }
     }
 }

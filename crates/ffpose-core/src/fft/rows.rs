@@ -20,11 +20,16 @@ pub(crate) enum Rows<T> {
     Pairs(Transform<T>),
 }
 
+/// Points ahead of the work that are brought to the cache: about as many lines as come from memory while they are awaited.
+const AHEAD: usize = 64;
+
 /// Where columns are.
 #[derive(Clone, Copy)]
 pub(crate) struct Place<'a> {
     pub(crate) positions: &'a [usize],
     pub(crate) pitch: usize,
+    /// Complex vectors of all columns: those of the next lanes of the tile follow.
+    pub(crate) set: usize,
 }
 
 /// Runs one of two expressions for a line of `$length` points: `$single` with the constants of its codelet `RealDft<$n, $s>`, or
@@ -111,15 +116,22 @@ impl<T: Element> Rows<T> {
                 (N, S) => isa.run(Forward::<T, N, S> { image, place, spectrum }),
                 (P, Q, ROWS) => isa.run(ForwardLines::<T, P, Q, ROWS> { image, place, spectrum, work })),
             Self::Pairs(transform) => {
-                let (outputs, width) = (transform.outputs(), transform.len());
-                let (line, work) = work.split_at_mut(2 * isa.lanes::<T>() * width);
+                let (outputs, width, lanes) =
+                    (transform.outputs(), transform.len(), isa.lanes::<T>());
+                let (line, work) = work.split_at_mut(2 * lanes * width);
                 for (pair, places) in place.positions.chunks(2).enumerate() {
                     let first = 2 * pair * width;
                     let second = (places.len() == 2).then_some(first + width);
-                    isa.run(Enter { inputs: transform.inputs(), image, first, second, line });
-                    transform.forward(line, work);
                     let places = [places[0], places[places.len() - 1]];
-                    isa.run(Split { outputs, line, spectrum, pitch: place.pitch, places });
+                    image.prefetch(first + AHEAD, 2 * width);
+                    for (i, spectrum) in
+                        spectrum.chunks_exact_mut(2 * lanes * place.set).enumerate()
+                    {
+                        let image = image.skip_lanes(i * lanes);
+                        isa.run(Enter { inputs: transform.inputs(), image, first, second, line });
+                        transform.forward(line, work);
+                        isa.run(Split { outputs, line, spectrum, pitch: place.pitch, places });
+                    }
                 }
             }
         }
@@ -139,21 +151,22 @@ impl<T: Element> Rows<T> {
                 (N, S) => isa.run(Inverse::<T, N, S> { image, place, spectrum }),
                 (P, Q, ROWS) => isa.run(InverseLines::<T, P, Q, ROWS> { image, place, spectrum, work })),
             Self::Pairs(transform) => {
-                let (outputs, width) = (transform.outputs(), transform.len());
-                let (line, work) = work.split_at_mut(2 * isa.lanes::<T>() * width);
+                let (outputs, width, lanes) =
+                    (transform.outputs(), transform.len(), isa.lanes::<T>());
+                let (line, work) = work.split_at_mut(2 * lanes * width);
                 for (pair, places) in place.positions.chunks(2).enumerate() {
                     let first = 2 * pair * width;
                     let second = (places.len() == 2).then_some(first + width);
                     let places = [places[0], places[places.len() - 1]];
-                    isa.run(Join { outputs, line, spectrum, pitch: place.pitch, places });
-                    transform.inverse(line, work);
-                    isa.run(Leave {
-                        inputs: transform.inputs(),
-                        image: &mut image,
-                        first,
-                        second,
-                        line,
-                    });
+                    image.reader().prefetch(first + AHEAD, 2 * width);
+                    for (i, spectrum) in
+                        spectrum.chunks_exact_mut(2 * lanes * place.set).enumerate()
+                    {
+                        let image = &mut image.skip_lanes(i * lanes);
+                        isa.run(Join { outputs, line, spectrum, pitch: place.pitch, places });
+                        transform.inverse(line, work);
+                        isa.run(Leave { inputs: transform.inputs(), image, first, second, line });
+                    }
                 }
             }
         }
@@ -172,15 +185,14 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
+        let Place { positions, pitch, set } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
-        for (row, &position) in self.place.positions.iter().enumerate() {
-            let line = self.image.gather::<V, N>(row * N, 1);
-            scatter(
-                spectrum,
-                position,
-                self.place.pitch,
-                <Codelet as RealDft<N, S>>::real_dft(line),
-            );
+        for (row, &position) in positions.iter().enumerate() {
+            self.image.prefetch(row * N + AHEAD, N);
+            for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
+                let line = self.image.skip_lanes(i * V::LANES).gather::<V, N>(row * N, 1);
+                scatter(spectrum, position, pitch, <Codelet as RealDft<N, S>>::real_dft(line));
+            }
         }
     }
 }
@@ -199,11 +211,16 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Place { positions, pitch } = self.place;
+        let Place { positions, pitch, set } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
         for (row, &position) in positions.iter().enumerate() {
-            Line::<P, Q, ROWS>::forward(self.image, row * P * Q, spectrum, position, pitch, work);
+            let first = row * P * Q;
+            self.image.prefetch(first + AHEAD, P * Q);
+            for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
+                let image = self.image.skip_lanes(i * V::LANES);
+                Line::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
+            }
         }
     }
 }
@@ -222,18 +239,16 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Place { positions, pitch } = self.place;
+        let Place { positions, pitch, set } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
         for (row, &position) in positions.iter().enumerate() {
-            Line::<P, Q, ROWS>::inverse(
-                spectrum,
-                position,
-                pitch,
-                &mut self.image,
-                row * P * Q,
-                work,
-            );
+            let first = row * P * Q;
+            self.image.reader().prefetch(first + AHEAD, P * Q);
+            for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
+                let image = &mut self.image.skip_lanes(i * V::LANES);
+                Line::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
+            }
         }
     }
 }
@@ -250,10 +265,14 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
+        let Place { positions, pitch, set } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
-        for (row, &position) in self.place.positions.iter().enumerate() {
-            let line = gather(spectrum, position, self.place.pitch);
-            self.image.scatter::<V, N>(row * N, 1, <Codelet as RealDft<N, S>>::real_idft(line));
+        for (row, &position) in positions.iter().enumerate() {
+            self.image.reader().prefetch(row * N + AHEAD, N);
+            for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
+                let line = <Codelet as RealDft<N, S>>::real_idft(gather(spectrum, position, pitch));
+                self.image.skip_lanes(i * V::LANES).scatter::<V, N>(row * N, 1, line);
+            }
         }
     }
 }

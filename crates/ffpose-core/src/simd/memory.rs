@@ -122,6 +122,17 @@ impl<'a, T: Element> Tile<'a, T> {
         Self { start, points: self.lanes / lanes, lanes, stride: lanes, view: PhantomData }
     }
 
+    /// Asks for the cache lines where `count` points from `first` on begin. They may lie behind the last point: then it
+    /// is memory of a neighbour, if any.
+    #[inline(always)]
+    pub(crate) fn prefetch(&self, first: usize, count: usize) {
+        let mut address = self.start.wrapping_add(first * self.stride);
+        for _ in 0..count {
+            prefetch(address);
+            address = address.wrapping_add(self.stride);
+        }
+    }
+
     /// This tile without its first lanes.
     #[inline(always)]
     pub(crate) fn skip_lanes(self, lane: usize) -> Self {
@@ -238,18 +249,6 @@ impl<'a, T: Element> TileMut<'a, T> {
         TileMut { start, points: self.lanes / lanes, lanes, stride: lanes, view: PhantomData }
     }
 
-    /// Fetches `count` elements from lane `lane` of `points` points into the first cache, for writing soon. Stores that miss it
-    /// wait for each other, and prefetches do not.
-    #[inline(always)]
-    pub(crate) fn prefetch(&self, points: usize, lane: usize, count: usize) {
-        for point in 0..points {
-            for line in 0..(count * size_of::<T>()).div_ceil(ALIGNMENT) {
-                let element = point * self.stride + lane + line * (ALIGNMENT / size_of::<T>());
-                prefetch(self.start.wrapping_add(element));
-            }
-        }
-    }
-
     /// The same points, to read.
     #[inline(always)]
     pub(crate) fn reader(&self) -> Tile<'_, T> {
@@ -308,17 +307,17 @@ impl<'a, T: Element> TileMut<'a, T> {
     }
 }
 
-/// Fetches the cache line of `at`, which may be anywhere, for writing.
+/// Asks for a cache line, if the instruction set has a way to.
 #[inline(always)]
-fn prefetch<T>(at: *const T) {
+fn prefetch<T>(address: *const T) {
     #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::x86_64::{_MM_HINT_ET0, _mm_prefetch};
-        // SAFETY: every x86-64 has the instruction, which never faults.
-        unsafe { _mm_prefetch::<_MM_HINT_ET0>(at.cast()) };
+    // SAFETY: the instruction is part of the base architecture, and no address makes it fail.
+    unsafe {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        _mm_prefetch::<_MM_HINT_T0>(address.cast());
     }
     #[cfg(not(target_arch = "x86_64"))]
-    let _ = at;
+    let _ = address;
 }
 
 /// `buffer[first]`, `buffer[first + step]`, ...
