@@ -29,6 +29,8 @@ struct Function {
     singles: usize,
     doubles: usize,
     calls: Vec<String>,
+    /// What registers were loaded with from the table of functions: a call repeated goes through one.
+    registers: BTreeMap<String, String>,
 }
 
 impl Function {
@@ -39,8 +41,12 @@ impl Function {
             self.singles += usize::from(operation.ends_with("ps"));
             self.doubles += usize::from(operation.ends_with("pd"));
         }
+        if let Some((target, register)) = loaded(instruction, slots) {
+            self.registers.insert(register, target);
+        }
         if operation.starts_with("call") {
-            self.calls.push(callee(instruction, slots));
+            let called = operands.trim().strip_prefix('*').and_then(|r| self.registers.get(r));
+            self.calls.push(called.cloned().unwrap_or_else(|| callee(instruction, slots)));
         }
     }
 }
@@ -120,6 +126,14 @@ fn slot(line: &str, names: &BTreeMap<u64, &str>) -> Option<(u64, String)> {
         None => value,
     };
     Some((address, name.to_owned()))
+}
+
+/// The function and the register of `mov 0x4eb1bd(%rip),%rbx  # 6ecad8 <memcpy>`.
+fn loaded(instruction: &str, slots: &BTreeMap<u64, String>) -> Option<(String, String)> {
+    let (load, comment) = instruction.split_once("# ")?;
+    let register = load.strip_prefix("mov ")?.trim().rsplit_once(',')?.1;
+    let address = u64::from_str_radix(comment.split_whitespace().next()?, 16).ok()?;
+    Some((slots.get(&address)?.clone(), register.to_owned()))
 }
 
 /// The name of what is called: directly, or through the slot whose address stands behind `#`; else the instruction.
