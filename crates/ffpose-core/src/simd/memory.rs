@@ -249,6 +249,18 @@ impl<'a, T: Element> TileMut<'a, T> {
         TileMut { start, points: self.lanes / lanes, lanes, stride: lanes, view: PhantomData }
     }
 
+    /// Asks for `count` elements from lane `lane` of `points` points, to be written soon: stores that miss the first cache
+    /// wait for each other, and prefetches do not.
+    #[inline(always)]
+    pub(crate) fn prefetch(&self, points: usize, lane: usize, count: usize) {
+        for point in 0..points {
+            for line in 0..(count * size_of::<T>()).div_ceil(ALIGNMENT) {
+                let element = point * self.stride + lane + line * (ALIGNMENT / size_of::<T>());
+                prefetch(self.start.wrapping_add(element));
+            }
+        }
+    }
+
     /// The same points, to read.
     #[inline(always)]
     pub(crate) fn reader(&self) -> Tile<'_, T> {

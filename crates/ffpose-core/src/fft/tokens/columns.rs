@@ -158,6 +158,7 @@ where
         let twiddles = self.twiddles;
         assert!(INVERSE || twiddles.len() == P * Q);
         for slot in 0..self.image.reader().lanes() / (2 * V::LANES) {
+            self.image.prefetch(P * Q, 2 * (slot + 1) * V::LANES, 2 * V::LANES);
             let mut across = [[Complex::zero(); Q]; P];
             unroll!(q in 0..Q {
                 let inputs = Column::<P, Q>::INPUTS[q];
