@@ -120,7 +120,7 @@ impl<T: Real> SpectralFilter<T> {
         let tiling = self.tiling(kernel, x.dim().0, Some(threads));
         let image_len = self.image_len::<X>(kernel);
         let shared = widened_len::<W>(weight.len());
-        let needs = needs(kernel, threads, tiling.pieces(), 2 * image_len, shared);
+        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 2 * image_len, shared);
         let (mut workers, wide_weight) = scratch.lend(pool, needs)?;
         let weight = W::read(self.isa, weight, wide_weight);
         let jobs = tiling.images_mut(y).enumerate();
@@ -200,7 +200,7 @@ impl<T: Real> SpectralFilter<T> {
         let sums = if summed { tiling.pieces().saturating_mul(packed_len) } else { 0 };
         let image_len = self.image_len::<X>(kernel);
         let shared = sums.saturating_add(widened_len::<W>(weight.len()));
-        let needs = needs(kernel, threads, tiling.pieces(), 3 * image_len, shared);
+        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 3 * image_len, shared);
         let (mut workers, shared) = scratch.lend(pool, needs)?;
         let (sums, wide_weight) = shared.split_at_mut(sums);
         sums.fill(T::default());
@@ -310,16 +310,19 @@ fn widened_len<N: Number>(len: usize) -> usize {
     if N::WIDENED { len } else { 0 }
 }
 
-/// What a call of so many pieces needs, whose workers hold `wide` numbers of a piece in a wider type. A single piece
-/// is for all threads together.
+/// What a call on so many elements in so many pieces needs, whose workers hold `wide` numbers of a piece in a wider
+/// type. A single piece is for all threads together.
 fn needs<T>(
     kernel: &dyn Kernel<T>,
-    threads: usize,
+    (pool, elements): (&dyn Pool, usize),
     pieces: usize,
     wide: usize,
     shared: usize,
 ) -> Needs {
-    let (workers, members) = if pieces == 1 { (1, threads) } else { (threads.min(pieces), 1) };
+    let (workers, members) = match pieces {
+        1 => (1, parallel::worth_together(pool, elements)),
+        _ => (parallel::worth(pool, elements).min(pieces), 1),
+    };
     let (packed, kernel) = (kernel.packed_len(), kernel.scratch_len());
     Needs { workers, members, packed, kernel, wide, shared }
 }

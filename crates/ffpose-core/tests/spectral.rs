@@ -160,7 +160,7 @@ fn threads_and_batches_do_not_change_a_bit() {
         (Layout::Grid, vec![16, 90, 100, 3]),
         (Layout::Tokens, vec![37, 70, 128]),
         (Layout::Tokens, vec![10, 151, 251]),
-        (Layout::Tokens, vec![1, 784, 256]),
+        (Layout::Tokens, vec![1, 784, 512]), // one image, shared by threads
         (Layout::Tokens, vec![9, 196, 128]),
     ];
     for (layout, dim) in large {
