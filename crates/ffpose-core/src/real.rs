@@ -25,7 +25,7 @@ pub trait Real: Element + FftNum + Pod + Into<f64> + sealed::Sealed {}
 
 macro_rules! real {
     ($type:ty) => {
-        #[allow(private_interfaces)]
+        #[allow(private_interfaces)] // as above
         impl sealed::Sealed for $type {
             fn plan(isa: Isa, shape: Shape) -> Arc<dyn Kernel<Self>> {
                 spectral::plan_kernel(isa, shape)
