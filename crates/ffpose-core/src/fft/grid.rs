@@ -3,6 +3,8 @@
 //! Rows forward to columns of complex vectors, each column forward, times the weight and back while it is in cache, rows
 //! back. Transforms do not put anything in order; the weight is brought to their order ([`super::pack`]).
 
+use std::ops::Range;
+
 use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use super::columns::Columns;
@@ -13,13 +15,14 @@ use crate::kernel::{Backward, Kernel};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 
-/// Bytes of the lanes that go through the transforms together: a cache line, so that each line of an image comes once.
+/// Bytes of a cache line: where the lanes of one go through the transforms together, each line of an image comes once.
 const LINE_BYTES: usize = 64;
 
-/// Bytes of the lanes of one tile: neighbouring lines of an image soon after each other, which is what memory is quick at.
+/// Bytes of the lanes of one tile. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
+/// lines at a distance of a power of two meet in the same few sets of the cache.
 const TILE_BYTES: usize = 4 * LINE_BYTES;
 
-/// Bytes of spectra up to which the lanes of a whole line go together: about half of a second-level cache.
+/// Bytes of spectra up to which lines of a tile go together: small beside a second-level cache.
 const SPECTRA_BYTES: usize = 1 << 18;
 
 /// The plan for grids of one height and width.
@@ -75,11 +78,11 @@ impl<T: Element> Grid<T> {
         };
         let lanes = isa.lanes::<T>();
         let line = LINE_BYTES / size_of::<T>();
-        let spectra = line / lanes * columns.len() * size_of::<T>();
+        let lines = SPECTRA_BYTES / (line / lanes * columns.len() * size_of::<T>());
         Self {
             isa,
             lanes,
-            together: if spectra <= SPECTRA_BYTES { line } else { lanes },
+            together: if lines > 0 { line * lines.min(TILE_BYTES / LINE_BYTES) } else { lanes },
             points: height * width,
             rows,
             columns,
@@ -96,7 +99,7 @@ impl<T: Element> Grid<T> {
         let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
         let (other, rest) = rest.split_at_mut(spectra);
         let (work, padded) = rest.split_at_mut(self.work_len());
-        Scratch { spectrum, other, work, padded: &mut padded[..self.points * self.together] }
+        Scratch { spectrum, other, work, padded: &mut padded[..self.points * self.lanes] }
     }
 
     fn place(&self) -> Place<'_> {
@@ -105,6 +108,14 @@ impl<T: Element> Grid<T> {
             pitch: self.columns.pitch(),
             set: self.columns.len() / (2 * self.lanes),
         }
+    }
+
+    /// The parts of `lanes` lanes that go together: whole vectors, then the rest.
+    fn parts(&self, lanes: usize) -> impl Iterator<Item = Range<usize>> {
+        let whole = lanes - lanes % self.lanes;
+        let parts = (0..whole).step_by(self.together);
+        let rest = (whole < lanes).then_some(whole..lanes);
+        parts.map(move |start| start..whole.min(start + self.together)).chain(rest)
     }
 
     /// Numbers in the spectra of an image of `lanes` lanes.
@@ -206,7 +217,7 @@ impl<T: Element> Kernel<T> for Grid<T> {
         slack::<T>()
             + 2 * self.spectra(self.together)
             + self.work_len()
-            + self.points * self.together
+            + self.points * self.lanes
     }
 
     fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
@@ -231,19 +242,17 @@ impl<T: Element> Kernel<T> for Grid<T> {
     ) {
         let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
         let (len, packed_len) = (self.columns.len(), self.columns.packed_len());
-        for (x, mut y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            let parts = x
-                .axis_chunks_iter(Axis(1), self.together)
-                .zip(y.axis_chunks_iter_mut(Axis(1), self.together))
-                .zip(packed.chunks(self.together / self.lanes * packed_len));
-            for ((x, y), packed) in parts {
-                let spectrum = &mut spectrum[..self.spectra(x.ncols())];
-                self.rows_forward(x, spectrum, work, padded);
+        for image in 0..x.len_of(Axis(0)) {
+            for lanes in self.parts(x.len_of(Axis(2))) {
+                let spectrum = &mut spectrum[..self.spectra(lanes.len())];
+                let packed = &packed[lanes.start / self.lanes * packed_len..];
+                let part = s![image, .., lanes];
+                self.rows_forward(x.slice(part), spectrum, work, padded);
                 let spectra = spectrum.chunks_exact_mut(len);
                 for (spectrum, weight) in spectra.zip(packed.chunks_exact(packed_len)) {
                     self.columns.filter::<false>(spectrum, weight, work);
                 }
-                self.rows_inverse(spectrum, y, work, padded);
+                self.rows_inverse(spectrum, y.slice_mut(part), work, padded);
             }
         }
     }
@@ -253,9 +262,9 @@ impl<T: Element> Kernel<T> for Grid<T> {
         let mut scratch = self.scratch(team.scratch());
         let (lanes, packed_len) = (grad.len_of(Axis(2)), self.columns.packed_len());
         for image in 0..grad.len_of(Axis(0)) {
-            for start in (0..lanes).step_by(self.together) {
-                let part = s![image, .., start..(start + self.together).min(lanes)];
-                let place = start / self.lanes * packed_len;
+            for lanes in self.parts(lanes) {
+                let place = lanes.start / self.lanes * packed_len;
+                let part = s![image, .., lanes];
                 self.backward_lanes(
                     grad.slice(part),
                     x.slice(part),
