@@ -11,7 +11,7 @@
 //! `packed`, `grad_sum` and the team's scratches have exactly the lengths that the kernel asked for; the driver has checked it.
 //! A team has several members only where a call is one single piece; results must not depend on how many.
 
-use ndarray::{ArrayView3, ArrayViewMut3};
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
 use crate::parallel::Team;
 
@@ -52,6 +52,36 @@ pub(crate) trait Kernel<T>: Send + Sync {
         grad_weight: ArrayViewMut3<'_, T>,
         team: &mut Team<'_, T>,
     );
+
+    /// The kernel's way for one image, if it has one of its own.
+    fn single(&self) -> Option<&dyn Single<T>> {
+        None
+    }
+}
+
+/// One image, for which bringing a weight to kernel order and a gradient back would not pay: both stay in natural order.
+/// The same bits as with [`Kernel::pack`].
+pub(crate) trait Single<T>: Sync {
+    /// As [`Kernel::forward`].
+    fn forward(
+        &self,
+        x: ArrayView2<'_, T>,
+        weight: ArrayView3<'_, T>,
+        y: ArrayViewMut2<'_, T>,
+        team: &mut Team<'_, T>,
+    );
+
+    /// The gradients that `pass` asks for.
+    fn backward(&self, pass: SingleBackward<'_, T>, team: &mut Team<'_, T>);
+}
+
+/// As [`Backward`], for one image.
+pub(crate) struct SingleBackward<'a, T> {
+    pub(crate) grad: ArrayView2<'a, T>,
+    pub(crate) x: ArrayView2<'a, T>,
+    pub(crate) weight: ArrayView3<'a, T>,
+    pub(crate) grad_x: Option<ArrayViewMut2<'a, T>>,
+    pub(crate) grad_weight: Option<ArrayViewMut3<'a, T>>,
 }
 
 /// One piece of a backward pass. `G` and `X` are the spectra of `grad` and `x`.

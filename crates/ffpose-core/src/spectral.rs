@@ -14,7 +14,7 @@ use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimens
 
 use crate::general::General;
 use crate::half::Number;
-use crate::kernel::{Backward, Kernel};
+use crate::kernel::{Backward, Kernel, Single, SingleBackward};
 use crate::parallel::{self, Pool};
 use crate::scratch::{self, Needs, Scratch, Worker};
 use crate::tiling::Tiling;
@@ -127,8 +127,16 @@ impl<T: Real> SpectralFilter<T> {
         parallel::run(pool, workers.each(), jobs, |(piece, mut y), worker| {
             let Worker { packed, team, wide } = worker;
             let (wide_x, wide_y) = wide.split_at_mut(image_len);
-            kernel.pack(tiling.bins(weight, tiling.tile_of(piece)), packed, team);
-            let x = tiling.images(x, piece);
+            let (weight, x) = (tiling.bins(weight, tiling.tile_of(piece)), tiling.images(x, piece));
+            if let Some(single) = kernel.single().filter(|_| x.dim().0 == 1) {
+                let x = X::read(self.isa, x, wide_x);
+                let x = x.index_axis_move(BATCH, 0);
+                X::write(self.isa, y, wide_y, |y| {
+                    single.forward(x, weight, y.index_axis_move(BATCH, 0), team);
+                });
+                return;
+            }
+            kernel.pack(weight, packed, team);
             for some in together::<X>(x.dim().0) {
                 let x = X::read(self.isa, x.slice_axis(BATCH, some), wide_x);
                 X::write(self.isa, y.slice_axis_mut(BATCH, some), wide_y, |y| {
@@ -158,7 +166,12 @@ impl<T: Real> SpectralFilter<T> {
     ) -> Result<(), Error> {
         let mut pass = self.pass(grad, x, weight, gradients)?;
         match self.kernel.as_deref() {
-            Some(kernel) if !pass.x.is_empty() => self.run_backward(kernel, pass, pool, scratch),
+            Some(kernel) if !pass.x.is_empty() => match kernel.single() {
+                Some(single) if pass.x.dim().0 == 1 => {
+                    self.run_single_backward(kernel, single, pass, pool, scratch)
+                }
+                _ => self.run_backward(kernel, pass, pool, scratch),
+            },
             _ => {
                 pass.grad_weight.iter_mut().for_each(|grad| grad.fill(W::default()));
                 Ok(())
@@ -240,6 +253,56 @@ impl<T: Real> SpectralFilter<T> {
                     kernel.unpack_gradient(sum, grad_weight, &mut worker.team);
                 });
             });
+        }
+        Ok(())
+    }
+
+    /// As [`run_backward`](Self::run_backward), for a batch of one image: every tile has its own part of the gradients.
+    fn run_single_backward<X: Number<Real = T>, W: Number<Real = T>>(
+        &self,
+        kernel: &dyn Kernel<T>,
+        single: &dyn Single<T>,
+        pass: Pass<'_, X, W>,
+        pool: &dyn Pool,
+        scratch: &mut Scratch,
+    ) -> Result<(), Error> {
+        let Pass { grad, x, weight, grad_x, grad_weight } = pass;
+        let tiling = self.tiling(kernel, 1, None);
+        let image_len = self.image_len::<X>(kernel);
+        let bins_len = widened_len::<W>(weight.len());
+        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 3 * image_len, 2 * bins_len);
+        let (mut workers, shared) = scratch.lend(pool, needs)?;
+        let (wide_weight, wide_grad_weight) = shared.split_at_mut(bins_len);
+        let weight = W::read(self.isa, weight, wide_weight);
+        let run = |grad_weight: Option<ArrayViewMut3<'_, T>>| {
+            let jobs = in_order(tiling.pieces(), grad_x.map(|g| tiling.images_mut(g)))
+                .zip(in_order(tiling.pieces(), grad_weight.map(|g| tiling.bins_mut(g))))
+                .enumerate();
+            parallel::run(pool, workers.each(), jobs, |(piece, (grad_x, grad_weight)), worker| {
+                let Worker { team, wide, .. } = worker;
+                let (wide_grad, rest) = wide.split_at_mut(image_len);
+                let (wide_x, wide_grad_x) = rest.split_at_mut(image_len);
+                let grad = X::read(self.isa, tiling.images(grad, piece), wide_grad);
+                let x = X::read(self.isa, tiling.images(x, piece), wide_x);
+                let run = |grad_x: Option<ArrayViewMut3<'_, T>>| {
+                    let pass = SingleBackward {
+                        grad: grad.index_axis_move(BATCH, 0),
+                        x: x.index_axis_move(BATCH, 0),
+                        weight: tiling.bins(weight, piece),
+                        grad_x: grad_x.map(|grad_x| grad_x.index_axis_move(BATCH, 0)),
+                        grad_weight,
+                    };
+                    single.backward(pass, team);
+                };
+                match grad_x {
+                    Some(grad_x) => X::write(self.isa, grad_x, wide_grad_x, |g| run(Some(g))),
+                    None => run(None),
+                }
+            });
+        };
+        match grad_weight {
+            Some(grad) => W::write(self.isa, grad, wide_grad_weight, |grad| run(Some(grad))),
+            None => run(None),
         }
         Ok(())
     }
