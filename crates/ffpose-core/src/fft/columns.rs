@@ -95,7 +95,7 @@ impl<T: Element> Columns<T> {
     }
 
     /// Forward transform, `middle`, and inverse. Without inverse the spectrum stays, a pair as its places.
-    fn through<M: Middle<T>, const INVERSE: bool>(
+    pub(crate) fn through<M: Middle<T>, const INVERSE: bool>(
         &self,
         spectrum: &mut [T],
         mut middle: M,
@@ -220,7 +220,9 @@ pub(crate) fn pair_step<V: Vector, M: Middle<V::Element>, const INVERSE: bool>(
         let (position, mirror) = (outputs[k], outputs[(length - k) % length]);
         let both = middle.apply(2 * k, 2 * k, split(column[position], column[mirror]));
         if INVERSE {
-            (column[position], column[mirror]) = join(both);
+            let (z, opposite) = join(both);
+            column[position] = z;
+            column[mirror] = opposite;
         } else {
             scatter(places, 2 * k, 1, both);
         }

@@ -8,10 +8,11 @@ use std::ops::Range;
 use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use super::columns::Columns;
+use super::middle::{NaturalGradient, NaturalProduct};
 use super::pack::{Bins, Packing, Scales};
 use super::passes::inverted;
 use super::rows::{Place, Rows};
-use crate::kernel::{Backward, Kernel};
+use crate::kernel::{Backward, Kernel, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 
@@ -202,6 +203,80 @@ impl<T: Element> Grid<T> {
             self.rows_inverse(spectrum, grad_x, work, padded);
         }
     }
+
+    /// As [`Single::forward`], for lanes that go together.
+    fn forward_single(
+        &self,
+        x: ArrayView2<'_, T>,
+        weight: ArrayView3<'_, T>,
+        y: ArrayViewMut2<'_, T>,
+        scratch: &mut Scratch<'_, T>,
+    ) {
+        let Scratch { spectrum, work, padded, .. } = scratch;
+        let spectrum = &mut spectrum[..self.spectra(x.ncols())];
+        self.rows_forward(x, spectrum, work, padded);
+        let spectra = spectrum.chunks_exact_mut(self.columns.len());
+        for (i, spectrum) in spectra.enumerate() {
+            let middle = self.product::<false>(Tile::of_complex(weight), i);
+            self.columns.through::<_, true>(spectrum, middle, work);
+        }
+        self.rows_inverse(spectrum, y, work, padded);
+    }
+
+    /// As [`Single::backward`], for lanes that go together.
+    fn backward_single(&self, pass: SingleBackward<'_, T>, scratch: &mut Scratch<'_, T>) {
+        let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
+        let Scratch { spectrum, other, work, padded } = scratch;
+        let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
+        let other = &mut other[..spectrum.len()];
+        self.rows_forward(grad, spectrum, work, padded);
+        if grad_weight.is_some() {
+            self.rows_forward(x, other, work, padded);
+        }
+        let mut gradient = grad_weight.map(TileMut::of_complex);
+        let (weight, len) = (Tile::of_complex(weight), self.columns.len());
+        let spectra = spectrum.chunks_exact_mut(len).zip(other.chunks_exact_mut(len));
+        for (i, (spectrum, other)) in spectra.enumerate() {
+            let product = self.product::<true>(weight, i);
+            let Some(gradient) = &mut gradient else {
+                self.columns.through::<_, true>(spectrum, product, work);
+                continue;
+            };
+            self.columns.through::<_, false>(other, (), work);
+            let gradient = NaturalGradient {
+                packing: &self.packing,
+                x: Tile::dense(other, self.lanes),
+                gradient: gradient.skip_lanes(2 * i * self.lanes),
+            };
+            if grad_x.is_some() {
+                self.columns.through::<_, true>(spectrum, (gradient, product), work);
+            } else {
+                self.columns.through::<_, false>(spectrum, gradient, work);
+            }
+        }
+        if let Some(grad_x) = grad_x {
+            self.rows_inverse(spectrum, grad_x, work, padded);
+        }
+    }
+
+    /// The product with the weight of vector `number` of some lanes.
+    fn product<'a, const CONJUGATE: bool>(
+        &'a self,
+        weight: Tile<'a, T>,
+        number: usize,
+    ) -> NaturalProduct<'a, T, CONJUGATE> {
+        let weight = weight.skip_lanes(2 * number * self.lanes);
+        NaturalProduct { packing: &self.packing, weight }
+    }
+
+    /// `weight` `(bins, lanes, 2)` with zeros up to whole vectors.
+    fn padded_bins(&self, weight: ArrayView3<'_, T>) -> Array3<T> {
+        let (bins, lanes, _) = weight.dim();
+        let mut whole =
+            Array3::from_elem((bins, lanes.next_multiple_of(self.lanes), 2), T::default());
+        whole.slice_mut(s![.., ..lanes, ..]).assign(&weight);
+        whole
+    }
 }
 
 impl<T: Element> Kernel<T> for Grid<T> {
@@ -292,6 +367,60 @@ impl<T: Element> Kernel<T> for Grid<T> {
             grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
         } else {
             self.packing.unpack(self.isa, grad_sum, grad_weight);
+        }
+    }
+
+    fn single(&self) -> Option<&dyn Single<T>> {
+        Some(self)
+    }
+}
+
+impl<T: Element> Single<T> for Grid<T> {
+    fn forward(
+        &self,
+        x: ArrayView2<'_, T>,
+        weight: ArrayView3<'_, T>,
+        mut y: ArrayViewMut2<'_, T>,
+        team: &mut Team<'_, T>,
+    ) {
+        let mut scratch = self.scratch(team.scratch());
+        for lanes in self.parts(x.ncols()) {
+            let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
+            let (x, weight, y) = (x.slice(part), weight.slice(bins), y.slice_mut(part));
+            if lanes.len().is_multiple_of(self.lanes) {
+                self.forward_single(x, weight, y, &mut scratch);
+            } else {
+                self.forward_single(x, self.padded_bins(weight).view(), y, &mut scratch);
+            }
+        }
+    }
+
+    fn backward(&self, pass: SingleBackward<'_, T>, team: &mut Team<'_, T>) {
+        let SingleBackward { grad, x, weight, mut grad_x, mut grad_weight } = pass;
+        let mut scratch = self.scratch(team.scratch());
+        for lanes in self.parts(x.ncols()) {
+            let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
+            let (grad, x, weight) = (grad.slice(part), x.slice(part), weight.slice(bins));
+            let grad_x = grad_x.as_mut().map(|grad_x| grad_x.slice_mut(part));
+            let mut grad_weight = grad_weight.as_mut().map(|gradient| gradient.slice_mut(bins));
+            if lanes.len().is_multiple_of(self.lanes) {
+                let pass = SingleBackward { grad, x, weight, grad_x, grad_weight };
+                self.backward_single(pass, &mut scratch);
+            } else {
+                let weight = self.padded_bins(weight);
+                let mut whole = grad_weight.is_some().then(|| weight.clone());
+                let pass = SingleBackward {
+                    grad,
+                    x,
+                    weight: weight.view(),
+                    grad_x,
+                    grad_weight: whole.as_mut().map(|whole| whole.view_mut()),
+                };
+                self.backward_single(pass, &mut scratch);
+                if let (Some(grad_weight), Some(whole)) = (&mut grad_weight, whole) {
+                    grad_weight.assign(&whole.slice(s![.., ..lanes.len(), ..]));
+                }
+            }
         }
     }
 }

@@ -1,5 +1,6 @@
 //! What is done with a spectrum between a transform and its inverse.
 
+use super::pack::Packing;
 use crate::simd::{Complex, Element, Tile, TileMut, Vector};
 
 /// A step on complex vectors, in registers; steps are joined as pairs.
@@ -86,6 +87,63 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
         }
         self.sum.scatter(2 * place, 2, re);
         self.sum.scatter(2 * place + 1, 2, im);
+        spectrum
+    }
+}
+
+/// As [`Product`], with a weight in natural order.
+pub(crate) struct NaturalProduct<'a, T, const CONJUGATE: bool> {
+    pub(crate) packing: &'a Packing<T>,
+    /// Of complex numbers.
+    pub(crate) weight: Tile<'a, T>,
+}
+
+impl<T: Element, const CONJUGATE: bool> Middle<T> for NaturalProduct<'_, T, CONJUGATE> {
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const R: usize>(
+        &mut self,
+        _: usize,
+        place: usize,
+        mut spectrum: [Complex<V>; R],
+    ) -> [Complex<V>; R] {
+        for i in 0..R {
+            self.packing.prefetch::<V>(self.weight, place + R + i);
+        }
+        let weight: [_; R] = self.packing.read(self.weight, place);
+        for i in 0..R {
+            spectrum[i] = if CONJUGATE {
+                spectrum[i].times_conj(weight[i])
+            } else {
+                spectrum[i].times(weight[i])
+            };
+        }
+        spectrum
+    }
+}
+
+/// `conj(x) · spectrum` as a gradient in natural order; the spectrum itself is passed on.
+pub(crate) struct NaturalGradient<'a, T> {
+    pub(crate) packing: &'a Packing<T>,
+    /// By position.
+    pub(crate) x: Tile<'a, T>,
+    /// Of complex numbers.
+    pub(crate) gradient: TileMut<'a, T>,
+}
+
+impl<T: Element> Middle<T> for NaturalGradient<'_, T> {
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const R: usize>(
+        &mut self,
+        position: usize,
+        place: usize,
+        spectrum: [Complex<V>; R],
+    ) -> [Complex<V>; R] {
+        let (re, im) = parts::<V, R>(self.x, position);
+        let mut products = spectrum;
+        for i in 0..R {
+            products[i] = spectrum[i].times_conj(Complex::new(re[i], im[i]));
+        }
+        self.packing.write(&mut self.gradient, place, products);
         spectrum
     }
 }

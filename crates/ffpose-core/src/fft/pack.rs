@@ -59,7 +59,76 @@ impl<T: Element> Packing<T> {
 
     /// Numbers in a packed weight of one vector of lanes.
     fn packed_len(&self, lanes: usize) -> usize {
-        2 * lanes * (self.hermitian.len() + self.plain.len())
+        2 * lanes * self.places()
+    }
+
+    fn places(&self) -> usize {
+        self.hermitian.len() + self.plain.len()
+    }
+
+    /// The weight of places `first` and following of one column, from natural order.
+    #[inline(always)]
+    pub(crate) fn read<V: Vector<Element = T>, const R: usize>(
+        &self,
+        weight: Tile<'_, T>,
+        first: usize,
+    ) -> [Complex<V>; R] {
+        let mut all = [Complex::zero(); R];
+        if let Some(first) = first.checked_sub(self.hermitian.len()) {
+            let scale = V::splat(self.weight.plain);
+            let places = &self.plain[first..first + R];
+            let im_scale = if places[0].1 { -scale } else { scale };
+            for i in 0..R {
+                let z = weight.complex::<V>(places[i].0);
+                all[i] = Complex::new(z.re * scale, z.im * im_scale);
+            }
+        } else {
+            let mean = V::splat(self.weight.hermitian);
+            let places = &self.hermitian[first..first + R];
+            for i in 0..R {
+                let (bin, mirror) = places[i];
+                let (z, mirror) = (weight.complex::<V>(bin), weight.complex::<V>(mirror));
+                all[i] = Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * mean);
+            }
+        }
+        all
+    }
+
+    /// Asks for the weight of a place behind those of the first column: bins are far apart and in no order, so that no processor
+    /// guesses them.
+    #[inline(always)]
+    pub(crate) fn prefetch<V: Vector<Element = T>>(&self, weight: Tile<'_, T>, place: usize) {
+        if let Some(&(bin, _)) = self.plain.get(place.wrapping_sub(self.hermitian.len())) {
+            weight.prefetch(bin, 1);
+            weight.skip_lanes(V::LANES).prefetch(bin, 1);
+        }
+    }
+
+    /// The sums of places `first` and following of one column as a gradient in natural order.
+    #[inline(always)]
+    pub(crate) fn write<V: Vector<Element = T>, const R: usize>(
+        &self,
+        gradient: &mut TileMut<'_, T>,
+        first: usize,
+        sums: [Complex<V>; R],
+    ) {
+        if let Some(first) = first.checked_sub(self.hermitian.len()) {
+            let scale = V::splat(self.gradient.plain);
+            let places = &self.plain[first..first + R];
+            let im_scale = if places[0].1 { -scale } else { scale };
+            for i in 0..R {
+                let z = Complex::new(sums[i].re * scale, sums[i].im * im_scale);
+                gradient.set_complex(places[i].0, z);
+            }
+        } else {
+            let scale = V::splat(self.gradient.hermitian);
+            let places = &self.hermitian[first..first + R];
+            for i in 0..R {
+                let ((bin, mirror), z) = (places[i], sums[i].scale(scale));
+                gradient.set_complex(mirror, z.conj());
+                gradient.set_complex(bin, z);
+            }
+        }
     }
 
     /// `weight` `(bins, lanes, 2)`, of whole vectors, to `packed`, one vector of lanes after the other.
@@ -73,7 +142,7 @@ impl<T: Element> Packing<T> {
     }
 }
 
-/// Bins ahead of the work that are brought to the cache: they are far apart and in no order, so that no processor guesses them.
+/// Places ahead of the work that are brought to the cache.
 const AHEAD: usize = 16;
 
 struct Pack<'a, T> {
@@ -86,26 +155,13 @@ struct Pack<'a, T> {
 impl<T: Element> Algorithm<T> for Pack<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Packing { hermitian, plain, weight: scales, .. } = self.packing;
         let len = self.packing.packed_len(V::LANES);
-        let (mean, scale) = (V::splat(scales.hermitian), V::splat(scales.plain));
-        for (place, &(bin, mirror)) in hermitian.iter().enumerate() {
+        for place in 0..self.packing.places() {
             for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
                 let weight = self.weight.skip_lanes(2 * i * V::LANES);
-                let (z, mirror) = (weight.complex::<V>(bin), weight.complex::<V>(mirror));
-                let both = [(z.re + mirror.re) * mean, (z.im - mirror.im) * mean];
-                TileMut::dense(packed, V::LANES).scatter(2 * place, 1, both);
-            }
-        }
-        for (place, &(bin, conjugate)) in plain.iter().enumerate() {
-            let (ahead, _) = plain[(place + AHEAD).min(plain.len() - 1)];
-            let im_scale = if conjugate { -scale } else { scale };
-            for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
-                let weight = self.weight.skip_lanes(2 * i * V::LANES);
-                weight.prefetch(ahead, 1);
-                let z = weight.complex::<V>(bin);
-                let place = 2 * (hermitian.len() + place);
-                TileMut::dense(packed, V::LANES).scatter(place, 1, [z.re * scale, z.im * im_scale]);
+                self.packing.prefetch::<V>(weight, place + AHEAD);
+                let [z] = self.packing.read(weight, place);
+                TileMut::dense(packed, V::LANES).scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
             }
         }
     }
@@ -120,25 +176,12 @@ struct Unpack<'a, T> {
 impl<T: Element> Algorithm<T> for Unpack<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Packing { hermitian, plain, gradient: scales, .. } = self.packing;
         let sums = self.sum.chunks_exact(self.packing.packed_len(V::LANES));
-        let sum = |sum, place: usize, scale: T| {
-            let [re, im] = Tile::dense(sum, V::LANES).gather::<V, 2>(2 * place, 1);
-            Complex::new(re, im).scale(V::splat(scale))
-        };
-        for (place, &(bin, mirror)) in hermitian.iter().enumerate() {
-            for (i, sums) in sums.clone().enumerate() {
-                let z = sum(sums, place, scales.hermitian);
+        for place in 0..self.packing.places() {
+            for (i, sum) in sums.clone().enumerate() {
+                let [re, im] = Tile::dense(sum, V::LANES).gather::<V, 2>(2 * place, 1);
                 let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
-                gradient.set_complex(mirror, z.conj());
-                gradient.set_complex(bin, z);
-            }
-        }
-        for (place, &(bin, conjugate)) in plain.iter().enumerate() {
-            for (i, sums) in sums.clone().enumerate() {
-                let z = sum(sums, hermitian.len() + place, scales.plain);
-                let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
-                gradient.set_complex(bin, if conjugate { z.conj() } else { z });
+                self.packing.write(&mut gradient, place, [Complex::new(re, im)]);
             }
         }
     }

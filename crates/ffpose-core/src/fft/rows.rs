@@ -374,7 +374,9 @@ impl<T: Element> Algorithm<T> for Join<'_, T> {
         line[outputs[0]] = Complex::new(a.re, b.re);
         for k in 1..width.div_ceil(2) {
             let both = [spectrum[k * self.pitch + first], spectrum[k * self.pitch + second]];
-            (line[outputs[k]], line[outputs[width - k]]) = pair::join(both);
+            let (z, mirror) = pair::join(both);
+            line[outputs[k]] = z;
+            line[outputs[width - k]] = mirror;
         }
     }
 }
