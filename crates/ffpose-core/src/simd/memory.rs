@@ -96,7 +96,7 @@ impl<'a, T: Element> Tile<'a, T> {
         assert!(V::LANES <= self.lanes && first + span <= self.points);
         // SAFETY: an array of uninitialised elements needs no initialisation.
         let mut vectors: [MaybeUninit<V>; N] = unsafe { MaybeUninit::uninit().assume_init() };
-        for (vector, offset) in vectors.iter_mut().zip(offsets) {
+        for (vector, &offset) in vectors.iter_mut().zip(&offsets) {
             assert!(offset < span); // constants, as a rule
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
             vector.write(unsafe { V::load(self.start.add((first + offset) * self.stride)) });
@@ -282,7 +282,7 @@ impl<'a, T: Element> TileMut<'a, T> {
         vectors: [V; N],
     ) {
         assert!(V::LANES <= self.lanes && first + (N - 1) * step < self.points);
-        for (i, vector) in vectors.into_iter().enumerate() {
+        for (i, vector) in vectors.iter().enumerate() {
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
             unsafe { vector.store(self.start.add((first + i * step) * self.stride)) };
         }
@@ -298,7 +298,7 @@ impl<'a, T: Element> TileMut<'a, T> {
         vectors: [V; N],
     ) {
         assert!(V::LANES <= self.lanes && first + span <= self.points);
-        for (vector, offset) in vectors.into_iter().zip(offsets) {
+        for (vector, &offset) in vectors.iter().zip(&offsets) {
             assert!(offset < span); // constants, as a rule
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
             unsafe { vector.store(self.start.add((first + offset) * self.stride)) };
@@ -355,7 +355,7 @@ pub(crate) fn scatter<E: Copy, const N: usize>(
     elements: [E; N],
 ) {
     assert!(first + (N - 1) * step < buffer.len());
-    for (i, element) in elements.into_iter().enumerate() {
+    for (i, &element) in elements.iter().enumerate() {
         // SAFETY: at most the index checked above.
         unsafe { *buffer.get_unchecked_mut(first + i * step) = element };
     }
@@ -373,7 +373,7 @@ pub(crate) fn gather_at<E: Copy, const N: usize>(
     assert!(first + (span - 1) * step < buffer.len());
     // SAFETY: an array of uninitialised elements needs no initialisation.
     let mut elements: [MaybeUninit<E>; N] = unsafe { MaybeUninit::uninit().assume_init() };
-    for (element, offset) in elements.iter_mut().zip(offsets) {
+    for (element, &offset) in elements.iter_mut().zip(&offsets) {
         assert!(offset < span); // constants, as a rule
         // SAFETY: at most the index checked above.
         element.write(unsafe { *buffer.get_unchecked(first + offset * step) });
@@ -393,7 +393,7 @@ pub(crate) fn scatter_at<E: Copy, const N: usize>(
     elements: [E; N],
 ) {
     assert!(first + (span - 1) * step < buffer.len());
-    for (element, offset) in elements.into_iter().zip(offsets) {
+    for (&element, &offset) in elements.iter().zip(&offsets) {
         assert!(offset < span); // constants, as a rule
         // SAFETY: at most the index checked above.
         unsafe { *buffer.get_unchecked_mut(first + offset * step) = element };

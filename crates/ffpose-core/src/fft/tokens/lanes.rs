@@ -284,7 +284,9 @@ fn back<V: Vector, const N: usize, const RUN: usize>(
 #[inline(always)]
 fn split_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) {
     for &[a, b] in rows.as_chunks().0 {
-        [block[a * pitch], block[b * pitch]] = split(block[a * pitch], block[b * pitch]);
+        let [first, second] = split(block[a * pitch], block[b * pitch]);
+        block[a * pitch] = first;
+        block[b * pitch] = second;
     }
 }
 
@@ -292,6 +294,8 @@ fn split_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize])
 #[inline(always)]
 fn join_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) {
     for &[a, b] in rows.as_chunks().0 {
-        (block[a * pitch], block[b * pitch]) = join([block[a * pitch], block[b * pitch]]);
+        let (first, second) = join([block[a * pitch], block[b * pitch]]);
+        block[a * pitch] = first;
+        block[b * pitch] = second;
     }
 }
