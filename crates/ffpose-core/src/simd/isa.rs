@@ -1,5 +1,7 @@
 //! The instruction sets: which the machine has, which one is used, and the way into code compiled for it.
 
+use std::hint::black_box;
+use std::mem::MaybeUninit;
 use std::sync::OnceLock;
 
 #[cfg(target_arch = "aarch64")]
@@ -118,6 +120,16 @@ impl Isa {
     }
 }
 
+/// Makes the caller's stack begin at a cache line: vectors that do not fit in registers are kept there, and the compiler
+/// would let most of them lie across two lines.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn align_stack() {
+    #[repr(align(64))]
+    struct Line([MaybeUninit<u8>; 64]);
+    black_box(&Line([MaybeUninit::uninit(); 64]));
+}
+
 /// One entry for each instruction set and algorithm: below it everything is inlined and compiled with its features.
 macro_rules! element {
     ($element:ty, $avx2:ident, $avx512:ident, $neon:ident) => {
@@ -133,11 +145,13 @@ macro_rules! element {
                 #[cfg(target_arch = "x86_64")]
                 #[target_feature(enable = "avx2,fma")]
                 fn avx2<A: Algorithm<$element>>(algorithm: A) {
+                    align_stack();
                     algorithm.run::<x86::$avx2>();
                 }
                 #[cfg(target_arch = "x86_64")]
                 #[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512vl")]
                 fn avx512<A: Algorithm<$element>>(algorithm: A) {
+                    align_stack();
                     algorithm.run::<x86::$avx512>();
                 }
                 match isa.0 {
