@@ -58,6 +58,8 @@ pub(crate) trait Vector:
     type Element: Element;
     /// A power of two, at most [`MAX_LANES`].
     const LANES: usize;
+    /// Lanes of a block, inside which instructions move elements most easily: 128 bits.
+    const BLOCK: usize;
 
     fn splat(x: Self::Element) -> Self;
 
@@ -84,19 +86,30 @@ pub(crate) trait Vector:
     /// The lanes in reverse.
     fn reverse(self) -> Self;
 
+    /// Transposes `BLOCK` vectors inside each block: element `i` of block `q` of vector `j` becomes element `j` of block `q` of
+    /// vector `i`.
+    fn transpose_in_blocks(vectors: &mut [Self]);
+
+    /// Transposes as many vectors as each has blocks: block `q` of vector `j` becomes block `j` of vector `q`.
+    fn transpose_blocks(vectors: &mut [Self]);
+
     /// Transposes a square of `LANES` vectors.
-    ///
-    /// `log2(LANES)` rounds of interleaving vector `i` with vector `i + LANES / 2`.
     #[inline(always)]
     fn transpose(square: &mut [Self]) {
-        let half = Self::LANES / 2;
         let square = &mut square[..Self::LANES];
-        let mut next = [square[0]; MAX_LANES];
-        for _ in 0..Self::LANES.trailing_zeros() {
-            for i in 0..half {
-                (next[2 * i], next[2 * i + 1]) = Self::interleave(square[i], square[i + half]);
+        for rows in square.chunks_exact_mut(Self::BLOCK) {
+            Self::transpose_in_blocks(rows);
+        }
+        let blocks = Self::LANES / Self::BLOCK;
+        for r in 0..Self::BLOCK {
+            let mut column = [square[r]; MAX_LANES];
+            for q in 0..blocks {
+                column[q] = square[q * Self::BLOCK + r];
             }
-            square.copy_from_slice(&next[..Self::LANES]);
+            Self::transpose_blocks(&mut column[..blocks]);
+            for q in 0..blocks {
+                square[q * Self::BLOCK + r] = column[q];
+            }
         }
     }
 }

@@ -30,6 +30,7 @@ macro_rules! vector {
         impl Vector for $name {
             type Element = $element;
             const LANES: usize = size_of::<$raw>() / size_of::<$element>();
+            const BLOCK: usize = Self::LANES;
 
             #[inline(always)]
             fn splat(x: $element) -> Self {
@@ -78,6 +79,23 @@ macro_rules! vector {
                 // SAFETY: every 64-bit ARM has the instructions.
                 Self(unsafe { $reverse(self.0) })
             }
+
+            /// `log2(LANES)` rounds of interleaving vector `i` with vector `i + LANES / 2`.
+            #[inline(always)]
+            fn transpose_in_blocks(vectors: &mut [Self]) {
+                let vectors: &mut [Self; Self::LANES] = vectors.try_into().expect("a square");
+                for _ in 0..Self::LANES.trailing_zeros() {
+                    let from = *vectors;
+                    for i in 0..Self::LANES / 2 {
+                        let (low, high) = Self::interleave(from[i], from[i + Self::LANES / 2]);
+                        vectors[2 * i] = low;
+                        vectors[2 * i + 1] = high;
+                    }
+                }
+            }
+
+            #[inline(always)]
+            fn transpose_blocks(_: &mut [Self]) {}
         }
     };
     (@operator $name:ident, $trait:ident, $method:ident, $intrinsic:ident) => {

@@ -35,6 +35,7 @@ impl<T: Element + Neg<Output = T>> Neg for Scalar<T> {
 impl<T: Element + Neg<Output = T>> Vector for Scalar<T> {
     type Element = T;
     const LANES: usize = 1;
+    const BLOCK: usize = 1;
 
     #[inline(always)]
     fn splat(x: T) -> Self {
@@ -77,4 +78,10 @@ impl<T: Element + Neg<Output = T>> Vector for Scalar<T> {
     fn reverse(self) -> Self {
         self
     }
+
+    #[inline(always)]
+    fn transpose_in_blocks(_: &mut [Self]) {}
+
+    #[inline(always)]
+    fn transpose_blocks(_: &mut [Self]) {}
 }

@@ -11,7 +11,8 @@ use super::Vector;
 /// The operations are safe although the intrinsics need their instruction set: see the module's documentation.
 macro_rules! vector {
     ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident
-     $mul_add:ident $neg_mul_add:ident $xor:ident $interleave:ident $deinterleave:ident $reverse:ident $($transpose:ident)?) => {
+     $mul_add:ident $neg_mul_add:ident $xor:ident $interleave:ident $deinterleave:ident $reverse:ident
+     $transpose_in_blocks:ident $transpose_blocks:ident) => {
         #[derive(Clone, Copy)]
         #[repr(transparent)]
         pub(crate) struct $name($raw);
@@ -32,6 +33,7 @@ macro_rules! vector {
         impl Vector for $name {
             type Element = $element;
             const LANES: usize = size_of::<$raw>() / size_of::<$element>();
+            const BLOCK: usize = 16 / size_of::<$element>();
 
             #[inline(always)]
             fn splat(x: $element) -> Self {
@@ -83,11 +85,20 @@ macro_rules! vector {
                 Self(unsafe { $reverse(self.0) })
             }
 
-            $(#[inline(always)]
-            fn transpose(square: &mut [Self]) {
+            #[inline(always)]
+            fn transpose_in_blocks(vectors: &mut [Self]) {
+                let vectors: &mut [Self; Self::BLOCK] = vectors.try_into().expect("a block of each");
                 // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                unsafe { $transpose(square) }
-            })?
+                *vectors = unsafe { $transpose_in_blocks(vectors.map(|vector| vector.0)) }.map(Self);
+            }
+
+            #[inline(always)]
+            fn transpose_blocks(vectors: &mut [Self]) {
+                let vectors: &mut [Self; Self::LANES / Self::BLOCK] =
+                    vectors.try_into().expect("as many as blocks");
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                *vectors = unsafe { $transpose_blocks(vectors.map(|vector| vector.0)) }.map(Self);
+            }
         }
     };
     (@operator $name:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
@@ -104,14 +115,16 @@ macro_rules! vector {
 
 vector!(F32x8(__m256), f32; _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
     _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8
-    reverse_f32x8 transpose_f32x8);
+    reverse_f32x8 transpose_in_blocks_f32x8 transpose_blocks_f32x8);
 vector!(F64x4(__m256d), f64; _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_add_pd _mm256_sub_pd _mm256_mul_pd
     _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4
-    reverse_f64x4 transpose_f64x4);
+    reverse_f64x4 transpose_in_blocks_f64x4 transpose_blocks_f64x4);
 vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
-    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 reverse_f32x16);
+    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 reverse_f32x16
+    transpose_in_blocks_f32x16 transpose_blocks_f32x16);
 vector!(F64x8(__m512d), f64; _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_add_pd _mm512_sub_pd _mm512_mul_pd
-    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 reverse_f64x8);
+    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 reverse_f64x8
+    transpose_in_blocks_f64x8 transpose_blocks_f64x8);
 
 #[inline]
 #[target_feature(enable = "avx2")]
@@ -199,38 +212,78 @@ fn reverse_f64x8(a: __m512d) -> __m512d {
     _mm512_permutexvar_pd(_mm512_setr_epi64(7, 6, 5, 4, 3, 2, 1, 0), a)
 }
 
-/// 4 by 4 inside the halves, then the halves: 24 instructions where interleaving needs 48.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn transpose_f32x8(square: &mut [F32x8]) {
-    let square: &mut [F32x8; 8] = square.try_into().expect("eight vectors");
-    for four in square.as_chunks_mut::<4>().0 {
-        let [F32x8(a), F32x8(b), F32x8(c), F32x8(d)] = *four;
-        let (p, q) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
-        let (r, s) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
-        *four = [
-            F32x8(_mm256_shuffle_ps::<0x44>(p, r)),
-            F32x8(_mm256_shuffle_ps::<0xee>(p, r)),
-            F32x8(_mm256_shuffle_ps::<0x44>(q, s)),
-            F32x8(_mm256_shuffle_ps::<0xee>(q, s)),
-        ];
-    }
-    for i in 0..4 {
-        let (a, b) = (square[i].0, square[i + 4].0);
-        square[i].0 = _mm256_permute2f128_ps::<0x20>(a, b);
-        square[i + 4].0 = _mm256_permute2f128_ps::<0x31>(a, b);
-    }
+fn transpose_in_blocks_f32x8([a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
+    let (p, q) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
+    let (r, s) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
+    [
+        _mm256_shuffle_ps::<0x44>(p, r),
+        _mm256_shuffle_ps::<0xee>(p, r),
+        _mm256_shuffle_ps::<0x44>(q, s),
+        _mm256_shuffle_ps::<0xee>(q, s),
+    ]
 }
 
-/// 2 by 2 inside the halves, then the halves.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn transpose_f64x4(square: &mut [F64x4]) {
-    let [a, b, c, d]: [F64x4; 4] = (&*square).try_into().expect("four vectors");
-    let (p, q) = (_mm256_unpacklo_pd(a.0, b.0), _mm256_unpackhi_pd(a.0, b.0));
-    let (r, s) = (_mm256_unpacklo_pd(c.0, d.0), _mm256_unpackhi_pd(c.0, d.0));
-    square[0].0 = _mm256_permute2f128_pd::<0x20>(p, r);
-    square[1].0 = _mm256_permute2f128_pd::<0x20>(q, s);
-    square[2].0 = _mm256_permute2f128_pd::<0x31>(p, r);
-    square[3].0 = _mm256_permute2f128_pd::<0x31>(q, s);
+fn transpose_blocks_f32x8([a, b]: [__m256; 2]) -> [__m256; 2] {
+    [_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b)]
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn transpose_in_blocks_f64x4([a, b]: [__m256d; 2]) -> [__m256d; 2] {
+    [_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b)]
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn transpose_blocks_f64x4([a, b]: [__m256d; 2]) -> [__m256d; 2] {
+    [_mm256_permute2f128_pd::<0x20>(a, b), _mm256_permute2f128_pd::<0x31>(a, b)]
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn transpose_in_blocks_f32x16([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
+    let (p, q) = (_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+    let (r, s) = (_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
+    [
+        _mm512_shuffle_ps::<0x44>(p, r),
+        _mm512_shuffle_ps::<0xee>(p, r),
+        _mm512_shuffle_ps::<0x44>(q, s),
+        _mm512_shuffle_ps::<0xee>(q, s),
+    ]
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn transpose_blocks_f32x16([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
+    let (p, q) = (_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0xee>(a, b));
+    let (r, s) = (_mm512_shuffle_f32x4::<0x44>(c, d), _mm512_shuffle_f32x4::<0xee>(c, d));
+    [
+        _mm512_shuffle_f32x4::<0x88>(p, r),
+        _mm512_shuffle_f32x4::<0xdd>(p, r),
+        _mm512_shuffle_f32x4::<0x88>(q, s),
+        _mm512_shuffle_f32x4::<0xdd>(q, s),
+    ]
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn transpose_in_blocks_f64x8([a, b]: [__m512d; 2]) -> [__m512d; 2] {
+    [_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b)]
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn transpose_blocks_f64x8([a, b, c, d]: [__m512d; 4]) -> [__m512d; 4] {
+    let (p, q) = (_mm512_shuffle_f64x2::<0x44>(a, b), _mm512_shuffle_f64x2::<0xee>(a, b));
+    let (r, s) = (_mm512_shuffle_f64x2::<0x44>(c, d), _mm512_shuffle_f64x2::<0xee>(c, d));
+    [
+        _mm512_shuffle_f64x2::<0x88>(p, r),
+        _mm512_shuffle_f64x2::<0xdd>(p, r),
+        _mm512_shuffle_f64x2::<0x88>(q, s),
+        _mm512_shuffle_f64x2::<0xdd>(q, s),
+    ]
 }

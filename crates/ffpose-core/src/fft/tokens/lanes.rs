@@ -4,14 +4,21 @@
 //! lanes are items; each is turned by `exp(-2πi k y / Y)`, where `k` is its frequency along the line and `y` the lane that it
 //! came from, and transformed over `y`. Vector `j` of a group is then frequency `k + M j` along Y. The same back.
 //!
+//! A group fills all registers, so that it is never moved as a whole: lane `y = J q + r` is element `r` of block `q` of a vector,
+//! and `j = p + Q c`. Transposing inside blocks takes `J` items at a time, transposing blocks and the DFT over `q` takes `Q`
+//! vectors of one `r`, and the DFT over `r`, the product and the way back take `J` vectors of one `p`.
+//!
 //! Rows come in pairs of `u` and `-u`, since slot 0 is two real lines as one complex line: they part to slot 0 of the two rows.
 
 use std::hint::black_box;
 
 use super::columns::Block;
-use crate::fft::butterfly::{Codelet, Dft};
+use crate::fft::butterfly::{Codelet, Dft, turn};
 use crate::fft::pair::{join, split};
-use crate::simd::{Algorithm, Complex, Element, Tile, Vector, complex_vectors, gather, scatter};
+use crate::fft::unroll::unroll;
+use crate::simd::{
+    Algorithm, Complex, Element, MAX_LANES, Tile, Vector, complex_vectors, gather, scatter,
+};
 
 /// The rows of a block in the order of their groups.
 #[derive(Clone, Copy)]
@@ -43,14 +50,22 @@ pub(super) trait Middle<T: Element> {
     /// Makes the slots 0 of `rows` ready.
     fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
 
-    /// `RUN` divides the lanes and the slots of a row.
-    fn apply<V: Vector<Element = T>, const N: usize, const RUN: usize>(
+    /// Makes a group ready. `RUN` divides the lanes and the slots of a row.
+    fn enter<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
         &mut self,
         group: Group<'_, T>,
-        z: [Complex<V>; N],
-    ) -> [Complex<V>; N]
+    ) where
+        Codelet: Dft<Q> + Dft<J>;
+
+    /// The new values of vectors `p`, `p + Q`, ... of a group.
+    fn apply<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+        &mut self,
+        group: Group<'_, T>,
+        p: usize,
+        z: [Complex<V>; J],
+    ) -> [Complex<V>; J]
     where
-        Codelet: Dft<N>;
+        Codelet: Dft<J>;
 }
 
 /// The product with a packed weight, or with its conjugate.
@@ -63,17 +78,27 @@ impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> 
     fn begin<V: Vector<Element = T>>(&mut self, _: &[usize]) {}
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const N: usize, const RUN: usize>(
+    fn enter<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+        &mut self,
+        _: Group<'_, T>,
+    ) where
+        Codelet: Dft<Q> + Dft<J>,
+    {
+    }
+
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
         &mut self,
         group: Group<'_, T>,
-        mut z: [Complex<V>; N],
-    ) -> [Complex<V>; N]
+        p: usize,
+        mut z: [Complex<V>; J],
+    ) -> [Complex<V>; J]
     where
-        Codelet: Dft<N>,
+        Codelet: Dft<J>,
     {
-        let weight = vectors::<V, N>(self.0, group.place);
-        for j in 0..N {
-            z[j] = if CONJUGATE { z[j].times_conj(weight[j]) } else { z[j].times(weight[j]) };
+        let weight: [_; J] = vectors(self.0, group.place * V::LANES + p, Q);
+        for c in 0..J {
+            z[c] = if CONJUGATE { z[c].times_conj(weight[c]) } else { z[c].times(weight[c]) };
         }
         z
     }
@@ -94,22 +119,40 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
     }
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const N: usize, const RUN: usize>(
+    fn enter<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
         &mut self,
         group: Group<'_, T>,
-        z: [Complex<V>; N],
-    ) -> [Complex<V>; N]
+    ) where
+        Codelet: Dft<Q> + Dft<J>,
+    {
+        let (block, pitch) = (complex_vectors::<V>(self.x.vectors), self.x.pitch);
+        let rows = group.to_rows::<V, Q, J, RUN>(block, pitch);
+        unroll!(p in 0..Q {
+            group.set_items::<V, J, RUN>(block, pitch, p, rows[p]);
+        });
+    }
+
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+        &mut self,
+        group: Group<'_, T>,
+        p: usize,
+        z: [Complex<V>; J],
+    ) -> [Complex<V>; J]
     where
-        Codelet: Dft<N>,
+        Codelet: Dft<J>,
     {
         let block = complex_vectors::<V>(self.x.vectors);
-        let x = spectrum::<V, N, RUN>(block, self.x.pitch, group);
-        let sum = &mut complex_vectors::<V>(self.sum)[group.place * N..][..N];
-        for j in 0..N {
-            let Complex { re, im } = sum[j];
-            sum[j].re = x[j].im.mul_add(z[j].im, x[j].re.mul_add(z[j].re, re));
-            sum[j].im = x[j].im.neg_mul_add(z[j].re, x[j].re.mul_add(z[j].im, im));
+        let x = Codelet::dft(group.items::<V, J, RUN>(block, self.x.pitch, p));
+        let sums = complex_vectors::<V>(self.sum);
+        let first = group.place * V::LANES + p;
+        let mut sum: [_; J] = gather(sums, first, Q);
+        for c in 0..J {
+            let Complex { re, im } = sum[c];
+            sum[c].re = x[c].im.mul_add(z[c].im, x[c].re.mul_add(z[c].re, re));
+            sum[c].im = x[c].im.neg_mul_add(z[c].re, x[c].re.mul_add(z[c].im, im));
         }
+        scatter(sums, first, Q, sum);
         z
     }
 }
@@ -125,16 +168,28 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     }
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const N: usize, const RUN: usize>(
+    fn enter<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
         &mut self,
         group: Group<'_, T>,
-        z: [Complex<V>; N],
-    ) -> [Complex<V>; N]
-    where
-        Codelet: Dft<N>,
+    ) where
+        Codelet: Dft<Q> + Dft<J>,
     {
-        let z = self.0.apply::<V, N, RUN>(group, z);
-        self.1.apply::<V, N, RUN>(group, z)
+        self.0.enter::<V, Q, J, RUN>(group);
+        self.1.enter::<V, Q, J, RUN>(group);
+    }
+
+    #[inline(always)]
+    fn apply<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+        &mut self,
+        group: Group<'_, T>,
+        p: usize,
+        z: [Complex<V>; J],
+    ) -> [Complex<V>; J]
+    where
+        Codelet: Dft<J>,
+    {
+        let z = self.0.apply::<V, Q, J, RUN>(group, p, z);
+        self.1.apply::<V, Q, J, RUN>(group, p, z)
     }
 }
 
@@ -148,37 +203,46 @@ pub(super) struct Filter<'a, T, M, const RUN: usize> {
 impl<T: Element, M: Middle<T>, const RUN: usize> Algorithm<T> for Filter<'_, T, M, RUN> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        match V::LANES {
-            2 => self.run_lanes::<V, 2>(),
-            4 => self.run_lanes::<V, 4>(),
-            8 => self.run_lanes::<V, 8>(),
-            16 => self.run_lanes::<V, 16>(),
-            lanes => unreachable!("no transform across {lanes} lanes"),
+        match (V::LANES / V::BLOCK, V::BLOCK) {
+            (1, 2) => self.run_lanes::<V, 1, 2>(),
+            (2, 2) => self.run_lanes::<V, 2, 2>(),
+            (4, 2) => self.run_lanes::<V, 4, 2>(),
+            (1, 4) => self.run_lanes::<V, 1, 4>(),
+            (2, 4) => self.run_lanes::<V, 2, 4>(),
+            (4, 4) => self.run_lanes::<V, 4, 4>(),
+            _ => unreachable!("no transform across {} lanes", V::LANES),
         }
     }
 }
 
 impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
     #[inline(always)]
-    fn run_lanes<V: Vector<Element = T>, const N: usize>(mut self)
+    fn run_lanes<V: Vector<Element = T>, const Q: usize, const J: usize>(mut self)
     where
-        Codelet: Dft<N>,
+        Codelet: Dft<Q> + Dft<J>,
     {
-        assert!(RUN <= N, "a run is part of a group");
+        assert!(RUN <= Q * J, "a run is part of a group");
         let Turns { rows, rows_each, slots, twiddles } = self.turns;
         let Block { vectors, pitch } = self.block;
         let block = complex_vectors::<V>(vectors);
-        let groups = rows_each * slots / N;
+        let groups = rows_each * slots / V::LANES;
         for (turn, rows) in rows.chunks_exact(rows_each).enumerate() {
             split_rows(block, pitch, rows);
             self.middle.begin::<V>(rows);
             for number in 0..groups {
                 let place = turn * groups + number;
                 let group = Group { place, rows, slots, twiddles, number };
-                let z = spectrum::<V, N, RUN>(block, pitch, group);
-                let z = self.middle.apply::<V, N, RUN>(group, z);
+                self.middle.enter::<V, Q, J, RUN>(group);
+                let mut square = group.to_rows::<V, Q, J, RUN>(block, pitch);
+                unroll!(p in 0..Q {
+                    let z = <Codelet as Dft<J>>::dft(square[p]);
+                    let z = self.middle.apply::<V, Q, J, RUN>(group, p, z);
+                    if M::INVERSE {
+                        square[p] = <Codelet as Dft<J>>::idft(z);
+                    }
+                });
                 if M::INVERSE {
-                    back::<V, N, RUN>(block, pitch, group, z);
+                    group.from_rows::<V, Q, J, RUN>(square, block, pitch);
                 }
             }
             if M::INVERSE {
@@ -188,12 +252,15 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
     }
 }
 
-/// Complex vectors number `place * N` and following of a table.
+/// Complex vectors `first`, `first + step`, ... of a table.
 #[inline(always)]
-fn vectors<V: Vector, const N: usize>(table: &[V::Element], place: usize) -> [Complex<V>; N] {
+fn vectors<V: Vector, const N: usize>(
+    table: &[V::Element],
+    first: usize,
+    step: usize,
+) -> [Complex<V>; N] {
     let tile = Tile::dense(table, V::LANES);
-    let (re, im) =
-        (tile.gather::<V, N>(2 * place * N, 2), tile.gather::<V, N>(2 * place * N + 1, 2));
+    let (re, im) = (tile.gather(2 * first, 2 * step), tile.gather(2 * first + 1, 2 * step));
     complex(re, im)
 }
 
@@ -215,69 +282,150 @@ fn parts<V: Vector, const N: usize>(z: [Complex<V>; N]) -> ([V; N], [V; N]) {
     (re, im)
 }
 
-impl<T> Group<'_, T> {
-    /// Where items `run * RUN` and following are in the block.
+impl<T: Element> Group<'_, T> {
+    /// Where an item is in the block.
     #[inline(always)]
-    fn position<const N: usize, const RUN: usize>(&self, run: usize, pitch: usize) -> usize {
-        let item = self.number * N + run * RUN;
-        self.rows[item / self.slots] * pitch + item % self.slots
+    fn position<V: Vector, const RUN: usize>(&self, item: usize, pitch: usize) -> usize {
+        let run = self.number * V::LANES + item / RUN * RUN;
+        self.rows[run / self.slots] * pitch + run % self.slots + item % RUN
+    }
+
+    /// Items `J i` and following.
+    #[inline(always)]
+    fn items<V: Vector, const J: usize, const RUN: usize>(
+        &self,
+        block: &[Complex<V>],
+        pitch: usize,
+        i: usize,
+    ) -> [Complex<V>; J] {
+        if RUN >= J {
+            return gather(block, self.position::<V, RUN>(i * J, pitch), 1);
+        }
+        let mut items = [Complex::zero(); J];
+        for item in (0..J).step_by(RUN) {
+            let run: [_; RUN] = gather(block, self.position::<V, RUN>(i * J + item, pitch), 1);
+            for n in 0..RUN {
+                items[item + n] = run[n];
+            }
+        }
+        items
+    }
+
+    /// Writes what [`items`](Self::items) reads.
+    #[inline(always)]
+    fn set_items<V: Vector, const J: usize, const RUN: usize>(
+        &self,
+        block: &mut [Complex<V>],
+        pitch: usize,
+        i: usize,
+        items: [Complex<V>; J],
+    ) {
+        if RUN >= J {
+            scatter(block, self.position::<V, RUN>(i * J, pitch), 1, items);
+            return;
+        }
+        for item in (0..J).step_by(RUN) {
+            let mut run = [items[item]; RUN];
+            for n in 0..RUN {
+                run[n] = items[item + n];
+            }
+            scatter(block, self.position::<V, RUN>(i * J + item, pitch), 1, run);
+        }
+    }
+
+    /// All but the last transform of a group: a DFT of `[p]` is vectors `p`, `p + Q`, ... of its spectrum.
+    #[inline(always)]
+    fn to_rows<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+        &self,
+        block: &[Complex<V>],
+        pitch: usize,
+    ) -> [[Complex<V>; J]; Q]
+    where
+        Codelet: Dft<Q>,
+    {
+        let mut square = [[Complex::zero(); J]; Q];
+        unroll!(i in 0..Q {
+            let (mut re, mut im) = parts(self.items::<V, J, RUN>(block, pitch, i));
+            V::transpose_in_blocks(&mut re);
+            V::transpose_in_blocks(&mut im);
+            square[i] = complex(re, im);
+        });
+        unroll!(r in 0..J {
+            let (mut re, mut im) = parts(column(&square, r));
+            V::transpose_blocks(&mut re);
+            V::transpose_blocks(&mut im);
+            let mut z: [_; Q] = complex(re, im);
+            let twiddles: [_; Q] = vectors(self.twiddles, self.number * V::LANES + r, J);
+            for q in 0..Q {
+                if q + r > 0 {
+                    z[q] = z[q].times(twiddles[q]);
+                }
+            }
+            let z = <Codelet as Dft<Q>>::dft(z);
+            for p in 0..Q {
+                square[p][r] = lane_turn::<V>(z[p], p * r);
+            }
+        });
+        square
+    }
+
+    /// Undoes [`to_rows`](Self::to_rows) up to a factor.
+    #[inline(always)]
+    fn from_rows<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+        &self,
+        mut square: [[Complex<V>; J]; Q],
+        block: &mut [Complex<V>],
+        pitch: usize,
+    ) where
+        Codelet: Dft<Q>,
+    {
+        // loaded again: the compiler would keep them on the stack
+        let number = black_box(self.number);
+        unroll!(r in 0..J {
+            let mut z: [_; Q] = column(&square, r);
+            for p in 0..Q {
+                z[p] = lane_turn::<V>(z[p].swap(), p * r).swap();
+            }
+            let mut z = <Codelet as Dft<Q>>::idft(z);
+            let twiddles: [_; Q] = vectors(self.twiddles, number * V::LANES + r, J);
+            for q in 0..Q {
+                if q + r > 0 {
+                    z[q] = z[q].times_conj(twiddles[q]);
+                }
+            }
+            let (mut re, mut im) = parts(z);
+            V::transpose_blocks(&mut re);
+            V::transpose_blocks(&mut im);
+            for q in 0..Q {
+                square[q][r] = Complex::new(re[q], im[q]);
+            }
+        });
+        unroll!(i in 0..Q {
+            let (mut re, mut im) = parts(square[i]);
+            V::transpose_in_blocks(&mut re);
+            V::transpose_in_blocks(&mut im);
+            self.set_items::<V, J, RUN>(block, pitch, i, complex(re, im));
+        });
     }
 }
 
-/// The spectrum of a group.
+/// Element `r` of each row.
 #[inline(always)]
-fn spectrum<V: Vector, const N: usize, const RUN: usize>(
-    block: &[Complex<V>],
-    pitch: usize,
-    group: Group<'_, V::Element>,
-) -> [Complex<V>; N]
-where
-    Codelet: Dft<N>,
-{
-    let mut z = [Complex::zero(); N];
-    for run in 0..N / RUN {
-        let items = gather::<_, RUN>(block, group.position::<N, RUN>(run, pitch), 1);
-        for i in 0..RUN {
-            z[run * RUN + i] = items[i];
-        }
+fn column<V: Vector, const Q: usize, const J: usize>(
+    square: &[[Complex<V>; J]; Q],
+    r: usize,
+) -> [Complex<V>; Q] {
+    let mut column = [square[0][r]; Q];
+    for q in 0..Q {
+        column[q] = square[q][r];
     }
-    let (mut re, mut im) = parts(z);
-    V::transpose(&mut re);
-    V::transpose(&mut im);
-    let (mut z, twiddles) = (complex(re, im), vectors::<V, N>(group.twiddles, group.number));
-    for y in 1..N {
-        z[y] = z[y].times(twiddles[y]);
-    }
-    Codelet::dft(z)
+    column
 }
 
-/// Undoes [`spectrum`] up to a factor.
+/// `z exp(-2πi k / L)` for `L` lanes.
 #[inline(always)]
-fn back<V: Vector, const N: usize, const RUN: usize>(
-    block: &mut [Complex<V>],
-    pitch: usize,
-    group: Group<'_, V::Element>,
-    z: [Complex<V>; N],
-) where
-    Codelet: Dft<N>,
-{
-    // loaded again: the compiler would keep them on the stack
-    let twiddles = vectors::<V, N>(group.twiddles, black_box(group.number));
-    let mut z = Codelet::idft(z);
-    for y in 1..N {
-        z[y] = z[y].times_conj(twiddles[y]);
-    }
-    let (mut re, mut im) = parts(z);
-    V::transpose(&mut re);
-    V::transpose(&mut im);
-    let z = complex(re, im);
-    for run in 0..N / RUN {
-        let mut items = [z[0]; RUN];
-        for i in 0..RUN {
-            items[i] = z[run * RUN + i];
-        }
-        scatter(block, group.position::<N, RUN>(run, pitch), 1, items);
-    }
+fn lane_turn<V: Vector>(z: Complex<V>, k: usize) -> Complex<V> {
+    turn::<V, MAX_LANES>(z, MAX_LANES / V::LANES * k)
 }
 
 /// Slot 0 of each pair of rows to the doubled spectra of its two real lines.
