@@ -127,7 +127,7 @@ impl Isa {
 fn align_stack() {
     #[repr(align(64))]
     struct Line([MaybeUninit<u8>; 64]);
-    black_box(&Line([MaybeUninit::uninit(); 64]));
+    black_box(&Line([MaybeUninit::uninit(); 64]).0);
 }
 
 /// One entry for each instruction set and algorithm: below it everything is inlined and compiled with its features.

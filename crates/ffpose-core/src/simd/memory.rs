@@ -133,6 +133,19 @@ impl<'a, T: Element> Tile<'a, T> {
         }
     }
 
+    /// Asks for all cache lines of the points, which are without gaps.
+    #[inline(always)]
+    pub(crate) fn prefetch_all(&self) {
+        prefetch_lines(self.start, self.points * self.lanes);
+    }
+
+    /// As [`prefetch_all`](Self::prefetch_all), for as much memory behind the points.
+    #[inline(always)]
+    pub(crate) fn prefetch_behind(&self) {
+        let len = self.points * self.lanes;
+        prefetch_lines(self.start.wrapping_add(len), len);
+    }
+
     /// This tile without its first lanes.
     #[inline(always)]
     pub(crate) fn skip_lanes(self, lane: usize) -> Self {
@@ -249,18 +262,6 @@ impl<'a, T: Element> TileMut<'a, T> {
         TileMut { start, points: self.lanes / lanes, lanes, stride: lanes, view: PhantomData }
     }
 
-    /// Asks for `count` elements from lane `lane` of `points` points, to be written soon: stores that miss the first cache
-    /// wait for each other, and prefetches do not.
-    #[inline(always)]
-    pub(crate) fn prefetch(&self, points: usize, lane: usize, count: usize) {
-        for point in 0..points {
-            for line in 0..(count * size_of::<T>()).div_ceil(ALIGNMENT) {
-                let element = point * self.stride + lane + line * (ALIGNMENT / size_of::<T>());
-                prefetch(self.start.wrapping_add(element));
-            }
-        }
-    }
-
     /// The same points, to read.
     #[inline(always)]
     pub(crate) fn reader(&self) -> Tile<'_, T> {
@@ -316,6 +317,14 @@ impl<'a, T: Element> TileMut<'a, T> {
             low.store(start);
             high.store(start.add(V::LANES));
         }
+    }
+}
+
+/// Asks for the cache lines of `len` elements from `start` on, whatever is there.
+#[inline(always)]
+pub(crate) fn prefetch_lines<T>(start: *const T, len: usize) {
+    for line in 0..(len * size_of::<T>()).div_ceil(ALIGNMENT) {
+        prefetch(start.wrapping_add(line * (ALIGNMENT / size_of::<T>())));
     }
 }
 

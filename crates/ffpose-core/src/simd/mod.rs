@@ -24,7 +24,8 @@ use std::ops::{Add, Mul, Neg, Sub};
 pub(crate) use complex::Complex;
 pub use isa::Isa;
 pub(crate) use memory::{
-    Table, Tile, TileMut, aligned, complex_vectors, gather, gather_at, scatter, scatter_at, slack,
+    Table, Tile, TileMut, aligned, complex_vectors, gather, gather_at, prefetch_lines, scatter,
+    scatter_at, slack,
 };
 
 /// The most lanes that a [`Vector`] of this crate has.

@@ -20,7 +20,7 @@ pub(super) struct Block<'a, T> {
 /// Runs `$run` with the constants `$p` and `$q` of the codelet of length `$length`; the lengths are [`LENGTHS`].
 macro_rules! with_codelet {
     ($length:expr, ($p:ident, $q:ident) => $run:expr) => {
-        with_codelet!(@ $length, $p, $q, $run, 7 1 7, 8 1 8, 14 2 7, 16 1 16, 28 4 7)
+        with_codelet!(@ $length, $p, $q, $run, 7 1 7, 8 1 8, 14 7 2, 16 1 16, 28 7 4)
     };
     (@ $length:expr, $p:ident, $q:ident, $run:expr, $($length_of:literal $p_of:literal $q_of:literal),*) => {
         match $length {
@@ -158,7 +158,6 @@ where
         let twiddles = self.twiddles;
         assert!(INVERSE || twiddles.len() == P * Q);
         for slot in 0..self.image.reader().lanes() / (2 * V::LANES) {
-            self.image.prefetch(P * Q, 2 * (slot + 1) * V::LANES, 2 * V::LANES);
             let mut across = [[Complex::zero(); Q]; P];
             unroll!(q in 0..Q {
                 let inputs = Column::<P, Q>::INPUTS[q];

@@ -69,6 +69,7 @@ pub(super) trait Middle<T: Element> {
 }
 
 /// The product with a packed weight, or with its conjugate.
+#[derive(Clone, Copy)]
 pub(super) struct Product<'a, T, const CONJUGATE: bool>(pub(super) &'a [T]);
 
 impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> {
@@ -126,7 +127,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
         Codelet: Dft<Q> + Dft<J>,
     {
         let (block, pitch) = (complex_vectors::<V>(self.x.vectors), self.x.pitch);
-        let rows = group.to_rows::<V, Q, J, RUN>(block, pitch);
+        let rows = group.rows_of::<V, Q, J, RUN>(block, pitch);
         unroll!(p in 0..Q {
             group.set_items::<V, J, RUN>(block, pitch, p, rows[p]);
         });
@@ -233,7 +234,7 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
                 let place = turn * groups + number;
                 let group = Group { place, rows, slots, twiddles, number };
                 self.middle.enter::<V, Q, J, RUN>(group);
-                let mut square = group.to_rows::<V, Q, J, RUN>(block, pitch);
+                let mut square = group.rows_of::<V, Q, J, RUN>(block, pitch);
                 unroll!(p in 0..Q {
                     let z = <Codelet as Dft<J>>::dft(square[p]);
                     let z = self.middle.apply::<V, Q, J, RUN>(group, p, z);
@@ -242,7 +243,7 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
                     }
                 });
                 if M::INVERSE {
-                    group.from_rows::<V, Q, J, RUN>(square, block, pitch);
+                    group.put_rows::<V, Q, J, RUN>(square, block, pitch);
                 }
             }
             if M::INVERSE {
@@ -304,9 +305,7 @@ impl<T: Element> Group<'_, T> {
         let mut items = [Complex::zero(); J];
         for item in (0..J).step_by(RUN) {
             let run: [_; RUN] = gather(block, self.position::<V, RUN>(i * J + item, pitch), 1);
-            for n in 0..RUN {
-                items[item + n] = run[n];
-            }
+            items[item..item + RUN].copy_from_slice(&run);
         }
         items
     }
@@ -326,16 +325,14 @@ impl<T: Element> Group<'_, T> {
         }
         for item in (0..J).step_by(RUN) {
             let mut run = [items[item]; RUN];
-            for n in 0..RUN {
-                run[n] = items[item + n];
-            }
+            run.copy_from_slice(&items[item..item + RUN]);
             scatter(block, self.position::<V, RUN>(i * J + item, pitch), 1, run);
         }
     }
 
     /// All but the last transform of a group: a DFT of `[p]` is vectors `p`, `p + Q`, ... of its spectrum.
     #[inline(always)]
-    fn to_rows<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+    fn rows_of<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
         &self,
         block: &[Complex<V>],
         pitch: usize,
@@ -369,9 +366,9 @@ impl<T: Element> Group<'_, T> {
         square
     }
 
-    /// Undoes [`to_rows`](Self::to_rows) up to a factor.
+    /// Undoes [`rows_of`](Self::rows_of) up to a factor.
     #[inline(always)]
-    fn from_rows<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+    fn put_rows<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
         &self,
         mut square: [[Complex<V>; J]; Q],
         block: &mut [Complex<V>],

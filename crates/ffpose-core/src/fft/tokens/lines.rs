@@ -40,15 +40,17 @@ macro_rules! with_codelet {
     };
 }
 
-/// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors.
+/// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors. `target` is where the rows go after
+/// that.
 pub(super) fn forward<T: Element>(
     isa: Isa,
     image: Tile<'_, T>,
+    target: Tile<'_, T>,
     block: Block<'_, T>,
     work: &mut [T],
 ) {
     with_codelet!(image.lanes() / isa.lanes::<T>(), (P, Q, ROWS) => {
-        isa.run(Forward::<T, P, Q, ROWS> { image, block, work });
+        isa.run(Forward::<T, P, Q, ROWS> { image, target, block, work });
     });
 }
 
@@ -136,6 +138,7 @@ const fn real_frequency(n: usize, slot: usize) -> usize {
 
 struct Forward<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
     image: Tile<'a, T>,
+    target: Tile<'a, T>,
     block: Block<'a, T>,
     work: &'a mut [T],
 }
@@ -152,6 +155,8 @@ where
         let work = &mut complex_vectors::<V>(self.work)[..ROWS * Q];
         for row in 0..self.image.points() {
             let line = self.image.point(row, V::LANES);
+            line.prefetch_behind(); // the same row of the next image
+            self.target.point(row, V::LANES).prefetch_all();
             let slots = &mut block[row * pitch..][..ROWS * Q];
             unroll!(q in 0..Q {
                 let points = Line::<P, Q, ROWS>::POINTS[q];
@@ -233,6 +238,7 @@ where
                 scatter(work, row * Q, 1, z);
             });
             let mut line = self.image.point(row, V::LANES);
+            line.reader().prefetch_behind(); // the same row of the next image
             unroll!(q in 0..Q {
                 let across = <Codelet as RealDft<P, ROWS>>::real_idft(gather(work, q, Q));
                 let points = Line::<P, Q, ROWS>::POINTS[q];

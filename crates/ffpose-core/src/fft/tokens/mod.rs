@@ -33,14 +33,15 @@ mod order;
 mod pack;
 mod passes;
 
-use ndarray::{ArrayView3, ArrayViewMut3, Axis};
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
 use self::columns::Block;
 use self::lanes::{Accumulate, Product};
 use self::order::Step;
-use self::pack::{Pack, Plan, Unpack};
+use self::pack::{GradientRows, Pack, Plan, Unpack};
+use self::passes::Parts;
 use super::roots::root;
-use crate::kernel::{Backward, Kernel};
+use crate::kernel::{Backward, Kernel, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Complex, Element, Isa, Table};
 
@@ -143,6 +144,150 @@ impl<T: Element> Tokens<T> {
     }
 }
 
+/// The weight of a step.
+enum StepWeight<'a, T> {
+    Packed(&'a [T]),
+    /// The whole weight `(X, Y/2+1, 2)` in natural order.
+    Natural(&'a [T]),
+}
+
+/// Where the gradient of the weight of a step goes.
+enum StepGradient<'a, T> {
+    /// Added up, packed.
+    Sum(&'a mut [T]),
+    /// Written in natural order.
+    Natural(GradientRows<'a, T>),
+}
+
+impl<T: Element> Tokens<T> {
+    fn forward_image<'a>(
+        &self,
+        x: ArrayView2<'_, T>,
+        mut y: ArrayViewMut2<'_, T>,
+        weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
+        team: &mut Team<'_, T>,
+    ) where
+        T: 'a,
+    {
+        self.first_pass(x, y.view_mut(), team);
+        let steps = self.steps.iter().zip(self.rows_of_steps(y.view_mut()));
+        team.run(steps.zip(weights), |((step, mut rows), weight), scratch| {
+            let Parts { block, packed, .. } = self.scratch(scratch);
+            self.gather(step, &rows, block);
+            let weight = self.packed(step, weight, packed);
+            self.filter(step, block, Product::<T, false>(weight));
+            self.put(block, &mut rows);
+        });
+        self.last_pass(y, team);
+    }
+
+    /// `spectra` has room for those of two images.
+    fn backward_image<'a>(
+        &self,
+        [grad, x]: [ArrayView2<'_, T>; 2],
+        grad_x: Option<ArrayViewMut2<'_, T>>,
+        weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
+        gradients: Option<impl Iterator<Item = StepGradient<'a, T>> + Send>,
+        spectra: &mut [T],
+        team: &mut Team<'_, T>,
+    ) where
+        T: 'a,
+    {
+        let inverse = grad_x.is_some();
+        let (spectrum, other) = spectra.split_at_mut(self.spectrum_len());
+        let mut spectrum = grad_x.unwrap_or_else(|| self.image(spectrum));
+        self.first_pass(grad, spectrum.view_mut(), team);
+        let x = gradients.is_some().then(|| {
+            let mut other = self.image(other);
+            self.first_pass(x, other.view_mut(), team);
+            self.rows_of_steps(other)
+        });
+        let gradients = x.into_iter().flatten().zip(gradients.into_iter().flatten()).map(Some);
+        let gradients_if_wanted = gradients.chain(std::iter::repeat_with(|| None));
+        let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
+        let steps = steps.zip(weights).zip(gradients_if_wanted);
+        team.run(steps, |(((step, mut rows), weight), gradient), scratch| {
+            let Parts { block, other, packed, sum, .. } = self.scratch(scratch);
+            self.gather(step, &rows, block);
+            let product = inverse.then(|| Product::<T, true>(self.packed(step, weight, packed)));
+            let filter = |block: &mut [T], other: &mut [T], sum: &mut [T]| {
+                let x = Block { vectors: other, pitch: self.pitch() };
+                let accumulate = Accumulate { x, sum };
+                match product {
+                    Some(product) => self.filter(step, block, (accumulate, product)),
+                    None => self.filter(step, block, accumulate),
+                }
+            };
+            match gradient {
+                Some((x, StepGradient::Sum(sum))) => {
+                    self.gather(step, &x, other);
+                    filter(block, other, sum);
+                }
+                Some((x, StepGradient::Natural(mut gradient))) => {
+                    self.gather(step, &x, other);
+                    let sum = &mut sum[..self.packed_len_of(step)];
+                    sum.fill(T::default());
+                    filter(block, other, sum);
+                    self.unpack(step, sum, &mut gradient);
+                }
+                None => {
+                    if let Some(product) = product {
+                        self.filter(step, block, product);
+                    }
+                }
+            }
+            if inverse {
+                self.put(block, &mut rows);
+            }
+        });
+        if inverse {
+            self.last_pass(spectrum, team);
+        }
+    }
+
+    /// The packed weight of a step, by way of `packed` if it is not.
+    fn packed<'a>(&self, step: &Step, weight: StepWeight<'a, T>, packed: &'a mut [T]) -> &'a [T] {
+        match weight {
+            StepWeight::Packed(packed) => packed,
+            StepWeight::Natural(weight) => {
+                let packed = &mut packed[..self.packed_len_of(step)];
+                self.pack_step(step, weight, packed);
+                packed
+            }
+        }
+    }
+
+    fn pack_step(&self, step: &Step, weight: &[T], packed: &mut [T]) {
+        let plan = self.plan();
+        with_run!(self.run(), RUN => self.isa.run(Pack::<T, RUN> { plan, step, weight, packed }));
+    }
+
+    fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {
+        let plan = self.plan();
+        with_run!(self.run(), RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
+    }
+
+    /// The rows of a weight's gradient that belong to each step.
+    fn gradients_of_steps<'a>(
+        &self,
+        gradient: ArrayViewMut3<'a, T>,
+    ) -> impl Iterator<Item = GradientRows<'a, T>> {
+        let [a, b] = self.factors;
+        let gradient = gradient.into_slice().expect("a whole weight");
+        let mut rows: Vec<_> = (0..a).map(|_| Vec::with_capacity(b)).collect();
+        for (u, row) in gradient.chunks_exact_mut(self.width + 2).enumerate() {
+            rows[u % a].push(row.as_chunks_mut().0);
+        }
+        (0..=a / 2).map(move |u1| {
+            let mut block = std::mem::take(&mut rows[u1]);
+            if let Some(mirror) = rows.get_mut(a - u1) {
+                block.append(mirror);
+            }
+            block
+        })
+    }
+}
+
 impl<T: Element> Kernel<T> for Tokens<T> {
     fn tile(&self) -> usize {
         self.width
@@ -157,9 +302,9 @@ impl<T: Element> Kernel<T> for Tokens<T> {
     }
 
     fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
-        let (plan, weight) = (self.plan(), weight.to_slice().expect("a whole weight"));
+        let weight = weight.to_slice().expect("a whole weight");
         team.run(self.steps.iter().zip(self.parts_mut(packed)), |(step, packed), _| {
-            with_run!(self.run(), RUN => self.isa.run(Pack::<T, RUN> { plan, step, weight, packed }));
+            self.pack_step(step, weight, packed);
         });
     }
 
@@ -170,67 +315,20 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         mut y: ArrayViewMut3<'_, T>,
         team: &mut Team<'_, T>,
     ) {
-        for (x, mut y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            self.first_pass(x, y.view_mut(), team);
-            let steps = self.rows_of_steps(y.view_mut()).into_iter();
-            team.run(
-                self.steps.iter().zip(steps).zip(self.parts(packed)),
-                |((step, mut rows), weight), scratch| {
-                    let [block, ..] = self.scratch(scratch);
-                    self.gather(step, &rows, block);
-                    self.filter(step, block, Product::<T, false>(weight));
-                    self.put(block, &mut rows);
-                },
-            );
-            self.last_pass(y, team);
+        for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
+            self.forward_image(x, y, self.parts(packed).map(StepWeight::Packed), team);
         }
     }
 
     fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
-        let inverse = grad_x.is_some();
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
-        let (spectrum, other) = spectra.split_at_mut(self.spectrum_len());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
-            let mut spectrum = match &mut grad_x {
-                Some(grad_x) => grad_x.index_axis_mut(Axis(0), image),
-                None => self.image(spectrum),
-            };
-            self.first_pass(grad, spectrum.view_mut(), &mut team);
-            let x = grad_sum.is_some().then(|| {
-                let mut other = self.image(other);
-                self.first_pass(x, other.view_mut(), &mut team);
-                self.rows_of_steps(other)
-            });
-            let sums = grad_sum.as_deref_mut().map(|sum| self.parts_mut(sum));
-            let sums = x.into_iter().flatten().zip(sums.into_iter().flatten()).map(Some);
-            let sums_if_wanted = sums.chain(std::iter::repeat_with(|| None));
-            let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
-            let steps = steps.zip(self.parts(packed)).zip(sums_if_wanted);
-            team.run(steps, |(((step, mut rows), weight), sum), scratch| {
-                let [block, other, _] = self.scratch(scratch);
-                self.gather(step, &rows, block);
-                let product = Product::<T, true>(weight);
-                match sum {
-                    Some((x, sum)) => {
-                        self.gather(step, &x, other);
-                        let x = Block { vectors: other, pitch: self.pitch() };
-                        let accumulate = Accumulate { x, sum };
-                        if inverse {
-                            self.filter(step, block, (accumulate, product));
-                        } else {
-                            self.filter(step, block, accumulate);
-                        }
-                    }
-                    None => self.filter(step, block, product),
-                }
-                if inverse {
-                    self.put(block, &mut rows);
-                }
-            });
-            if inverse {
-                self.last_pass(spectrum, &mut team);
-            }
+            let weights = self.parts(packed).map(StepWeight::Packed);
+            let sums = grad_sum.as_deref_mut();
+            let sums = sums.map(|sum| self.parts_mut(sum).map(StepGradient::Sum));
+            let grad_x = grad_x.as_mut().map(|grad_x| grad_x.index_axis_mut(Axis(0), image));
+            self.backward_image([grad, x], grad_x, weights, sums, spectra, &mut team);
         }
     }
 
@@ -238,14 +336,40 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         &self,
         grad_sum: &[T],
         grad_weight: ArrayViewMut3<'_, T>,
-        _: &mut Team<'_, T>,
+        team: &mut Team<'_, T>,
     ) {
-        let plan = self.plan();
-        let gradient = grad_weight.into_slice().expect("a whole weight");
-        for (step, sum) in self.steps.iter().zip(self.parts(grad_sum)) {
-            let gradient = &mut *gradient;
-            with_run!(self.run(), RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
-        }
+        let steps = self.steps.iter().zip(self.parts(grad_sum));
+        let jobs = steps.zip(self.gradients_of_steps(grad_weight));
+        team.run(jobs, |((step, sum), mut gradient), _| self.unpack(step, sum, &mut gradient));
+    }
+
+    fn single(&self) -> Option<&dyn Single<T>> {
+        Some(self)
+    }
+}
+
+/// A step's weight is packed when it is its turn: it is read once, so that it need not leave the cache.
+impl<T: Element> Single<T> for Tokens<T> {
+    fn forward(
+        &self,
+        x: ArrayView2<'_, T>,
+        weight: ArrayView3<'_, T>,
+        y: ArrayViewMut2<'_, T>,
+        team: &mut Team<'_, T>,
+    ) {
+        let weight = weight.to_slice().expect("a whole weight");
+        let weights = std::iter::repeat_with(|| StepWeight::Natural(weight));
+        self.forward_image(x, y, weights, team);
+    }
+
+    fn backward(&self, pass: SingleBackward<'_, T>, team: &mut Team<'_, T>) {
+        let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
+        let (spectra, mut team) = team.share(2 * self.spectrum_len());
+        let weight = weight.to_slice().expect("a whole weight");
+        let weights = std::iter::repeat_with(|| StepWeight::Natural(weight));
+        let gradients =
+            grad_weight.map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural));
+        self.backward_image([grad, x], grad_x, weights, gradients, spectra, &mut team);
     }
 }
 

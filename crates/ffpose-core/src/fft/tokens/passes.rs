@@ -4,7 +4,7 @@ use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis};
 
 use super::columns::{Block, block_to_image, image_to_block};
 use super::lanes::{Filter, Middle, Turns};
-use super::order::{SPARE, Step};
+use super::order::Step;
 use super::{Tokens, lines};
 use crate::parallel::Team;
 use crate::simd::{Element, Tile, TileMut, aligned, slack};
@@ -12,23 +12,40 @@ use crate::simd::{Element, Tile, TileMut, aligned, slack};
 /// The rows of blocks `u1` and, unless it is the same, `-u1`.
 pub(super) type Rows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];
 
+/// The scratch of one member of a team.
+pub(super) struct Parts<'a, T> {
+    pub(super) block: &'a mut [T],
+    pub(super) other: &'a mut [T],
+    /// The weight of a step, and the sum of its gradient.
+    pub(super) packed: &'a mut [T],
+    pub(super) sum: &'a mut [T],
+    /// Room for half a line of complex vectors.
+    line: &'a mut [T],
+}
+
 impl<T: Element> Tokens<T> {
     /// Numbers of a block of any step.
     fn block_len(&self) -> usize {
-        let [a, b] = self.factors;
-        2 * self.lanes * self.pitch() * a.max(2 * b + SPARE)
+        let rows = self.steps.iter().map(|step| step.fillers.end).max().unwrap_or(0);
+        2 * self.lanes * self.pitch() * rows.max(self.factors[0])
+    }
+
+    /// Numbers of the packed weight of the largest step.
+    fn largest_step(&self) -> usize {
+        self.steps.iter().map(|step| self.packed_len_of(step)).max().unwrap_or(0)
     }
 
     /// Scratch of one member of a team.
     pub(super) fn member_len(&self) -> usize {
-        slack::<T>() + 2 * self.block_len() + self.width
+        slack::<T>() + 2 * (self.block_len() + self.largest_step()) + self.width
     }
 
-    /// Two blocks, and room for half a line of complex vectors.
-    pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> [&'a mut [T]; 3] {
+    pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> Parts<'a, T> {
         let (block, rest) = aligned(scratch).split_at_mut(self.block_len());
         let (other, rest) = rest.split_at_mut(self.block_len());
-        [block, other, &mut rest[..self.width]]
+        let (packed, rest) = rest.split_at_mut(self.largest_step());
+        let (sum, rest) = rest.split_at_mut(self.largest_step());
+        Parts { block, other, packed, sum, line: &mut rest[..self.width] }
     }
 
     /// `spectrum` as an image.
@@ -48,14 +65,10 @@ impl<T: Element> Tokens<T> {
         let mut spectrum = self.blocks(spectrum);
         let columns = x.axis_iter(Axis(1)).zip(spectrum.axis_iter_mut(Axis(1)));
         team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
-            let [vectors, _, work] = self.scratch(scratch);
-            lines::forward(self.isa, Tile::new(x), Block { vectors, pitch }, work);
-            block_to_image::<T, false>(
-                self.isa,
-                Block { vectors, pitch },
-                twiddles,
-                TileMut::new(y),
-            );
+            let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
+            let y = TileMut::new(y);
+            lines::forward(self.isa, Tile::new(x), y.reader(), Block { vectors, pitch }, work);
+            block_to_image::<T, false>(self.isa, Block { vectors, pitch }, twiddles, y);
         });
     }
 
@@ -65,7 +78,7 @@ impl<T: Element> Tokens<T> {
         let mut y = self.blocks(y);
         let columns = y.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
         team.run(columns, |(y, twiddles), scratch| {
-            let [vectors, _, work] = self.scratch(scratch);
+            let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
             let image = TileMut::new(y);
             image_to_block::<T, true>(self.isa, image.reader(), twiddles, Block { vectors, pitch });
             lines::inverse(self.isa, Block { vectors, pitch }, image, work);
@@ -106,7 +119,7 @@ impl<T: Element> Tokens<T> {
         for &(from, to) in &step.copies {
             block.copy_within(from * row..(from + 1) * row, to * row);
         }
-        block[step.fillers * row..][..2 * row].fill(T::default());
+        block[step.fillers.start * row..step.fillers.end * row].fill(T::default());
     }
 
     /// Undoes [`gather`](Self::gather), up to a factor.
