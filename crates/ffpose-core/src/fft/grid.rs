@@ -103,11 +103,13 @@ impl<T: Element> Grid<T> {
         Scratch { spectrum, other, work, padded: &mut padded[..self.points * self.lanes] }
     }
 
-    fn place(&self) -> Place<'_> {
+    /// `far`: whether images are more than stay in cache, as several may be.
+    fn place(&self, far: bool) -> Place<'_> {
         Place {
             positions: self.columns.transform().inputs(),
             pitch: self.columns.pitch(),
             set: self.columns.len() / (2 * self.lanes),
+            far,
         }
     }
 
@@ -127,6 +129,7 @@ impl<T: Element> Grid<T> {
     /// An image `(points, lanes)` to `spectrum`; `padded` holds it if its lanes are not whole vectors.
     fn rows_forward(
         &self,
+        place: Place<'_>,
         image: ArrayView2<'_, T>,
         spectrum: &mut [T],
         work: &mut [T],
@@ -144,12 +147,13 @@ impl<T: Element> Grid<T> {
         } else {
             Tile::new(image)
         };
-        self.rows.forward(self.isa, image, self.place(), spectrum, work);
+        self.rows.forward(self.isa, image, place, spectrum, work);
     }
 
     /// `spectrum` to an image `(points, lanes)`, by way of `padded` if its lanes are not whole vectors.
     fn rows_inverse(
         &self,
+        place: Place<'_>,
         spectrum: &mut [T],
         mut image: ArrayViewMut2<'_, T>,
         work: &mut [T],
@@ -160,12 +164,12 @@ impl<T: Element> Grid<T> {
         if lanes < whole {
             let padded = &mut padded[..self.points * whole];
             let tile = TileMut::dense(padded, whole);
-            self.rows.inverse(self.isa, spectrum, self.place(), tile, work);
+            self.rows.inverse(self.isa, spectrum, place, tile, work);
             let whole =
                 ArrayView2::from_shape((self.points, whole), padded).expect("room for a tile");
             image.assign(&whole.slice(s![.., ..lanes]));
         } else {
-            self.rows.inverse(self.isa, spectrum, self.place(), TileMut::new(image), work);
+            self.rows.inverse(self.isa, spectrum, place, TileMut::new(image), work);
         }
     }
 
@@ -182,9 +186,9 @@ impl<T: Element> Grid<T> {
         let Scratch { spectrum, other, work, padded } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
-        self.rows_forward(grad, spectrum, work, padded);
+        self.rows_forward(self.place(true), grad, spectrum, work, padded);
         if sum.is_some() {
-            self.rows_forward(x, other, work, padded);
+            self.rows_forward(self.place(true), x, other, work, padded);
         }
         let (len, packed_len) = (self.columns.len(), self.columns.packed_len());
         let spectra = spectrum.chunks_exact_mut(len).zip(other.chunks_exact_mut(len));
@@ -200,7 +204,7 @@ impl<T: Element> Grid<T> {
             }
         }
         if let Some(grad_x) = grad_x {
-            self.rows_inverse(spectrum, grad_x, work, padded);
+            self.rows_inverse(self.place(true), spectrum, grad_x, work, padded);
         }
     }
 
@@ -214,13 +218,13 @@ impl<T: Element> Grid<T> {
     ) {
         let Scratch { spectrum, work, padded, .. } = scratch;
         let spectrum = &mut spectrum[..self.spectra(x.ncols())];
-        self.rows_forward(x, spectrum, work, padded);
+        self.rows_forward(self.place(false), x, spectrum, work, padded);
         let spectra = spectrum.chunks_exact_mut(self.columns.len());
         for (i, spectrum) in spectra.enumerate() {
             let middle = self.product::<false>(Tile::of_complex(weight), i);
             self.columns.through::<_, true>(spectrum, middle, work);
         }
-        self.rows_inverse(spectrum, y, work, padded);
+        self.rows_inverse(self.place(false), spectrum, y, work, padded);
     }
 
     /// As [`Single::backward`], for lanes that go together.
@@ -229,9 +233,9 @@ impl<T: Element> Grid<T> {
         let Scratch { spectrum, other, work, padded } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
-        self.rows_forward(grad, spectrum, work, padded);
+        self.rows_forward(self.place(false), grad, spectrum, work, padded);
         if grad_weight.is_some() {
-            self.rows_forward(x, other, work, padded);
+            self.rows_forward(self.place(false), x, other, work, padded);
         }
         let mut gradient = grad_weight.map(TileMut::of_complex);
         let (weight, len) = (Tile::of_complex(weight), self.columns.len());
@@ -255,7 +259,7 @@ impl<T: Element> Grid<T> {
             }
         }
         if let Some(grad_x) = grad_x {
-            self.rows_inverse(spectrum, grad_x, work, padded);
+            self.rows_inverse(self.place(false), spectrum, grad_x, work, padded);
         }
     }
 
@@ -289,10 +293,7 @@ impl<T: Element> Kernel<T> for Grid<T> {
     }
 
     fn scratch_len(&self) -> usize {
-        slack::<T>()
-            + 2 * self.spectra(self.together)
-            + self.work_len()
-            + self.points * self.lanes
+        slack::<T>() + 2 * self.spectra(self.together) + self.work_len() + self.points * self.lanes
     }
 
     fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
@@ -322,12 +323,12 @@ impl<T: Element> Kernel<T> for Grid<T> {
                 let spectrum = &mut spectrum[..self.spectra(lanes.len())];
                 let packed = &packed[lanes.start / self.lanes * packed_len..];
                 let part = s![image, .., lanes];
-                self.rows_forward(x.slice(part), spectrum, work, padded);
+                self.rows_forward(self.place(true), x.slice(part), spectrum, work, padded);
                 let spectra = spectrum.chunks_exact_mut(len);
                 for (spectrum, weight) in spectra.zip(packed.chunks_exact(packed_len)) {
                     self.columns.filter::<false>(spectrum, weight, work);
                 }
-                self.rows_inverse(spectrum, y.slice_mut(part), work, padded);
+                self.rows_inverse(self.place(true), spectrum, y.slice_mut(part), work, padded);
             }
         }
     }

@@ -20,8 +20,8 @@ pub(crate) enum Rows<T> {
     Pairs(Transform<T>),
 }
 
-/// Points ahead of the work that are brought to the cache: about as many lines as come from memory while they are awaited.
-const AHEAD: usize = 64;
+/// Points ahead of the work that are at least brought to the cache.
+const AHEAD: usize = 28;
 
 /// Where columns are.
 #[derive(Clone, Copy)]
@@ -30,6 +30,8 @@ pub(crate) struct Place<'a> {
     pub(crate) pitch: usize,
     /// Complex vectors of all columns: those of the next lanes of the tile follow.
     pub(crate) set: usize,
+    /// Whether the image comes from memory, which is worth asking for its lines a row ahead.
+    pub(crate) far: bool,
 }
 
 /// Runs one of two expressions for a line of `$length` points: `$single` with the constants of its codelet `RealDft<$n, $s>`, or
@@ -123,11 +125,13 @@ impl<T: Element> Rows<T> {
                     let first = 2 * pair * width;
                     let second = (places.len() == 2).then_some(first + width);
                     let places = [places[0], places[places.len() - 1]];
-                    image.prefetch(first + AHEAD, 2 * width);
                     for (i, spectrum) in
                         spectrum.chunks_exact_mut(2 * lanes * place.set).enumerate()
                     {
                         let image = image.skip_lanes(i * lanes);
+                        if place.far {
+                            image.prefetch(first + AHEAD.max(2 * width), 2 * width);
+                        }
                         isa.run(Enter { inputs: transform.inputs(), image, first, second, line });
                         transform.forward(line, work);
                         isa.run(Split { outputs, line, spectrum, pitch: place.pitch, places });
@@ -158,11 +162,13 @@ impl<T: Element> Rows<T> {
                     let first = 2 * pair * width;
                     let second = (places.len() == 2).then_some(first + width);
                     let places = [places[0], places[places.len() - 1]];
-                    image.reader().prefetch(first + AHEAD, 2 * width);
                     for (i, spectrum) in
                         spectrum.chunks_exact_mut(2 * lanes * place.set).enumerate()
                     {
                         let image = &mut image.skip_lanes(i * lanes);
+                        if place.far {
+                            image.reader().prefetch(first + AHEAD.max(2 * width), 2 * width);
+                        }
                         isa.run(Join { outputs, line, spectrum, pitch: place.pitch, places });
                         transform.inverse(line, work);
                         isa.run(Leave { inputs: transform.inputs(), image, first, second, line });
@@ -185,12 +191,15 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Place { positions, pitch, set } = self.place;
+        let Place { positions, pitch, set, far } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
         for (row, &position) in positions.iter().enumerate() {
-            self.image.prefetch(row * N + AHEAD, N);
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
-                let line = self.image.skip_lanes(i * V::LANES).gather::<V, N>(row * N, 1);
+                let image = self.image.skip_lanes(i * V::LANES);
+                if far {
+                    image.prefetch(row * N + AHEAD.max(N), N);
+                }
+                let line = image.gather::<V, N>(row * N, 1);
                 scatter(spectrum, position, pitch, <Codelet as RealDft<N, S>>::real_dft(line));
             }
         }
@@ -211,14 +220,16 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Place { positions, pitch, set } = self.place;
+        let Place { positions, pitch, set, far } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
         for (row, &position) in positions.iter().enumerate() {
             let first = row * P * Q;
-            self.image.prefetch(first + AHEAD, P * Q);
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
                 let image = self.image.skip_lanes(i * V::LANES);
+                if far {
+                    image.prefetch(first + AHEAD.max(P * Q), P * Q);
+                }
                 Line::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
             }
         }
@@ -239,14 +250,16 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Place { positions, pitch, set } = self.place;
+        let Place { positions, pitch, set, far } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
         for (row, &position) in positions.iter().enumerate() {
             let first = row * P * Q;
-            self.image.reader().prefetch(first + AHEAD, P * Q);
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
                 let image = &mut self.image.skip_lanes(i * V::LANES);
+                if far {
+                    image.reader().prefetch(first + AHEAD.max(P * Q), P * Q);
+                }
                 Line::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
             }
         }
@@ -265,13 +278,16 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Place { positions, pitch, set } = self.place;
+        let Place { positions, pitch, set, far } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
         for (row, &position) in positions.iter().enumerate() {
-            self.image.reader().prefetch(row * N + AHEAD, N);
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
+                let image = &mut self.image.skip_lanes(i * V::LANES);
+                if far {
+                    image.reader().prefetch(row * N + AHEAD.max(N), N);
+                }
                 let line = <Codelet as RealDft<N, S>>::real_idft(gather(spectrum, position, pitch));
-                self.image.skip_lanes(i * V::LANES).scatter::<V, N>(row * N, 1, line);
+                image.scatter::<V, N>(row * N, 1, line);
             }
         }
     }
