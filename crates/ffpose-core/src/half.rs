@@ -8,7 +8,7 @@ use std::hint::black_box;
 
 use ndarray::{ArrayView3, ArrayViewMut3};
 
-use crate::simd::{Algorithm, Vector};
+use crate::simd::{Algorithm, Vector, prefetch_lines};
 use crate::{Isa, Real};
 
 /// bfloat16: the upper half of an `f32`.
@@ -175,6 +175,9 @@ fn upper_half(bits: u32) -> u16 {
     (bits >> 16) as u16
 }
 
+/// Rows ahead of the work that are brought to the cache, where rows are apart from each other: no processor guesses them.
+const ROWS_AHEAD: isize = 16;
+
 struct Widen<'a, H> {
     from: ArrayView3<'a, H>,
     to: &'a mut [f32],
@@ -187,7 +190,9 @@ impl<H: Half> Algorithm<f32> for Widen<'_, H> {
         if let Some(from) = from.to_slice() {
             widen(from, to);
         } else {
-            for (from, to) in from.rows().into_iter().zip(to.chunks_exact_mut(from.dim().2)) {
+            let (stride, lanes) = (from.strides()[1], from.dim().2);
+            for (from, to) in from.rows().into_iter().zip(to.chunks_exact_mut(lanes)) {
+                prefetch_lines(from.as_ptr().wrapping_offset(ROWS_AHEAD * stride), lanes);
                 widen(from.to_slice().expect("lanes are contiguous"), to);
             }
         }
@@ -206,8 +211,9 @@ impl<H: Half> Algorithm<f32> for Narrow<'_, H> {
         if let Some(to) = to.as_slice_mut() {
             narrow(from, to);
         } else {
-            let lanes = to.dim().2;
+            let (stride, lanes) = (to.strides()[1], to.dim().2);
             for (mut to, from) in to.rows_mut().into_iter().zip(from.chunks_exact(lanes)) {
+                prefetch_lines(to.as_ptr().wrapping_offset(ROWS_AHEAD * stride), lanes);
                 narrow(from, to.as_slice_mut().expect("lanes are contiguous"));
             }
         }
