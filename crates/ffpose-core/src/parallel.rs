@@ -51,7 +51,7 @@ pub(crate) fn worth(pool: &dyn Pool, elements: usize) -> usize {
 /// How many threads of `pool` to use together for one piece of `elements`: they wait for each other between its passes,
 /// which pays later. Two threads took as long as one, or longer, for 196x256 tokens, and less for 784x128.
 pub(crate) fn worth_together(pool: &dyn Pool, elements: usize) -> usize {
-    worth(pool, elements / 3)
+    worth(pool, elements / 3 * 2)
 }
 
 /// Runs `work` on every job. Each of `workers` takes the next job as soon as it is done with one.

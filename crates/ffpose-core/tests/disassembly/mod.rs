@@ -7,18 +7,20 @@ use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::process::Command;
 
-/// Parts of the names of what a kernel may call: it ends the call, or it moves numbers.
-const ALLOWED: [&str; 9] = [
+/// Parts of the names of what a kernel may call: it ends the call, or it fills memory.
+const ALLOWED: [&str; 7] = [
     "4core9panicking",
     "4core6option",
     "4core6result",
     "4core5slice5index",
     "len_mismatch_fail",
     "out_of_bounds",
-    "memcpy",
-    "memmove",
     "memset",
 ];
+
+/// Parts of the names of what moves numbers: once a column it may. Calls at several places are arrays that an iterator or a
+/// function took by value, through memory.
+const MOVES: [&str; 2] = ["memcpy", "memmove"];
 
 /// Parts of the names of what brings a weight to kernel order, once a weight: an entry that calls it is no codelet.
 const PACKING: [&str; 1] = ["_pack"];
@@ -68,8 +70,11 @@ fn kernels_are_vector_code_without_calls() {
             if code.calls.iter().any(|callee| contains_any(callee, &PACKING)) {
                 continue;
             }
+            let (moves, calls): (Vec<_>, Vec<_>) =
+                code.calls.iter().partition(|callee| contains_any(callee, &MOVES));
+            assert!(moves.len() <= 1, "{name} calls {moves:?}");
             let calls: Vec<_> =
-                code.calls.iter().filter(|callee| !contains_any(callee, &ALLOWED)).collect();
+                calls.iter().filter(|callee| !contains_any(callee, &ALLOWED)).collect();
             assert!(calls.is_empty(), "{name} calls {calls:?}");
         }
     }
