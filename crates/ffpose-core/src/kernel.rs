@@ -60,7 +60,7 @@ pub(crate) trait Kernel<T>: Send + Sync {
 }
 
 /// One image, for which bringing a weight to kernel order and a gradient back would not pay: both stay in natural order.
-/// The same bits as with [`Kernel::pack`].
+/// `y` and the gradient of `x` have the same bits as with [`Kernel::pack`].
 pub(crate) trait Single<T>: Sync {
     /// As [`Kernel::forward`].
     fn forward(

@@ -30,7 +30,7 @@ impl Pool for StdThreads {
     }
 
     fn grain(&self) -> usize {
-        1 << 16 // about 20 microseconds to start a thread
+        1 << 17 // about 20 microseconds to start a thread
     }
 
     fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync)) {

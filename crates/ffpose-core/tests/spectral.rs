@@ -156,6 +156,7 @@ fn gradients_are_adjoint_to_the_filter() {
 fn threads_and_batches_do_not_change_a_bit() {
     let large = [
         (Layout::Grid, vec![3, 28, 28, 250]),
+        (Layout::Grid, vec![1, 28, 28, 350]), // one image, a thread for each few of its tiles
         (Layout::Grid, vec![40, 30, 30, 10]),
         (Layout::Grid, vec![16, 90, 100, 3]),
         (Layout::Tokens, vec![37, 70, 128]),
@@ -178,13 +179,22 @@ fn threads_and_batches_do_not_change_a_bit() {
             let last = x.slice_axis(Axis(0), (-1..).into()).to_owned();
             let expected = y.slice_axis(Axis(0), (-1..).into()).to_owned();
             assert_eq!(forward(&plan, &last, &weight, 1), expected);
+            let last_grad = grad.slice_axis(Axis(0), (-1..).into()).to_owned();
+            let expected = gradients.0.slice_axis(Axis(0), (-1..).into()).to_owned();
+            assert_eq!(backward(&plan, (&last_grad, &last, &weight), 1).0, expected);
         }
     }
 }
 
 /// Bit by bit the result in single precision, rounded once.
 fn half_precision_is_rounded_once<H: Half + PartialEq + std::fmt::Debug>() {
-    for (layout, dim) in [(Layout::Grid, vec![3, 14, 14, 20]), (Layout::Tokens, vec![3, 28, 37])] {
+    let cases = [
+        (Layout::Grid, vec![3, 14, 14, 20]),
+        (Layout::Grid, vec![1, 14, 14, 150]),
+        (Layout::Tokens, vec![3, 28, 37]),
+        (Layout::Tokens, vec![1, 49, 64]),
+    ];
+    for (layout, dim) in cases {
         let shape = Shape::of_images(layout, &dim).unwrap();
         let mut numbers = Numbers(13);
         let rounded = |array: ArrayD<f32>| array.mapv(H::nearest);
@@ -213,12 +223,27 @@ fn half_precision_is_computed_in_single_precision() {
 
 #[test]
 fn a_gradient_is_the_same_alone() {
-    let shape = Shape::of_images(Layout::Grid, &[5, 6, 7, 9]).unwrap();
-    let mut numbers = Numbers(5);
-    let [grad, x] = [(); 2].map(|()| numbers.array::<f32>(&[5, 6, 7, 9]));
-    let weight = numbers.array::<f32>(&shape.weight());
+    let cases = [
+        (Layout::Grid, vec![5, 6, 7, 9]),
+        (Layout::Grid, vec![1, 7, 7, 150]),
+        (Layout::Tokens, vec![2, 196, 64]),
+        (Layout::Tokens, vec![1, 196, 64]),
+    ];
+    for (layout, dim) in cases {
+        let shape = Shape::of_images(layout, &dim).unwrap();
+        let mut numbers = Numbers(5);
+        let [grad, x] = [(); 2].map(|()| numbers.array::<f32>(&dim));
+        let weight = numbers.array::<f32>(&shape.weight());
+        gradients_are_the_same_alone(shape, (&grad, &x, &weight));
+    }
+}
+
+fn gradients_are_the_same_alone(
+    shape: Shape,
+    (grad, x, weight): (&ArrayD<f32>, &ArrayD<f32>, &ArrayD<f32>),
+) {
     for plan in plans::<f32>(shape) {
-        let (grad_x, grad_weight) = backward(&plan, (&grad, &x, &weight), 1);
+        let (grad_x, grad_weight) = backward(&plan, (grad, x, weight), 1);
         let (mut alone_x, mut alone_weight) = (grad_x.clone() * 0.0, grad_weight.clone() * 0.0);
         let mut scratch = Scratch::default();
         let mut run = |gradients| {

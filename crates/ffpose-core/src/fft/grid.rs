@@ -1,7 +1,8 @@
 //! The filter on grids: lanes are channels, a tile of them at a time.
 //!
 //! Rows forward to columns of complex vectors, each column forward, times the weight and back while it is in cache, rows
-//! back. Transforms do not put anything in order; the weight is brought to their order ([`super::pack`]).
+//! back. Transforms do not put anything in order; the weight is brought to their order, or read bin by bin for a single image
+//! ([`super::pack`]).
 
 use std::ops::Range;
 
@@ -103,7 +104,7 @@ impl<T: Element> Grid<T> {
         Scratch { spectrum, other, work, padded: &mut padded[..self.points * self.lanes] }
     }
 
-    /// `far`: whether images are more than stay in cache, as several may be.
+    /// `far`: whether images are likely to be in memory, as several are, rather than in cache.
     fn place(&self, far: bool) -> Place<'_> {
         Place {
             positions: self.columns.transform().inputs(),
@@ -297,13 +298,11 @@ impl<T: Element> Kernel<T> for Grid<T> {
     }
 
     fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
-        let (bins, lanes, _) = weight.dim();
+        let lanes = weight.dim().1;
         let whole = lanes.next_multiple_of(self.lanes);
         let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
         if lanes < whole {
-            let mut padded = Array3::from_elem((bins, whole, 2), T::default());
-            padded.slice_mut(s![.., ..lanes, ..]).assign(&weight);
-            self.packing.pack(self.isa, padded.view(), packed);
+            self.packing.pack(self.isa, self.padded_bins(weight).view(), packed);
         } else {
             self.packing.pack(self.isa, weight, packed);
         }
@@ -409,7 +408,9 @@ impl<T: Element> Single<T> for Grid<T> {
                 self.backward_single(pass, &mut scratch);
             } else {
                 let weight = self.padded_bins(weight);
-                let mut whole = grad_weight.is_some().then(|| weight.clone());
+                let mut whole = grad_weight
+                    .is_some()
+                    .then(|| Array3::from_elem(weight.raw_dim(), T::default()));
                 let pass = SingleBackward {
                     grad,
                     x,

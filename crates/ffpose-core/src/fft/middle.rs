@@ -6,7 +6,7 @@ use crate::simd::{Complex, Element, Tile, TileMut, Vector};
 /// A step on complex vectors, in registers; steps are joined as pairs.
 pub(crate) trait Middle<T: Element> {
     /// The new values of the `R` vectors that are number `position` and following of the spectrum and number `place` and
-    /// following of a packed weight.
+    /// following of a weight; these are places of one column.
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
         position: usize,

@@ -1,7 +1,5 @@
 //! The instruction sets: which the machine has, which one is used, and the way into code compiled for it.
 
-use std::hint::black_box;
-use std::mem::MaybeUninit;
 use std::sync::OnceLock;
 
 #[cfg(target_arch = "aarch64")]
@@ -125,6 +123,9 @@ impl Isa {
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn align_stack() {
+    use std::hint::black_box;
+    use std::mem::MaybeUninit;
+
     #[repr(align(64))]
     struct Line([MaybeUninit<u8>; 64]);
     black_box(&Line([MaybeUninit::uninit(); 64]).0);

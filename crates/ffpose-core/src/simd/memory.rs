@@ -320,7 +320,7 @@ impl<'a, T: Element> TileMut<'a, T> {
     }
 }
 
-/// Asks for the cache lines of `len` elements from `start` on, whatever is there.
+/// Asks for as many cache lines as `len` elements fill, from `start` on, whatever is there.
 #[inline(always)]
 pub(crate) fn prefetch_lines<T>(start: *const T, len: usize) {
     for line in 0..(len * size_of::<T>()).div_ceil(ALIGNMENT) {

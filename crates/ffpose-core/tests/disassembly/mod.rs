@@ -18,8 +18,8 @@ const ALLOWED: [&str; 7] = [
     "memset",
 ];
 
-/// Parts of the names of what moves numbers: once a column it may. Calls at several places are arrays that an iterator or a
-/// function took by value, through memory.
+/// Parts of the names of what moves numbers, which a kernel may do at one place, for a whole column. Calls at several places
+/// are arrays that an iterator or a function took by value, through memory.
 const MOVES: [&str; 2] = ["memcpy", "memmove"];
 
 /// Parts of the names of what brings a weight to kernel order, once a weight: an entry that calls it is no codelet.

@@ -41,7 +41,7 @@ macro_rules! with_codelet {
 }
 
 /// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors. `target` is where the rows go after
-/// that.
+/// that, asked for in time.
 pub(super) fn forward<T: Element>(
     isa: Isa,
     image: Tile<'_, T>,
@@ -155,7 +155,7 @@ where
         let work = &mut complex_vectors::<V>(self.work)[..ROWS * Q];
         for row in 0..self.image.points() {
             let line = self.image.point(row, V::LANES);
-            line.prefetch_behind(); // the same row of the next image
+            line.prefetch_behind(); // of the next `x2`
             self.target.point(row, V::LANES).prefetch_all();
             let slots = &mut block[row * pitch..][..ROWS * Q];
             unroll!(q in 0..Q {
@@ -238,7 +238,7 @@ where
                 scatter(work, row * Q, 1, z);
             });
             let mut line = self.image.point(row, V::LANES);
-            line.reader().prefetch_behind(); // the same row of the next image
+            line.reader().prefetch_behind(); // of the next `x2`
             unroll!(q in 0..Q {
                 let across = <Codelet as RealDft<P, ROWS>>::real_idft(gather(work, q, Q));
                 let points = Line::<P, Q, ROWS>::POINTS[q];

@@ -14,6 +14,7 @@ pub(super) type Rows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];
 
 /// The scratch of one member of a team.
 pub(super) struct Parts<'a, T> {
+    /// The rows of two blocks, and of those of `x` in a backward pass.
     pub(super) block: &'a mut [T],
     pub(super) other: &'a mut [T],
     /// The weight of a step, and the sum of its gradient.
