@@ -27,6 +27,7 @@ macro_rules! with_run {
 }
 
 mod columns;
+mod images;
 mod lanes;
 mod lines;
 mod order;
@@ -35,11 +36,9 @@ mod passes;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
-use self::columns::Block;
-use self::lanes::{Accumulate, Product};
+use self::images::{StepGradient, StepWeight};
 use self::order::Step;
-use self::pack::{GradientRows, Pack, Plan, Unpack};
-use self::passes::Parts;
+use self::pack::Plan;
 use super::roots::root;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward};
 use crate::parallel::Team;
@@ -140,150 +139,6 @@ impl<T: Element> Tokens<T> {
             let part;
             (part, rest) = std::mem::take(&mut rest).split_at_mut(self.packed_len_of(step));
             part
-        })
-    }
-}
-
-/// The weight of a step.
-enum StepWeight<'a, T> {
-    Packed(&'a [T]),
-    /// The whole weight `(X, Y/2+1, 2)` in natural order.
-    Natural(&'a [T]),
-}
-
-/// Where the gradient of the weight of a step goes.
-enum StepGradient<'a, T> {
-    /// Added up, packed.
-    Sum(&'a mut [T]),
-    /// Written in natural order.
-    Natural(GradientRows<'a, T>),
-}
-
-impl<T: Element> Tokens<T> {
-    fn forward_image<'a>(
-        &self,
-        x: ArrayView2<'_, T>,
-        mut y: ArrayViewMut2<'_, T>,
-        weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
-        team: &mut Team<'_, T>,
-    ) where
-        T: 'a,
-    {
-        self.first_pass(x, y.view_mut(), team);
-        let steps = self.steps.iter().zip(self.rows_of_steps(y.view_mut()));
-        team.run(steps.zip(weights), |((step, mut rows), weight), scratch| {
-            let Parts { block, packed, .. } = self.scratch(scratch);
-            self.gather(step, &rows, block);
-            let weight = self.packed(step, weight, packed);
-            self.filter(step, block, Product::<T, false>(weight));
-            self.put(block, &mut rows);
-        });
-        self.last_pass(y, team);
-    }
-
-    /// `spectra` has room for those of two images.
-    fn backward_image<'a>(
-        &self,
-        [grad, x]: [ArrayView2<'_, T>; 2],
-        grad_x: Option<ArrayViewMut2<'_, T>>,
-        weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
-        gradients: Option<impl Iterator<Item = StepGradient<'a, T>> + Send>,
-        spectra: &mut [T],
-        team: &mut Team<'_, T>,
-    ) where
-        T: 'a,
-    {
-        let inverse = grad_x.is_some();
-        let (spectrum, other) = spectra.split_at_mut(self.spectrum_len());
-        let mut spectrum = grad_x.unwrap_or_else(|| self.image(spectrum));
-        self.first_pass(grad, spectrum.view_mut(), team);
-        let x = gradients.is_some().then(|| {
-            let mut other = self.image(other);
-            self.first_pass(x, other.view_mut(), team);
-            self.rows_of_steps(other)
-        });
-        let gradients = x.into_iter().flatten().zip(gradients.into_iter().flatten()).map(Some);
-        let gradients_if_wanted = gradients.chain(std::iter::repeat_with(|| None));
-        let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
-        let steps = steps.zip(weights).zip(gradients_if_wanted);
-        team.run(steps, |(((step, mut rows), weight), gradient), scratch| {
-            let Parts { block, other, packed, sum, .. } = self.scratch(scratch);
-            self.gather(step, &rows, block);
-            let product = inverse.then(|| Product::<T, true>(self.packed(step, weight, packed)));
-            let filter = |block: &mut [T], other: &mut [T], sum: &mut [T]| {
-                let x = Block { vectors: other, pitch: self.pitch() };
-                let accumulate = Accumulate { x, sum };
-                match product {
-                    Some(product) => self.filter(step, block, (accumulate, product)),
-                    None => self.filter(step, block, accumulate),
-                }
-            };
-            match gradient {
-                Some((x, StepGradient::Sum(sum))) => {
-                    self.gather(step, &x, other);
-                    filter(block, other, sum);
-                }
-                Some((x, StepGradient::Natural(mut gradient))) => {
-                    self.gather(step, &x, other);
-                    let sum = &mut sum[..self.packed_len_of(step)];
-                    sum.fill(T::default());
-                    filter(block, other, sum);
-                    self.unpack(step, sum, &mut gradient);
-                }
-                None => {
-                    if let Some(product) = product {
-                        self.filter(step, block, product);
-                    }
-                }
-            }
-            if inverse {
-                self.put(block, &mut rows);
-            }
-        });
-        if inverse {
-            self.last_pass(spectrum, team);
-        }
-    }
-
-    /// The packed weight of a step, by way of `packed` if it is not.
-    fn packed<'a>(&self, step: &Step, weight: StepWeight<'a, T>, packed: &'a mut [T]) -> &'a [T] {
-        match weight {
-            StepWeight::Packed(packed) => packed,
-            StepWeight::Natural(weight) => {
-                let packed = &mut packed[..self.packed_len_of(step)];
-                self.pack_step(step, weight, packed);
-                packed
-            }
-        }
-    }
-
-    fn pack_step(&self, step: &Step, weight: &[T], packed: &mut [T]) {
-        let plan = self.plan();
-        with_run!(self.run(), RUN => self.isa.run(Pack::<T, RUN> { plan, step, weight, packed }));
-    }
-
-    fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {
-        let plan = self.plan();
-        with_run!(self.run(), RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
-    }
-
-    /// The rows of a weight's gradient that belong to each step.
-    fn gradients_of_steps<'a>(
-        &self,
-        gradient: ArrayViewMut3<'a, T>,
-    ) -> impl Iterator<Item = GradientRows<'a, T>> {
-        let [a, b] = self.factors;
-        let gradient = gradient.into_slice().expect("a whole weight");
-        let mut rows: Vec<_> = (0..a).map(|_| Vec::with_capacity(b)).collect();
-        for (u, row) in gradient.chunks_exact_mut(self.width + 2).enumerate() {
-            rows[u % a].push(row.as_chunks_mut().0);
-        }
-        (0..=a / 2).map(move |u1| {
-            let mut block = std::mem::take(&mut rows[u1]);
-            if let Some(mirror) = rows.get_mut(a - u1) {
-                block.append(mirror);
-            }
-            block
         })
     }
 }

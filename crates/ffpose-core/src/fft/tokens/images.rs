@@ -1,0 +1,157 @@
+//! An image through all passes, forward and backward, with a weight that is packed or becomes so step by step.
+
+use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3};
+
+use super::Tokens;
+use super::columns::Block;
+use super::lanes::{Accumulate, Product};
+use super::order::Step;
+use super::pack::{GradientRows, Pack, Unpack};
+use super::passes::Parts;
+use crate::parallel::Team;
+use crate::simd::Element;
+
+/// The weight of a step.
+pub(super) enum StepWeight<'a, T> {
+    Packed(&'a [T]),
+    /// The whole weight `(X, Y/2+1, 2)` in natural order.
+    Natural(&'a [T]),
+}
+
+/// Where the gradient of the weight of a step goes.
+pub(super) enum StepGradient<'a, T> {
+    /// Added up, packed.
+    Sum(&'a mut [T]),
+    /// Written in natural order.
+    Natural(GradientRows<'a, T>),
+}
+
+impl<T: Element> Tokens<T> {
+    pub(super) fn forward_image<'a>(
+        &self,
+        x: ArrayView2<'_, T>,
+        mut y: ArrayViewMut2<'_, T>,
+        weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
+        team: &mut Team<'_, T>,
+    ) where
+        T: 'a,
+    {
+        self.first_pass(x, y.view_mut(), team);
+        let steps = self.steps.iter().zip(self.rows_of_steps(y.view_mut()));
+        team.run(steps.zip(weights), |((step, mut rows), weight), scratch| {
+            let Parts { block, packed, .. } = self.scratch(scratch);
+            self.gather(step, &rows, block);
+            let weight = self.packed(step, weight, packed);
+            self.filter(step, block, Product::<T, false>(weight));
+            self.put(block, &mut rows);
+        });
+        self.last_pass(y, team);
+    }
+
+    /// `spectra` has room for those of two images.
+    pub(super) fn backward_image<'a>(
+        &self,
+        [grad, x]: [ArrayView2<'_, T>; 2],
+        grad_x: Option<ArrayViewMut2<'_, T>>,
+        weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
+        gradients: Option<impl Iterator<Item = StepGradient<'a, T>> + Send>,
+        spectra: &mut [T],
+        team: &mut Team<'_, T>,
+    ) where
+        T: 'a,
+    {
+        let inverse = grad_x.is_some();
+        let (spectrum, other) = spectra.split_at_mut(self.spectrum_len());
+        let mut spectrum = grad_x.unwrap_or_else(|| self.image(spectrum));
+        self.first_pass(grad, spectrum.view_mut(), team);
+        let x = gradients.is_some().then(|| {
+            let mut other = self.image(other);
+            self.first_pass(x, other.view_mut(), team);
+            self.rows_of_steps(other)
+        });
+        let gradients = x.into_iter().flatten().zip(gradients.into_iter().flatten()).map(Some);
+        let gradients_if_wanted = gradients.chain(std::iter::repeat_with(|| None));
+        let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
+        let steps = steps.zip(weights).zip(gradients_if_wanted);
+        team.run(steps, |(((step, mut rows), weight), gradient), scratch| {
+            let Parts { block, other, packed, sum, .. } = self.scratch(scratch);
+            self.gather(step, &rows, block);
+            let product = inverse.then(|| Product::<T, true>(self.packed(step, weight, packed)));
+            match gradient {
+                Some((x, gradient)) => {
+                    self.gather(step, &x, other);
+                    let (sum, natural) = match gradient {
+                        StepGradient::Sum(sum) => (sum, None),
+                        StepGradient::Natural(rows) => {
+                            let sum = &mut sum[..self.packed_len_of(step)];
+                            sum.fill(T::default());
+                            (sum, Some(rows))
+                        }
+                    };
+                    let x = Block { vectors: other, pitch: self.pitch() };
+                    let accumulate = Accumulate { x, sum: &mut *sum };
+                    match product {
+                        Some(product) => self.filter(step, block, (accumulate, product)),
+                        None => self.filter(step, block, accumulate),
+                    }
+                    if let Some(mut rows) = natural {
+                        self.unpack(step, sum, &mut rows);
+                    }
+                }
+                None => {
+                    if let Some(product) = product {
+                        self.filter(step, block, product);
+                    }
+                }
+            }
+            if inverse {
+                self.put(block, &mut rows);
+            }
+        });
+        if inverse {
+            self.last_pass(spectrum, team);
+        }
+    }
+
+    /// The packed weight of a step, by way of `packed` if it is not.
+    fn packed<'a>(&self, step: &Step, weight: StepWeight<'a, T>, packed: &'a mut [T]) -> &'a [T] {
+        match weight {
+            StepWeight::Packed(packed) => packed,
+            StepWeight::Natural(weight) => {
+                let packed = &mut packed[..self.packed_len_of(step)];
+                self.pack_step(step, weight, packed);
+                packed
+            }
+        }
+    }
+
+    pub(super) fn pack_step(&self, step: &Step, weight: &[T], packed: &mut [T]) {
+        let plan = self.plan();
+        with_run!(self.run(), RUN => self.isa.run(Pack::<T, RUN> { plan, step, weight, packed }));
+    }
+
+    pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {
+        let plan = self.plan();
+        with_run!(self.run(), RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
+    }
+
+    /// The rows of a weight's gradient that belong to each step.
+    pub(super) fn gradients_of_steps<'a>(
+        &self,
+        gradient: ArrayViewMut3<'a, T>,
+    ) -> impl Iterator<Item = GradientRows<'a, T>> {
+        let [a, b] = self.factors;
+        let gradient = gradient.into_slice().expect("a whole weight");
+        let mut rows: Vec<_> = (0..a).map(|_| Vec::with_capacity(b)).collect();
+        for (u, row) in gradient.chunks_exact_mut(self.width + 2).enumerate() {
+            rows[u % a].push(row.as_chunks_mut().0);
+        }
+        (0..=a / 2).map(move |u1| {
+            let mut block = std::mem::take(&mut rows[u1]);
+            if let Some(mirror) = rows.get_mut(a - u1) {
+                block.append(mirror);
+            }
+            block
+        })
+    }
+}
