@@ -46,11 +46,8 @@ where
         if P == 8 { EIGHT[row] } else { row }
     }
 
-    /// Room for a single row, which the compiler keeps in registers.
-    #[inline(always)]
-    fn registers<V: Vector>() -> [Complex<V>; Q] {
-        [Complex::zero(); Q]
-    }
+    /// Whether row 0 stays in registers: with more rows there are none left for it.
+    const IN_REGISTERS: bool = ROWS <= 2;
 
     /// The line from point `first` of `image` on, to `spectrum[position]`, `spectrum[position + pitch]`, ...
     #[inline(always)]
@@ -62,16 +59,20 @@ where
         pitch: usize,
         work: &mut [Complex<V>],
     ) {
-        let mut registers = Self::registers();
-        let work = if ROWS == 1 { &mut registers[..] } else { &mut work[..ROWS * Q] };
+        let (first_row, work) = work[..ROWS * Q].split_first_chunk_mut().expect("a row");
+        let mut registers = [Complex::zero(); Q];
+        let zeroth = if Self::IN_REGISTERS { &mut registers } else { first_row };
         unroll!(q in 0..Q {
             let column = image.gather_at::<V, P>(first, Self::column(q), Self::LENGTH);
-            scatter(work, q, Q, <Codelet as RealDft<P, ROWS>>::real_dft(column));
+            let rows = <Codelet as RealDft<P, ROWS>>::real_dft(column);
+            zeroth[q] = rows[0];
+            for row in 1..ROWS {
+                work[(row - 1) * Q + q] = rows[row];
+            }
         });
-        let zeroth = <Codelet as TwoReal<Q>>::two_real_dft(gather(work, 0, 1));
-        scatter(spectrum, position, pitch, zeroth);
+        scatter(spectrum, position, pitch, <Codelet as TwoReal<Q>>::two_real_dft(*zeroth));
         unroll!(row in 1..ROWS {
-            let mut line = gather::<_, Q>(work, row * Q, 1);
+            let mut line = gather::<_, Q>(work, (row - 1) * Q, 1);
             if !Self::COPRIME {
                 for q in 1..Q {
                     line[q] = turn::<V, 64>(line[q], 64 / Self::LENGTH * q * Self::row_frequency(row));
@@ -91,10 +92,9 @@ where
         first: usize,
         work: &mut [Complex<V>],
     ) {
-        let mut registers = Self::registers();
-        let work = if ROWS == 1 { &mut registers[..] } else { &mut work[..ROWS * Q] };
-        let zeroth = gather(spectrum, position, pitch);
-        scatter(work, 0, 1, <Codelet as TwoReal<Q>>::two_real_idft(zeroth));
+        let (first_row, work) = work[..ROWS * Q].split_first_chunk_mut().expect("a row");
+        let mut registers = [Complex::zero(); Q];
+        let zeroth = if Self::IN_REGISTERS { &mut registers } else { first_row };
         unroll!(row in 1..ROWS {
             let mut line = <Codelet as Dft<Q>>::idft(gather(spectrum, position + row * Q * pitch, pitch));
             if !Self::COPRIME {
@@ -103,10 +103,15 @@ where
                     line[q] = turn::<V, 64>(line[q].swap(), turns).swap();
                 }
             }
-            scatter(work, row * Q, 1, line);
+            scatter(work, (row - 1) * Q, 1, line);
         });
+        *zeroth = <Codelet as TwoReal<Q>>::two_real_idft(gather(spectrum, position, pitch));
         unroll!(q in 0..Q {
-            let column = <Codelet as RealDft<P, ROWS>>::real_idft(gather(work, q, Q));
+            let mut rows = [zeroth[q]; ROWS];
+            for row in 1..ROWS {
+                rows[row] = work[(row - 1) * Q + q];
+            }
+            let column = <Codelet as RealDft<P, ROWS>>::real_idft(rows);
             image.scatter_at::<V, P>(first, Self::column(q), Self::LENGTH, column);
         });
     }
