@@ -4,14 +4,14 @@
 //! packed together are `W(0), N(0), W(1), N(1), ...` up to row frequency `H / 2`; both are Hermitian in it.
 
 use super::fused::Fused;
-use super::middle::{Accumulate, Middle, Product};
+use super::middle::{Accumulate, At, Middle, Product};
 use super::pair::{join, split};
 use super::transform::Transform;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter,
 };
 
-/// How the columns of one tile are transformed.
+/// How the columns of some lanes are transformed, all vectors of a column before the next column.
 pub(crate) struct Columns<T> {
     isa: Isa,
     transform: Transform<T>,
@@ -37,7 +37,7 @@ impl<T: Element> Columns<T> {
         self.first_places() | 1
     }
 
-    /// Numbers in all columns.
+    /// Numbers in all columns of one vector.
     pub(crate) fn len(&self) -> usize {
         self.numbers(self.count * self.pitch())
     }
@@ -47,9 +47,13 @@ impl<T: Element> Columns<T> {
         if self.packed_pair { 2 * (self.transform.len() / 2 + 1) } else { self.transform.len() }
     }
 
-    /// Numbers in a packed weight.
+    /// Numbers in a packed weight of one vector.
     pub(crate) fn packed_len(&self) -> usize {
-        self.numbers(self.first_places() + (self.count - 1) * self.transform.len())
+        self.numbers(self.places())
+    }
+
+    fn places(&self) -> usize {
+        self.first_places() + (self.count - 1) * self.transform.len()
     }
 
     /// Numbers of scratch that a run needs.
@@ -69,8 +73,9 @@ impl<T: Element> Columns<T> {
         weight: &[T],
         work: &mut [T],
     ) {
-        let middle = Product::<T, CONJUGATE>(Tile::dense(weight, self.isa.lanes::<T>()));
-        self.through::<_, true>(spectrum, middle, work);
+        let weight = Tile::dense(weight, self.isa.lanes::<T>());
+        let product = Product::<T, CONJUGATE> { weight, places: self.places() };
+        self.through::<_, true>(spectrum, product, work);
     }
 
     /// `sum += conj(x) · grad`, and `grad · conj weight` if there is a weight; else `grad` is lost. `x` is transformed.
@@ -82,19 +87,21 @@ impl<T: Element> Columns<T> {
         sum: &mut [T],
         work: &mut [T],
     ) {
-        let lanes = self.isa.lanes::<T>();
+        let (lanes, places) = (self.isa.lanes::<T>(), self.places());
         self.through::<_, false>(x, (), work);
-        let accumulate = Accumulate { x: Tile::dense(x, lanes), sum: TileMut::dense(sum, lanes) };
+        let (x, sum) = (Tile::dense(x, lanes), TileMut::dense(sum, lanes));
+        let accumulate = Accumulate { x, sum, places };
         match weight {
             Some(weight) => {
-                let product = Product::<T, true>(Tile::dense(weight, lanes));
+                let weight = Tile::dense(weight, lanes);
+                let product = Product::<T, true> { weight, places };
                 self.through::<_, true>(grad, (accumulate, product), work);
             }
             None => self.through::<_, false>(grad, accumulate, work),
         }
     }
 
-    /// Forward transform, `middle`, and inverse. Without inverse the spectrum stays, a pair as its places.
+    /// For each of the vectors that `spectrum` holds, forward transform, `middle`, and inverse. Without inverse the spectrum stays, a pair as its places.
     pub(crate) fn through<M: Middle<T>, const INVERSE: bool>(
         &self,
         spectrum: &mut [T],
@@ -102,15 +109,15 @@ impl<T: Element> Columns<T> {
         work: &mut [T],
     ) {
         let (isa, transform, layout) = (self.isa, &self.transform, self.layout());
-        let spectrum = &mut spectrum[..self.len()];
         if let Some(fused) = self.fused {
             let columns = Through { layout, spectrum, middle, work };
             fused.run::<T, M, INVERSE>(isa, transform.passes(), columns);
             return;
         }
-        let length = self.numbers(transform.len());
-        let columns = spectrum.chunks_exact_mut(self.numbers(layout.pitch));
-        for (column, line) in columns.enumerate() {
+        let (length, pitch) = (self.numbers(transform.len()), self.numbers(layout.pitch));
+        for (column, vector) in layout.lines(spectrum.len() / pitch) {
+            let at = layout.at(column, vector);
+            let line = &mut spectrum[self.numbers(at.position)..][..pitch];
             transform.forward(&mut line[..length], work);
             if self.packed_pair && column == 0 {
                 let outputs = layout.outputs;
@@ -119,14 +126,10 @@ impl<T: Element> Columns<T> {
                     column: line,
                     places: work,
                     middle: &mut middle,
+                    at,
                 });
             } else {
-                isa.run(Step {
-                    line: &mut line[..length],
-                    middle: &mut middle,
-                    position: column * layout.pitch,
-                    place: layout.place(column),
-                });
+                isa.run(Step { line: &mut line[..length], middle: &mut middle, at });
             }
             if INVERSE {
                 transform.inverse(&mut line[..length], work);
@@ -137,6 +140,7 @@ impl<T: Element> Columns<T> {
     fn layout(&self) -> Layout<'_> {
         Layout {
             outputs: self.transform.outputs(),
+            count: self.count,
             pitch: self.pitch(),
             packed_pair: self.packed_pair,
             first_places: self.first_places(),
@@ -149,6 +153,8 @@ impl<T: Element> Columns<T> {
 pub(crate) struct Layout<'a> {
     /// The position of each frequency.
     pub(crate) outputs: &'a [usize],
+    /// Columns of one vector.
+    count: usize,
     /// Complex vectors from one column to the next.
     pub(crate) pitch: usize,
     /// Column 0 is two real columns.
@@ -157,10 +163,19 @@ pub(crate) struct Layout<'a> {
 }
 
 impl Layout<'_> {
-    /// The first place of a column in a packed weight.
+    /// Column and vector of each of `lines` lines, in the order in which a weight in natural order is read in longer runs.
     #[inline(always)]
-    pub(crate) fn place(&self, column: usize) -> usize {
-        if column == 0 { 0 } else { self.first_places + (column - 1) * self.outputs.len() }
+    pub(crate) fn lines(self, lines: usize) -> impl Iterator<Item = (usize, usize)> {
+        let vectors = lines / self.count;
+        (0..self.count).flat_map(move |column| (0..vectors).map(move |vector| (column, vector)))
+    }
+
+    /// Where a line begins.
+    #[inline(always)]
+    pub(crate) fn at(&self, column: usize, vector: usize) -> At {
+        let place =
+            if column == 0 { 0 } else { self.first_places + (column - 1) * self.outputs.len() };
+        At { vector, position: (vector * self.count + column) * self.pitch, place }
     }
 }
 
@@ -177,15 +192,14 @@ pub(crate) struct Through<'a, T, M> {
 struct Step<'a, T, M> {
     line: &'a mut [T],
     middle: &'a mut M,
-    position: usize,
-    place: usize,
+    at: At,
 }
 
 impl<T: Element, M: Middle<T>> Algorithm<T> for Step<'_, T, M> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         for (i, z) in complex_vectors::<V>(self.line).iter_mut().enumerate() {
-            [*z] = self.middle.apply(self.position + i, self.place + i, [*z]);
+            [*z] = self.middle.apply(self.at.plus(i), [*z]);
         }
     }
 }
@@ -196,6 +210,7 @@ struct PairStep<'a, T, M, const INVERSE: bool> {
     column: &'a mut [T],
     places: &'a mut [T],
     middle: &'a mut M,
+    at: At,
 }
 
 impl<T: Element, M: Middle<T>, const INVERSE: bool> Algorithm<T> for PairStep<'_, T, M, INVERSE> {
@@ -203,7 +218,7 @@ impl<T: Element, M: Middle<T>, const INVERSE: bool> Algorithm<T> for PairStep<'_
     fn run<V: Vector<Element = T>>(self) {
         let (column, places) =
             (complex_vectors::<V>(self.column), complex_vectors::<V>(self.places));
-        pair_step::<V, M, INVERSE>(self.outputs, column, places, self.middle);
+        pair_step::<V, M, INVERSE>(self.outputs, column, places, self.middle, self.at);
     }
 }
 
@@ -214,11 +229,12 @@ pub(crate) fn pair_step<V: Vector, M: Middle<V::Element>, const INVERSE: bool>(
     column: &mut [Complex<V>],
     places: &mut [Complex<V>],
     middle: &mut M,
+    at: At,
 ) {
     let length = outputs.len();
     for k in 0..=length / 2 {
         let (position, mirror) = (outputs[k], outputs[(length - k) % length]);
-        let both = middle.apply(2 * k, 2 * k, split(column[position], column[mirror]));
+        let both = middle.apply(at.plus(2 * k), split(column[position], column[mirror]));
         if INVERSE {
             let (z, opposite) = join(both);
             column[position] = z;

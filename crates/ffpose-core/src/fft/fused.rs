@@ -16,7 +16,7 @@ pub(crate) struct Fused {
 /// Runs `$run` with constants `$p` and `$q` equal to `$radices` if that is a supported pair, else `$otherwise`.
 macro_rules! with_radices {
     ($radices:expr, ($p:ident, $q:ident) => $run:expr, _ => $otherwise:expr) => {
-        with_radices!(@ $radices, $p, $q, $run, $otherwise, 1 7, 1 8, 1 16, 2 7, 4 7, 8 7, 4 8, 8 8)
+        with_radices!(@ $radices, $p, $q, $run, $otherwise, 1 7, 1 8, 1 16, 7 2, 7 4, 7 8, 4 8, 8 8)
     };
     (@ $radices:expr, $p:ident, $q:ident, $run:expr, $otherwise:expr, $($p_of:literal $q_of:literal),*) => {
         match $radices {
@@ -65,7 +65,7 @@ where
     Codelet: Dft<P> + Dft<Q>,
 {
     /// Powers of two have twiddles between the passes.
-    const DIGITS: Digits = if Q.is_multiple_of(2) {
+    const DIGITS: Digits = if P.is_multiple_of(2) {
         Digits { outer: 1, middle: Q, inner: 1 }
     } else {
         Digits { outer: 1, middle: 1, inner: Q }
@@ -95,26 +95,27 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Layout { outputs, pitch, packed_pair, .. } = self.columns.layout;
+        let layout @ Layout { outputs, pitch, packed_pair, .. } = self.columns.layout;
         let spectrum = complex_vectors::<V>(std::mem::take(&mut self.columns.spectrum));
         let places = complex_vectors::<V>(std::mem::take(&mut self.columns.work));
-        for (column, line) in spectrum.chunks_exact_mut(pitch).enumerate() {
+        for (column, vector) in layout.lines(spectrum.len() / pitch) {
+            let at = layout.at(column, vector);
+            let line = &mut spectrum[at.position..][..pitch];
             self.enter(line);
             if packed_pair && column == 0 {
                 for start in (0..P * Q).step_by(Q) {
                     scatter(line, start, 1, <Codelet as Dft<Q>>::dft(gather(line, start, 1)));
                 }
-                pair_step::<_, _, INVERSE>(outputs, line, places, &mut self.columns.middle);
+                pair_step::<_, _, INVERSE>(outputs, line, places, &mut self.columns.middle, at);
                 if INVERSE {
                     for start in (0..P * Q).step_by(Q) {
                         scatter(line, start, 1, <Codelet as Dft<Q>>::idft(gather(line, start, 1)));
                     }
                 }
             } else {
-                let (position, place) = (column * pitch, self.columns.layout.place(column));
                 for start in (0..P * Q).step_by(Q) {
                     let z = <Codelet as Dft<Q>>::dft(gather(line, start, 1));
-                    let z = self.columns.middle.apply(position + start, place + start, z);
+                    let z = self.columns.middle.apply(at.plus(start), z);
                     let z = if INVERSE { <Codelet as Dft<Q>>::idft(z) } else { z };
                     scatter(line, start, 1, z);
                 }

@@ -17,15 +17,12 @@ use crate::kernel::{Backward, Kernel, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 
-/// Bytes of a cache line: where the lanes of one go through the transforms together, each line of an image comes once.
-const LINE_BYTES: usize = 64;
-
 /// Bytes of the lanes of one tile. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
 /// lines at a distance of a power of two meet in the same few sets of the cache.
-const TILE_BYTES: usize = 4 * LINE_BYTES;
+const TILE_BYTES: usize = 512;
 
-/// Bytes of spectra up to which lines of a tile go together: small beside a second-level cache.
-const SPECTRA_BYTES: usize = 1 << 18;
+/// Bytes of spectra up to which lines of a tile go together: what a second-level cache holds.
+const SPECTRA_BYTES: usize = 1 << 20;
 
 /// The plan for grids of one height and width.
 pub(crate) struct Grid<T> {
@@ -79,12 +76,12 @@ impl<T: Element> Grid<T> {
             plain: T::nearest(2.0 * norm / (gain * gain)),
         };
         let lanes = isa.lanes::<T>();
-        let line = LINE_BYTES / size_of::<T>();
-        let lines = SPECTRA_BYTES / (line / lanes * columns.len() * size_of::<T>());
+        let fitting = SPECTRA_BYTES / (columns.len() * size_of::<T>()) * lanes;
+        let together = 1 << fitting.min(TILE_BYTES / size_of::<T>()).max(lanes).ilog2();
         Self {
             isa,
             lanes,
-            together: if lines > 0 { line * lines.min(TILE_BYTES / LINE_BYTES) } else { lanes },
+            together,
             points: height * width,
             rows,
             columns,
@@ -181,7 +178,7 @@ impl<T: Element> Grid<T> {
         x: ArrayView2<'_, T>,
         packed: &[T],
         grad_x: Option<ArrayViewMut2<'_, T>>,
-        mut sum: Option<&mut [T]>,
+        sum: Option<&mut [T]>,
         scratch: &mut Scratch<'_, T>,
     ) {
         let Scratch { spectrum, other, work, padded } = scratch;
@@ -191,18 +188,11 @@ impl<T: Element> Grid<T> {
         if sum.is_some() {
             self.rows_forward(self.place(true), x, other, work, padded);
         }
-        let (len, packed_len) = (self.columns.len(), self.columns.packed_len());
-        let spectra = spectrum.chunks_exact_mut(len).zip(other.chunks_exact_mut(len));
-        for (i, (spectrum, other)) in spectra.enumerate() {
-            let places = i * packed_len..(i + 1) * packed_len;
-            let weight = grad_x.is_some().then(|| &packed[places.clone()]);
-            match (&mut sum, weight) {
-                (Some(sum), _) => {
-                    self.columns.gradient(spectrum, other, weight, &mut sum[places], work);
-                }
-                (None, Some(weight)) => self.columns.filter::<true>(spectrum, weight, work),
-                (None, None) => {}
-            }
+        let weight = grad_x.is_some().then_some(packed);
+        match (sum, weight) {
+            (Some(sum), _) => self.columns.gradient(spectrum, other, weight, sum, work),
+            (None, Some(weight)) => self.columns.filter::<true>(spectrum, weight, work),
+            (None, None) => {}
         }
         if let Some(grad_x) = grad_x {
             self.rows_inverse(self.place(true), spectrum, grad_x, work, padded);
@@ -220,11 +210,7 @@ impl<T: Element> Grid<T> {
         let Scratch { spectrum, work, padded, .. } = scratch;
         let spectrum = &mut spectrum[..self.spectra(x.ncols())];
         self.rows_forward(self.place(false), x, spectrum, work, padded);
-        let spectra = spectrum.chunks_exact_mut(self.columns.len());
-        for (i, spectrum) in spectra.enumerate() {
-            let middle = self.product::<false>(Tile::of_complex(weight), i);
-            self.columns.through::<_, true>(spectrum, middle, work);
-        }
+        self.columns.through::<_, true>(spectrum, self.product::<false>(weight), work);
         self.rows_inverse(self.place(false), spectrum, y, work, padded);
     }
 
@@ -238,25 +224,21 @@ impl<T: Element> Grid<T> {
         if grad_weight.is_some() {
             self.rows_forward(self.place(false), x, other, work, padded);
         }
-        let mut gradient = grad_weight.map(TileMut::of_complex);
-        let (weight, len) = (Tile::of_complex(weight), self.columns.len());
-        let spectra = spectrum.chunks_exact_mut(len).zip(other.chunks_exact_mut(len));
-        for (i, (spectrum, other)) in spectra.enumerate() {
-            let product = self.product::<true>(weight, i);
-            let Some(gradient) = &mut gradient else {
-                self.columns.through::<_, true>(spectrum, product, work);
-                continue;
-            };
-            self.columns.through::<_, false>(other, (), work);
-            let gradient = NaturalGradient {
-                packing: &self.packing,
-                x: Tile::dense(other, self.lanes),
-                gradient: gradient.skip_lanes(2 * i * self.lanes),
-            };
-            if grad_x.is_some() {
-                self.columns.through::<_, true>(spectrum, (gradient, product), work);
-            } else {
-                self.columns.through::<_, false>(spectrum, gradient, work);
+        let product = self.product::<true>(weight);
+        match grad_weight {
+            None => self.columns.through::<_, true>(spectrum, product, work),
+            Some(gradient) => {
+                self.columns.through::<_, false>(other, (), work);
+                let gradient = NaturalGradient {
+                    packing: &self.packing,
+                    x: Tile::dense(other, self.lanes),
+                    gradient: TileMut::of_complex(gradient),
+                };
+                if grad_x.is_some() {
+                    self.columns.through::<_, true>(spectrum, (gradient, product), work);
+                } else {
+                    self.columns.through::<_, false>(spectrum, gradient, work);
+                }
             }
         }
         if let Some(grad_x) = grad_x {
@@ -264,14 +246,11 @@ impl<T: Element> Grid<T> {
         }
     }
 
-    /// The product with the weight of vector `number` of some lanes.
     fn product<'a, const CONJUGATE: bool>(
         &'a self,
-        weight: Tile<'a, T>,
-        number: usize,
+        weight: ArrayView3<'a, T>,
     ) -> NaturalProduct<'a, T, CONJUGATE> {
-        let weight = weight.skip_lanes(2 * number * self.lanes);
-        NaturalProduct { packing: &self.packing, weight }
+        NaturalProduct { packing: &self.packing, weight: Tile::of_complex(weight) }
     }
 
     /// `weight` `(bins, lanes, 2)` with zeros up to whole vectors.
@@ -316,17 +295,14 @@ impl<T: Element> Kernel<T> for Grid<T> {
         team: &mut Team<'_, T>,
     ) {
         let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
-        let (len, packed_len) = (self.columns.len(), self.columns.packed_len());
+        let packed_len = self.columns.packed_len();
         for image in 0..x.len_of(Axis(0)) {
             for lanes in self.parts(x.len_of(Axis(2))) {
                 let spectrum = &mut spectrum[..self.spectra(lanes.len())];
                 let packed = &packed[lanes.start / self.lanes * packed_len..];
                 let part = s![image, .., lanes];
                 self.rows_forward(self.place(true), x.slice(part), spectrum, work, padded);
-                let spectra = spectrum.chunks_exact_mut(len);
-                for (spectrum, weight) in spectra.zip(packed.chunks_exact(packed_len)) {
-                    self.columns.filter::<false>(spectrum, weight, work);
-                }
+                self.columns.filter::<false>(spectrum, packed, work);
                 self.rows_inverse(self.place(true), spectrum, y.slice_mut(part), work, padded);
             }
         }

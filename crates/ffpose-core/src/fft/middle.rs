@@ -3,14 +3,31 @@
 use super::pack::Packing;
 use crate::simd::{Complex, Element, Tile, TileMut, Vector};
 
+/// Where the first of some vectors of one column is.
+#[derive(Clone, Copy)]
+pub(crate) struct At {
+    /// Which vector of the lanes that go together.
+    pub(crate) vector: usize,
+    /// Its number in their spectra.
+    pub(crate) position: usize,
+    /// Its number in a weight of one vector.
+    pub(crate) place: usize,
+}
+
+impl At {
+    /// `count` vectors further.
+    #[inline(always)]
+    pub(crate) fn plus(self, count: usize) -> Self {
+        Self { position: self.position + count, place: self.place + count, ..self }
+    }
+}
+
 /// A step on complex vectors, in registers; steps are joined as pairs.
 pub(crate) trait Middle<T: Element> {
-    /// The new values of the `R` vectors that are number `position` and following of the spectrum and number `place` and
-    /// following of a weight; these are places of one column.
+    /// The new values of the `R` vectors of the spectrum from `at` on.
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
-        position: usize,
-        place: usize,
+        at: At,
         spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R];
 }
@@ -20,8 +37,7 @@ impl<T: Element> Middle<T> for () {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
-        _: usize,
-        _: usize,
+        _: At,
         spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
         spectrum
@@ -32,27 +48,29 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
-        position: usize,
-        place: usize,
+        at: At,
         spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
-        let spectrum = self.0.apply(position, place, spectrum);
-        self.1.apply(position, place, spectrum)
+        let spectrum = self.0.apply(at, spectrum);
+        self.1.apply(at, spectrum)
     }
 }
 
 /// The product with a packed weight, or with its conjugate.
-pub(crate) struct Product<'a, T, const CONJUGATE: bool>(pub(crate) Tile<'a, T>);
+pub(crate) struct Product<'a, T, const CONJUGATE: bool> {
+    pub(crate) weight: Tile<'a, T>,
+    /// Places of one vector.
+    pub(crate) places: usize,
+}
 
 impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
-        _: usize,
-        place: usize,
+        at: At,
         mut spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
-        let (re, im) = parts::<V, R>(self.0, place);
+        let (re, im) = parts::<V, R>(self.weight, at.vector * self.places + at.place);
         for i in 0..R {
             let weight = Complex::new(re[i], im[i]);
             spectrum[i] =
@@ -66,19 +84,21 @@ impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> 
 pub(crate) struct Accumulate<'a, T> {
     /// By position.
     pub(crate) x: Tile<'a, T>,
-    /// By place.
+    /// By place, for each vector.
     pub(crate) sum: TileMut<'a, T>,
+    /// Places of one vector.
+    pub(crate) places: usize,
 }
 
 impl<T: Element> Middle<T> for Accumulate<'_, T> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
-        position: usize,
-        place: usize,
+        at: At,
         spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
-        let (x_re, x_im) = parts::<V, R>(self.x, position);
+        let place = at.vector * self.places + at.place;
+        let (x_re, x_im) = parts::<V, R>(self.x, at.position);
         let (mut re, mut im) = parts::<V, R>(self.sum.reader(), place);
         for i in 0..R {
             let g = spectrum[i];
@@ -102,21 +122,14 @@ impl<T: Element, const CONJUGATE: bool> Middle<T> for NaturalProduct<'_, T, CONJ
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
-        _: usize,
-        place: usize,
+        at: At,
         mut spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
-        for i in 0..R {
-            self.packing.prefetch::<V>(self.weight, place + R + i);
-        }
-        let weight: [_; R] = self.packing.read(self.weight, place);
-        for i in 0..R {
-            spectrum[i] = if CONJUGATE {
-                spectrum[i].times_conj(weight[i])
-            } else {
-                spectrum[i].times(weight[i])
-            };
-        }
+        let weight = self.weight.skip_lanes(2 * at.vector * V::LANES);
+        self.packing.read::<V, R>(weight, at.place, |i, weight| {
+            let z = spectrum[i];
+            spectrum[i] = if CONJUGATE { z.times_conj(weight) } else { z.times(weight) };
+        });
         spectrum
     }
 }
@@ -134,16 +147,16 @@ impl<T: Element> Middle<T> for NaturalGradient<'_, T> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
-        position: usize,
-        place: usize,
+        at: At,
         spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
-        let (re, im) = parts::<V, R>(self.x, position);
+        let (re, im) = parts::<V, R>(self.x, at.position);
         let mut products = spectrum;
         for i in 0..R {
             products[i] = spectrum[i].times_conj(Complex::new(re[i], im[i]));
         }
-        self.packing.write(&mut self.gradient, place, products);
+        let mut gradient = self.gradient.skip_lanes(2 * at.vector * V::LANES);
+        self.packing.write(&mut gradient, at.place, products);
         spectrum
     }
 }

@@ -66,21 +66,21 @@ impl<T: Element> Packing<T> {
         self.hermitian.len() + self.plain.len()
     }
 
-    /// The weight of places `first` and following of one column, from natural order.
+    /// Gives `each` the weight of `R` places of one column in turn, from natural order.
     #[inline(always)]
     pub(crate) fn read<V: Vector<Element = T>, const R: usize>(
         &self,
         weight: Tile<'_, T>,
         first: usize,
-    ) -> [Complex<V>; R] {
-        let mut all = [Complex::zero(); R];
+        mut each: impl FnMut(usize, Complex<V>),
+    ) {
         if let Some(first) = first.checked_sub(self.hermitian.len()) {
             let scale = V::splat(self.weight.plain);
             let places = &self.plain[first..first + R];
             let im_scale = if places[0].1 { -scale } else { scale };
             for i in 0..R {
                 let z = weight.complex::<V>(places[i].0);
-                all[i] = Complex::new(z.re * scale, z.im * im_scale);
+                each(i, Complex::new(z.re * scale, z.im * im_scale));
             }
         } else {
             let mean = V::splat(self.weight.hermitian);
@@ -88,10 +88,9 @@ impl<T: Element> Packing<T> {
             for i in 0..R {
                 let (bin, mirror) = places[i];
                 let (z, mirror) = (weight.complex::<V>(bin), weight.complex::<V>(mirror));
-                all[i] = Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * mean);
+                each(i, Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * mean));
             }
         }
-        all
     }
 
     /// Asks for the weight of a place behind those of the first column: bins are far apart and in no order, so that no processor
@@ -99,8 +98,7 @@ impl<T: Element> Packing<T> {
     #[inline(always)]
     pub(crate) fn prefetch<V: Vector<Element = T>>(&self, weight: Tile<'_, T>, place: usize) {
         if let Some(&(bin, _)) = self.plain.get(place.wrapping_sub(self.hermitian.len())) {
-            weight.prefetch(bin, 1);
-            weight.skip_lanes(V::LANES).prefetch(bin, 1);
+            weight.prefetch_complex::<V>(bin);
         }
     }
 
@@ -160,8 +158,10 @@ impl<T: Element> Algorithm<T> for Pack<'_, T> {
             for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
                 let weight = self.weight.skip_lanes(2 * i * V::LANES);
                 self.packing.prefetch::<V>(weight, place + AHEAD);
-                let [z] = self.packing.read(weight, place);
-                TileMut::dense(packed, V::LANES).scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
+                let mut packed = TileMut::dense(packed, V::LANES);
+                self.packing.read::<V, 1>(weight, place, |_, z| {
+                    packed.scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
+                });
             }
         }
     }

@@ -298,7 +298,7 @@ fn groups(length: usize) -> Vec<Vec<usize>> {
         }
         p += 1;
     }
-    groups.sort_by_key(|group| CODELETS.contains(&group[0]));
+    groups.sort_by_key(|group| (CODELETS.contains(&group[0]), group[0].is_multiple_of(2)));
     groups
 }
 

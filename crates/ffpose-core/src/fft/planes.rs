@@ -203,7 +203,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
             for (block, weight) in packed.chunks_exact(self.block_len()).enumerate() {
                 let block = self.block(block);
                 self.isa.run(Gather { block, spectrum, line });
-                self.along_y.filter::<false>(line, weight, work);
+                self.along_y.filter::<false>(&mut line[..self.along_y.len()], weight, work);
                 self.isa.run(Put { block, spectrum, line });
             }
             self.inverse_x(spectrum, y, line, work, padded);
@@ -226,8 +226,11 @@ impl<T: Element> Kernel<T> for Planes<T> {
                 if let Some(sum) = &mut grad_sum {
                     self.isa.run(Gather { block, spectrum: other, line: other_line });
                     let weight = grad_x.is_some().then(|| &packed[places.clone()]);
+                    let len = self.along_y.len();
+                    let (line, other_line) = (&mut line[..len], &mut other_line[..len]);
                     self.along_y.gradient(line, other_line, weight, &mut sum[places], work);
                 } else {
+                    let line = &mut line[..self.along_y.len()];
                     self.along_y.filter::<true>(line, &packed[places], work);
                 }
                 if grad_x.is_some() {

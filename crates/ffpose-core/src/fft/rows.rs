@@ -20,7 +20,7 @@ pub(crate) enum Rows<T> {
     Pairs(Transform<T>),
 }
 
-/// Points ahead of the work that are at least brought to the cache.
+/// Points ahead of the work that are at least brought to the cache, in the order of memory.
 const AHEAD: usize = 28;
 
 /// Where columns are.
@@ -114,9 +114,12 @@ impl<T: Element> Rows<T> {
         work: &mut [T],
     ) {
         match self {
-            Self::Codelet(length) => with_codelet!(*length,
-                (N, S) => isa.run(Forward::<T, N, S> { image, place, spectrum }),
-                (P, Q, ROWS) => isa.run(ForwardLines::<T, P, Q, ROWS> { image, place, spectrum, work })),
+            Self::Codelet(length) if place.far => {
+                codelet_forward::<T, true>(isa, *length, image, place, spectrum, work);
+            }
+            Self::Codelet(length) => {
+                codelet_forward::<T, false>(isa, *length, image, place, spectrum, work);
+            }
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
                     (transform.outputs(), transform.len(), isa.lanes::<T>());
@@ -125,13 +128,14 @@ impl<T: Element> Rows<T> {
                     let first = 2 * pair * width;
                     let second = (places.len() == 2).then_some(first + width);
                     let places = [places[0], places[places.len() - 1]];
-                    for (i, spectrum) in
-                        spectrum.chunks_exact_mut(2 * lanes * place.set).enumerate()
-                    {
-                        let image = image.skip_lanes(i * lanes);
+                    let spectra = spectrum.chunks_exact_mut(2 * lanes * place.set);
+                    let vectors = spectra.len();
+                    for (i, spectrum) in spectra.enumerate() {
                         if place.far {
-                            image.prefetch(first + AHEAD.max(2 * width), 2 * width);
+                            let ahead = first + AHEAD.max(2 * width);
+                            image.prefetch_share(ahead, 2 * width, i, vectors);
                         }
+                        let image = image.skip_lanes(i * lanes);
                         isa.run(Enter { inputs: transform.inputs(), image, first, second, line });
                         transform.forward(line, work);
                         isa.run(Split { outputs, line, spectrum, pitch: place.pitch, places });
@@ -151,9 +155,12 @@ impl<T: Element> Rows<T> {
         work: &mut [T],
     ) {
         match self {
-            Self::Codelet(length) => with_codelet!(*length,
-                (N, S) => isa.run(Inverse::<T, N, S> { image, place, spectrum }),
-                (P, Q, ROWS) => isa.run(InverseLines::<T, P, Q, ROWS> { image, place, spectrum, work })),
+            Self::Codelet(length) if place.far => {
+                codelet_inverse::<T, true>(isa, *length, spectrum, place, image, work);
+            }
+            Self::Codelet(length) => {
+                codelet_inverse::<T, false>(isa, *length, spectrum, place, image, work);
+            }
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
                     (transform.outputs(), transform.len(), isa.lanes::<T>());
@@ -162,13 +169,14 @@ impl<T: Element> Rows<T> {
                     let first = 2 * pair * width;
                     let second = (places.len() == 2).then_some(first + width);
                     let places = [places[0], places[places.len() - 1]];
-                    for (i, spectrum) in
-                        spectrum.chunks_exact_mut(2 * lanes * place.set).enumerate()
-                    {
-                        let image = &mut image.skip_lanes(i * lanes);
+                    let spectra = spectrum.chunks_exact_mut(2 * lanes * place.set);
+                    let vectors = spectra.len();
+                    for (i, spectrum) in spectra.enumerate() {
                         if place.far {
-                            image.reader().prefetch(first + AHEAD.max(2 * width), 2 * width);
+                            let ahead = first + AHEAD.max(2 * width);
+                            image.reader().prefetch_share(ahead, 2 * width, i, vectors);
                         }
+                        let image = &mut image.skip_lanes(i * lanes);
                         isa.run(Join { outputs, line, spectrum, pitch: place.pitch, places });
                         transform.inverse(line, work);
                         isa.run(Leave { inputs: transform.inputs(), image, first, second, line });
@@ -179,26 +187,56 @@ impl<T: Element> Rows<T> {
     }
 }
 
-struct Forward<'a, T, const N: usize, const S: usize> {
+/// [`Rows::forward`] by codelets.
+fn codelet_forward<T: Element, const FAR: bool>(
+    isa: Isa,
+    length: usize,
+    image: Tile<'_, T>,
+    place: Place<'_>,
+    spectrum: &mut [T],
+    work: &mut [T],
+) {
+    with_codelet!(length,
+        (N, S) => isa.run(Forward::<T, N, S, FAR> { image, place, spectrum }),
+        (P, Q, ROWS) => isa.run(ForwardLines::<T, P, Q, ROWS, FAR> { image, place, spectrum, work }));
+}
+
+/// [`Rows::inverse`] by codelets.
+fn codelet_inverse<T: Element, const FAR: bool>(
+    isa: Isa,
+    length: usize,
+    spectrum: &mut [T],
+    place: Place<'_>,
+    image: TileMut<'_, T>,
+    work: &mut [T],
+) {
+    with_codelet!(length,
+        (N, S) => isa.run(Inverse::<T, N, S, FAR> { image, place, spectrum }),
+        (P, Q, ROWS) => isa.run(InverseLines::<T, P, Q, ROWS, FAR> { image, place, spectrum, work }));
+}
+
+struct Forward<'a, T, const N: usize, const S: usize, const FAR: bool> {
     image: Tile<'a, T>,
     place: Place<'a>,
     spectrum: &'a mut [T],
 }
 
-impl<T: Element, const N: usize, const S: usize> Algorithm<T> for Forward<'_, T, N, S>
+impl<T: Element, const N: usize, const S: usize, const FAR: bool> Algorithm<T>
+    for Forward<'_, T, N, S, FAR>
 where
     Codelet: RealDft<N, S>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Place { positions, pitch, set, far } = self.place;
+        let Place { positions, pitch, set, .. } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
+        let vectors = spectrum.len() / set;
         for (row, &position) in positions.iter().enumerate() {
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
-                let image = self.image.skip_lanes(i * V::LANES);
-                if far {
-                    image.prefetch(row * N + AHEAD.max(N), N);
+                if FAR {
+                    self.image.prefetch_share(row * N + AHEAD.max(N), N, i, vectors);
                 }
+                let image = self.image.skip_lanes(i * V::LANES);
                 let line = image.gather::<V, N>(row * N, 1);
                 scatter(spectrum, position, pitch, <Codelet as RealDft<N, S>>::real_dft(line));
             }
@@ -206,86 +244,91 @@ where
     }
 }
 
-struct ForwardLines<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
+struct ForwardLines<'a, T, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool> {
     image: Tile<'a, T>,
     place: Place<'a>,
     spectrum: &'a mut [T],
     work: &'a mut [T],
 }
 
-impl<T: Element, const P: usize, const Q: usize, const ROWS: usize> Algorithm<T>
-    for ForwardLines<'_, T, P, Q, ROWS>
+impl<T: Element, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool> Algorithm<T>
+    for ForwardLines<'_, T, P, Q, ROWS, FAR>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Place { positions, pitch, set, far } = self.place;
+        let Place { positions, pitch, set, .. } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
+        let vectors = spectrum.len() / set;
         for (row, &position) in positions.iter().enumerate() {
             let first = row * P * Q;
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
-                let image = self.image.skip_lanes(i * V::LANES);
-                if far {
-                    image.prefetch(first + AHEAD.max(P * Q), P * Q);
+                if FAR {
+                    self.image.prefetch_share(first + AHEAD.max(P * Q), P * Q, i, vectors);
                 }
+                let image = self.image.skip_lanes(i * V::LANES);
                 Line::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
             }
         }
     }
 }
 
-struct InverseLines<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
+struct InverseLines<'a, T, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool> {
     image: TileMut<'a, T>,
     place: Place<'a>,
     spectrum: &'a mut [T],
     work: &'a mut [T],
 }
 
-impl<T: Element, const P: usize, const Q: usize, const ROWS: usize> Algorithm<T>
-    for InverseLines<'_, T, P, Q, ROWS>
+impl<T: Element, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool> Algorithm<T>
+    for InverseLines<'_, T, P, Q, ROWS, FAR>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Place { positions, pitch, set, far } = self.place;
+        let Place { positions, pitch, set, .. } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
+        let vectors = spectrum.len() / set;
         for (row, &position) in positions.iter().enumerate() {
             let first = row * P * Q;
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
-                let image = &mut self.image.skip_lanes(i * V::LANES);
-                if far {
-                    image.reader().prefetch(first + AHEAD.max(P * Q), P * Q);
+                if FAR {
+                    let image = self.image.reader();
+                    image.prefetch_share(first + AHEAD.max(P * Q), P * Q, i, vectors);
                 }
+                let image = &mut self.image.skip_lanes(i * V::LANES);
                 Line::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
             }
         }
     }
 }
 
-struct Inverse<'a, T, const N: usize, const S: usize> {
+struct Inverse<'a, T, const N: usize, const S: usize, const FAR: bool> {
     image: TileMut<'a, T>,
     place: Place<'a>,
     spectrum: &'a mut [T],
 }
 
-impl<T: Element, const N: usize, const S: usize> Algorithm<T> for Inverse<'_, T, N, S>
+impl<T: Element, const N: usize, const S: usize, const FAR: bool> Algorithm<T>
+    for Inverse<'_, T, N, S, FAR>
 where
     Codelet: RealDft<N, S>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Place { positions, pitch, set, far } = self.place;
+        let Place { positions, pitch, set, .. } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
+        let vectors = spectrum.len() / set;
         for (row, &position) in positions.iter().enumerate() {
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
-                let image = &mut self.image.skip_lanes(i * V::LANES);
-                if far {
-                    image.reader().prefetch(row * N + AHEAD.max(N), N);
+                if FAR {
+                    self.image.reader().prefetch_share(row * N + AHEAD.max(N), N, i, vectors);
                 }
+                let image = &mut self.image.skip_lanes(i * V::LANES);
                 let line = <Codelet as RealDft<N, S>>::real_idft(gather(spectrum, position, pitch));
                 image.scatter::<V, N>(row * N, 1, line);
             }

@@ -133,6 +133,22 @@ impl<'a, T: Element> Tile<'a, T> {
         }
     }
 
+    /// Asks for the cache lines of what [`complex`](Self::complex) reads.
+    #[inline(always)]
+    pub(crate) fn prefetch_complex<V: Vector<Element = T>>(&self, point: usize) {
+        prefetch_lines(self.start.wrapping_add(point * self.stride), 2 * V::LANES);
+    }
+
+    /// Asks for the cache lines of one of `shares` equal shares of `count` points from `first` on, which may lie behind the
+    /// last point.
+    #[inline(always)]
+    pub(crate) fn prefetch_share(&self, first: usize, count: usize, share: usize, shares: usize) {
+        let each = count.div_ceil(shares);
+        for point in first + (share * each).min(count)..first + (share * each + each).min(count) {
+            prefetch_lines(self.start.wrapping_add(point * self.stride), self.lanes);
+        }
+    }
+
     /// Asks for all cache lines of the points, which are without gaps.
     #[inline(always)]
     pub(crate) fn prefetch_all(&self) {
