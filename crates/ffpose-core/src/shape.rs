@@ -150,11 +150,11 @@ impl Shape {
     }
 
     fn bins_dim(&self, name: &'static str, got: &[usize]) -> Result<(usize, usize, usize), Error> {
-        let expected = self.weight();
+        let (rows, half, lanes) = (self.rows, self.half(), self.lanes);
         match self.layout {
-            _ if got != expected => Err(wrong(name, &tuple(&expected), got)),
-            Layout::Tokens => Ok((self.rows, self.half(), 2)),
-            Layout::Grid => Ok((self.rows * self.half(), self.lanes, 2)),
+            Layout::Tokens if got == [rows, half, 2] => Ok((rows, half, 2)),
+            Layout::Grid if got == [rows, half, lanes, 2] => Ok((rows * half, lanes, 2)),
+            _ => Err(wrong(name, &tuple(&self.weight()), got)),
         }
     }
 

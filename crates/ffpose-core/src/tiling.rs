@@ -85,9 +85,11 @@ fn chunk<T>(
     each: usize,
     index: usize,
 ) -> ArrayView3<'_, T> {
-    let from = index * each;
-    let to = view.len_of(axis).min(from + each);
-    view.slice_axis_inplace(axis, Slice::from(from..to));
+    let len = view.len_of(axis);
+    if len > each {
+        let from = index * each;
+        view.slice_axis_inplace(axis, Slice::from(from..len.min(from + each)));
+    }
     view
 }
 

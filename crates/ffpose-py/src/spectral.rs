@@ -127,7 +127,7 @@ fn forward<X: TensorElement, W: TensorElement<Real = X::Real>>(
     layout: &str,
     threads: usize,
 ) -> PyResult<()> {
-    let y = y.view_mut::<X>(&[x, weight])?;
+    let y = y.view_mut::<X>([x, weight])?;
     let (x, weight) = (x.view::<X>()?, weight.view::<W>()?);
     enter_sized(py, x.len(), || {
         let filter = planned(layout, x.shape())?;
@@ -164,11 +164,10 @@ fn backward<X: TensorElement, W: TensorElement<Real = X::Real>>(
     layout: &str,
     threads: usize,
 ) -> PyResult<()> {
-    let [grad, x, weight] = inputs;
-    let others: Vec<_> = inputs.iter().chain(&grad_weight).collect();
-    let grad_x = grad_x.map(|g| g.view_mut(&others)).transpose()?;
-    let grad_weight = grad_weight.map(|g| g.view_mut(&[grad, x, weight])).transpose()?;
+    let grad_x = grad_x.map(|g| g.view_mut(inputs.iter().chain(&grad_weight))).transpose()?;
+    let grad_weight = grad_weight.map(|g| g.view_mut(inputs)).transpose()?;
     let gradients = Gradients { x: grad_x, weight: grad_weight };
+    let [grad, x, weight] = inputs;
     let (grad, x, weight) = (grad.view::<X>()?, x.view::<X>()?, weight.view::<W>()?);
     enter_sized(py, x.len(), || {
         let filter = planned(layout, x.shape())?;

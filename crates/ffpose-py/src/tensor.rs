@@ -133,11 +133,11 @@ impl<'a> Tensor<'a> {
     }
 
     /// The elements, to write, of a tensor that shares no memory with `others`.
-    pub(crate) fn view_mut<T: TensorElement>(
+    pub(crate) fn view_mut<'b, T: TensorElement>(
         self,
-        others: &[&Tensor<'_>],
+        others: impl IntoIterator<Item = &'b Tensor<'b>>,
     ) -> PyResult<ArrayViewMutD<'a, T>> {
-        if let Some(other) = others.iter().find(|other| self.meets(other)) {
+        if let Some(other) = others.into_iter().find(|other| self.meets(other)) {
             let (name, other) = (self.name, other.name);
             let text = format!("{name} must have memory of its own, got that of {other}");
             return Err(PyValueError::new_err(text));

@@ -119,6 +119,11 @@ impl<T: Element> Grid<T> {
         parts.map(move |start| start..whole.min(start + self.together)).chain(rest)
     }
 
+    /// Whether so many lanes go together as they are: nothing to cut, which takes its time, nor to fill up.
+    fn undivided(&self, lanes: usize) -> bool {
+        lanes <= self.together && lanes.is_multiple_of(self.lanes)
+    }
+
     /// Numbers in the spectra of an image of `lanes` lanes.
     fn spectra(&self, lanes: usize) -> usize {
         lanes.div_ceil(self.lanes) * self.columns.len()
@@ -360,6 +365,9 @@ impl<T: Element> Single<T> for Grid<T> {
         team: &mut Team<'_, T>,
     ) {
         let mut scratch = self.scratch(team.scratch());
+        if self.undivided(x.ncols()) {
+            return self.forward_single(x, weight, y, &mut scratch);
+        }
         for lanes in self.parts(x.ncols()) {
             let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
             let (x, weight, y) = (x.slice(part), weight.slice(bins), y.slice_mut(part));
@@ -372,8 +380,11 @@ impl<T: Element> Single<T> for Grid<T> {
     }
 
     fn backward(&self, pass: SingleBackward<'_, T>, team: &mut Team<'_, T>) {
-        let SingleBackward { grad, x, weight, mut grad_x, mut grad_weight } = pass;
         let mut scratch = self.scratch(team.scratch());
+        if self.undivided(pass.x.ncols()) {
+            return self.backward_single(pass, &mut scratch);
+        }
+        let SingleBackward { grad, x, weight, mut grad_x, mut grad_weight } = pass;
         for lanes in self.parts(x.ncols()) {
             let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
             let (grad, x, weight) = (grad.slice(part), x.slice(part), weight.slice(bins));
