@@ -22,7 +22,7 @@ impl At {
     }
 }
 
-/// A step on complex vectors, in registers; steps are joined as pairs.
+/// A step on complex vectors, in registers.
 pub(crate) trait Middle<T: Element> {
     /// The new values of the `R` vectors of the spectrum from `at` on.
     fn apply<V: Vector<Element = T>, const R: usize>(
@@ -44,6 +44,8 @@ impl<T: Element> Middle<T> for () {
     }
 }
 
+/// Both see the spectrum, the second, whose result it is, before the first: what the first writes is often as far from a
+/// multiple of a page as what the second reads, and a read behind such a write waits for it.
 impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
@@ -51,8 +53,9 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
         at: At,
         spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
-        let spectrum = self.0.apply(at, spectrum);
-        self.1.apply(at, spectrum)
+        let result = self.1.apply(at, spectrum);
+        self.0.apply(at, spectrum);
+        result
     }
 }
 
