@@ -62,6 +62,9 @@ pub(crate) trait Kernel<T>: Send + Sync {
 /// One image, for which bringing a weight to kernel order and a gradient back would not pay: both stay in natural order.
 /// `y` and the gradient of `x` have the same bits as with [`Kernel::pack`].
 pub(crate) trait Single<T>: Sync {
+    /// Least lanes of a view, but for the last tile: threads may share one image in tiles as narrow as this.
+    fn narrowest_tile(&self) -> usize;
+
     /// As [`Kernel::forward`].
     fn forward(
         &self,

@@ -117,8 +117,8 @@ impl<T: Real> SpectralFilter<T> {
         };
 
         let threads = parallel::worth(pool, x.len());
-        let tiling = self.tiling(kernel, x.dim().0, Some(threads));
-        let image_len = self.image_len::<X>(kernel);
+        let tiling = self.tiling::<X>(kernel, x.dim().0, Some(threads));
+        let image_len = self.image_len::<X>(&tiling);
         let shared = widened_len::<W>(weight.len());
         let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 2 * image_len, shared);
         let (mut workers, wide_weight) = scratch.lend(pool, needs)?;
@@ -208,10 +208,10 @@ impl<T: Real> SpectralFilter<T> {
         let Pass { grad, x, weight, grad_x, grad_weight } = pass;
         let threads = parallel::worth(pool, x.len());
         let summed = grad_weight.is_some();
-        let tiling = self.tiling(kernel, x.dim().0, (!summed).then_some(threads));
+        let tiling = self.tiling::<X>(kernel, x.dim().0, (!summed).then_some(threads));
         let packed_len = kernel.packed_len();
         let sums = if summed { tiling.pieces().saturating_mul(packed_len) } else { 0 };
-        let image_len = self.image_len::<X>(kernel);
+        let image_len = self.image_len::<X>(&tiling);
         let shared = sums.saturating_add(widened_len::<W>(weight.len()));
         let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 3 * image_len, shared);
         let (mut workers, shared) = scratch.lend(pool, needs)?;
@@ -267,8 +267,9 @@ impl<T: Real> SpectralFilter<T> {
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let Pass { grad, x, weight, grad_x, grad_weight } = pass;
-        let tiling = self.tiling(kernel, 1, None);
-        let image_len = self.image_len::<X>(kernel);
+        let threads = parallel::worth(pool, x.len());
+        let tiling = self.tiling::<X>(kernel, 1, Some(threads));
+        let image_len = self.image_len::<X>(&tiling);
         let bins_len = widened_len::<W>(weight.len());
         let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 3 * image_len, 2 * bins_len);
         let (mut workers, shared) = scratch.lend(pool, needs)?;
@@ -307,17 +308,22 @@ impl<T: Real> SpectralFilter<T> {
         Ok(())
     }
 
-    /// Parts of the batch: as many as let `threads` share the work evenly, or, without threads, a number that follows
-    /// from shapes.
-    fn tiling(&self, kernel: &dyn Kernel<T>, images: usize, threads: Option<usize>) -> Tiling {
-        let tiles = self.shape.lanes.div_ceil(kernel.tile());
+    /// Pieces that let `threads` share the work evenly: parts of the batch, or narrower tiles of one image. Without
+    /// threads, pieces that follow from shapes.
+    fn tiling<X>(&self, kernel: &dyn Kernel<T>, images: usize, threads: Option<usize>) -> Tiling {
+        let (lanes, mut tile) = (self.shape.lanes, kernel.tile());
+        if let (1, Some(single), Some(threads)) = (images, kernel.single(), threads) {
+            let least = single.narrowest_tile() * size_of::<T>() / size_of::<X>();
+            tile = even_tile(lanes, least, tile, threads);
+        }
+        let tiles = lanes.div_ceil(tile);
         let parts = threads.map_or_else(|| sum_parts(tiles, images), |n| even_parts(tiles, n));
-        Tiling::new(self.shape, kernel.tile(), images, parts.min(images))
+        Tiling::new(self.shape, tile, images, parts.min(images))
     }
 
     /// Numbers in the wider copy of an image of a piece.
-    fn image_len<X: Number>(&self, kernel: &dyn Kernel<T>) -> usize {
-        widened_len::<X>(self.shape.points() * kernel.tile().min(self.shape.lanes))
+    fn image_len<X: Number>(&self, tiling: &Tiling) -> usize {
+        widened_len::<X>(self.shape.points() * tiling.tile().min(self.shape.lanes))
     }
 }
 
@@ -333,6 +339,17 @@ pub(crate) fn plan_kernel<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>>
     } else {
         fft::plan(isa, shape)
     }
+}
+
+/// Lanes of a tile, from `least` to `most`, with which `threads` are done soonest with one image of so many lanes.
+fn even_tile(lanes: usize, least: usize, most: usize, threads: usize) -> usize {
+    if threads == 1 {
+        return most;
+    }
+    let tiles = (1..=most / least).rev().map(|steps| steps * least);
+    // a tile takes the time of its lanes and, measured, of a third of `least` besides
+    let time = |tile: &usize| lanes.div_ceil(*tile).div_ceil(threads) * (3 * tile + least);
+    tiles.min_by_key(time).unwrap_or(most)
 }
 
 /// Parts that let `threads` share `tiles` of each evenly; many tiles do without.

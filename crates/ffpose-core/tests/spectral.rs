@@ -157,6 +157,7 @@ fn threads_and_batches_do_not_change_a_bit() {
     let large = [
         (Layout::Grid, vec![3, 28, 28, 250]),
         (Layout::Grid, vec![1, 28, 28, 350]), // one image, a thread for each few of its tiles
+        (Layout::Grid, vec![1, 90, 100, 60]), // one tile, cut into narrower ones
         (Layout::Grid, vec![40, 30, 30, 10]),
         (Layout::Grid, vec![16, 90, 100, 3]),
         (Layout::Tokens, vec![37, 70, 128]),
@@ -191,6 +192,7 @@ fn half_precision_is_rounded_once<H: Half + PartialEq + std::fmt::Debug>() {
     let cases = [
         (Layout::Grid, vec![3, 14, 14, 20]),
         (Layout::Grid, vec![1, 14, 14, 150]),
+        (Layout::Grid, vec![1, 70, 80, 50]), // one tile, cut in two for two threads
         (Layout::Tokens, vec![3, 28, 37]),
         (Layout::Tokens, vec![1, 49, 64]),
     ];

@@ -19,7 +19,10 @@ use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 
 /// Bytes of the lanes of one tile. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
 /// lines at a distance of a power of two meet in the same few sets of the cache.
-const TILE_BYTES: usize = 512;
+const TILE_BYTES: usize = 8 * LINE_BYTES;
+
+/// Bytes of a cache line, which two threads should not write.
+const LINE_BYTES: usize = 64;
 
 /// Bytes of spectra up to which lines of a tile go together: what a second-level cache holds.
 const SPECTRA_BYTES: usize = 1 << 20;
@@ -357,6 +360,10 @@ impl<T: Element> Kernel<T> for Grid<T> {
 }
 
 impl<T: Element> Single<T> for Grid<T> {
+    fn narrowest_tile(&self) -> usize {
+        LINE_BYTES / size_of::<T>()
+    }
+
     fn forward(
         &self,
         x: ArrayView2<'_, T>,

@@ -205,6 +205,10 @@ impl<T: Element> Kernel<T> for Tokens<T> {
 
 /// A step's weight is packed when it is its turn: it is read once, so that it need not leave the cache.
 impl<T: Element> Single<T> for Tokens<T> {
+    fn narrowest_tile(&self) -> usize {
+        self.width
+    }
+
     fn forward(
         &self,
         x: ArrayView2<'_, T>,
