@@ -8,7 +8,7 @@ use std::hint::black_box;
 
 use ndarray::{ArrayView3, ArrayViewMut3};
 
-use crate::simd::{Algorithm, Vector, prefetch_lines};
+use crate::simd::{Algorithm, Vector, prefetch};
 use crate::{Isa, Real};
 
 /// bfloat16: the upper half of an `f32`.
@@ -188,12 +188,14 @@ impl<H: Half> Algorithm<f32> for Widen<'_, H> {
     fn run<V: Vector<Element = f32>>(self) {
         let Self { from, to } = self;
         if let Some(from) = from.to_slice() {
-            widen(from, to);
-        } else {
-            let (stride, lanes) = (from.strides()[1], from.dim().2);
-            for (from, to) in from.rows().into_iter().zip(to.chunks_exact_mut(lanes)) {
-                prefetch_lines(from.as_ptr().wrapping_offset(ROWS_AHEAD * stride), lanes);
-                widen(from.to_slice().expect("lanes are contiguous"), to);
+            widen(from, to, 0);
+            return;
+        }
+        let (_, points, lanes) = from.dim();
+        let ahead = ROWS_AHEAD * from.strides()[1];
+        for (from, to) in from.outer_iter().zip(to.chunks_exact_mut(points * lanes)) {
+            for (from, to) in from.outer_iter().zip(to.chunks_exact_mut(lanes)) {
+                widen(from.to_slice().expect("lanes are contiguous"), to, ahead);
             }
         }
     }
@@ -209,39 +211,47 @@ impl<H: Half> Algorithm<f32> for Narrow<'_, H> {
     fn run<V: Vector<Element = f32>>(self) {
         let Self { from, mut to } = self;
         if let Some(to) = to.as_slice_mut() {
-            narrow(from, to);
-        } else {
-            let (stride, lanes) = (to.strides()[1], to.dim().2);
-            for (mut to, from) in to.rows_mut().into_iter().zip(from.chunks_exact(lanes)) {
-                prefetch_lines(to.as_ptr().wrapping_offset(ROWS_AHEAD * stride), lanes);
-                narrow(from, to.as_slice_mut().expect("lanes are contiguous"));
+            narrow(from, to, 0);
+            return;
+        }
+        let (_, points, lanes) = to.dim();
+        let ahead = ROWS_AHEAD * to.strides()[1];
+        for (mut to, from) in to.outer_iter_mut().zip(from.chunks_exact(points * lanes)) {
+            for (to, from) in to.outer_iter_mut().zip(from.chunks_exact(lanes)) {
+                narrow(from, to.into_slice().expect("lanes are contiguous"), ahead);
             }
         }
     }
 }
 
-/// Elements converted together, which become vectors. Their places are hidden from the compiler: it would else make
-/// vectors across several of these groups, and gather each number alone.
+/// Elements converted together, which become vectors. Between these groups the compiler is kept from looking across: it would
+/// else make vectors of the first elements of several groups, and gather each number alone.
 const GROUP: usize = 16;
 
+/// `from` as numbers, and what is `ahead` of it brought to the cache.
 #[inline(always)]
-fn widen<H: Half>(from: &[H], to: &mut [f32]) {
+fn widen<H: Half>(from: &[H], to: &mut [f32], ahead: isize) {
     let (groups, last) = from.as_chunks::<GROUP>();
     let (to_groups, to_last) = to.as_chunks_mut::<GROUP>();
     for (group, to) in groups.iter().zip(to_groups) {
-        *to = each(black_box(group), H::widened);
+        prefetch(group.as_ptr().wrapping_offset(ahead));
+        *to = each(group, H::widened);
+        black_box(());
     }
     for (from, to) in last.iter().zip(to_last) {
         *to = from.widened();
     }
 }
 
+/// `from` rounded, and what is `ahead` of its place brought to the cache.
 #[inline(always)]
-fn narrow<H: Half>(from: &[f32], to: &mut [H]) {
+fn narrow<H: Half>(from: &[f32], to: &mut [H], ahead: isize) {
     let (groups, last) = from.as_chunks::<GROUP>();
     let (to_groups, to_last) = to.as_chunks_mut::<GROUP>();
     for (group, to) in groups.iter().zip(to_groups) {
-        *to = each(black_box(group), H::nearest);
+        prefetch(to.as_ptr().wrapping_offset(ahead));
+        *to = each(group, H::nearest);
+        black_box(());
     }
     for (from, to) in last.iter().zip(to_last) {
         *to = H::nearest(*from);

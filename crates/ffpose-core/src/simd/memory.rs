@@ -338,7 +338,7 @@ impl<'a, T: Element> TileMut<'a, T> {
 
 /// Asks for as many cache lines as `len` elements fill, from `start` on, whatever is there.
 #[inline(always)]
-pub(crate) fn prefetch_lines<T>(start: *const T, len: usize) {
+fn prefetch_lines<T>(start: *const T, len: usize) {
     for line in 0..(len * size_of::<T>()).div_ceil(ALIGNMENT) {
         prefetch(start.wrapping_add(line * (ALIGNMENT / size_of::<T>())));
     }
@@ -346,7 +346,7 @@ pub(crate) fn prefetch_lines<T>(start: *const T, len: usize) {
 
 /// Asks for a cache line, if the instruction set has a way to.
 #[inline(always)]
-fn prefetch<T>(address: *const T) {
+pub(crate) fn prefetch<T>(address: *const T) {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: the instruction is part of the base architecture, and no address makes it fail.
     unsafe {

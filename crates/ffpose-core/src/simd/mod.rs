@@ -24,7 +24,7 @@ use std::ops::{Add, Mul, Neg, Sub};
 pub(crate) use complex::Complex;
 pub use isa::Isa;
 pub(crate) use memory::{
-    Table, Tile, TileMut, aligned, complex_vectors, gather, gather_at, prefetch_lines, scatter,
+    Table, Tile, TileMut, aligned, complex_vectors, gather, gather_at, prefetch, scatter,
     scatter_at, slack,
 };
 
