@@ -18,7 +18,7 @@ pub(crate) struct TorchPool {
 }
 
 /// Elements of work below which another of torch's threads costs more than it brings.
-const WORTH_A_THREAD: usize = 1 << 15;
+const WORTH_A_THREAD: usize = 1 << 14;
 
 /// What the threads of one call share.
 struct Call<'a> {
