@@ -359,9 +359,9 @@ fn even_parts(tiles: usize, threads: usize) -> usize {
 }
 
 /// Parts in which a gradient is summed over `images`: few tiles leave too little work for threads, so that parts of
-/// at least four images, sixteen parts at most, are summed apart and then added.
+/// at least four images, eight pieces at most, are summed apart and then added.
 fn sum_parts(tiles: usize, images: usize) -> usize {
-    if tiles >= 4 { 1 } else { images.div_ceil(images.div_ceil(16).max(4)) }
+    if tiles >= 4 { 1 } else { images.div_ceil(images.div_ceil(8 / tiles).max(4)) }
 }
 
 /// Adds parts of `len` numbers to the first of them, in order, and returns it.
