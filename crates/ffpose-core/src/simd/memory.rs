@@ -467,3 +467,12 @@ pub(crate) fn complex_vectors<V: Vector>(buffer: &mut [V::Element]) -> &mut [Com
     assert!(before.is_empty(), "buffers of vectors are aligned");
     vectors
 }
+
+/// As [`complex_vectors`], to read.
+#[inline(always)]
+pub(crate) fn complex_vectors_of<V: Vector>(buffer: &[V::Element]) -> &[Complex<V>] {
+    // SAFETY: a `Complex<V>` is numbers of type `V::Element` without padding, for which any bits are a value.
+    let (before, vectors, _) = unsafe { buffer.align_to() };
+    assert!(before.is_empty(), "buffers of vectors are aligned");
+    vectors
+}

@@ -24,8 +24,8 @@ use std::ops::{Add, Mul, Neg, Sub};
 pub(crate) use complex::Complex;
 pub use isa::Isa;
 pub(crate) use memory::{
-    Table, Tile, TileMut, aligned, complex_vectors, gather, gather_at, prefetch, scatter,
-    scatter_at, slack,
+    Table, Tile, TileMut, aligned, complex_vectors, complex_vectors_of, gather, gather_at,
+    prefetch, scatter, scatter_at, slack,
 };
 
 /// The most lanes that a [`Vector`] of this crate has.
@@ -59,8 +59,6 @@ pub(crate) trait Vector:
     type Element: Element;
     /// A power of two, at most [`MAX_LANES`].
     const LANES: usize;
-    /// Lanes of a block, inside which instructions move elements most easily: 128 bits.
-    const BLOCK: usize;
 
     fn splat(x: Self::Element) -> Self;
 
@@ -87,31 +85,24 @@ pub(crate) trait Vector:
     /// The lanes in reverse.
     fn reverse(self) -> Self;
 
-    /// Transposes `BLOCK` vectors inside each block: element `i` of block `q` of vector `j` becomes element `j` of block `q` of
-    /// vector `i`.
-    fn transpose_in_blocks(vectors: &mut [Self]);
+    /// The first halves of two vectors, and the second halves.
+    fn exchange_halves(a: Self, b: Self) -> (Self, Self);
 
-    /// Transposes as many vectors as each has blocks: block `q` of vector `j` becomes block `j` of vector `q`.
-    fn transpose_blocks(vectors: &mut [Self]);
+    /// Transposes `LANES / 2` vectors inside each half: element `i` of either half of vector `j` becomes element `j` of that half
+    /// of vector `i`.
+    fn transpose_in_halves(vectors: &mut [Self]);
 
     /// Transposes a square of `LANES` vectors.
     #[inline(always)]
     fn transpose(square: &mut [Self]) {
-        let square = &mut square[..Self::LANES];
-        for rows in square.chunks_exact_mut(Self::BLOCK) {
-            Self::transpose_in_blocks(rows);
+        let half = Self::LANES / 2;
+        for i in 0..half {
+            let (first, second) = Self::exchange_halves(square[i], square[i + half]);
+            square[i] = first;
+            square[i + half] = second;
         }
-        let blocks = Self::LANES / Self::BLOCK;
-        for r in 0..Self::BLOCK {
-            let mut column = [square[r]; MAX_LANES];
-            for q in 0..blocks {
-                column[q] = square[q * Self::BLOCK + r];
-            }
-            Self::transpose_blocks(&mut column[..blocks]);
-            for q in 0..blocks {
-                square[q * Self::BLOCK + r] = column[q];
-            }
-        }
+        Self::transpose_in_halves(&mut square[..half]);
+        Self::transpose_in_halves(&mut square[half..][..half]);
     }
 }
 

@@ -9,7 +9,8 @@ use super::Vector;
 /// A vector type from the names of its intrinsics, which need no more than the base architecture.
 macro_rules! vector {
     ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident $neg:ident
-     $mul_add:ident $neg_mul_add:ident $zip1:ident $zip2:ident $uzp1:ident $uzp2:ident $reverse:ident) => {
+     $mul_add:ident $neg_mul_add:ident $zip1:ident $zip2:ident $uzp1:ident $uzp2:ident $reverse:ident
+     $exchange_halves:ident $transpose_in_halves:ident) => {
         #[derive(Clone, Copy)]
         #[repr(transparent)]
         pub(crate) struct $name($raw);
@@ -30,7 +31,6 @@ macro_rules! vector {
         impl Vector for $name {
             type Element = $element;
             const LANES: usize = size_of::<$raw>() / size_of::<$element>();
-            const BLOCK: usize = Self::LANES;
 
             #[inline(always)]
             fn splat(x: $element) -> Self {
@@ -80,22 +80,19 @@ macro_rules! vector {
                 Self(unsafe { $reverse(self.0) })
             }
 
-            /// `log2(LANES)` rounds of interleaving vector `i` with vector `i + LANES / 2`.
             #[inline(always)]
-            fn transpose_in_blocks(vectors: &mut [Self]) {
-                let vectors: &mut [Self; Self::LANES] = vectors.try_into().expect("a square");
-                for _ in 0..Self::LANES.trailing_zeros() {
-                    let from = *vectors;
-                    for i in 0..Self::LANES / 2 {
-                        let (low, high) = Self::interleave(from[i], from[i + Self::LANES / 2]);
-                        vectors[2 * i] = low;
-                        vectors[2 * i + 1] = high;
-                    }
-                }
+            fn exchange_halves(a: Self, b: Self) -> (Self, Self) {
+                // SAFETY: every 64-bit ARM has the instructions.
+                let (first, second) = unsafe { $exchange_halves(a.0, b.0) };
+                (Self(first), Self(second))
             }
 
             #[inline(always)]
-            fn transpose_blocks(_: &mut [Self]) {}
+            fn transpose_in_halves(vectors: &mut [Self]) {
+                let vectors: &mut [Self; Self::LANES / 2] = vectors.try_into().expect("half a square");
+                // SAFETY: every 64-bit ARM has the instructions.
+                *vectors = unsafe { $transpose_in_halves(vectors.map(|vector| vector.0)) }.map(Self);
+            }
         }
     };
     (@operator $name:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
@@ -111,9 +108,11 @@ macro_rules! vector {
 }
 
 vector!(F32x4(float32x4_t), f32; vdupq_n_f32 vld1q_f32 vst1q_f32 vaddq_f32 vsubq_f32 vmulq_f32 vnegq_f32
-    vfmaq_f32 vfmsq_f32 vzip1q_f32 vzip2q_f32 vuzp1q_f32 vuzp2q_f32 reverse_f32x4);
+    vfmaq_f32 vfmsq_f32 vzip1q_f32 vzip2q_f32 vuzp1q_f32 vuzp2q_f32 reverse_f32x4
+    exchange_halves_f32x4 transpose_in_halves_f32x4);
 vector!(F64x2(float64x2_t), f64; vdupq_n_f64 vld1q_f64 vst1q_f64 vaddq_f64 vsubq_f64 vmulq_f64 vnegq_f64
-    vfmaq_f64 vfmsq_f64 vzip1q_f64 vzip2q_f64 vuzp1q_f64 vuzp2q_f64 reverse_f64x2);
+    vfmaq_f64 vfmsq_f64 vzip1q_f64 vzip2q_f64 vuzp1q_f64 vuzp2q_f64 reverse_f64x2
+    exchange_halves_f64x2 transpose_in_halves_f64x2);
 
 #[inline]
 #[target_feature(enable = "neon")]
@@ -126,4 +125,29 @@ fn reverse_f32x4(a: float32x4_t) -> float32x4_t {
 #[target_feature(enable = "neon")]
 fn reverse_f64x2(a: float64x2_t) -> float64x2_t {
     vextq_f64::<1>(a, a)
+}
+
+#[inline]
+#[target_feature(enable = "neon")]
+fn exchange_halves_f32x4(a: float32x4_t, b: float32x4_t) -> (float32x4_t, float32x4_t) {
+    let first = vcombine_f32(vget_low_f32(a), vget_low_f32(b));
+    (first, vcombine_f32(vget_high_f32(a), vget_high_f32(b)))
+}
+
+#[inline]
+#[target_feature(enable = "neon")]
+fn exchange_halves_f64x2(a: float64x2_t, b: float64x2_t) -> (float64x2_t, float64x2_t) {
+    (vzip1q_f64(a, b), vzip2q_f64(a, b))
+}
+
+#[inline]
+#[target_feature(enable = "neon")]
+fn transpose_in_halves_f32x4([a, b]: [float32x4_t; 2]) -> [float32x4_t; 2] {
+    [vtrn1q_f32(a, b), vtrn2q_f32(a, b)]
+}
+
+#[inline]
+#[target_feature(enable = "neon")]
+fn transpose_in_halves_f64x2(vectors: [float64x2_t; 1]) -> [float64x2_t; 1] {
+    vectors
 }

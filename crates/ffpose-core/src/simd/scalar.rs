@@ -35,7 +35,6 @@ impl<T: Element + Neg<Output = T>> Neg for Scalar<T> {
 impl<T: Element + Neg<Output = T>> Vector for Scalar<T> {
     type Element = T;
     const LANES: usize = 1;
-    const BLOCK: usize = 1;
 
     #[inline(always)]
     fn splat(x: T) -> Self {
@@ -80,8 +79,10 @@ impl<T: Element + Neg<Output = T>> Vector for Scalar<T> {
     }
 
     #[inline(always)]
-    fn transpose_in_blocks(_: &mut [Self]) {}
+    fn exchange_halves(a: Self, b: Self) -> (Self, Self) {
+        (a, b)
+    }
 
     #[inline(always)]
-    fn transpose_blocks(_: &mut [Self]) {}
+    fn transpose_in_halves(_: &mut [Self]) {}
 }

@@ -12,7 +12,7 @@ use super::Vector;
 macro_rules! vector {
     ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident
      $mul_add:ident $neg_mul_add:ident $xor:ident $interleave:ident $deinterleave:ident $reverse:ident
-     $transpose_in_blocks:ident $transpose_blocks:ident) => {
+     $exchange_halves:ident $transpose_in_halves:ident) => {
         #[derive(Clone, Copy)]
         #[repr(transparent)]
         pub(crate) struct $name($raw);
@@ -33,7 +33,6 @@ macro_rules! vector {
         impl Vector for $name {
             type Element = $element;
             const LANES: usize = size_of::<$raw>() / size_of::<$element>();
-            const BLOCK: usize = 16 / size_of::<$element>();
 
             #[inline(always)]
             fn splat(x: $element) -> Self {
@@ -86,18 +85,24 @@ macro_rules! vector {
             }
 
             #[inline(always)]
-            fn transpose_in_blocks(vectors: &mut [Self]) {
-                let vectors: &mut [Self; Self::BLOCK] = vectors.try_into().expect("a block of each");
+            fn exchange_halves(a: Self, b: Self) -> (Self, Self) {
                 // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                *vectors = unsafe { $transpose_in_blocks(vectors.map(|vector| vector.0)) }.map(Self);
+                let (first, second) = unsafe { $exchange_halves(a.0, b.0) };
+                (Self(first), Self(second))
             }
 
             #[inline(always)]
-            fn transpose_blocks(vectors: &mut [Self]) {
-                let vectors: &mut [Self; Self::LANES / Self::BLOCK] =
-                    vectors.try_into().expect("as many as blocks");
+            fn transpose_in_halves(vectors: &mut [Self]) {
+                // loops: `map` would not be inlined
+                let mut raw = [vectors[0].0; Self::LANES / 2];
+                for i in 0..Self::LANES / 2 {
+                    raw[i] = vectors[i].0;
+                }
                 // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                *vectors = unsafe { $transpose_blocks(vectors.map(|vector| vector.0)) }.map(Self);
+                raw = unsafe { $transpose_in_halves(raw) };
+                for i in 0..Self::LANES / 2 {
+                    vectors[i] = Self(raw[i]);
+                }
             }
         }
     };
@@ -115,16 +120,16 @@ macro_rules! vector {
 
 vector!(F32x8(__m256), f32; _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
     _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8
-    reverse_f32x8 transpose_in_blocks_f32x8 transpose_blocks_f32x8);
+    reverse_f32x8 exchange_halves_f32x8 transpose_in_halves_f32x8);
 vector!(F64x4(__m256d), f64; _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_add_pd _mm256_sub_pd _mm256_mul_pd
     _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4
-    reverse_f64x4 transpose_in_blocks_f64x4 transpose_blocks_f64x4);
+    reverse_f64x4 exchange_halves_f64x4 transpose_in_halves_f64x4);
 vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
     _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 reverse_f32x16
-    transpose_in_blocks_f32x16 transpose_blocks_f32x16);
+    exchange_halves_f32x16 transpose_in_halves_f32x16);
 vector!(F64x8(__m512d), f64; _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_add_pd _mm512_sub_pd _mm512_mul_pd
     _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 reverse_f64x8
-    transpose_in_blocks_f64x8 transpose_blocks_f64x8);
+    exchange_halves_f64x8 transpose_in_halves_f64x8);
 
 #[inline]
 #[target_feature(enable = "avx2")]
@@ -214,7 +219,31 @@ fn reverse_f64x8(a: __m512d) -> __m512d {
 
 #[inline]
 #[target_feature(enable = "avx2")]
-fn transpose_in_blocks_f32x8([a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
+fn exchange_halves_f32x8(a: __m256, b: __m256) -> (__m256, __m256) {
+    (_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn exchange_halves_f64x4(a: __m256d, b: __m256d) -> (__m256d, __m256d) {
+    (_mm256_permute2f128_pd::<0x20>(a, b), _mm256_permute2f128_pd::<0x31>(a, b))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn exchange_halves_f32x16(a: __m512, b: __m512) -> (__m512, __m512) {
+    (_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0xee>(a, b))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn exchange_halves_f64x8(a: __m512d, b: __m512d) -> (__m512d, __m512d) {
+    (_mm512_shuffle_f64x2::<0x44>(a, b), _mm512_shuffle_f64x2::<0xee>(a, b))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn transpose_in_halves_f32x8([a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
     let (p, q) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
     let (r, s) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
     [
@@ -227,20 +256,32 @@ fn transpose_in_blocks_f32x8([a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
 
 #[inline]
 #[target_feature(enable = "avx2")]
-fn transpose_blocks_f32x8([a, b]: [__m256; 2]) -> [__m256; 2] {
-    [_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b)]
-}
-
-#[inline]
-#[target_feature(enable = "avx2")]
-fn transpose_in_blocks_f64x4([a, b]: [__m256d; 2]) -> [__m256d; 2] {
+fn transpose_in_halves_f64x4([a, b]: [__m256d; 2]) -> [__m256d; 2] {
     [_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b)]
 }
 
+/// Inside blocks of 128 bits, then those of each half.
 #[inline]
-#[target_feature(enable = "avx2")]
-fn transpose_blocks_f64x4([a, b]: [__m256d; 2]) -> [__m256d; 2] {
-    [_mm256_permute2f128_pd::<0x20>(a, b), _mm256_permute2f128_pd::<0x31>(a, b)]
+#[target_feature(enable = "avx512f")]
+fn transpose_in_halves_f32x16([a, b, c, d, e, f, g, h]: [__m512; 8]) -> [__m512; 8] {
+    let ([a, b, c, d], [e, f, g, h]) =
+        (transpose_in_blocks_f32x16([a, b, c, d]), transpose_in_blocks_f32x16([e, f, g, h]));
+    let blocks = |a, e| {
+        let (a, e) = transpose_blocks_in_halves(_mm512_castps_pd(a), _mm512_castps_pd(e));
+        (_mm512_castpd_ps(a), _mm512_castpd_ps(e))
+    };
+    let ((a, e), (b, f), (c, g), (d, h)) = (blocks(a, e), blocks(b, f), blocks(c, g), blocks(d, h));
+    [a, b, c, d, e, f, g, h]
+}
+
+/// Inside blocks of 128 bits, then those of each half.
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn transpose_in_halves_f64x8([a, b, c, d]: [__m512d; 4]) -> [__m512d; 4] {
+    let (p, q) = (_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
+    let (r, s) = (_mm512_unpacklo_pd(c, d), _mm512_unpackhi_pd(c, d));
+    let ((a, c), (b, d)) = (transpose_blocks_in_halves(p, r), transpose_blocks_in_halves(q, s));
+    [a, b, c, d]
 }
 
 #[inline]
@@ -256,34 +297,11 @@ fn transpose_in_blocks_f32x16([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
     ]
 }
 
+/// The first blocks of each half of two vectors, and the second blocks.
 #[inline]
 #[target_feature(enable = "avx512f")]
-fn transpose_blocks_f32x16([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
-    let (p, q) = (_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0xee>(a, b));
-    let (r, s) = (_mm512_shuffle_f32x4::<0x44>(c, d), _mm512_shuffle_f32x4::<0xee>(c, d));
-    [
-        _mm512_shuffle_f32x4::<0x88>(p, r),
-        _mm512_shuffle_f32x4::<0xdd>(p, r),
-        _mm512_shuffle_f32x4::<0x88>(q, s),
-        _mm512_shuffle_f32x4::<0xdd>(q, s),
-    ]
-}
-
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn transpose_in_blocks_f64x8([a, b]: [__m512d; 2]) -> [__m512d; 2] {
-    [_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b)]
-}
-
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn transpose_blocks_f64x8([a, b, c, d]: [__m512d; 4]) -> [__m512d; 4] {
-    let (p, q) = (_mm512_shuffle_f64x2::<0x44>(a, b), _mm512_shuffle_f64x2::<0xee>(a, b));
-    let (r, s) = (_mm512_shuffle_f64x2::<0x44>(c, d), _mm512_shuffle_f64x2::<0xee>(c, d));
-    [
-        _mm512_shuffle_f64x2::<0x88>(p, r),
-        _mm512_shuffle_f64x2::<0xdd>(p, r),
-        _mm512_shuffle_f64x2::<0x88>(q, s),
-        _mm512_shuffle_f64x2::<0xdd>(q, s),
-    ]
+fn transpose_blocks_in_halves(a: __m512d, b: __m512d) -> (__m512d, __m512d) {
+    let first = _mm512_setr_epi64(0, 1, 8, 9, 4, 5, 12, 13);
+    let second = _mm512_setr_epi64(2, 3, 10, 11, 6, 7, 14, 15);
+    (_mm512_permutex2var_pd(a, first, b), _mm512_permutex2var_pd(a, second, b))
 }

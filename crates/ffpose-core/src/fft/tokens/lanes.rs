@@ -4,21 +4,22 @@
 //! lanes are items; each is turned by `exp(-2πi k y / Y)`, where `k` is its frequency along the line and `y` the lane that it
 //! came from, and transformed over `y`. Vector `j` of a group is then frequency `k + M j` along Y. The same back.
 //!
-//! A group fills all registers, so that it is never moved as a whole: lane `y = J q + r` is element `r` of block `q` of a vector,
-//! and `j = p + Q c`. Transposing inside blocks takes `J` items at a time, transposing blocks and the DFT over `q` takes `Q`
-//! vectors of one `r`, and the DFT over `r`, the product and the way back take `J` vectors of one `p`.
+//! A group fills all registers, so that it is moved in halves. Item `r` and item `r + L / 2` exchange halves: then one vector has
+//! lanes `y < L / 2` of both, the other the rest. Their sum and difference are of even and odd `j = 2 c + p`. What is left stays
+//! in the half `p`, and in registers: to transpose inside the halves of its vectors, and a DFT of `L / 2` vectors.
 //!
 //! Rows come in pairs of `u` and `-u`, since slot 0 is two real lines as one complex line: they part to slot 0 of the two rows.
 
 use std::hint::black_box;
 
 use super::columns::Block;
-use crate::fft::butterfly::{Codelet, Dft, turn};
+use crate::fft::butterfly::{Codelet, Dft};
 use crate::fft::pair::{join, split};
 use crate::fft::unroll::unroll;
-use crate::simd::{
-    Algorithm, Complex, Element, MAX_LANES, Tile, Vector, complex_vectors, gather, scatter,
-};
+use crate::simd::{Algorithm, Complex, Element, Vector, complex_vectors, complex_vectors_of};
+
+/// Of a group, and of a vector's lanes.
+const HALVES: usize = 2;
 
 /// The rows of a block in the order of their groups.
 #[derive(Clone, Copy)]
@@ -28,18 +29,22 @@ pub(super) struct Turns<'a, T> {
     /// The least number of rows in pairs whose slots fill groups without a rest.
     pub(super) rows_each: usize,
     pub(super) slots: usize,
-    /// What the items of such rows are turned by: for each group and each `y` a complex vector.
+    /// What the odd half is turned by, and what the items of such rows are: for each group, each `r` and each half of `y` a
+    /// complex vector.
     pub(super) twiddles: &'a [T],
 }
 
-/// A group: its number in the block, its rows and its number among those of its turn.
+/// A group of `2 J` items.
 #[derive(Clone, Copy)]
-pub(super) struct Group<'a, T> {
+pub(super) struct Group<'a, V, const J: usize> {
+    /// Its number in the block.
     place: usize,
-    rows: &'a [usize],
-    slots: usize,
-    twiddles: &'a [T],
-    number: usize,
+    /// Where the items are among the vectors of the block.
+    items: [[usize; J]; HALVES],
+    /// What items `r` and `r + J` are turned by, once they have exchanged halves.
+    turns: &'a [[Complex<V>; HALVES]; J],
+    /// What the odd half is turned by.
+    odd: &'a Complex<V>,
 }
 
 /// What is done to the spectrum of a group.
@@ -50,17 +55,13 @@ pub(super) trait Middle<T: Element> {
     /// Makes the slots 0 of `rows` ready.
     fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
 
-    /// Makes a group ready. `RUN` divides the lanes and the slots of a row.
-    fn enter<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
-        &mut self,
-        group: Group<'_, T>,
-    ) where
-        Codelet: Dft<Q> + Dft<J>;
+    /// Makes a group ready, and checks all bounds: later the compiler would keep vectors on the stack meanwhile.
+    fn enter<V: Vector<Element = T>, const J: usize>(&mut self, group: Group<'_, V, J>);
 
-    /// The new values of vectors `p`, `p + Q`, ... of a group.
-    fn apply<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+    /// The new values of vectors `p`, `p + 2`, ... of a group.
+    fn apply<V: Vector<Element = T>, const J: usize>(
         &mut self,
-        group: Group<'_, T>,
+        group: Group<'_, V, J>,
         p: usize,
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
@@ -79,27 +80,24 @@ impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> 
     fn begin<V: Vector<Element = T>>(&mut self, _: &[usize]) {}
 
     #[inline(always)]
-    fn enter<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
-        &mut self,
-        _: Group<'_, T>,
-    ) where
-        Codelet: Dft<Q> + Dft<J>,
-    {
+    fn enter<V: Vector<Element = T>, const J: usize>(&mut self, group: Group<'_, V, J>) {
+        let _: &[[_; HALVES]; J] = group.part(complex_vectors_of::<V>(self.0));
     }
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+    fn apply<V: Vector<Element = T>, const J: usize>(
         &mut self,
-        group: Group<'_, T>,
+        group: Group<'_, V, J>,
         p: usize,
         mut z: [Complex<V>; J],
     ) -> [Complex<V>; J]
     where
         Codelet: Dft<J>,
     {
-        let weight: [_; J] = vectors(self.0, group.place * V::LANES + p, Q);
+        let weight = group.part(complex_vectors_of(self.0));
         for c in 0..J {
-            z[c] = if CONJUGATE { z[c].times_conj(weight[c]) } else { z[c].times(weight[c]) };
+            let weight = weight[c][p];
+            z[c] = if CONJUGATE { z[c].times_conj(weight) } else { z[c].times(weight) };
         }
         z
     }
@@ -120,23 +118,22 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
     }
 
     #[inline(always)]
-    fn enter<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
-        &mut self,
-        group: Group<'_, T>,
-    ) where
-        Codelet: Dft<Q> + Dft<J>,
-    {
-        let (block, pitch) = (complex_vectors::<V>(self.x.vectors), self.x.pitch);
-        let rows = group.rows_of::<V, Q, J, RUN>(block, pitch);
-        unroll!(p in 0..Q {
-            group.set_items::<V, J, RUN>(block, pitch, p, rows[p]);
+    fn enter<V: Vector<Element = T>, const J: usize>(&mut self, group: Group<'_, V, J>) {
+        let _: &mut [[_; HALVES]; J] = group.part_mut(complex_vectors::<V>(self.sum));
+        let x = complex_vectors::<V>(self.x.vectors);
+        group.check(x);
+        let halves = group.halves_of(x);
+        unroll!(p in 0..HALVES {
+            unroll!(r in 0..J {
+                x[group.items[p][r]] = halves[p][r];
+            });
         });
     }
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+    fn apply<V: Vector<Element = T>, const J: usize>(
         &mut self,
-        group: Group<'_, T>,
+        group: Group<'_, V, J>,
         p: usize,
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
@@ -144,16 +141,18 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
         Codelet: Dft<J>,
     {
         let block = complex_vectors::<V>(self.x.vectors);
-        let x = Codelet::dft(group.items::<V, J, RUN>(block, self.x.pitch, p));
-        let sums = complex_vectors::<V>(self.sum);
-        let first = group.place * V::LANES + p;
-        let mut sum: [_; J] = gather(sums, first, Q);
-        for c in 0..J {
-            let Complex { re, im } = sum[c];
-            sum[c].re = x[c].im.mul_add(z[c].im, x[c].re.mul_add(z[c].re, re));
-            sum[c].im = x[c].im.neg_mul_add(z[c].re, x[c].re.mul_add(z[c].im, im));
+        let mut x = z;
+        for r in 0..J {
+            x[r] = block[group.items[p][r]];
         }
-        scatter(sums, first, Q, sum);
+        let x = Codelet::dft(transposed(x));
+        let sum = group.part_mut(complex_vectors::<V>(self.sum));
+        for c in 0..J {
+            let Complex { re, im } = sum[c][p];
+            let re = x[c].im.mul_add(z[c].im, x[c].re.mul_add(z[c].re, re));
+            let im = x[c].im.neg_mul_add(z[c].re, x[c].re.mul_add(z[c].im, im));
+            sum[c][p] = Complex::new(re, im);
+        }
         z
     }
 }
@@ -169,28 +168,23 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     }
 
     #[inline(always)]
-    fn enter<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
-        &mut self,
-        group: Group<'_, T>,
-    ) where
-        Codelet: Dft<Q> + Dft<J>,
-    {
-        self.0.enter::<V, Q, J, RUN>(group);
-        self.1.enter::<V, Q, J, RUN>(group);
+    fn enter<V: Vector<Element = T>, const J: usize>(&mut self, group: Group<'_, V, J>) {
+        self.0.enter(group);
+        self.1.enter(group);
     }
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
+    fn apply<V: Vector<Element = T>, const J: usize>(
         &mut self,
-        group: Group<'_, T>,
+        group: Group<'_, V, J>,
         p: usize,
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
     where
         Codelet: Dft<J>,
     {
-        let z = self.0.apply::<V, Q, J, RUN>(group, p, z);
-        self.1.apply::<V, Q, J, RUN>(group, p, z)
+        let z = self.0.apply(group, p, z);
+        self.1.apply(group, p, z)
     }
 }
 
@@ -204,26 +198,25 @@ pub(super) struct Filter<'a, T, M, const RUN: usize> {
 impl<T: Element, M: Middle<T>, const RUN: usize> Algorithm<T> for Filter<'_, T, M, RUN> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        match (V::LANES / V::BLOCK, V::BLOCK) {
-            (1, 2) => self.run_lanes::<V, 1, 2>(),
-            (2, 2) => self.run_lanes::<V, 2, 2>(),
-            (4, 2) => self.run_lanes::<V, 4, 2>(),
-            (1, 4) => self.run_lanes::<V, 1, 4>(),
-            (2, 4) => self.run_lanes::<V, 2, 4>(),
-            (4, 4) => self.run_lanes::<V, 4, 4>(),
-            _ => unreachable!("no transform across {} lanes", V::LANES),
+        match V::LANES {
+            2 => self.run_lanes::<V, 1>(),
+            4 => self.run_lanes::<V, 2>(),
+            8 => self.run_lanes::<V, 4>(),
+            16 => self.run_lanes::<V, 8>(),
+            lanes => unreachable!("no transform across {lanes} lanes"),
         }
     }
 }
 
 impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
     #[inline(always)]
-    fn run_lanes<V: Vector<Element = T>, const Q: usize, const J: usize>(mut self)
+    fn run_lanes<V: Vector<Element = T>, const J: usize>(mut self)
     where
-        Codelet: Dft<Q> + Dft<J>,
+        Codelet: Dft<J>,
     {
-        assert!(RUN <= Q * J, "a run is part of a group");
+        assert!(RUN <= HALVES * J, "a run is part of a group");
         let Turns { rows, rows_each, slots, twiddles } = self.turns;
+        let (odd, turns) = complex_vectors_of::<V>(twiddles).split_first().expect("a table");
         let Block { vectors, pitch } = self.block;
         let block = complex_vectors::<V>(vectors);
         let groups = rows_each * slots / V::LANES;
@@ -231,19 +224,28 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
             split_rows(block, pitch, rows);
             self.middle.begin::<V>(rows);
             for number in 0..groups {
+                let mut items = [[0; J]; HALVES];
+                unroll!(p in 0..HALVES {
+                    unroll!(r in 0..J {
+                        let item = p * J + r;
+                        let run = number * V::LANES + item / RUN * RUN;
+                        items[p][r] = rows[run / slots] * pitch + run % slots + item % RUN;
+                    });
+                });
                 let place = turn * groups + number;
-                let group = Group { place, rows, slots, twiddles, number };
-                self.middle.enter::<V, Q, J, RUN>(group);
-                let mut square = group.rows_of::<V, Q, J, RUN>(block, pitch);
-                unroll!(p in 0..Q {
-                    let z = <Codelet as Dft<J>>::dft(square[p]);
-                    let z = self.middle.apply::<V, Q, J, RUN>(group, p, z);
+                let group = Group { place, items, turns: part(turns, number), odd };
+                group.check(block);
+                self.middle.enter(group);
+                let mut halves = group.halves_of(block);
+                unroll!(p in 0..HALVES {
+                    let z = Codelet::dft(transposed(halves[p]));
+                    let z = self.middle.apply(group, p, z);
                     if M::INVERSE {
-                        square[p] = <Codelet as Dft<J>>::idft(z);
+                        halves[p] = transposed(Codelet::idft(z));
                     }
                 });
                 if M::INVERSE {
-                    group.put_rows::<V, Q, J, RUN>(square, block, pitch);
+                    group.put_halves(halves, block);
                 }
             }
             if M::INVERSE {
@@ -253,16 +255,11 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
     }
 }
 
-/// Complex vectors `first`, `first + step`, ... of a table.
+/// The vectors of a group in a table.
 #[inline(always)]
-fn vectors<V: Vector, const N: usize>(
-    table: &[V::Element],
-    first: usize,
-    step: usize,
-) -> [Complex<V>; N] {
-    let tile = Tile::dense(table, V::LANES);
-    let (re, im) = (tile.gather(2 * first, 2 * step), tile.gather(2 * first + 1, 2 * step));
-    complex(re, im)
+fn part<V, const J: usize>(table: &[Complex<V>], group: usize) -> &[[Complex<V>; HALVES]; J] {
+    let pairs = table.as_chunks().0;
+    pairs[group * J..].first_chunk().expect("a whole group")
 }
 
 #[inline(always)]
@@ -283,146 +280,75 @@ fn parts<V: Vector, const N: usize>(z: [Complex<V>; N]) -> ([V; N], [V; N]) {
     (re, im)
 }
 
-impl<T: Element> Group<'_, T> {
-    /// Where an item is in the block.
+impl<V: Vector, const J: usize> Group<'_, V, J> {
+    /// The vectors of this group in a packed weight.
     #[inline(always)]
-    fn position<V: Vector, const RUN: usize>(&self, item: usize, pitch: usize) -> usize {
-        let run = self.number * V::LANES + item / RUN * RUN;
-        self.rows[run / self.slots] * pitch + run % self.slots + item % RUN
+    fn part<'a>(&self, packed: &'a [Complex<V>]) -> &'a [[Complex<V>; HALVES]; J] {
+        part(packed, self.place)
     }
 
-    /// Items `J i` and following.
+    /// As [`part`](Self::part), to write.
     #[inline(always)]
-    fn items<V: Vector, const J: usize, const RUN: usize>(
-        &self,
-        block: &[Complex<V>],
-        pitch: usize,
-        i: usize,
-    ) -> [Complex<V>; J] {
-        if RUN >= J {
-            return gather(block, self.position::<V, RUN>(i * J, pitch), 1);
-        }
-        let mut items = [Complex::zero(); J];
-        for item in (0..J).step_by(RUN) {
-            let run: [_; RUN] = gather(block, self.position::<V, RUN>(i * J + item, pitch), 1);
-            items[item..item + RUN].copy_from_slice(&run);
-        }
-        items
+    fn part_mut<'a>(&self, packed: &'a mut [Complex<V>]) -> &'a mut [[Complex<V>; HALVES]; J] {
+        let pairs = packed.as_chunks_mut().0;
+        pairs[self.place * J..].first_chunk_mut().expect("a whole group")
     }
 
-    /// Writes what [`items`](Self::items) reads.
+    /// All items are in `block`.
     #[inline(always)]
-    fn set_items<V: Vector, const J: usize, const RUN: usize>(
-        &self,
-        block: &mut [Complex<V>],
-        pitch: usize,
-        i: usize,
-        items: [Complex<V>; J],
-    ) {
-        if RUN >= J {
-            scatter(block, self.position::<V, RUN>(i * J, pitch), 1, items);
-            return;
-        }
-        for item in (0..J).step_by(RUN) {
-            let mut run = [items[item]; RUN];
-            run.copy_from_slice(&items[item..item + RUN]);
-            scatter(block, self.position::<V, RUN>(i * J + item, pitch), 1, run);
-        }
-    }
-
-    /// All but the last transform of a group: a DFT of `[p]` is vectors `p`, `p + Q`, ... of its spectrum.
-    #[inline(always)]
-    fn rows_of<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
-        &self,
-        block: &[Complex<V>],
-        pitch: usize,
-    ) -> [[Complex<V>; J]; Q]
-    where
-        Codelet: Dft<Q>,
-    {
-        let mut square = [[Complex::zero(); J]; Q];
-        unroll!(i in 0..Q {
-            let (mut re, mut im) = parts(self.items::<V, J, RUN>(block, pitch, i));
-            V::transpose_in_blocks(&mut re);
-            V::transpose_in_blocks(&mut im);
-            square[i] = complex(re, im);
+    fn check(&self, block: &[Complex<V>]) {
+        unroll!(p in 0..HALVES {
+            unroll!(r in 0..J {
+                assert!(self.items[p][r] < block.len());
+            });
         });
+    }
+
+    /// The group up to what is done to each half alone.
+    #[inline(always)]
+    fn halves_of(&self, block: &[Complex<V>]) -> [[Complex<V>; J]; HALVES] {
+        let mut halves = [[Complex::zero(); J]; HALVES];
         unroll!(r in 0..J {
-            let (mut re, mut im) = parts(column(&square, r));
-            V::transpose_blocks(&mut re);
-            V::transpose_blocks(&mut im);
-            let mut z: [_; Q] = complex(re, im);
-            let twiddles: [_; Q] = vectors(self.twiddles, self.number * V::LANES + r, J);
-            for q in 0..Q {
-                if q + r > 0 {
-                    z[q] = z[q].times(twiddles[q]);
-                }
-            }
-            let z = <Codelet as Dft<Q>>::dft(z);
-            for p in 0..Q {
-                square[p][r] = lane_turn::<V>(z[p], p * r);
-            }
+            let [low, high] = exchanged(block[self.items[0][r]], block[self.items[1][r]]);
+            let [by_low, by_high] = self.turns[r];
+            let (low, high) = (low.times(by_low), high.times(by_high));
+            halves[0][r] = low + high;
+            halves[1][r] = (low - high).times(*self.odd);
         });
-        square
+        halves
     }
 
-    /// Undoes [`rows_of`](Self::rows_of) up to a factor.
+    /// Undoes [`halves_of`](Self::halves_of) up to a factor.
     #[inline(always)]
-    fn put_rows<V: Vector<Element = T>, const Q: usize, const J: usize, const RUN: usize>(
-        &self,
-        mut square: [[Complex<V>; J]; Q],
-        block: &mut [Complex<V>],
-        pitch: usize,
-    ) where
-        Codelet: Dft<Q>,
-    {
+    fn put_halves(&self, halves: [[Complex<V>; J]; HALVES], block: &mut [Complex<V>]) {
         // loaded again: the compiler would keep them on the stack
-        let number = black_box(self.number);
+        let (turns, odd) = (black_box(self.turns), *black_box(self.odd));
         unroll!(r in 0..J {
-            let mut z: [_; Q] = column(&square, r);
-            for p in 0..Q {
-                z[p] = lane_turn::<V>(z[p].swap(), p * r).swap();
-            }
-            let mut z = <Codelet as Dft<Q>>::idft(z);
-            let twiddles: [_; Q] = vectors(self.twiddles, number * V::LANES + r, J);
-            for q in 0..Q {
-                if q + r > 0 {
-                    z[q] = z[q].times_conj(twiddles[q]);
-                }
-            }
-            let (mut re, mut im) = parts(z);
-            V::transpose_blocks(&mut re);
-            V::transpose_blocks(&mut im);
-            for q in 0..Q {
-                square[q][r] = Complex::new(re[q], im[q]);
-            }
-        });
-        unroll!(i in 0..Q {
-            let (mut re, mut im) = parts(square[i]);
-            V::transpose_in_blocks(&mut re);
-            V::transpose_in_blocks(&mut im);
-            self.set_items::<V, J, RUN>(block, pitch, i, complex(re, im));
+            let (even, odd) = (halves[0][r], halves[1][r].times_conj(odd));
+            let [by_low, by_high] = turns[r];
+            let (low, high) = ((even + odd).times_conj(by_low), (even - odd).times_conj(by_high));
+            let [first, second] = exchanged(low, high);
+            block[self.items[0][r]] = first;
+            block[self.items[1][r]] = second;
         });
     }
 }
 
-/// Element `r` of each row.
+/// The first halves of two complex vectors, and the second ones.
 #[inline(always)]
-fn column<V: Vector, const Q: usize, const J: usize>(
-    square: &[[Complex<V>; J]; Q],
-    r: usize,
-) -> [Complex<V>; Q] {
-    let mut column = [square[0][r]; Q];
-    for q in 0..Q {
-        column[q] = square[q][r];
-    }
-    column
+fn exchanged<V: Vector>(a: Complex<V>, b: Complex<V>) -> [Complex<V>; HALVES] {
+    let (first_re, second_re) = V::exchange_halves(a.re, b.re);
+    let (first_im, second_im) = V::exchange_halves(a.im, b.im);
+    [Complex::new(first_re, first_im), Complex::new(second_re, second_im)]
 }
 
-/// `z exp(-2πi k / L)` for `L` lanes.
+/// Transposed inside the halves of the vectors.
 #[inline(always)]
-fn lane_turn<V: Vector>(z: Complex<V>, k: usize) -> Complex<V> {
-    turn::<V, MAX_LANES>(z, MAX_LANES / V::LANES * k)
+fn transposed<V: Vector, const J: usize>(z: [Complex<V>; J]) -> [Complex<V>; J] {
+    let (mut re, mut im) = parts(z);
+    V::transpose_in_halves(&mut re);
+    V::transpose_in_halves(&mut im);
+    complex(re, im)
 }
 
 /// Slot 0 of each pair of rows to the doubled spectra of its two real lines.

@@ -238,22 +238,25 @@ fn factors(points: usize) -> Option<[usize; 2]> {
     pairs.filter(|[a, b]| a * b == points).min_by_key(|[a, b]| a.abs_diff(*b))
 }
 
-/// `exp(-2πi k y / Y)` for each group and each `y` of some rows: real parts of all lanes, then imaginary ones.
+/// `exp(-2πi y / L)` for `y < L / 2`, and `exp(-2πi k y / Y)` for each group of some rows, each item `r < L / 2` and each half of
+/// `y`, as lanes of items `r` and `r + L / 2`: real parts of all lanes, then imaginary ones.
 fn turns<T: Element>(width: usize, lanes: usize, rows: usize) -> Vec<T> {
-    let slots = width / lanes / 2;
+    let (slots, half) = (width / lanes / 2, lanes / 2);
     let mut numbers = Vec::new();
+    let mut push = |root_of: &dyn Fn(usize) -> (f64, f64)| {
+        let roots: Vec<_> = (0..lanes).map(root_of).collect();
+        numbers.extend(roots.iter().map(|&(c, _)| T::nearest(c)));
+        numbers.extend(roots.iter().map(|&(_, s)| T::nearest(-s)));
+    };
+    push(&|lane| root(lane % half, lanes));
     for group in 0..rows * slots / lanes {
-        for y in 0..lanes {
-            let roots: Vec<_> = (0..lanes)
-                .map(|lane| {
-                    let (row, slot) =
-                        ((group * lanes + lane) / slots, (group * lanes + lane) % slots);
-                    let k = if slot == 0 { row % 2 * slots } else { slot };
-                    root(k * y, width)
-                })
-                .collect();
-            numbers.extend(roots.iter().map(|&(c, _)| T::nearest(c)));
-            numbers.extend(roots.iter().map(|&(_, s)| T::nearest(-s)));
+        for (r, y) in (0..half).flat_map(|r| [(r, 0), (r, half)]) {
+            push(&|lane| {
+                let item = group * lanes + lane / half * half + r;
+                let (row, slot) = (item / slots, item % slots);
+                let k = if slot == 0 { row % 2 * slots } else { slot };
+                root(k * (y + lane % half), width)
+            });
         }
     }
     numbers
