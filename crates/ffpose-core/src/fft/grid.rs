@@ -24,16 +24,21 @@ const TILE_BYTES: usize = 8 * LINE_BYTES;
 /// Bytes of a cache line, which two threads should not write.
 const LINE_BYTES: usize = 64;
 
-/// Bytes of spectra up to which lines of a tile go together: what a second-level cache holds.
+/// Bytes of spectra up to which lines of a tile go together: what a second-level cache holds. The lines of several images
+/// come from memory, which is quicker at longer runs.
 const SPECTRA_BYTES: usize = 1 << 20;
+
+/// The same for one image alone, which is in that cache itself.
+const ALONE_BYTES: usize = 1 << 18;
 
 /// The plan for grids of one height and width.
 pub(crate) struct Grid<T> {
     isa: Isa,
     /// Lanes of a vector.
     lanes: usize,
-    /// Lanes that go through the transforms together.
+    /// Lanes that go through the transforms together: of several images, and of one alone.
     together: usize,
+    alone: usize,
     points: usize,
     rows: Rows<T>,
     columns: Columns<T>,
@@ -79,12 +84,17 @@ impl<T: Element> Grid<T> {
             plain: T::nearest(2.0 * norm / (gain * gain)),
         };
         let lanes = isa.lanes::<T>();
-        let fitting = SPECTRA_BYTES / (columns.len() * size_of::<T>()) * lanes;
-        let together = 1 << fitting.min(TILE_BYTES / size_of::<T>()).max(lanes).ilog2();
+        let together = |bytes: usize| {
+            let fitting = bytes / (columns.len() * size_of::<T>()) * lanes;
+            1 << fitting.min(TILE_BYTES / size_of::<T>()).max(lanes).ilog2()
+        };
+        let alone = together(ALONE_BYTES);
+        let together = together(SPECTRA_BYTES);
         Self {
             isa,
             lanes,
             together,
+            alone,
             points: height * width,
             rows,
             columns,
@@ -114,17 +124,17 @@ impl<T: Element> Grid<T> {
         }
     }
 
-    /// The parts of `lanes` lanes that go together: whole vectors, then the rest.
-    fn parts(&self, lanes: usize) -> impl Iterator<Item = Range<usize>> {
+    /// The parts of `lanes` lanes of which so many go together: whole vectors, then the rest.
+    fn parts(&self, lanes: usize, together: usize) -> impl Iterator<Item = Range<usize>> {
         let whole = lanes - lanes % self.lanes;
-        let parts = (0..whole).step_by(self.together);
+        let parts = (0..whole).step_by(together);
         let rest = (whole < lanes).then_some(whole..lanes);
-        parts.map(move |start| start..whole.min(start + self.together)).chain(rest)
+        parts.map(move |start| start..whole.min(start + together)).chain(rest)
     }
 
-    /// Whether so many lanes go together as they are: nothing to cut, which takes its time, nor to fill up.
+    /// Whether so many lanes of one image go together as they are: nothing to cut, which takes its time, nor to fill up.
     fn undivided(&self, lanes: usize) -> bool {
-        lanes <= self.together && lanes.is_multiple_of(self.lanes)
+        lanes <= self.alone && lanes.is_multiple_of(self.lanes)
     }
 
     /// Numbers in the spectra of an image of `lanes` lanes.
@@ -305,7 +315,7 @@ impl<T: Element> Kernel<T> for Grid<T> {
         let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
         let packed_len = self.columns.packed_len();
         for image in 0..x.len_of(Axis(0)) {
-            for lanes in self.parts(x.len_of(Axis(2))) {
+            for lanes in self.parts(x.len_of(Axis(2)), self.together) {
                 let spectrum = &mut spectrum[..self.spectra(lanes.len())];
                 let packed = &packed[lanes.start / self.lanes * packed_len..];
                 let part = s![image, .., lanes];
@@ -321,7 +331,7 @@ impl<T: Element> Kernel<T> for Grid<T> {
         let mut scratch = self.scratch(team.scratch());
         let (lanes, packed_len) = (grad.len_of(Axis(2)), self.columns.packed_len());
         for image in 0..grad.len_of(Axis(0)) {
-            for lanes in self.parts(lanes) {
+            for lanes in self.parts(lanes, self.together) {
                 let place = lanes.start / self.lanes * packed_len;
                 let part = s![image, .., lanes];
                 self.backward_lanes(
@@ -375,7 +385,7 @@ impl<T: Element> Single<T> for Grid<T> {
         if self.undivided(x.ncols()) {
             return self.forward_single(x, weight, y, &mut scratch);
         }
-        for lanes in self.parts(x.ncols()) {
+        for lanes in self.parts(x.ncols(), self.alone) {
             let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
             let (x, weight, y) = (x.slice(part), weight.slice(bins), y.slice_mut(part));
             if lanes.len().is_multiple_of(self.lanes) {
@@ -392,7 +402,7 @@ impl<T: Element> Single<T> for Grid<T> {
             return self.backward_single(pass, &mut scratch);
         }
         let SingleBackward { grad, x, weight, mut grad_x, mut grad_weight } = pass;
-        for lanes in self.parts(x.ncols()) {
+        for lanes in self.parts(x.ncols(), self.alone) {
             let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
             let (grad, x, weight) = (grad.slice(part), x.slice(part), weight.slice(bins));
             let grad_x = grad_x.as_mut().map(|grad_x| grad_x.slice_mut(part));
