@@ -52,6 +52,11 @@ GOOD = {
 }
 
 
+def shade_earth(**bad):
+    names = inspect.signature(arrays.shade_earth).parameters
+    return arrays.shade_earth(**{name: GOOD[name] for name in names} | bad)
+
+
 def misaligned(array):
     if array.dtype.hasobject or not array.nbytes:
         return array
@@ -120,6 +125,9 @@ def test_the_wrong_number_of_arguments_is_refused():
         (lambda: ffpose.rotation_error(Q, Q * np.nan), ValueError, "q_hat.*finite.*NaN.*row 0"),
         (lambda: ffpose.rotation_error(Q, Q[:1]), ValueError, r"q_hat.*\(2, 4\).*\(1, 4\)"),
         (lambda: ffpose.translation_error(T[0], T[0]), ValueError, r"t.*\(N, 3\).*\(3,\)"),
+        (lambda: shade_earth(nadir=np.zeros(3, "c8")), TypeError, "(?s)real numbers, got .*j.*nadir"),
+        (lambda: shade_earth(altitude=np.complex64(1)), TypeError, "(?s)real numbers, got .1.*altitude"),
+        (lambda: shade_earth(ground=[[1j] * 3] * 3), TypeError, "(?s)real numbers, got .*1j.*ground"),
         (lambda: _rust.spectral_filter(X.tolist(), W, "tokens"), TypeError, "x.*ndarray.*list"),
         (lambda: _rust.spectral_filter(X[..., ::2], W, "tokens"), ValueError, "x.*contiguous"),
     ],

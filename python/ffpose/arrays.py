@@ -304,7 +304,7 @@ def shade_earth(
         still shows.
 
     Raises:
-        TypeError: ``rays`` is not of float32.
+        TypeError: ``rays`` is not of float32, or a number is not real.
         ValueError: Another shape.
 
     Examples:

@@ -133,6 +133,23 @@ fn untyped<'a, 'py>(
     })
 }
 
+/// Real numbers, one or in sequences. Of complex ones from NumPy, Python would take a part and lose the other.
+pub(crate) struct Numbers<T>(pub(crate) T);
+
+impl<'a, 'py, T: FromPyObject<'a, 'py>> FromPyObject<'a, 'py> for Numbers<T> {
+    type Error = PyErr;
+
+    fn extract(argument: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        static IS_COMPLEX: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+        let is_complex = IS_COMPLEX.import(argument.py(), "numpy", "iscomplexobj")?;
+        if is_complex.call1((argument,))?.is_truthy()? {
+            let got = argument.as_any();
+            return Err(PyTypeError::new_err(format!("expected real numbers, got {got}")));
+        }
+        argument.extract().map(Self).map_err(Into::into)
+    }
+}
+
 /// The number of threads that a caller allows.
 pub(crate) struct Threads(pub(crate) usize);
 

@@ -4,7 +4,7 @@ use ffpose_core::earth::{Earth, Seen, shade};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::border::{array, enter};
+use crate::border::{Numbers, array, enter};
 
 /// Radiance (3, N) of the Earth along rays (3, N), and the part (N,) of what lies behind that still shows; float32.
 #[pyfunction]
@@ -12,16 +12,23 @@ use crate::border::{array, enter};
 pub(crate) fn shade_earth<'py>(
     py: Python<'py>,
     rays: &Bound<'py, PyAny>,
-    nadir: [f32; 3],
-    altitude: f32,
-    sun: [f32; 3],
-    ground: [[f32; 3]; 3],
+    nadir: Numbers<[f32; 3]>,
+    altitude: Numbers<f32>,
+    sun: Numbers<[f32; 3]>,
+    ground: Numbers<[[f32; 3]; 3]>,
     detail: u8,
-    pixel_angle: f32,
+    pixel_angle: Numbers<f32>,
 ) -> PyResult<(Bound<'py, PyArray2<f32>>, Bound<'py, PyArray1<f32>>)> {
     let rays = array::<f32>("rays", rays)?;
-    let (rays, earth) =
-        (rays.as_array(), Earth { nadir, altitude, sun, ground, detail, pixel_angle });
+    let earth = Earth {
+        nadir: nadir.0,
+        altitude: altitude.0,
+        sun: sun.0,
+        ground: ground.0,
+        detail,
+        pixel_angle: pixel_angle.0,
+    };
+    let rays = rays.as_array();
     let Seen { radiance, behind } = enter(py, || shade(&earth, rays))?;
     Ok((PyArray2::from_owned_array(py, radiance), PyArray1::from_owned_array(py, behind)))
 }
