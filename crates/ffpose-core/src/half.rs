@@ -228,7 +228,7 @@ impl<H: Half> Algorithm<f32> for Narrow<'_, H> {
 /// else make vectors of the first elements of several groups, and gather each number alone.
 const GROUP: usize = 16;
 
-/// `from` as numbers, and what is `ahead` of it brought to the cache.
+/// `from` as numbers; what is `ahead` elements further is brought to the cache.
 #[inline(always)]
 fn widen<H: Half>(from: &[H], to: &mut [f32], ahead: isize) {
     let (groups, last) = from.as_chunks::<GROUP>();
@@ -243,7 +243,7 @@ fn widen<H: Half>(from: &[H], to: &mut [f32], ahead: isize) {
     }
 }
 
-/// `from` rounded, and what is `ahead` of its place brought to the cache.
+/// `from` rounded; what is `ahead` elements further than its place is brought to the cache.
 #[inline(always)]
 fn narrow<H: Half>(from: &[f32], to: &mut [H], ahead: isize) {
     let (groups, last) = from.as_chunks::<GROUP>();

@@ -8,7 +8,8 @@
 //!
 //! In an image view the lanes are contiguous, batch and point strides are positive and otherwise arbitrary. In a
 //! weight view real and imaginary part are neighbours and the stride of the lanes is 2. No dimension is zero, and
-//! `packed`, `grad_sum` and the team's scratches have exactly the lengths that the kernel asked for; the driver has checked it.
+//! `packed`, `grad_sum` and the team's scratches have exactly the lengths that the kernel asked for, and
+//! begin where a vector may; the driver has seen to it.
 //! A team has several members only where a call is one single piece; results must not depend on how many.
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};

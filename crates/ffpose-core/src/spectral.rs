@@ -313,6 +313,7 @@ impl<T: Real> SpectralFilter<T> {
     fn tiling<X>(&self, kernel: &dyn Kernel<T>, images: usize, threads: Option<usize>) -> Tiling {
         let (lanes, mut tile) = (self.shape.lanes, kernel.tile());
         if let (1, Some(single), Some(threads)) = (images, kernel.single(), threads) {
+            // a cache line holds so many more elements in half precision
             let least = single.narrowest_tile() * size_of::<T>() / size_of::<X>();
             tile = even_tile(lanes, least, tile, threads);
         }
@@ -341,7 +342,7 @@ pub(crate) fn plan_kernel<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>>
     }
 }
 
-/// Lanes of a tile, from `least` to `most`, with which `threads` are done soonest with one image of so many lanes.
+/// Lanes of a tile, from `least` to `most` (`most` if `least` is more), with which `threads` are done soonest with one image of so many lanes.
 fn even_tile(lanes: usize, least: usize, most: usize, threads: usize) -> usize {
     if threads == 1 {
         return most;
@@ -358,10 +359,10 @@ fn even_parts(tiles: usize, threads: usize) -> usize {
     if tiles >= 8 * threads { 1 } else { even.unwrap_or(threads) }
 }
 
-/// Parts in which a gradient is summed over `images`: few tiles leave too little work for threads, so that parts of
-/// at least four images, eight pieces at most, are summed apart and then added.
+/// Parts in which a gradient is summed over `images`: few tiles leave too little work for threads, so that parts of about
+/// four images or more, as many as make eight pieces, are summed apart and then added.
 fn sum_parts(tiles: usize, images: usize) -> usize {
-    if tiles >= 4 { 1 } else { images.div_ceil(images.div_ceil(8 / tiles).max(4)) }
+    images.div_ceil(images.div_ceil((8 / tiles).max(1)).max(4))
 }
 
 /// Adds parts of `len` numbers to the first of them, in order, and returns it.

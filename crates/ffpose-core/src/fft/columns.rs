@@ -101,7 +101,8 @@ impl<T: Element> Columns<T> {
         }
     }
 
-    /// For each of the vectors that `spectrum` holds, forward transform, `middle`, and inverse. Without inverse the spectrum stays, a pair as its places.
+    /// Forward transform, `middle` and inverse, for every vector of lanes in `spectrum`. Without inverse the spectrum stays, a
+    /// pair as its places.
     pub(crate) fn through<M: Middle<T>, const INVERSE: bool>(
         &self,
         spectrum: &mut [T],

@@ -21,14 +21,14 @@ use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 /// lines at a distance of a power of two meet in the same few sets of the cache.
 const TILE_BYTES: usize = 8 * LINE_BYTES;
 
-/// Bytes of a cache line, which two threads should not write.
+/// Bytes of a cache line: two threads should not write the same one.
 const LINE_BYTES: usize = 64;
 
-/// Bytes of spectra up to which lines of a tile go together: what a second-level cache holds. The lines of several images
-/// come from memory, which is quicker at longer runs.
+/// Bytes of a spectrum up to which lanes of a tile go together: about what a second-level cache holds. Several images come
+/// from memory, which is quicker at longer runs.
 const SPECTRA_BYTES: usize = 1 << 20;
 
-/// The same for one image alone, which is in that cache itself.
+/// The same for one image alone, which is likely to be in that cache.
 const ALONE_BYTES: usize = 1 << 18;
 
 /// The plan for grids of one height and width.
@@ -84,6 +84,7 @@ impl<T: Element> Grid<T> {
             plain: T::nearest(2.0 * norm / (gain * gain)),
         };
         let lanes = isa.lanes::<T>();
+        // a power of two, so that a tile has no narrow part
         let together = |bytes: usize| {
             let fitting = bytes / (columns.len() * size_of::<T>()) * lanes;
             1 << fitting.min(TILE_BYTES / size_of::<T>()).max(lanes).ilog2()
@@ -124,7 +125,7 @@ impl<T: Element> Grid<T> {
         }
     }
 
-    /// The parts of `lanes` lanes of which so many go together: whole vectors, then the rest.
+    /// Parts of `lanes` lanes, at most `together` in each: whole vectors, then the rest.
     fn parts(&self, lanes: usize, together: usize) -> impl Iterator<Item = Range<usize>> {
         let whole = lanes - lanes % self.lanes;
         let parts = (0..whole).step_by(together);
@@ -132,7 +133,7 @@ impl<T: Element> Grid<T> {
         parts.map(move |start| start..whole.min(start + together)).chain(rest)
     }
 
-    /// Whether so many lanes of one image go together as they are: nothing to cut, which takes its time, nor to fill up.
+    /// Whether so many lanes of one image go together without padding; cutting views takes its time.
     fn undivided(&self, lanes: usize) -> bool {
         lanes <= self.alone && lanes.is_multiple_of(self.lanes)
     }

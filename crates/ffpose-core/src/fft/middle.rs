@@ -6,11 +6,11 @@ use crate::simd::{Complex, Element, Tile, TileMut, Vector};
 /// Where the first of some vectors of one column is.
 #[derive(Clone, Copy)]
 pub(crate) struct At {
-    /// Which vector of the lanes that go together.
+    /// Which of the vectors of lanes that go together.
     pub(crate) vector: usize,
-    /// Its number in their spectra.
+    /// The number of the complex vector in the spectra of all of them.
     pub(crate) position: usize,
-    /// Its number in a weight of one vector.
+    /// Its place in the weight of one vector of lanes.
     pub(crate) place: usize,
 }
 
@@ -44,8 +44,8 @@ impl<T: Element> Middle<T> for () {
     }
 }
 
-/// Both see the spectrum, the second, whose result it is, before the first: what the first writes is often as far from a
-/// multiple of a page as what the second reads, and a read behind such a write waits for it.
+/// Both see the same spectrum; the result is the second's, and it goes first. What the first writes often has the same offset in
+/// a page as what the second reads, and a read soon after such a write waits for it.
 impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(

@@ -66,7 +66,7 @@ impl<T: Element> Packing<T> {
         self.hermitian.len() + self.plain.len()
     }
 
-    /// Gives `each` the weight of `R` places of one column in turn, from natural order.
+    /// Gives `each`, in turn, the weight of `R` places of one column, `first` and following, from natural order.
     #[inline(always)]
     pub(crate) fn read<V: Vector<Element = T>, const R: usize>(
         &self,

@@ -283,7 +283,8 @@ pub(crate) fn remainders(m: usize, a: usize, n: usize, b: usize) -> usize {
     (0..n).map(|i| a % m + i * m).find(|k| k % n == b % n).expect("coprime moduli")
 }
 
-/// The radices of each prime power of `length`; primes without a codelet first, so that the last pass has one if any has.
+/// The radices of each prime power of `length`; primes without a codelet first, so that the last pass has one if any has, and
+/// the power of two last, as [`super::fused`] expects.
 fn groups(length: usize) -> Vec<Vec<usize>> {
     let mut groups = Vec::new();
     let (mut rest, mut p) = (length, 2);

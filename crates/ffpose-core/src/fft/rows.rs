@@ -20,7 +20,7 @@ pub(crate) enum Rows<T> {
     Pairs(Transform<T>),
 }
 
-/// Points ahead of the work that are at least brought to the cache, in the order of memory.
+/// Points ahead of the work, counted along the image, that are at least brought to the cache.
 const AHEAD: usize = 28;
 
 /// Where columns are.
@@ -30,7 +30,7 @@ pub(crate) struct Place<'a> {
     pub(crate) pitch: usize,
     /// Complex vectors of all columns: those of the next lanes of the tile follow.
     pub(crate) set: usize,
-    /// Whether the image comes from memory, which is worth asking for its lines a row ahead.
+    /// Whether the image comes from memory, which is worth asking for ahead of the work.
     pub(crate) far: bool,
 }
 

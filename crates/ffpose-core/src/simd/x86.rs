@@ -260,7 +260,7 @@ fn transpose_in_halves_f64x4([a, b]: [__m256d; 2]) -> [__m256d; 2] {
     [_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b)]
 }
 
-/// Inside blocks of 128 bits, then those of each half.
+/// Transposes inside blocks of 128 bits, then the blocks of each half.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn transpose_in_halves_f32x16([a, b, c, d, e, f, g, h]: [__m512; 8]) -> [__m512; 8] {
@@ -274,7 +274,7 @@ fn transpose_in_halves_f32x16([a, b, c, d, e, f, g, h]: [__m512; 8]) -> [__m512;
     [a, b, c, d, e, f, g, h]
 }
 
-/// Inside blocks of 128 bits, then those of each half.
+/// Transposes inside blocks of 128 bits, then the blocks of each half.
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn transpose_in_halves_f64x8([a, b, c, d]: [__m512d; 4]) -> [__m512d; 4] {

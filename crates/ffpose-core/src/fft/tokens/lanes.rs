@@ -18,7 +18,7 @@ use crate::fft::pair::{join, split};
 use crate::fft::unroll::unroll;
 use crate::simd::{Algorithm, Complex, Element, Vector, complex_vectors, complex_vectors_of};
 
-/// Of a group, and of a vector's lanes.
+/// Halves of a group, and of the lanes of a vector.
 const HALVES: usize = 2;
 
 /// The rows of a block in the order of their groups.
