@@ -342,7 +342,8 @@ pub(crate) fn plan_kernel<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>>
     }
 }
 
-/// Lanes of a tile, from `least` to `most` (`most` if `least` is more), with which `threads` are done soonest with one image of so many lanes.
+/// Lanes of a tile, from `least` to `most` (`most` if `least` is more), with which `threads` are done soonest with one image
+/// of so many lanes.
 fn even_tile(lanes: usize, least: usize, most: usize, threads: usize) -> usize {
     if threads == 1 {
         return most;
