@@ -1,40 +1,27 @@
-//! Half precision: how 16 bits become `f32` and back, and elements of any type as the numbers that kernels compute with.
+//! Elements of images and weights of any type, as the numbers that kernels compute with.
 //!
-//! Kernels know `f32` and `f64`. Images of half precision are widened one by one into memory that stays in cache, and
-//! the result is rounded once, to nearest and ties to even. No instructions for half precision are asked for: the
-//! loops below are integer arithmetic, compiled for each instruction set.
+//! Kernels that read and write no half precision themselves get images of it widened one by one, in memory that stays in
+//! cache.
 
-use std::hint::black_box;
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, Slice};
 
-use ndarray::{ArrayView3, ArrayViewMut3};
+use crate::kernel::{Backward, Kernel, Single, SingleBackward};
+use crate::parallel::Team;
+use crate::simd::{Algorithm, Bf16, F16, Stored, Vector, narrow, slack, widen};
+use crate::{Isa, Real, Shape};
 
-use crate::simd::{Algorithm, Vector, prefetch};
-use crate::{Isa, Real};
+const BATCH: Axis = Axis(0);
+const LANES: Axis = Axis(2);
 
-/// bfloat16: the upper half of an `f32`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[repr(transparent)]
-pub struct Bf16(pub u16);
-
-/// float16: IEEE's binary16.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[repr(transparent)]
-pub struct F16(pub u16);
-
-mod sealed {
-    pub trait Sealed {}
-    impl Sealed for f32 {}
-    impl Sealed for f64 {}
-    impl Sealed for super::Bf16 {}
-    impl Sealed for super::F16 {}
-}
-
-/// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`].
-pub trait Number: Copy + Default + Send + Sync + sealed::Sealed + 'static {
-    /// What is computed in.
-    type Real: Real;
-    /// Whether it is something else than the element itself.
-    const WIDENED: bool;
+/// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`]. `Real` is what is computed in.
+pub trait Number: Default + Send + Sync + Stored<Real: Real> + 'static {
+    /// `kernel` for images of this type; `widened` is the same one.
+    #[doc(hidden)]
+    #[allow(private_interfaces)] // sealed: nobody outside can name the supertrait
+    fn kernel<'a>(
+        kernel: &'a dyn Kernel<Self::Real>,
+        widened: &'a Widened<'a, Self::Real>,
+    ) -> &'a dyn Kernel<Self>;
 
     /// `view` in what is computed in; where that is something else, a copy in `wide`.
     #[doc(hidden)]
@@ -56,9 +43,14 @@ pub trait Number: Copy + Default + Send + Sync + sealed::Sealed + 'static {
 
 macro_rules! computed_in_itself {
     ($real:ty) => {
+        #[allow(private_interfaces)] // as above
         impl Number for $real {
-            type Real = Self;
-            const WIDENED: bool = false;
+            fn kernel<'a>(
+                kernel: &'a dyn Kernel<Self>,
+                _: &'a Widened<'a, Self>,
+            ) -> &'a dyn Kernel<Self> {
+                kernel
+            }
 
             fn read<'a>(
                 _: Isa,
@@ -85,9 +77,17 @@ computed_in_itself!(f64);
 
 macro_rules! computed_in_f32 {
     ($half:ident) => {
+        #[allow(private_interfaces)] // as above
         impl Number for $half {
-            type Real = f32;
-            const WIDENED: bool = true;
+            fn kernel<'a>(
+                kernel: &'a dyn Kernel<f32>,
+                widened: &'a Widened<'a, f32>,
+            ) -> &'a dyn Kernel<Self> {
+                match kernel.grid() {
+                    Some(grid) => grid,
+                    None => widened,
+                }
+            }
 
             fn read<'a>(
                 isa: Isa,
@@ -118,85 +118,170 @@ macro_rules! computed_in_f32 {
 computed_in_f32!(Bf16);
 computed_in_f32!(F16);
 
-/// [`Bf16`] or [`F16`].
-pub trait Half: Number<Real = f32> {
-    /// The same value in single precision.
-    fn widened(self) -> f32;
-    /// The value of this type nearest to `value`, the even one of two that are as near.
-    fn nearest(value: f32) -> Self;
+/// A kernel for images of another type, which it gets widened.
+pub(crate) struct Widened<'a, T: Real> {
+    isa: Isa,
+    kernel: &'a dyn Kernel<T>,
+    /// Numbers with room for the largest image of a piece.
+    image_len: usize,
 }
 
-impl Half for Bf16 {
-    #[inline(always)]
-    fn widened(self) -> f32 {
-        f32::from_bits(u32::from(self.0) << 16)
+impl<'a, T: Real> Widened<'a, T> {
+    pub(crate) fn new(isa: Isa, shape: Shape, kernel: &'a dyn Kernel<T>) -> Self {
+        let image_len = shape.points().saturating_mul(kernel.tile().min(shape.lanes));
+        Self {
+            isa,
+            kernel,
+            image_len: image_len.div_ceil(slack::<T>()).saturating_mul(slack::<T>()),
+        }
     }
 
-    #[inline(always)]
-    fn nearest(value: f32) -> Self {
-        let bits = value.to_bits();
-        let rounded = bits.wrapping_add(0x7fff + (bits >> 16 & 1));
-        let quiet = bits | 0x0040_0000; // rounding could carry a NaN over to infinity
-        Self(upper_half(if value.is_nan() { quiet } else { rounded }))
+    fn wide_len(&self) -> usize {
+        self.image_len.saturating_mul(3)
+    }
+
+    /// The kernel's way for one image; to be asked for only where it has one.
+    fn one(&self) -> &'a dyn Single<T> {
+        self.kernel.single().expect("a way for one image")
+    }
+
+    /// Room for three images, and the team that the kernel expects.
+    fn share<'b>(&self, team: &'b mut Team<'_, T>) -> ([&'b mut [T]; 3], Team<'b, T>) {
+        let (wide, team) = team.share(self.wide_len());
+        let (first, rest) = wide.split_at_mut(self.image_len);
+        let (second, third) = rest.split_at_mut(self.image_len);
+        ([first, second, third], team)
     }
 }
 
-impl Half for F16 {
-    /// The bits of both formats stand alike but for the bias of the exponent, which a product corrects, exactly.
-    #[inline(always)]
-    fn widened(self) -> f32 {
-        let bits = u32::from(self.0);
-        let shifted = (bits & 0x7fff) << 13;
-        let scaled = (f32::from_bits(shifted) * f32::from_bits(0x7780_0000)).to_bits(); // 2^112
-        let finite = if shifted < 0x0f80_0000 { scaled } else { shifted | 0x7f80_0000 };
-        f32::from_bits(finite | (bits & 0x8000) << 16)
+impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
+    fn tile(&self) -> usize {
+        self.kernel.tile()
     }
 
-    /// Below the smallest normal number a sum rounds at the right place, and above it integers do.
-    #[inline(always)]
-    fn nearest(value: f32) -> Self {
-        let bits = value.to_bits();
-        let size = bits & 0x7fff_ffff;
-        let tiny = (f32::from_bits(size) + 0.5).to_bits().wrapping_sub(0.5_f32.to_bits()) << 16;
-        let normal = size.wrapping_add(0xc800_0fff + (size >> 13 & 1)) << 3;
-        let infinite = if size > 0x7f80_0000 { 0x7e00_0000 } else { 0x7c00_0000 };
-        let rounded = match size {
-            0..0x3880_0000 => tiny,             // below 2^-14
-            0x3880_0000..0x4780_0000 => normal, // below 2^16; what rounds up to that is infinity's bits
-            _ => infinite,
+    fn packed_len(&self) -> usize {
+        self.kernel.packed_len()
+    }
+
+    fn scratch_len(&self) -> usize {
+        self.kernel.scratch_len().saturating_add(self.wide_len())
+    }
+
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, X::Real>,
+        packed: &mut [X::Real],
+        team: &mut Team<'_, X::Real>,
+    ) {
+        self.kernel.pack(weight, packed, &mut self.share(team).1);
+    }
+
+    fn forward(
+        &self,
+        x: ArrayView3<'_, X>,
+        packed: &[X::Real],
+        mut y: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
+    ) {
+        let ([wide_x, wide_y, _], mut team) = self.share(team);
+        for image in 0..x.len_of(BATCH) {
+            let image = Slice::from(image..image + 1);
+            let x = X::read(self.isa, x.slice_axis(BATCH, image), wide_x);
+            X::write(self.isa, y.slice_axis_mut(BATCH, image), wide_y, |y| {
+                self.kernel.forward(x, packed, y, &mut team);
+            });
+        }
+    }
+
+    fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let ([wide_grad, wide_x, wide_grad_x], mut team) = self.share(team);
+        for image in 0..grad.len_of(BATCH) {
+            let image = Slice::from(image..image + 1);
+            let grad = X::read(self.isa, grad.slice_axis(BATCH, image), wide_grad);
+            let x = X::read(self.isa, x.slice_axis(BATCH, image), wide_x);
+            let mut run = |grad_x: Option<ArrayViewMut3<'_, X::Real>>| {
+                let grad_sum = grad_sum.as_deref_mut();
+                let pass = Backward { grad, x, packed, grad_x, grad_sum };
+                self.kernel.backward(pass, &mut team);
+            };
+            match &mut grad_x {
+                Some(grad_x) => {
+                    let grad_x = grad_x.slice_axis_mut(BATCH, image);
+                    X::write(self.isa, grad_x, wide_grad_x, |grad_x| run(Some(grad_x)));
+                }
+                None => run(None),
+            }
+        }
+    }
+
+    fn unpack_gradient(
+        &self,
+        grad_sum: &[X::Real],
+        grad_weight: ArrayViewMut3<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
+    ) {
+        self.kernel.unpack_gradient(grad_sum, grad_weight, &mut self.share(team).1);
+    }
+
+    fn single(&self) -> Option<&dyn Single<X>> {
+        self.kernel.single().map(|_| self as &dyn Single<X>)
+    }
+}
+
+impl<X: Number> Single<X> for Widened<'_, X::Real> {
+    fn narrowest_tile(&self) -> usize {
+        self.one().narrowest_tile()
+    }
+
+    fn forward(
+        &self,
+        x: ArrayView2<'_, X>,
+        weight: ArrayView3<'_, X::Real>,
+        y: ArrayViewMut2<'_, X>,
+        team: &mut Team<'_, X::Real>,
+    ) {
+        let ([wide_x, wide_y, _], mut team) = self.share(team);
+        let x = X::read(self.isa, x.insert_axis(BATCH), wide_x).index_axis_move(BATCH, 0);
+        X::write(self.isa, y.insert_axis(BATCH), wide_y, |y| {
+            self.one().forward(x, weight, y.index_axis_move(BATCH, 0), &mut team);
+        });
+    }
+
+    fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
+        let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
+        let ([wide_grad, wide_x, wide_grad_x], mut team) = self.share(team);
+        let grad = X::read(self.isa, grad.insert_axis(BATCH), wide_grad).index_axis_move(BATCH, 0);
+        let x = X::read(self.isa, x.insert_axis(BATCH), wide_x).index_axis_move(BATCH, 0);
+        let run = |grad_x: Option<ArrayViewMut3<'_, X::Real>>| {
+            let grad_x = grad_x.map(|grad_x| grad_x.index_axis_move(BATCH, 0));
+            let pass = SingleBackward { grad, x, weight, grad_x, grad_weight };
+            self.one().backward(pass, &mut team);
         };
-        Self(upper_half(rounded | bits & 0x8000_0000))
+        match grad_x {
+            Some(grad_x) => {
+                X::write(self.isa, grad_x.insert_axis(BATCH), wide_grad_x, |g| run(Some(g)));
+            }
+            None => run(None),
+        }
     }
 }
-
-#[inline(always)]
-#[allow(clippy::cast_possible_truncation)] // the upper bits are shifted out of the way
-fn upper_half(bits: u32) -> u16 {
-    (bits >> 16) as u16
-}
-
-/// Rows ahead of the work that are brought to the cache, where rows are apart from each other: no processor guesses them.
-const ROWS_AHEAD: isize = 16;
 
 struct Widen<'a, H> {
     from: ArrayView3<'a, H>,
     to: &'a mut [f32],
 }
 
-impl<H: Half> Algorithm<f32> for Widen<'_, H> {
+impl<H: Stored<Real = f32>> Algorithm<f32> for Widen<'_, H> {
     #[inline(always)]
     fn run<V: Vector<Element = f32>>(self) {
         let Self { from, to } = self;
         if let Some(from) = from.to_slice() {
-            widen(from, to, 0);
-            return;
+            return widen::<V, H>(from, to);
         }
-        let (_, points, lanes) = from.dim();
-        let ahead = ROWS_AHEAD * from.strides()[1];
-        for (from, to) in from.outer_iter().zip(to.chunks_exact_mut(points * lanes)) {
-            for (from, to) in from.outer_iter().zip(to.chunks_exact_mut(lanes)) {
-                widen(from.to_slice().expect("lanes are contiguous"), to, ahead);
-            }
+        let points = from.lanes(LANES).into_iter();
+        for (from, to) in points.zip(to.chunks_exact_mut(from.len_of(LANES))) {
+            widen::<V, H>(from.to_slice().expect("lanes are contiguous"), to);
         }
     }
 }
@@ -206,136 +291,16 @@ struct Narrow<'a, H> {
     to: ArrayViewMut3<'a, H>,
 }
 
-impl<H: Half> Algorithm<f32> for Narrow<'_, H> {
+impl<H: Stored<Real = f32>> Algorithm<f32> for Narrow<'_, H> {
     #[inline(always)]
     fn run<V: Vector<Element = f32>>(self) {
         let Self { from, mut to } = self;
         if let Some(to) = to.as_slice_mut() {
-            narrow(from, to, 0);
-            return;
+            return narrow::<V, H>(from, to);
         }
-        let (_, points, lanes) = to.dim();
-        let ahead = ROWS_AHEAD * to.strides()[1];
-        for (mut to, from) in to.outer_iter_mut().zip(from.chunks_exact(points * lanes)) {
-            for (to, from) in to.outer_iter_mut().zip(from.chunks_exact(lanes)) {
-                narrow(from, to.into_slice().expect("lanes are contiguous"), ahead);
-            }
+        let lanes = to.len_of(LANES);
+        for (to, from) in to.lanes_mut(LANES).into_iter().zip(from.chunks_exact(lanes)) {
+            narrow::<V, H>(from, to.into_slice().expect("lanes are contiguous"));
         }
-    }
-}
-
-/// Elements converted together, which become vectors. Between these groups the compiler is kept from looking across: it would
-/// else make vectors of the first elements of several groups, and gather each number alone.
-const GROUP: usize = 16;
-
-/// `from` as numbers; what is `ahead` elements further is brought to the cache.
-#[inline(always)]
-fn widen<H: Half>(from: &[H], to: &mut [f32], ahead: isize) {
-    let (groups, last) = from.as_chunks::<GROUP>();
-    let (to_groups, to_last) = to.as_chunks_mut::<GROUP>();
-    for (group, to) in groups.iter().zip(to_groups) {
-        prefetch(group.as_ptr().wrapping_offset(ahead));
-        *to = each(group, H::widened);
-        black_box(());
-    }
-    for (from, to) in last.iter().zip(to_last) {
-        *to = from.widened();
-    }
-}
-
-/// `from` rounded; what is `ahead` elements further than its place is brought to the cache.
-#[inline(always)]
-fn narrow<H: Half>(from: &[f32], to: &mut [H], ahead: isize) {
-    let (groups, last) = from.as_chunks::<GROUP>();
-    let (to_groups, to_last) = to.as_chunks_mut::<GROUP>();
-    for (group, to) in groups.iter().zip(to_groups) {
-        prefetch(to.as_ptr().wrapping_offset(ahead));
-        *to = each(group, H::nearest);
-        black_box(());
-    }
-    for (from, to) in last.iter().zip(to_last) {
-        *to = H::nearest(*from);
-    }
-}
-
-/// `function` of each number of a group; the library's `map` would be a call out of the instruction set.
-#[inline(always)]
-fn each<A: Copy, B: Copy + Default>(group: &[A; GROUP], function: impl Fn(A) -> B) -> [B; GROUP] {
-    let mut results = [B::default(); GROUP];
-    for n in 0..GROUP {
-        results[n] = function(group[n]);
-    }
-    results
-}
-
-#[cfg(test)]
-#[allow(clippy::float_cmp)] // values of halves are exact
-mod tests {
-    use super::*;
-
-    /// The value of a half by its definition: sign, exponent and fraction of so many bits.
-    fn by_definition(bits: u16, exponent_bits: u32, fraction_bits: u32) -> f64 {
-        let bits = u32::from(bits);
-        let fraction = f64::from(bits & ((1 << fraction_bits) - 1)) / f64::from(1 << fraction_bits);
-        let exponent = (bits >> fraction_bits & ((1 << exponent_bits) - 1)).cast_signed();
-        let bias = (1 << (exponent_bits - 1)) - 1;
-        let size = match exponent {
-            0 => fraction * 2_f64.powi(1 - bias),
-            e if e == (1 << exponent_bits) - 1 => {
-                if fraction == 0.0 {
-                    f64::INFINITY
-                } else {
-                    f64::NAN
-                }
-            }
-            e => (1.0 + fraction) * 2_f64.powi(e - bias),
-        };
-        if bits >> 15 == 1 { -size } else { size }
-    }
-
-    fn widens_every_value<H: Half>(half: impl Fn(u16) -> H, exponent_bits: u32) {
-        for bits in 0..=u16::MAX {
-            let expected = by_definition(bits, exponent_bits, 15 - exponent_bits);
-            let value = half(bits).widened();
-            assert!(f64::from(value) == expected || value.is_nan() && expected.is_nan(), "{bits}");
-            let back = H::nearest(value).widened();
-            assert!(back.to_bits() == value.to_bits() || value.is_nan() && back.is_nan(), "{bits}");
-        }
-    }
-
-    /// Midpoints go to the even neighbour, and what is next to them to the nearer.
-    fn rounds_between_all_neighbours<H: Half + PartialEq + std::fmt::Debug>(
-        half: impl Fn(u16) -> H,
-        largest: u16,
-    ) {
-        for bits in 0..largest {
-            let (below, above) = (half(bits), half(bits + 1));
-            let middle = below.widened().midpoint(above.widened());
-            let even = if bits % 2 == 0 { below } else { above };
-            assert_eq!(H::nearest(middle), even, "{bits}");
-            assert_eq!(H::nearest(middle.next_down()), below, "{bits}");
-            assert_eq!(H::nearest(middle.next_up()), above, "{bits}");
-            assert_eq!(H::nearest(-middle.next_up()).widened(), -above.widened(), "{bits}");
-        }
-    }
-
-    #[test]
-    fn every_half_has_its_value() {
-        widens_every_value(Bf16, 8);
-        widens_every_value(F16, 5);
-    }
-
-    #[test]
-    fn halves_are_rounded_to_nearest_even() {
-        rounds_between_all_neighbours(Bf16, 0x7f7f);
-        rounds_between_all_neighbours(F16, 0x7bff);
-    }
-
-    #[test]
-    fn what_is_too_large_is_infinite() {
-        assert_eq!(F16::nearest(65_520.0).widened(), f32::INFINITY);
-        assert_eq!(F16::nearest(65_519.996).widened(), 65_504.0);
-        assert_eq!(F16::nearest(-1e30).widened(), f32::NEG_INFINITY);
-        assert_eq!(Bf16::nearest(f32::MAX).widened(), f32::INFINITY);
     }
 }

@@ -14,13 +14,15 @@
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
+use crate::fft::Grid;
 use crate::parallel::Team;
+use crate::simd::Stored;
 
-/// The transform of one [`crate::Shape`], planned once.
+/// The transform of one [`crate::Shape`], planned once, for images of `X`.
 ///
 /// Every image is treated by itself: its result does not depend on its neighbours, so that any split of a batch gives
 /// the same bits.
-pub(crate) trait Kernel<T>: Send + Sync {
+pub(crate) trait Kernel<X: Stored>: Send + Sync {
     /// Most lanes of a view: the last tile may have fewer. In tokens the tile is all of Y.
     fn tile(&self) -> usize;
 
@@ -31,73 +33,83 @@ pub(crate) trait Kernel<T>: Send + Sync {
     fn scratch_len(&self) -> usize;
 
     /// Brings the weight of one tile from natural order to the kernel's own, scaled by the norm of the transform.
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>);
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, X::Real>,
+        packed: &mut [X::Real],
+        team: &mut Team<'_, X::Real>,
+    );
 
     /// `y = irfft2(rfft2(x) · W)`, overwriting `y`.
     fn forward(
         &self,
-        x: ArrayView3<'_, T>,
-        packed: &[T],
-        y: ArrayViewMut3<'_, T>,
-        team: &mut Team<'_, T>,
+        x: ArrayView3<'_, X>,
+        packed: &[X::Real],
+        y: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
     );
 
     /// The gradients that `pass` asks for.
-    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>);
+    fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>);
 
     /// Brings a gradient sum to natural order, times `c_v / (rows · columns)`, overwriting `grad_weight`;
     /// `c_v` is 1 in the columns of DC and Nyquist and 2 between them, which stand for two columns each.
     fn unpack_gradient(
         &self,
-        grad_sum: &[T],
-        grad_weight: ArrayViewMut3<'_, T>,
-        team: &mut Team<'_, T>,
+        grad_sum: &[X::Real],
+        grad_weight: ArrayViewMut3<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
     );
 
     /// The kernel's way for one image, if it has one of its own.
-    fn single(&self) -> Option<&dyn Single<T>> {
+    fn single(&self) -> Option<&dyn Single<X>> {
+        None
+    }
+
+    /// The kernel that takes images of any stored type, if it is that.
+    fn grid(&self) -> Option<&Grid<X::Real>> {
         None
     }
 }
 
 /// One image, for which bringing a weight to kernel order and a gradient back would not pay: both stay in natural order.
 /// `y` and the gradient of `x` have the same bits as with [`Kernel::pack`].
-pub(crate) trait Single<T>: Sync {
+pub(crate) trait Single<X: Stored>: Sync {
     /// Least lanes of a view, but for the last tile: threads may share one image in tiles as narrow as this.
     fn narrowest_tile(&self) -> usize;
 
     /// As [`Kernel::forward`].
     fn forward(
         &self,
-        x: ArrayView2<'_, T>,
-        weight: ArrayView3<'_, T>,
-        y: ArrayViewMut2<'_, T>,
-        team: &mut Team<'_, T>,
+        x: ArrayView2<'_, X>,
+        weight: ArrayView3<'_, X::Real>,
+        y: ArrayViewMut2<'_, X>,
+        team: &mut Team<'_, X::Real>,
     );
 
     /// The gradients that `pass` asks for.
-    fn backward(&self, pass: SingleBackward<'_, T>, team: &mut Team<'_, T>);
+    fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>);
 }
 
 /// As [`Backward`], for one image.
-pub(crate) struct SingleBackward<'a, T> {
-    pub(crate) grad: ArrayView2<'a, T>,
-    pub(crate) x: ArrayView2<'a, T>,
-    pub(crate) weight: ArrayView3<'a, T>,
-    pub(crate) grad_x: Option<ArrayViewMut2<'a, T>>,
-    pub(crate) grad_weight: Option<ArrayViewMut3<'a, T>>,
+pub(crate) struct SingleBackward<'a, X: Stored> {
+    pub(crate) grad: ArrayView2<'a, X>,
+    pub(crate) x: ArrayView2<'a, X>,
+    pub(crate) weight: ArrayView3<'a, X::Real>,
+    pub(crate) grad_x: Option<ArrayViewMut2<'a, X>>,
+    pub(crate) grad_weight: Option<ArrayViewMut3<'a, X::Real>>,
 }
 
 /// One piece of a backward pass. `G` and `X` are the spectra of `grad` and `x`.
-pub(crate) struct Backward<'a, T> {
+pub(crate) struct Backward<'a, X: Stored> {
     /// Gradient of the filter's output.
-    pub(crate) grad: ArrayView3<'a, T>,
+    pub(crate) grad: ArrayView3<'a, X>,
     /// Input of the filter; read only for `grad_sum`.
-    pub(crate) x: ArrayView3<'a, T>,
+    pub(crate) x: ArrayView3<'a, X>,
     /// Weight in kernel order; read only for `grad_x`.
-    pub(crate) packed: &'a [T],
+    pub(crate) packed: &'a [X::Real],
     /// Becomes `irfft2(G · conj W)`.
-    pub(crate) grad_x: Option<ArrayViewMut3<'a, T>>,
+    pub(crate) grad_x: Option<ArrayViewMut3<'a, X>>,
     /// Grows by `Σ_b conj(X_b) · G_b` in kernel order, image by image.
-    pub(crate) grad_sum: Option<&'a mut [T]>,
+    pub(crate) grad_sum: Option<&'a mut [X::Real]>,
 }

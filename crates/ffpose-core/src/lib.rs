@@ -34,10 +34,10 @@ mod spectral;
 mod tiling;
 
 pub use error::Error;
-pub use half::{Bf16, F16, Half, Number};
+pub use half::Number;
 pub use parallel::{Pool, StdThreads};
 pub use real::Real;
 pub use scratch::Scratch;
 pub use shape::{Layout, Shape};
-pub use simd::Isa;
+pub use simd::{Bf16, F16, Isa};
 pub use spectral::{Gradients, SpectralFilter};

@@ -25,7 +25,6 @@ pub(crate) struct Needs {
     pub(crate) packed: usize,
     /// For each member.
     pub(crate) kernel: usize,
-    pub(crate) wide: usize,
     /// For all workers together.
     pub(crate) shared: usize,
 }
@@ -36,8 +35,6 @@ pub(crate) struct Worker<'a, T> {
     pub(crate) packed: &'a mut [T],
     /// For the kernel, and who may help it.
     pub(crate) team: Team<'a, T>,
-    /// For images of half precision in the kernel's.
-    pub(crate) wide: &'a mut [T],
 }
 
 /// The workers of a call.
@@ -53,15 +50,13 @@ impl<T> Workers<'_, T> {
     where
         T: Send,
     {
-        let (pool, Needs { members, packed, kernel, wide, .. }) = (self.pool, self.needs);
-        let [packed_lines, kernel_lines, _] = self.needs.lines::<T>();
+        let (pool, Needs { packed, kernel, .. }) = (self.pool, self.needs);
+        let [packed_lines, kernel_lines] = self.needs.lines::<T>();
         self.memory.chunks_exact_mut(self.needs.each::<T>()).map(move |memory| {
-            let (packed_part, rest) = memory.split_at_mut(packed_lines);
-            let (kernel_part, wide_part) = rest.split_at_mut(kernel_lines * members);
+            let (packed_part, kernel_part) = memory.split_at_mut(packed_lines);
             Worker {
                 packed: &mut packed_part[..packed],
                 team: Team::new(pool, kernel_part, kernel_lines, kernel),
-                wide: &mut wide_part[..wide],
             }
         })
     }
@@ -69,15 +64,15 @@ impl<T> Workers<'_, T> {
 
 impl Needs {
     /// Whole lines for each slice; a member has at least one.
-    fn lines<T>(&self) -> [usize; 3] {
+    fn lines<T>(&self) -> [usize; 2] {
         let line = LINE / size_of::<T>();
-        [self.packed, self.kernel.max(1), self.wide].map(|len| len.next_multiple_of(line))
+        [self.packed, self.kernel.max(1)].map(|len| len.next_multiple_of(line))
     }
 
     /// Numbers for one worker.
     fn each<T>(&self) -> usize {
-        let [packed, kernel, wide] = self.lines::<T>();
-        kernel.saturating_mul(self.members).saturating_add(packed).saturating_add(wide)
+        let [packed, kernel] = self.lines::<T>();
+        kernel.saturating_mul(self.members).saturating_add(packed)
     }
 }
 
@@ -136,11 +131,11 @@ mod tests {
     fn memory_that_there_is_not_is_an_error() {
         let mut scratch = Scratch::default();
         for workers in [usize::MAX, usize::MAX >> 12, 1 << 40] {
-            let needs = Needs { workers, members: 8, packed: 9, kernel: 1000, wide: 0, shared: 7 };
+            let needs = Needs { workers, members: 8, packed: 9, kernel: 1000, shared: 7 };
             let result = scratch.lend::<f32>(&StdThreads(1), needs);
             assert!(matches!(result.map(|_| ()), Err(Error::Memory { .. })));
         }
-        let needs = Needs { workers: 1, members: 8, packed: 9, kernel: 1000, wide: 0, shared: 7 };
+        let needs = Needs { workers: 1, members: 8, packed: 9, kernel: 1000, shared: 7 };
         assert!(scratch.lend::<f32>(&StdThreads(1), needs).is_ok());
     }
 }

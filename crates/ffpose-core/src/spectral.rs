@@ -10,10 +10,10 @@ use std::any::{Any, TypeId};
 use std::cell::RefCell;
 use std::sync::Arc;
 
-use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimension, Slice};
+use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimension};
 
 use crate::general::General;
-use crate::half::Number;
+use crate::half::{Number, Widened};
 use crate::kernel::{Backward, Kernel, Single, SingleBackward};
 use crate::parallel::{self, Pool};
 use crate::scratch::{self, Needs, Scratch, Worker};
@@ -116,32 +116,26 @@ impl<T: Real> SpectralFilter<T> {
             return Ok(());
         };
 
+        let widened = Widened::new(self.isa, self.shape, kernel);
+        let kernel = X::kernel(kernel, &widened);
         let threads = parallel::worth(pool, x.len());
-        let tiling = self.tiling::<X>(kernel, x.dim().0, Some(threads));
-        let image_len = self.image_len::<X>(&tiling);
-        let shared = widened_len::<W>(weight.len());
-        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 2 * image_len, shared);
+        let tiling = self.tiling(kernel, x.dim().0, Some(threads));
+        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), widened_len::<W>(weight.len()));
         let (mut workers, wide_weight) = scratch.lend(pool, needs)?;
         let weight = W::read(self.isa, weight, wide_weight);
         let jobs = tiling.images_mut(y).enumerate();
-        parallel::run(pool, workers.each(), jobs, |(piece, mut y), worker| {
-            let Worker { packed, team, wide } = worker;
-            let (wide_x, wide_y) = wide.split_at_mut(image_len);
+        parallel::run(pool, workers.each(), jobs, |(piece, y), worker| {
+            let Worker { packed, team } = worker;
             let (weight, x) = (tiling.bins(weight, tiling.tile_of(piece)), tiling.images(x, piece));
-            if let Some(single) = kernel.single().filter(|_| x.dim().0 == 1) {
-                let x = X::read(self.isa, x, wide_x);
-                let x = x.index_axis_move(BATCH, 0);
-                X::write(self.isa, y, wide_y, |y| {
-                    single.forward(x, weight, y.index_axis_move(BATCH, 0), team);
-                });
-                return;
-            }
-            kernel.pack(weight, packed, team);
-            for some in together::<X>(x.dim().0) {
-                let x = X::read(self.isa, x.slice_axis(BATCH, some), wide_x);
-                X::write(self.isa, y.slice_axis_mut(BATCH, some), wide_y, |y| {
+            match kernel.single() {
+                Some(single) if x.dim().0 == 1 => {
+                    let (x, y) = (x.index_axis_move(BATCH, 0), y.index_axis_move(BATCH, 0));
+                    single.forward(x, weight, y, team);
+                }
+                _ => {
+                    kernel.pack(weight, packed, team);
                     kernel.forward(x, packed, y, team);
-                });
+                }
             }
         });
         Ok(())
@@ -165,17 +159,17 @@ impl<T: Real> SpectralFilter<T> {
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let mut pass = self.pass(grad, x, weight, gradients)?;
-        match self.kernel.as_deref() {
-            Some(kernel) if !pass.x.is_empty() => match kernel.single() {
-                Some(single) if pass.x.dim().0 == 1 => {
-                    self.run_single_backward(kernel, single, pass, pool, scratch)
-                }
-                _ => self.run_backward(kernel, pass, pool, scratch),
-            },
-            _ => {
-                pass.grad_weight.iter_mut().for_each(|grad| grad.fill(W::default()));
-                Ok(())
+        let Some(kernel) = self.kernel.as_deref().filter(|_| !pass.x.is_empty()) else {
+            pass.grad_weight.iter_mut().for_each(|grad| grad.fill(W::default()));
+            return Ok(());
+        };
+        let widened = Widened::new(self.isa, self.shape, kernel);
+        let kernel = X::kernel(kernel, &widened);
+        match kernel.single() {
+            Some(single) if pass.x.dim().0 == 1 => {
+                self.run_single_backward(kernel, single, pass, pool, scratch)
             }
+            _ => self.run_backward(kernel, pass, pool, scratch),
         }
     }
 
@@ -200,7 +194,7 @@ impl<T: Real> SpectralFilter<T> {
 
     fn run_backward<X: Number<Real = T>, W: Number<Real = T>>(
         &self,
-        kernel: &dyn Kernel<T>,
+        kernel: &dyn Kernel<X>,
         pass: Pass<'_, X, W>,
         pool: &dyn Pool,
         scratch: &mut Scratch,
@@ -208,12 +202,11 @@ impl<T: Real> SpectralFilter<T> {
         let Pass { grad, x, weight, grad_x, grad_weight } = pass;
         let threads = parallel::worth(pool, x.len());
         let summed = grad_weight.is_some();
-        let tiling = self.tiling::<X>(kernel, x.dim().0, (!summed).then_some(threads));
+        let tiling = self.tiling(kernel, x.dim().0, (!summed).then_some(threads));
         let packed_len = kernel.packed_len();
         let sums = if summed { tiling.pieces().saturating_mul(packed_len) } else { 0 };
-        let image_len = self.image_len::<X>(&tiling);
         let shared = sums.saturating_add(widened_len::<W>(weight.len()));
-        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 3 * image_len, shared);
+        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), shared);
         let (mut workers, shared) = scratch.lend(pool, needs)?;
         let (sums, wide_weight) = shared.split_at_mut(sums);
         sums.fill(T::default());
@@ -221,29 +214,13 @@ impl<T: Real> SpectralFilter<T> {
         let jobs = in_order(tiling.pieces(), grad_x.map(|g| tiling.images_mut(g)))
             .zip(in_order(tiling.pieces(), summed.then(|| sums.chunks_exact_mut(packed_len))))
             .enumerate();
-        parallel::run(pool, workers.each(), jobs, |(piece, (mut grad_x, mut grad_sum)), worker| {
-            let Worker { packed, team, wide } = worker;
-            let (wide_grad, rest) = wide.split_at_mut(image_len);
-            let (wide_x, wide_grad_x) = rest.split_at_mut(image_len);
+        parallel::run(pool, workers.each(), jobs, |(piece, (grad_x, grad_sum)), worker| {
+            let Worker { packed, team } = worker;
             if grad_x.is_some() {
                 kernel.pack(tiling.bins(weight, tiling.tile_of(piece)), packed, team);
             }
             let (grad, x) = (tiling.images(grad, piece), tiling.images(x, piece));
-            for some in together::<X>(x.dim().0) {
-                let grad = X::read(self.isa, grad.slice_axis(BATCH, some), wide_grad);
-                let x = X::read(self.isa, x.slice_axis(BATCH, some), wide_x);
-                let mut run = |grad_x: Option<ArrayViewMut3<'_, T>>| {
-                    let grad_sum = grad_sum.as_deref_mut();
-                    kernel.backward(Backward { grad, x, packed, grad_x, grad_sum }, team);
-                };
-                match &mut grad_x {
-                    Some(grad_x) => {
-                        let grad_x = grad_x.slice_axis_mut(BATCH, some);
-                        X::write(self.isa, grad_x, wide_grad_x, |grad_x| run(Some(grad_x)));
-                    }
-                    None => run(None),
-                }
-            }
+            kernel.backward(Backward { grad, x, packed, grad_x, grad_sum }, team);
         });
         if let Some(grad_weight) = grad_weight {
             let total = add_parts(sums, tiling.tiles() * packed_len).chunks_exact(packed_len);
@@ -260,18 +237,17 @@ impl<T: Real> SpectralFilter<T> {
     /// As [`run_backward`](Self::run_backward), for a batch of one image: every tile has its own part of the gradients.
     fn run_single_backward<X: Number<Real = T>, W: Number<Real = T>>(
         &self,
-        kernel: &dyn Kernel<T>,
-        single: &dyn Single<T>,
+        kernel: &dyn Kernel<X>,
+        single: &dyn Single<X>,
         pass: Pass<'_, X, W>,
         pool: &dyn Pool,
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let Pass { grad, x, weight, grad_x, grad_weight } = pass;
         let threads = parallel::worth(pool, x.len());
-        let tiling = self.tiling::<X>(kernel, 1, Some(threads));
-        let image_len = self.image_len::<X>(&tiling);
+        let tiling = self.tiling(kernel, 1, Some(threads));
         let bins_len = widened_len::<W>(weight.len());
-        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 3 * image_len, 2 * bins_len);
+        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 2 * bins_len);
         let (mut workers, shared) = scratch.lend(pool, needs)?;
         let (wide_weight, wide_grad_weight) = shared.split_at_mut(bins_len);
         let weight = W::read(self.isa, weight, wide_weight);
@@ -280,25 +256,14 @@ impl<T: Real> SpectralFilter<T> {
                 .zip(in_order(tiling.pieces(), grad_weight.map(|g| tiling.bins_mut(g))))
                 .enumerate();
             parallel::run(pool, workers.each(), jobs, |(piece, (grad_x, grad_weight)), worker| {
-                let Worker { team, wide, .. } = worker;
-                let (wide_grad, rest) = wide.split_at_mut(image_len);
-                let (wide_x, wide_grad_x) = rest.split_at_mut(image_len);
-                let grad = X::read(self.isa, tiling.images(grad, piece), wide_grad);
-                let x = X::read(self.isa, tiling.images(x, piece), wide_x);
-                let run = |grad_x: Option<ArrayViewMut3<'_, T>>| {
-                    let pass = SingleBackward {
-                        grad: grad.index_axis_move(BATCH, 0),
-                        x: x.index_axis_move(BATCH, 0),
-                        weight: tiling.bins(weight, piece),
-                        grad_x: grad_x.map(|grad_x| grad_x.index_axis_move(BATCH, 0)),
-                        grad_weight,
-                    };
-                    single.backward(pass, team);
+                let pass = SingleBackward {
+                    grad: tiling.images(grad, piece).index_axis_move(BATCH, 0),
+                    x: tiling.images(x, piece).index_axis_move(BATCH, 0),
+                    weight: tiling.bins(weight, piece),
+                    grad_x: grad_x.map(|grad_x| grad_x.index_axis_move(BATCH, 0)),
+                    grad_weight,
                 };
-                match grad_x {
-                    Some(grad_x) => X::write(self.isa, grad_x, wide_grad_x, |g| run(Some(g))),
-                    None => run(None),
-                }
+                single.backward(pass, &mut worker.team);
             });
         };
         match grad_weight {
@@ -310,21 +275,19 @@ impl<T: Real> SpectralFilter<T> {
 
     /// Pieces that let `threads` share the work evenly: parts of the batch, or narrower tiles of one image. Without
     /// threads, pieces that follow from shapes.
-    fn tiling<X>(&self, kernel: &dyn Kernel<T>, images: usize, threads: Option<usize>) -> Tiling {
+    fn tiling<X: Number<Real = T>>(
+        &self,
+        kernel: &dyn Kernel<X>,
+        images: usize,
+        threads: Option<usize>,
+    ) -> Tiling {
         let (lanes, mut tile) = (self.shape.lanes, kernel.tile());
         if let (1, Some(single), Some(threads)) = (images, kernel.single(), threads) {
-            // a cache line holds so many more elements in half precision
-            let least = single.narrowest_tile() * size_of::<T>() / size_of::<X>();
-            tile = even_tile(lanes, least, tile, threads);
+            tile = even_tile(lanes, single.narrowest_tile(), tile, threads);
         }
         let tiles = lanes.div_ceil(tile);
         let parts = threads.map_or_else(|| sum_parts(tiles, images), |n| even_parts(tiles, n));
         Tiling::new(self.shape, tile, images, parts.min(images))
-    }
-
-    /// Numbers in the wider copy of an image of a piece.
-    fn image_len<X: Number>(&self, tiling: &Tiling) -> usize {
-        widened_len::<X>(self.shape.points() * tiling.tile().min(self.shape.lanes))
     }
 }
 
@@ -381,30 +344,21 @@ fn in_order<I: Iterator>(len: usize, items: Option<I>) -> impl Iterator<Item = O
     items.into_iter().flatten().map(Some).chain((0..absent).map(|_| None))
 }
 
-/// Images that are filtered at once: one if it is widened for that, and else all.
-fn together<X: Number>(images: usize) -> impl Iterator<Item = Slice> {
-    let step = if X::WIDENED { 1 } else { images };
-    (0..images).step_by(step).map(move |first| Slice::from(first..first + step))
-}
-
 /// Numbers in the copy of `len` elements in a wider type, if there is one.
 fn widened_len<N: Number>(len: usize) -> usize {
-    if N::WIDENED { len } else { 0 }
+    if N::HALF { len } else { 0 }
 }
 
-/// What a call on so many elements in so many pieces needs, whose workers hold `wide` numbers of a piece in a wider
-/// type. A single piece is for all threads together.
-fn needs<T>(
-    kernel: &dyn Kernel<T>,
+/// What a call on so many elements in so many pieces needs. A single piece is for all threads together.
+fn needs<X: Number>(
+    kernel: &dyn Kernel<X>,
     (pool, elements): (&dyn Pool, usize),
     pieces: usize,
-    wide: usize,
     shared: usize,
 ) -> Needs {
     let (workers, members) = match pieces {
         1 => (1, parallel::worth_together(pool, elements)),
         _ => (parallel::worth(pool, elements).min(pieces), 1),
     };
-    let (packed, kernel) = (kernel.packed_len(), kernel.scratch_len());
-    Needs { workers, members, packed, kernel, wide, shared }
+    Needs { workers, members, packed: kernel.packed_len(), kernel: kernel.scratch_len(), shared }
 }

@@ -33,11 +33,6 @@ impl Tiling {
         }
     }
 
-    /// Most lanes of a tile.
-    pub(crate) fn tile(&self) -> usize {
-        self.lanes_each
-    }
-
     /// Tiles of one image.
     pub(crate) fn tiles(&self) -> usize {
         self.tiles

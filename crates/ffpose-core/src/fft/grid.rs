@@ -15,7 +15,7 @@ use super::passes::inverted;
 use super::rows::{Place, Rows};
 use crate::kernel::{Backward, Kernel, Single, SingleBackward};
 use crate::parallel::Team;
-use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
+use crate::simd::{Element, Isa, Stored, Tile, TileMut, aligned, slack};
 
 /// Bytes of the lanes of one tile. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
 /// lines at a distance of a power of two meet in the same few sets of the cache.
@@ -54,6 +54,9 @@ struct Scratch<'a, T> {
 }
 
 impl<T: Element> Grid<T> {
+    /// Most lanes of a tile.
+    const TILE: usize = TILE_BYTES / size_of::<T>();
+
     pub(crate) fn new(isa: Isa, height: usize, width: usize) -> Self {
         let rows = Rows::new(isa, width);
         let row_frequencies = rows.frequencies();
@@ -87,7 +90,7 @@ impl<T: Element> Grid<T> {
         // a power of two, so that a tile has no narrow part
         let together = |bytes: usize| {
             let fitting = bytes / (columns.len() * size_of::<T>()) * lanes;
-            1 << fitting.min(TILE_BYTES / size_of::<T>()).max(lanes).ilog2()
+            1 << fitting.min(Self::TILE).max(lanes).ilog2()
         };
         let alone = together(ALONE_BYTES);
         let together = together(SPECTRA_BYTES);
@@ -144,35 +147,34 @@ impl<T: Element> Grid<T> {
     }
 
     /// An image `(points, lanes)` to `spectrum`; `padded` holds it if its lanes are not whole vectors.
-    fn rows_forward(
+    fn rows_forward<X: Stored<Real = T>>(
         &self,
         place: Place<'_>,
-        image: ArrayView2<'_, T>,
+        image: ArrayView2<'_, X>,
         spectrum: &mut [T],
         work: &mut [T],
         padded: &mut [T],
     ) {
         let lanes = image.ncols();
         let whole = lanes.next_multiple_of(self.lanes);
-        let image = if lanes < whole {
+        if lanes < whole {
             let padded = &mut padded[..self.points * whole];
             let mut view = ArrayViewMut2::from_shape((self.points, whole), &mut *padded)
                 .expect("room for a tile");
             view.fill(T::default());
-            view.slice_mut(s![.., ..lanes]).assign(&image);
-            Tile::dense(padded, whole)
+            view.slice_mut(s![.., ..lanes]).zip_mut_with(&image, |wide, x| *wide = x.widened());
+            self.rows.forward(self.isa, Tile::dense(padded, whole), place, spectrum, work);
         } else {
-            Tile::new(image)
-        };
-        self.rows.forward(self.isa, image, place, spectrum, work);
+            self.rows.forward(self.isa, Tile::new(image), place, spectrum, work);
+        }
     }
 
     /// `spectrum` to an image `(points, lanes)`, by way of `padded` if its lanes are not whole vectors.
-    fn rows_inverse(
+    fn rows_inverse<X: Stored<Real = T>>(
         &self,
         place: Place<'_>,
         spectrum: &mut [T],
-        mut image: ArrayViewMut2<'_, T>,
+        mut image: ArrayViewMut2<'_, X>,
         work: &mut [T],
         padded: &mut [T],
     ) {
@@ -184,19 +186,19 @@ impl<T: Element> Grid<T> {
             self.rows.inverse(self.isa, spectrum, place, tile, work);
             let whole =
                 ArrayView2::from_shape((self.points, whole), padded).expect("room for a tile");
-            image.assign(&whole.slice(s![.., ..lanes]));
+            image.zip_mut_with(&whole.slice(s![.., ..lanes]), |x, &wide| *x = X::nearest_to(wide));
         } else {
             self.rows.inverse(self.isa, spectrum, place, TileMut::new(image), work);
         }
     }
 
     /// Adds the product of the spectra of `x` and `grad` to `sum`; `grad_x` if it is wanted.
-    fn backward_lanes(
+    fn backward_lanes<X: Stored<Real = T>>(
         &self,
-        grad: ArrayView2<'_, T>,
-        x: ArrayView2<'_, T>,
+        grad: ArrayView2<'_, X>,
+        x: ArrayView2<'_, X>,
         packed: &[T],
-        grad_x: Option<ArrayViewMut2<'_, T>>,
+        grad_x: Option<ArrayViewMut2<'_, X>>,
         sum: Option<&mut [T]>,
         scratch: &mut Scratch<'_, T>,
     ) {
@@ -219,11 +221,11 @@ impl<T: Element> Grid<T> {
     }
 
     /// As [`Single::forward`], for lanes that go together.
-    fn forward_single(
+    fn forward_single<X: Stored<Real = T>>(
         &self,
-        x: ArrayView2<'_, T>,
+        x: ArrayView2<'_, X>,
         weight: ArrayView3<'_, T>,
-        y: ArrayViewMut2<'_, T>,
+        y: ArrayViewMut2<'_, X>,
         scratch: &mut Scratch<'_, T>,
     ) {
         let Scratch { spectrum, work, padded, .. } = scratch;
@@ -234,7 +236,11 @@ impl<T: Element> Grid<T> {
     }
 
     /// As [`Single::backward`], for lanes that go together.
-    fn backward_single(&self, pass: SingleBackward<'_, T>, scratch: &mut Scratch<'_, T>) {
+    fn backward_single<X: Stored<Real = T>>(
+        &self,
+        pass: SingleBackward<'_, X>,
+        scratch: &mut Scratch<'_, T>,
+    ) {
         let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
         let Scratch { spectrum, other, work, padded } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
@@ -282,20 +288,28 @@ impl<T: Element> Grid<T> {
     }
 }
 
-impl<T: Element> Kernel<T> for Grid<T> {
+impl<X: Stored> Kernel<X> for Grid<X::Real> {
     fn tile(&self) -> usize {
-        TILE_BYTES / size_of::<T>()
+        Self::TILE
     }
 
     fn packed_len(&self) -> usize {
-        self.tile() / self.lanes * self.columns.packed_len()
+        Self::TILE / self.lanes * self.columns.packed_len()
     }
 
     fn scratch_len(&self) -> usize {
-        slack::<T>() + 2 * self.spectra(self.together) + self.work_len() + self.points * self.lanes
+        slack::<X::Real>()
+            + 2 * self.spectra(self.together)
+            + self.work_len()
+            + self.points * self.lanes
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, X::Real>,
+        packed: &mut [X::Real],
+        _: &mut Team<'_, X::Real>,
+    ) {
         let lanes = weight.dim().1;
         let whole = lanes.next_multiple_of(self.lanes);
         let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
@@ -308,10 +322,10 @@ impl<T: Element> Kernel<T> for Grid<T> {
 
     fn forward(
         &self,
-        x: ArrayView3<'_, T>,
-        packed: &[T],
-        mut y: ArrayViewMut3<'_, T>,
-        team: &mut Team<'_, T>,
+        x: ArrayView3<'_, X>,
+        packed: &[X::Real],
+        mut y: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
     ) {
         let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
         let packed_len = self.columns.packed_len();
@@ -327,7 +341,7 @@ impl<T: Element> Kernel<T> for Grid<T> {
         }
     }
 
-    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
+    fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let mut scratch = self.scratch(team.scratch());
         let (lanes, packed_len) = (grad.len_of(Axis(2)), self.columns.packed_len());
@@ -349,15 +363,15 @@ impl<T: Element> Kernel<T> for Grid<T> {
 
     fn unpack_gradient(
         &self,
-        grad_sum: &[T],
-        mut grad_weight: ArrayViewMut3<'_, T>,
-        _: &mut Team<'_, T>,
+        grad_sum: &[X::Real],
+        mut grad_weight: ArrayViewMut3<'_, X::Real>,
+        _: &mut Team<'_, X::Real>,
     ) {
         let (bins, lanes, _) = grad_weight.dim();
         let whole = lanes.next_multiple_of(self.lanes);
         let grad_sum = &grad_sum[..whole / self.lanes * self.columns.packed_len()];
         if lanes < whole {
-            let mut padded = Array3::from_elem((bins, whole, 2), T::default());
+            let mut padded = Array3::from_elem((bins, whole, 2), X::Real::default());
             self.packing.unpack(self.isa, grad_sum, padded.view_mut());
             grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
         } else {
@@ -365,22 +379,26 @@ impl<T: Element> Kernel<T> for Grid<T> {
         }
     }
 
-    fn single(&self) -> Option<&dyn Single<T>> {
+    fn single(&self) -> Option<&dyn Single<X>> {
+        Some(self)
+    }
+
+    fn grid(&self) -> Option<&Self> {
         Some(self)
     }
 }
 
-impl<T: Element> Single<T> for Grid<T> {
+impl<X: Stored> Single<X> for Grid<X::Real> {
     fn narrowest_tile(&self) -> usize {
-        LINE_BYTES / size_of::<T>()
+        LINE_BYTES / size_of::<X>()
     }
 
     fn forward(
         &self,
-        x: ArrayView2<'_, T>,
-        weight: ArrayView3<'_, T>,
-        mut y: ArrayViewMut2<'_, T>,
-        team: &mut Team<'_, T>,
+        x: ArrayView2<'_, X>,
+        weight: ArrayView3<'_, X::Real>,
+        mut y: ArrayViewMut2<'_, X>,
+        team: &mut Team<'_, X::Real>,
     ) {
         let mut scratch = self.scratch(team.scratch());
         if self.undivided(x.ncols()) {
@@ -397,7 +415,7 @@ impl<T: Element> Single<T> for Grid<T> {
         }
     }
 
-    fn backward(&self, pass: SingleBackward<'_, T>, team: &mut Team<'_, T>) {
+    fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
         let mut scratch = self.scratch(team.scratch());
         if self.undivided(pass.x.ncols()) {
             return self.backward_single(pass, &mut scratch);
@@ -415,7 +433,7 @@ impl<T: Element> Single<T> for Grid<T> {
                 let weight = self.padded_bins(weight);
                 let mut whole = grad_weight
                     .is_some()
-                    .then(|| Array3::from_elem(weight.raw_dim(), T::default()));
+                    .then(|| Array3::from_elem(weight.raw_dim(), X::Real::default()));
                 let pass = SingleBackward {
                     grad,
                     x,

@@ -8,7 +8,7 @@ use super::butterfly::{Codelet, Dft, turn};
 use super::passes::remainders;
 use super::real::{RealDft, TwoReal};
 use super::unroll::unroll;
-use crate::simd::{Complex, Tile, TileMut, Vector, gather, scatter};
+use crate::simd::{Complex, Stored, Tile, TileMut, Vector, gather, scatter};
 
 /// A line of `P Q`; `ROWS` is `P / 2`.
 pub(crate) struct Line<const P: usize, const Q: usize, const ROWS: usize>;
@@ -51,8 +51,8 @@ where
 
     /// The line from point `first` of `image` on, to `spectrum[position]`, `spectrum[position + pitch]`, ...
     #[inline(always)]
-    pub(crate) fn forward<V: Vector>(
-        image: Tile<'_, V::Element>,
+    pub(crate) fn forward<V: Vector, X: Stored<Real = V::Element>>(
+        image: Tile<'_, X>,
         first: usize,
         spectrum: &mut [Complex<V>],
         position: usize,
@@ -84,11 +84,11 @@ where
 
     /// Undoes [`forward`](Self::forward) up to a factor `P Q`, for spectra whose slots after the first are doubled.
     #[inline(always)]
-    pub(crate) fn inverse<V: Vector>(
+    pub(crate) fn inverse<V: Vector, X: Stored<Real = V::Element>>(
         spectrum: &[Complex<V>],
         position: usize,
         pitch: usize,
-        image: &mut TileMut<'_, V::Element>,
+        image: &mut TileMut<'_, X>,
         first: usize,
         work: &mut [Complex<V>],
     ) {

@@ -29,7 +29,7 @@ mod unroll;
 
 use std::sync::Arc;
 
-use grid::Grid;
+pub(crate) use grid::Grid;
 use planes::Planes;
 use sequence::Sequence;
 use tokens::Tokens;

@@ -9,7 +9,8 @@ use super::pair;
 use super::real::{RealDft, TwoReal};
 use super::transform::Transform;
 use crate::simd::{
-    Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, gather, scatter,
+    Algorithm, Complex, Element, Isa, Stored, Tile, TileMut, Vector, complex_vectors, gather,
+    scatter,
 };
 
 /// How lines of one length are transformed.
@@ -105,20 +106,21 @@ impl<T: Element> Rows<T> {
     }
 
     /// All rows of `image` to the columns of `spectrum`.
-    pub(crate) fn forward(
+    pub(crate) fn forward<X: Stored<Real = T>>(
         &self,
         isa: Isa,
-        image: Tile<'_, T>,
+        image: Tile<'_, X>,
         place: Place<'_>,
         spectrum: &mut [T],
         work: &mut [T],
     ) {
         match self {
-            Self::Codelet(length) if place.far => {
-                codelet_forward::<T, true>(isa, *length, image, place, spectrum, work);
+            // half precision has the one form, for fewer kernels
+            Self::Codelet(length) if X::HALF || place.far => {
+                codelet_forward::<X, true>(isa, *length, image, place, spectrum, work);
             }
             Self::Codelet(length) => {
-                codelet_forward::<T, false>(isa, *length, image, place, spectrum, work);
+                codelet_forward::<X, false>(isa, *length, image, place, spectrum, work);
             }
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
@@ -146,20 +148,21 @@ impl<T: Element> Rows<T> {
     }
 
     /// The columns of `spectrum` to all rows of `image`.
-    pub(crate) fn inverse(
+    pub(crate) fn inverse<X: Stored<Real = T>>(
         &self,
         isa: Isa,
         spectrum: &mut [T],
         place: Place<'_>,
-        mut image: TileMut<'_, T>,
+        mut image: TileMut<'_, X>,
         work: &mut [T],
     ) {
         match self {
-            Self::Codelet(length) if place.far => {
-                codelet_inverse::<T, true>(isa, *length, spectrum, place, image, work);
+            // half precision has the one form, for fewer kernels
+            Self::Codelet(length) if X::HALF || place.far => {
+                codelet_inverse::<X, true>(isa, *length, spectrum, place, image, work);
             }
             Self::Codelet(length) => {
-                codelet_inverse::<T, false>(isa, *length, spectrum, place, image, work);
+                codelet_inverse::<X, false>(isa, *length, spectrum, place, image, work);
             }
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
@@ -188,46 +191,46 @@ impl<T: Element> Rows<T> {
 }
 
 /// [`Rows::forward`] by codelets.
-fn codelet_forward<T: Element, const FAR: bool>(
+fn codelet_forward<X: Stored, const FAR: bool>(
     isa: Isa,
     length: usize,
-    image: Tile<'_, T>,
+    image: Tile<'_, X>,
     place: Place<'_>,
-    spectrum: &mut [T],
-    work: &mut [T],
+    spectrum: &mut [X::Real],
+    work: &mut [X::Real],
 ) {
     with_codelet!(length,
-        (N, S) => isa.run(Forward::<T, N, S, FAR> { image, place, spectrum }),
-        (P, Q, ROWS) => isa.run(ForwardLines::<T, P, Q, ROWS, FAR> { image, place, spectrum, work }));
+        (N, S) => isa.run(Forward::<X, N, S, FAR> { image, place, spectrum }),
+        (P, Q, ROWS) => isa.run(ForwardLines::<X, P, Q, ROWS, FAR> { image, place, spectrum, work }));
 }
 
 /// [`Rows::inverse`] by codelets.
-fn codelet_inverse<T: Element, const FAR: bool>(
+fn codelet_inverse<X: Stored, const FAR: bool>(
     isa: Isa,
     length: usize,
-    spectrum: &mut [T],
+    spectrum: &mut [X::Real],
     place: Place<'_>,
-    image: TileMut<'_, T>,
-    work: &mut [T],
+    image: TileMut<'_, X>,
+    work: &mut [X::Real],
 ) {
     with_codelet!(length,
-        (N, S) => isa.run(Inverse::<T, N, S, FAR> { image, place, spectrum }),
-        (P, Q, ROWS) => isa.run(InverseLines::<T, P, Q, ROWS, FAR> { image, place, spectrum, work }));
+        (N, S) => isa.run(Inverse::<X, N, S, FAR> { image, place, spectrum }),
+        (P, Q, ROWS) => isa.run(InverseLines::<X, P, Q, ROWS, FAR> { image, place, spectrum, work }));
 }
 
-struct Forward<'a, T, const N: usize, const S: usize, const FAR: bool> {
-    image: Tile<'a, T>,
+struct Forward<'a, X: Stored, const N: usize, const S: usize, const FAR: bool> {
+    image: Tile<'a, X>,
     place: Place<'a>,
-    spectrum: &'a mut [T],
+    spectrum: &'a mut [X::Real],
 }
 
-impl<T: Element, const N: usize, const S: usize, const FAR: bool> Algorithm<T>
-    for Forward<'_, T, N, S, FAR>
+impl<X: Stored, const N: usize, const S: usize, const FAR: bool> Algorithm<X::Real>
+    for Forward<'_, X, N, S, FAR>
 where
     Codelet: RealDft<N, S>,
 {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
+    fn run<V: Vector<Element = X::Real>>(self) {
         let Place { positions, pitch, set, .. } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
         let vectors = spectrum.len() / set;
@@ -244,20 +247,27 @@ where
     }
 }
 
-struct ForwardLines<'a, T, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool> {
-    image: Tile<'a, T>,
+struct ForwardLines<
+    'a,
+    X: Stored,
+    const P: usize,
+    const Q: usize,
+    const ROWS: usize,
+    const FAR: bool,
+> {
+    image: Tile<'a, X>,
     place: Place<'a>,
-    spectrum: &'a mut [T],
-    work: &'a mut [T],
+    spectrum: &'a mut [X::Real],
+    work: &'a mut [X::Real],
 }
 
-impl<T: Element, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool> Algorithm<T>
-    for ForwardLines<'_, T, P, Q, ROWS, FAR>
+impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool>
+    Algorithm<X::Real> for ForwardLines<'_, X, P, Q, ROWS, FAR>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
+    fn run<V: Vector<Element = X::Real>>(self) {
         let Place { positions, pitch, set, .. } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
@@ -275,20 +285,27 @@ where
     }
 }
 
-struct InverseLines<'a, T, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool> {
-    image: TileMut<'a, T>,
+struct InverseLines<
+    'a,
+    X: Stored,
+    const P: usize,
+    const Q: usize,
+    const ROWS: usize,
+    const FAR: bool,
+> {
+    image: TileMut<'a, X>,
     place: Place<'a>,
-    spectrum: &'a mut [T],
-    work: &'a mut [T],
+    spectrum: &'a mut [X::Real],
+    work: &'a mut [X::Real],
 }
 
-impl<T: Element, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool> Algorithm<T>
-    for InverseLines<'_, T, P, Q, ROWS, FAR>
+impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool>
+    Algorithm<X::Real> for InverseLines<'_, X, P, Q, ROWS, FAR>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(mut self) {
+    fn run<V: Vector<Element = X::Real>>(mut self) {
         let Place { positions, pitch, set, .. } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
@@ -307,19 +324,19 @@ where
     }
 }
 
-struct Inverse<'a, T, const N: usize, const S: usize, const FAR: bool> {
-    image: TileMut<'a, T>,
+struct Inverse<'a, X: Stored, const N: usize, const S: usize, const FAR: bool> {
+    image: TileMut<'a, X>,
     place: Place<'a>,
-    spectrum: &'a mut [T],
+    spectrum: &'a mut [X::Real],
 }
 
-impl<T: Element, const N: usize, const S: usize, const FAR: bool> Algorithm<T>
-    for Inverse<'_, T, N, S, FAR>
+impl<X: Stored, const N: usize, const S: usize, const FAR: bool> Algorithm<X::Real>
+    for Inverse<'_, X, N, S, FAR>
 where
     Codelet: RealDft<N, S>,
 {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(mut self) {
+    fn run<V: Vector<Element = X::Real>>(mut self) {
         let Place { positions, pitch, set, .. } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
         let vectors = spectrum.len() / set;
@@ -337,23 +354,23 @@ where
 }
 
 /// The lines of a pair of rows as one complex line; a missing second row is zero.
-struct Enter<'a, T> {
+struct Enter<'a, X: Stored> {
     inputs: &'a [usize],
-    image: Tile<'a, T>,
+    image: Tile<'a, X>,
     first: usize,
     second: Option<usize>,
-    line: &'a mut [T],
+    line: &'a mut [X::Real],
 }
 
-impl<T: Element> Algorithm<T> for Enter<'_, T> {
+impl<X: Stored> Algorithm<X::Real> for Enter<'_, X> {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
+    fn run<V: Vector<Element = X::Real>>(self) {
         let line = complex_vectors::<V>(self.line);
         for (column, &input) in self.inputs.iter().enumerate() {
             let [re] = self.image.gather(self.first + column, 1);
             let im = match self.second {
                 Some(second) => self.image.gather::<V, 1>(second + column, 1)[0],
-                None => V::splat(T::default()),
+                None => V::splat(X::Real::default()),
             };
             line[input] = Complex::new(re, im);
         }
@@ -361,17 +378,17 @@ impl<T: Element> Algorithm<T> for Enter<'_, T> {
 }
 
 /// The real part of a complex line to a row, the imaginary part to a second one.
-struct Leave<'a, 'b, T> {
+struct Leave<'a, 'b, X: Stored> {
     inputs: &'a [usize],
-    image: &'a mut TileMut<'b, T>,
+    image: &'a mut TileMut<'b, X>,
     first: usize,
     second: Option<usize>,
-    line: &'a mut [T],
+    line: &'a mut [X::Real],
 }
 
-impl<T: Element> Algorithm<T> for Leave<'_, '_, T> {
+impl<X: Stored> Algorithm<X::Real> for Leave<'_, '_, X> {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
+    fn run<V: Vector<Element = X::Real>>(self) {
         let line = complex_vectors::<V>(self.line);
         for (column, &input) in self.inputs.iter().enumerate() {
             self.image.scatter(self.first + column, 1, [line[input].re]);

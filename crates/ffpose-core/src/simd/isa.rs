@@ -35,7 +35,10 @@ impl Isa {
         let mut found = vec![Self(Kind::Scalar)];
         #[cfg(target_arch = "x86_64")]
         {
-            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            if is_x86_feature_detected!("avx2")
+                && is_x86_feature_detected!("fma")
+                && is_x86_feature_detected!("f16c")
+            {
                 found.push(Self(Kind::Avx2));
             }
             if is_x86_feature_detected!("avx512f")
@@ -144,7 +147,7 @@ macro_rules! element {
 
             fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
                 #[cfg(target_arch = "x86_64")]
-                #[target_feature(enable = "avx2,fma")]
+                #[target_feature(enable = "avx2,fma,f16c")]
                 fn avx2<A: Algorithm<$element>>(algorithm: A) {
                     align_stack();
                     algorithm.run::<x86::$avx2>();

@@ -5,7 +5,7 @@ use std::mem::MaybeUninit;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
-use super::{Complex, Element, MAX_LANES, Vector};
+use super::{Complex, Element, MAX_LANES, Stored, Vector};
 
 /// Points to read, each a run of contiguous elements (its lanes), at a constant distance.
 #[derive(Clone, Copy)]
@@ -42,16 +42,10 @@ fn complex_layout(shape: (usize, usize, usize), strides: &[isize]) -> (usize, us
     layout((shape.0, 2 * shape.1), &[strides[0], 1])
 }
 
-impl<'a, T: Element> Tile<'a, T> {
+impl<'a, T: Stored> Tile<'a, T> {
     /// The tile of `view` `(points, lanes)`.
     pub(crate) fn new(view: ArrayView2<'a, T>) -> Self {
         let (points, lanes, stride) = layout(view.dim(), view.strides());
-        Self { start: view.as_ptr(), points, lanes, stride, view: PhantomData }
-    }
-
-    /// The tile of `view` `(points, lanes, 2)` of complex numbers, whose lanes are alternately real and imaginary.
-    pub(crate) fn of_complex(view: ArrayView3<'a, T>) -> Self {
-        let (points, lanes, stride) = complex_layout(view.dim(), view.strides());
         Self { start: view.as_ptr(), points, lanes, stride, view: PhantomData }
     }
 
@@ -69,7 +63,7 @@ impl<'a, T: Element> Tile<'a, T> {
 
     /// The first `LANES` lanes of the points `first`, `first + step`, ...
     #[inline(always)]
-    pub(crate) fn gather<V: Vector<Element = T>, const N: usize>(
+    pub(crate) fn gather<V: Vector<Element = T::Real>, const N: usize>(
         &self,
         first: usize,
         step: usize,
@@ -79,7 +73,7 @@ impl<'a, T: Element> Tile<'a, T> {
         let mut vectors: [MaybeUninit<V>; N] = unsafe { MaybeUninit::uninit().assume_init() };
         for (i, vector) in vectors.iter_mut().enumerate() {
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
-            vector.write(unsafe { V::load(self.start.add((first + i * step) * self.stride)) });
+            vector.write(unsafe { T::load(self.start.add((first + i * step) * self.stride)) });
         }
         // SAFETY: the loop wrote every element; the two types have the same layout.
         unsafe { std::mem::transmute_copy(&vectors) }
@@ -87,7 +81,7 @@ impl<'a, T: Element> Tile<'a, T> {
 
     /// The first `LANES` lanes of the points `first + offsets[0]`, `first + offsets[1]`, ..., these offsets below `span`.
     #[inline(always)]
-    pub(crate) fn gather_at<V: Vector<Element = T>, const N: usize>(
+    pub(crate) fn gather_at<V: Vector<Element = T::Real>, const N: usize>(
         &self,
         first: usize,
         offsets: [usize; N],
@@ -99,7 +93,7 @@ impl<'a, T: Element> Tile<'a, T> {
         for (vector, &offset) in vectors.iter_mut().zip(&offsets) {
             assert!(offset < span); // constants, as a rule
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
-            vector.write(unsafe { V::load(self.start.add((first + offset) * self.stride)) });
+            vector.write(unsafe { T::load(self.start.add((first + offset) * self.stride)) });
         }
         // SAFETY: the loop wrote every element; the two types have the same layout.
         unsafe { std::mem::transmute_copy(&vectors) }
@@ -133,12 +127,6 @@ impl<'a, T: Element> Tile<'a, T> {
         }
     }
 
-    /// Asks for the cache lines of what [`complex`](Self::complex) reads.
-    #[inline(always)]
-    pub(crate) fn prefetch_complex<V: Vector<Element = T>>(&self, point: usize) {
-        prefetch_lines(self.start.wrapping_add(point * self.stride), 2 * V::LANES);
-    }
-
     /// Asks for the cache lines of one of `shares` equal shares of `count` points from `first` on, which may lie behind the
     /// last point.
     #[inline(always)]
@@ -168,6 +156,21 @@ impl<'a, T: Element> Tile<'a, T> {
         assert!(lane <= self.lanes);
         // SAFETY: `lane` is inside the run of each point, or just behind it.
         Self { start: unsafe { self.start.add(lane) }, lanes: self.lanes - lane, ..self }
+    }
+}
+
+/// As above, of numbers that are what is computed with.
+impl<'a, T: Element> Tile<'a, T> {
+    /// The tile of `view` `(points, lanes, 2)` of complex numbers, whose lanes are alternately real and imaginary.
+    pub(crate) fn of_complex(view: ArrayView3<'a, T>) -> Self {
+        let (points, lanes, stride) = complex_layout(view.dim(), view.strides());
+        Self { start: view.as_ptr(), points, lanes, stride, view: PhantomData }
+    }
+
+    /// Asks for the cache lines of what [`complex`](Self::complex) reads.
+    #[inline(always)]
+    pub(crate) fn prefetch_complex<V: Vector<Element = T>>(&self, point: usize) {
+        prefetch_lines(self.start.wrapping_add(point * self.stride), 2 * V::LANES);
     }
 
     /// The complex numbers of a point whose lanes are alternately real and imaginary.
@@ -234,16 +237,10 @@ impl<T: Element> TileMut<'_, T> {
     }
 }
 
-impl<'a, T: Element> TileMut<'a, T> {
+impl<'a, T: Stored> TileMut<'a, T> {
     /// The tile of `view` `(points, lanes)`.
     pub(crate) fn new(mut view: ArrayViewMut2<'a, T>) -> Self {
         let (points, lanes, stride) = layout(view.dim(), view.strides());
-        Self { start: view.as_mut_ptr(), points, lanes, stride, view: PhantomData }
-    }
-
-    /// The tile of `view` `(points, lanes, 2)` of complex numbers, whose lanes are alternately real and imaginary.
-    pub(crate) fn of_complex(mut view: ArrayViewMut3<'a, T>) -> Self {
-        let (points, lanes, stride) = complex_layout(view.dim(), view.strides());
         Self { start: view.as_mut_ptr(), points, lanes, stride, view: PhantomData }
     }
 
@@ -292,7 +289,7 @@ impl<'a, T: Element> TileMut<'a, T> {
 
     /// Writes the first `LANES` lanes of the points `first`, `first + step`, ...
     #[inline(always)]
-    pub(crate) fn scatter<V: Vector<Element = T>, const N: usize>(
+    pub(crate) fn scatter<V: Vector<Element = T::Real>, const N: usize>(
         &mut self,
         first: usize,
         step: usize,
@@ -301,13 +298,13 @@ impl<'a, T: Element> TileMut<'a, T> {
         assert!(V::LANES <= self.lanes && first + (N - 1) * step < self.points);
         for (i, vector) in vectors.iter().enumerate() {
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
-            unsafe { vector.store(self.start.add((first + i * step) * self.stride)) };
+            unsafe { T::store(*vector, self.start.add((first + i * step) * self.stride)) };
         }
     }
 
     /// Writes the first `LANES` lanes of the points `first + offsets[0]`, ..., these offsets below `span`.
     #[inline(always)]
-    pub(crate) fn scatter_at<V: Vector<Element = T>, const N: usize>(
+    pub(crate) fn scatter_at<V: Vector<Element = T::Real>, const N: usize>(
         &mut self,
         first: usize,
         offsets: [usize; N],
@@ -318,8 +315,17 @@ impl<'a, T: Element> TileMut<'a, T> {
         for (vector, &offset) in vectors.iter().zip(&offsets) {
             assert!(offset < span); // constants, as a rule
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
-            unsafe { vector.store(self.start.add((first + offset) * self.stride)) };
+            unsafe { T::store(*vector, self.start.add((first + offset) * self.stride)) };
         }
+    }
+}
+
+/// As above, of numbers that are what is computed with.
+impl<'a, T: Element> TileMut<'a, T> {
+    /// The tile of `view` `(points, lanes, 2)` of complex numbers, whose lanes are alternately real and imaginary.
+    pub(crate) fn of_complex(mut view: ArrayViewMut3<'a, T>) -> Self {
+        let (points, lanes, stride) = complex_layout(view.dim(), view.strides());
+        Self { start: view.as_mut_ptr(), points, lanes, stride, view: PhantomData }
     }
 
     /// Writes the complex numbers of a point whose lanes are alternately real and imaginary.
@@ -346,7 +352,7 @@ fn prefetch_lines<T>(start: *const T, len: usize) {
 
 /// Asks for a cache line, if the instruction set has a way to.
 #[inline(always)]
-pub(crate) fn prefetch<T>(address: *const T) {
+fn prefetch<T>(address: *const T) {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: the instruction is part of the base architecture, and no address makes it fail.
     unsafe {

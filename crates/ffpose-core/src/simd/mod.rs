@@ -10,6 +10,7 @@
 //! All unsafe code of the crate is in this folder.
 
 mod complex;
+mod half;
 mod isa;
 mod memory;
 #[cfg(target_arch = "aarch64")]
@@ -22,10 +23,12 @@ use std::fmt::Debug;
 use std::ops::{Add, Mul, Neg, Sub};
 
 pub(crate) use complex::Complex;
+pub use half::{Bf16, F16, Stored};
+pub(crate) use half::{narrow, widen};
 pub use isa::Isa;
 pub(crate) use memory::{
-    Table, Tile, TileMut, aligned, complex_vectors, complex_vectors_of, gather, gather_at,
-    prefetch, scatter, scatter_at, slack,
+    Table, Tile, TileMut, aligned, complex_vectors, complex_vectors_of, gather, gather_at, scatter,
+    scatter_at, slack,
 };
 
 /// The most lanes that a [`Vector`] of this crate has.
@@ -41,6 +44,7 @@ pub trait Element:
     + Add<Output = Self>
     + Sub<Output = Self>
     + Mul<Output = Self>
+    + Stored<Real = Self>
     + 'static
 {
     /// The value of this type nearest to `value`.
@@ -75,6 +79,58 @@ pub(crate) trait Vector:
     /// # Safety
     /// `LANES` elements are writable at `to`.
     unsafe fn store(self, to: *mut Self::Element);
+
+    /// As [`load`](Vector::load), from half precision.
+    ///
+    /// # Safety
+    /// `LANES` elements are readable at `from`.
+    #[inline(always)]
+    unsafe fn load_bf16(from: *const Bf16) -> Self
+    where
+        Self: Vector<Element = f32>,
+    {
+        // SAFETY: the caller promises the elements.
+        unsafe { half::load_each(from) }
+    }
+
+    /// As [`store`](Vector::store), in half precision.
+    ///
+    /// # Safety
+    /// `LANES` elements are writable at `to`.
+    #[inline(always)]
+    unsafe fn store_bf16(self, to: *mut Bf16)
+    where
+        Self: Vector<Element = f32>,
+    {
+        // SAFETY: the caller promises the elements.
+        unsafe { half::store_each(self, to) }
+    }
+
+    /// As [`load`](Vector::load), from half precision.
+    ///
+    /// # Safety
+    /// `LANES` elements are readable at `from`.
+    #[inline(always)]
+    unsafe fn load_f16(from: *const F16) -> Self
+    where
+        Self: Vector<Element = f32>,
+    {
+        // SAFETY: the caller promises the elements.
+        unsafe { half::load_each(from) }
+    }
+
+    /// As [`store`](Vector::store), in half precision.
+    ///
+    /// # Safety
+    /// `LANES` elements are writable at `to`.
+    #[inline(always)]
+    unsafe fn store_f16(self, to: *mut F16)
+    where
+        Self: Vector<Element = f32>,
+    {
+        // SAFETY: the caller promises the elements.
+        unsafe { half::store_each(self, to) }
+    }
 
     /// `(a0 a1 .., b0 b1 ..)` to `(a0 b0 a1 b1 .., .. )`: the first and the second half of the alternating sequence.
     fn interleave(a: Self, b: Self) -> (Self, Self);

@@ -1,10 +1,10 @@
-//! AVX2 with FMA, and AVX-512 (F, DQ, BW, VL).
+//! AVX2 with FMA and F16C, and AVX-512 (F, DQ, BW, VL).
 
 #[allow(clippy::wildcard_imports)] // intrinsics
 use std::arch::x86_64::*;
 use std::ops::{Add, Mul, Neg, Sub};
 
-use super::Vector;
+use super::{Bf16, F16, Vector};
 
 /// A vector type from the names of its intrinsics.
 ///
@@ -12,7 +12,8 @@ use super::Vector;
 macro_rules! vector {
     ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident
      $mul_add:ident $neg_mul_add:ident $xor:ident $interleave:ident $deinterleave:ident $reverse:ident
-     $exchange_halves:ident $transpose_in_halves:ident) => {
+     $exchange_halves:ident $transpose_in_halves:ident
+     $(; $load_bf16:ident $store_bf16:ident $load_f16:ident $store_f16:ident)?) => {
         #[derive(Clone, Copy)]
         #[repr(transparent)]
         pub(crate) struct $name($raw);
@@ -63,6 +64,32 @@ macro_rules! vector {
                 // SAFETY: the caller promises the elements; the instruction needs no alignment.
                 unsafe { $store(to, self.0) }
             }
+
+            $(
+                #[inline(always)]
+                unsafe fn load_bf16(from: *const Bf16) -> Self {
+                    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+                    Self(unsafe { $load_bf16(from) })
+                }
+
+                #[inline(always)]
+                unsafe fn store_bf16(self, to: *mut Bf16) {
+                    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+                    unsafe { $store_bf16(self.0, to) }
+                }
+
+                #[inline(always)]
+                unsafe fn load_f16(from: *const F16) -> Self {
+                    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+                    Self(unsafe { $load_f16(from) })
+                }
+
+                #[inline(always)]
+                unsafe fn store_f16(self, to: *mut F16) {
+                    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+                    unsafe { $store_f16(self.0, to) }
+                }
+            )?
 
             #[inline(always)]
             fn interleave(a: Self, b: Self) -> (Self, Self) {
@@ -120,13 +147,15 @@ macro_rules! vector {
 
 vector!(F32x8(__m256), f32; _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
     _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8
-    reverse_f32x8 exchange_halves_f32x8 transpose_in_halves_f32x8);
+    reverse_f32x8 exchange_halves_f32x8 transpose_in_halves_f32x8;
+    load_bf16x8 store_bf16x8 load_f16x8 store_f16x8);
 vector!(F64x4(__m256d), f64; _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_add_pd _mm256_sub_pd _mm256_mul_pd
     _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4
     reverse_f64x4 exchange_halves_f64x4 transpose_in_halves_f64x4);
 vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
     _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 reverse_f32x16
-    exchange_halves_f32x16 transpose_in_halves_f32x16);
+    exchange_halves_f32x16 transpose_in_halves_f32x16;
+    load_bf16x16 store_bf16x16 load_f16x16 store_f16x16);
 vector!(F64x8(__m512d), f64; _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_add_pd _mm512_sub_pd _mm512_mul_pd
     _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 reverse_f64x8
     exchange_halves_f64x8 transpose_in_halves_f64x8);
@@ -304,4 +333,98 @@ fn transpose_blocks_in_halves(a: __m512d, b: __m512d) -> (__m512d, __m512d) {
     let first = _mm512_setr_epi64(0, 1, 8, 9, 4, 5, 12, 13);
     let second = _mm512_setr_epi64(2, 3, 10, 11, 6, 7, 14, 15);
     (_mm512_permutex2var_pd(a, first, b), _mm512_permutex2var_pd(a, second, b))
+}
+
+/// # Safety
+/// 8 elements are readable at `from`.
+#[inline]
+#[target_feature(enable = "avx2")]
+unsafe fn load_bf16x8(from: *const Bf16) -> __m256 {
+    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+    let halves = unsafe { _mm_loadu_si128(from.cast()) };
+    _mm256_castsi256_ps(_mm256_slli_epi32::<16>(_mm256_cvtepu16_epi32(halves)))
+}
+
+/// # Safety
+/// 8 elements are writable at `to`.
+#[inline]
+#[target_feature(enable = "avx2")]
+unsafe fn store_bf16x8(a: __m256, to: *mut Bf16) {
+    let bits = _mm256_castps_si256(a);
+    let odd = _mm256_and_si256(_mm256_srli_epi32::<16>(bits), _mm256_set1_epi32(1));
+    let rounded = _mm256_add_epi32(bits, _mm256_add_epi32(odd, _mm256_set1_epi32(0x7fff)));
+    let nan = _mm256_cmp_ps::<_CMP_UNORD_Q>(a, a); // rounding could carry it over to infinity
+    let rounded = _mm256_blendv_ps(_mm256_castsi256_ps(rounded), _mm256_set1_ps(f32::NAN), nan);
+    let upper = _mm256_set1_epi64x(0x0f0e_0b0a_0706_0302); // of each number, in each block of 128 bits
+    let halves = _mm256_shuffle_epi8(_mm256_castps_si256(rounded), upper);
+    let halves = _mm256_permute4x64_epi64::<0x08>(halves);
+    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+    unsafe { _mm_storeu_si128(to.cast(), _mm256_castsi256_si128(halves)) }
+}
+
+/// # Safety
+/// 8 elements are readable at `from`.
+#[inline]
+#[target_feature(enable = "avx2,f16c")]
+unsafe fn load_f16x8(from: *const F16) -> __m256 {
+    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+    _mm256_cvtph_ps(unsafe { _mm_loadu_si128(from.cast()) })
+}
+
+/// # Safety
+/// 8 elements are writable at `to`.
+#[inline]
+#[target_feature(enable = "avx2,f16c")]
+unsafe fn store_f16x8(a: __m256, to: *mut F16) {
+    let halves = _mm256_cvtps_ph::<_MM_FROUND_TO_NEAREST_INT>(a);
+    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+    unsafe { _mm_storeu_si128(to.cast(), halves) }
+}
+
+/// # Safety
+/// 16 elements are readable at `from`.
+#[inline]
+#[target_feature(enable = "avx512f")]
+unsafe fn load_bf16x16(from: *const Bf16) -> __m512 {
+    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+    let halves = unsafe { _mm256_loadu_si256(from.cast()) };
+    _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_cvtepu16_epi32(halves)))
+}
+
+/// # Safety
+/// 16 elements are writable at `to`.
+#[inline]
+#[target_feature(enable = "avx512f,avx512bw")]
+unsafe fn store_bf16x16(a: __m512, to: *mut Bf16) {
+    let bits = _mm512_castps_si512(a);
+    let odd = _mm512_and_si512(_mm512_srli_epi32::<16>(bits), _mm512_set1_epi32(1));
+    let rounded = _mm512_add_epi32(bits, _mm512_add_epi32(odd, _mm512_set1_epi32(0x7fff)));
+    let nan = _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(a, a); // rounding could carry it over to infinity
+    let quiet = _mm512_castps_si512(_mm512_set1_ps(f32::NAN));
+    let rounded = _mm512_mask_mov_epi32(rounded, nan, quiet);
+    let upper = _mm512_castsi256_si512(_mm256_setr_epi16(
+        1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31,
+    ));
+    let halves = _mm512_permutexvar_epi16(upper, rounded);
+    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+    unsafe { _mm256_storeu_si256(to.cast(), _mm512_castsi512_si256(halves)) }
+}
+
+/// # Safety
+/// 16 elements are readable at `from`.
+#[inline]
+#[target_feature(enable = "avx512f")]
+unsafe fn load_f16x16(from: *const F16) -> __m512 {
+    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+    _mm512_cvtph_ps(unsafe { _mm256_loadu_si256(from.cast()) })
+}
+
+/// # Safety
+/// 16 elements are writable at `to`.
+#[inline]
+#[target_feature(enable = "avx512f")]
+unsafe fn store_f16x16(a: __m512, to: *mut F16) {
+    let halves = _mm512_cvtps_ph::<_MM_FROUND_TO_NEAREST_INT>(a);
+    // SAFETY: the caller promises the elements; the instruction needs no alignment.
+    unsafe { _mm256_storeu_si256(to.cast(), halves) }
 }
