@@ -5,7 +5,7 @@
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, Slice};
 
-use crate::kernel::{Backward, Kernel, Single, SingleBackward};
+use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{Algorithm, Bf16, F16, Stored, Vector, narrow, slack, widen};
 use crate::{Isa, Real, Shape};
@@ -14,7 +14,7 @@ const BATCH: Axis = Axis(0);
 const LANES: Axis = Axis(2);
 
 /// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`]. `Real` is what is computed in.
-pub trait Number: Default + Send + Sync + Stored<Real: Real> + 'static {
+pub trait Number: Default + Stored<Real: Real> + 'static {
     /// `kernel` for images of this type; `widened` is the same one.
     #[doc(hidden)]
     #[allow(private_interfaces)] // sealed: nobody outside can name the supertrait
@@ -83,8 +83,10 @@ macro_rules! computed_in_f32 {
                 kernel: &'a dyn Kernel<f32>,
                 widened: &'a Widened<'a, f32>,
             ) -> &'a dyn Kernel<Self> {
-                match kernel.grid() {
-                    Some(grid) => grid,
+                match kernel.takes_half() {
+                    Some(TakesHalf::Grid(grid)) => grid,
+                    Some(TakesHalf::Sequence(sequence)) => sequence,
+                    Some(TakesHalf::Tokens(tokens)) => tokens,
                     None => widened,
                 }
             }

@@ -14,7 +14,7 @@
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
-use crate::fft::Grid;
+use crate::fft::{Grid, Sequence, Tokens};
 use crate::parallel::Team;
 use crate::simd::Stored;
 
@@ -66,10 +66,17 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
         None
     }
 
-    /// The kernel that takes images of any stored type, if it is that.
-    fn grid(&self) -> Option<&Grid<X::Real>> {
+    /// The kernel as one that takes half precision, if it does.
+    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
         None
     }
+}
+
+/// The kernels that take images of any stored type.
+pub(crate) enum TakesHalf<'a, T> {
+    Grid(&'a Grid<T>),
+    Sequence(&'a Sequence<T>),
+    Tokens(&'a Tokens<T>),
 }
 
 /// One image, for which bringing a weight to kernel order and a gradient back would not pay: both stay in natural order.

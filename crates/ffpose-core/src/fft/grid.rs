@@ -13,7 +13,7 @@ use super::middle::{NaturalGradient, NaturalProduct};
 use super::pack::{Bins, Packing, Scales};
 use super::passes::inverted;
 use super::rows::{Place, Rows};
-use crate::kernel::{Backward, Kernel, Single, SingleBackward};
+use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Stored, Tile, TileMut, aligned, slack};
 
@@ -136,9 +136,14 @@ impl<T: Element> Grid<T> {
         parts.map(move |start| start..whole.min(start + together)).chain(rest)
     }
 
+    /// Lanes of one image that go together: at least a cache line of what is stored.
+    fn alone<X>(&self) -> usize {
+        self.alone.max(LINE_BYTES / size_of::<X>()).min(self.together)
+    }
+
     /// Whether so many lanes of one image go together without padding; cutting views takes its time.
-    fn undivided(&self, lanes: usize) -> bool {
-        lanes <= self.alone && lanes.is_multiple_of(self.lanes)
+    fn undivided<X>(&self, lanes: usize) -> bool {
+        lanes <= self.alone::<X>() && lanes.is_multiple_of(self.lanes)
     }
 
     /// Numbers in the spectra of an image of `lanes` lanes.
@@ -383,8 +388,8 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         Some(self)
     }
 
-    fn grid(&self) -> Option<&Self> {
-        Some(self)
+    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
+        Some(TakesHalf::Grid(self))
     }
 }
 
@@ -401,10 +406,10 @@ impl<X: Stored> Single<X> for Grid<X::Real> {
         team: &mut Team<'_, X::Real>,
     ) {
         let mut scratch = self.scratch(team.scratch());
-        if self.undivided(x.ncols()) {
+        if self.undivided::<X>(x.ncols()) {
             return self.forward_single(x, weight, y, &mut scratch);
         }
-        for lanes in self.parts(x.ncols(), self.alone) {
+        for lanes in self.parts(x.ncols(), self.alone::<X>()) {
             let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
             let (x, weight, y) = (x.slice(part), weight.slice(bins), y.slice_mut(part));
             if lanes.len().is_multiple_of(self.lanes) {
@@ -417,11 +422,11 @@ impl<X: Stored> Single<X> for Grid<X::Real> {
 
     fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
         let mut scratch = self.scratch(team.scratch());
-        if self.undivided(pass.x.ncols()) {
+        if self.undivided::<X>(pass.x.ncols()) {
             return self.backward_single(pass, &mut scratch);
         }
         let SingleBackward { grad, x, weight, mut grad_x, mut grad_weight } = pass;
-        for lanes in self.parts(x.ncols(), self.alone) {
+        for lanes in self.parts(x.ncols(), self.alone::<X>()) {
             let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
             let (grad, x, weight) = (grad.slice(part), x.slice(part), weight.slice(bins));
             let grad_x = grad_x.as_mut().map(|grad_x| grad_x.slice_mut(part));

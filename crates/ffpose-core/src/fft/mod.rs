@@ -31,8 +31,8 @@ use std::sync::Arc;
 
 pub(crate) use grid::Grid;
 use planes::Planes;
-use sequence::Sequence;
-use tokens::Tokens;
+pub(crate) use sequence::Sequence;
+pub(crate) use tokens::Tokens;
 
 use crate::kernel::Kernel;
 use crate::simd::Isa;

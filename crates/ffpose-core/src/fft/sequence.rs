@@ -6,10 +6,11 @@
 use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use super::columns::Columns;
-use crate::kernel::{Backward, Kernel};
+use crate::kernel::{Backward, Kernel, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{
-    Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, aligned, complex_vectors, slack,
+    Algorithm, Complex, Element, Isa, Stored, Tile, TileMut, Vector, aligned, complex_vectors,
+    slack,
 };
 
 /// The plan for sequences of one length.
@@ -42,33 +43,41 @@ impl<T: Element> Sequence<T> {
         Scratch { spectrum, other, work, padded: &mut padded[..self.length * self.pair] }
     }
 
-    /// A sequence `(points, lanes)` to a line of `spectrum`; `padded` holds it if it has too few lanes.
-    fn enter(&self, image: ArrayView2<'_, T>, spectrum: &mut [T], padded: &mut [T]) {
-        let lanes = image.ncols();
-        let image = if lanes < self.pair {
+    /// A sequence `(points, lanes)` to a line; `padded` holds it if it has too few lanes.
+    fn enter<X: Stored<Real = T>>(
+        &self,
+        image: ArrayView2<'_, X>,
+        line: &mut [T],
+        padded: &mut [T],
+    ) {
+        let (lanes, inputs) = (image.ncols(), self.columns.transform().inputs());
+        if lanes < self.pair {
             let mut whole = ArrayViewMut2::from_shape((self.length, self.pair), &mut *padded)
                 .expect("room for a tile");
             whole.fill(T::default());
-            whole.slice_mut(s![.., ..lanes]).assign(&image);
-            Tile::dense(padded, self.pair)
+            whole.slice_mut(s![.., ..lanes]).zip_mut_with(&image, |wide, x| *wide = x.widened());
+            self.isa.run(Enter { inputs, image: Tile::dense(padded, self.pair), line });
         } else {
-            Tile::new(image)
-        };
-        let inputs = self.columns.transform().inputs();
-        self.isa.run(Enter { inputs, image, line: spectrum });
+            self.isa.run(Enter { inputs, image: Tile::new(image), line });
+        }
     }
 
-    /// A line of `spectrum` to a sequence `(points, lanes)`, by way of `padded` if it has too few lanes.
-    fn leave(&self, spectrum: &mut [T], mut image: ArrayViewMut2<'_, T>, padded: &mut [T]) {
+    /// A line to a sequence `(points, lanes)`, by way of `padded` if it has too few lanes.
+    fn leave<X: Stored<Real = T>>(
+        &self,
+        line: &mut [T],
+        mut image: ArrayViewMut2<'_, X>,
+        padded: &mut [T],
+    ) {
         let (lanes, inputs) = (image.ncols(), self.columns.transform().inputs());
         if lanes < self.pair {
             let whole = TileMut::dense(padded, self.pair);
-            self.isa.run(Leave { inputs, image: whole, line: spectrum });
+            self.isa.run(Leave { inputs, image: whole, line });
             let whole =
                 ArrayView2::from_shape((self.length, self.pair), padded).expect("room for a tile");
-            image.assign(&whole.slice(s![.., ..lanes]));
+            image.zip_mut_with(&whole.slice(s![.., ..lanes]), |x, &wide| *x = X::nearest_to(wide));
         } else {
-            self.isa.run(Leave { inputs, image: TileMut::new(image), line: spectrum });
+            self.isa.run(Leave { inputs, image: TileMut::new(image), line });
         }
     }
 
@@ -80,7 +89,7 @@ impl<T: Element> Sequence<T> {
     }
 }
 
-impl<T: Element> Kernel<T> for Sequence<T> {
+impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     fn tile(&self) -> usize {
         self.pair
     }
@@ -91,10 +100,15 @@ impl<T: Element> Kernel<T> for Sequence<T> {
 
     fn scratch_len(&self) -> usize {
         let padded = self.length * self.pair;
-        slack::<T>() + 2 * self.columns.len() + self.columns.work_len() + padded
+        slack::<X::Real>() + 2 * self.columns.len() + self.columns.work_len() + padded
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, X::Real>,
+        packed: &mut [X::Real],
+        _: &mut Team<'_, X::Real>,
+    ) {
         let [scale, ..] = self.scales();
         let length = self.length;
         if weight.len_of(Axis(1)) < self.pair {
@@ -108,10 +122,10 @@ impl<T: Element> Kernel<T> for Sequence<T> {
 
     fn forward(
         &self,
-        x: ArrayView3<'_, T>,
-        packed: &[T],
-        mut y: ArrayViewMut3<'_, T>,
-        team: &mut Team<'_, T>,
+        x: ArrayView3<'_, X>,
+        packed: &[X::Real],
+        mut y: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
     ) {
         let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
@@ -121,7 +135,7 @@ impl<T: Element> Kernel<T> for Sequence<T> {
         }
     }
 
-    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
+    fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let Scratch { spectrum, other, work, padded } = self.scratch(team.scratch());
         for (image, grad) in grad.outer_iter().enumerate() {
@@ -141,15 +155,15 @@ impl<T: Element> Kernel<T> for Sequence<T> {
 
     fn unpack_gradient(
         &self,
-        grad_sum: &[T],
-        mut grad_weight: ArrayViewMut3<'_, T>,
-        _: &mut Team<'_, T>,
+        grad_sum: &[X::Real],
+        mut grad_weight: ArrayViewMut3<'_, X::Real>,
+        _: &mut Team<'_, X::Real>,
     ) {
         let [_, inside, ends] = self.scales();
         let (bins, lanes, _) = grad_weight.dim();
         let length = self.length;
         if lanes < self.pair {
-            let mut whole = Array3::from_elem((bins, self.pair, 2), T::default());
+            let mut whole = Array3::from_elem((bins, self.pair, 2), X::Real::default());
             let gradient = TileMut::of_complex(whole.view_mut());
             self.isa.run(Unpack { sum: grad_sum, gradient, inside, ends, length });
             grad_weight.assign(&whole.slice(s![.., ..lanes, ..]));
@@ -157,6 +171,10 @@ impl<T: Element> Kernel<T> for Sequence<T> {
             let gradient = TileMut::of_complex(grad_weight);
             self.isa.run(Unpack { sum: grad_sum, gradient, inside, ends, length });
         }
+    }
+
+    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
+        Some(TakesHalf::Sequence(self))
     }
 }
 
@@ -168,15 +186,15 @@ fn padded_bins<T: Element>(weight: ArrayView3<'_, T>, lanes: usize) -> Array3<T>
     whole
 }
 
-struct Enter<'a, T> {
+struct Enter<'a, X: Stored> {
     inputs: &'a [usize],
-    image: Tile<'a, T>,
-    line: &'a mut [T],
+    image: Tile<'a, X>,
+    line: &'a mut [X::Real],
 }
 
-impl<T: Element> Algorithm<T> for Enter<'_, T> {
+impl<X: Stored> Algorithm<X::Real> for Enter<'_, X> {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
+    fn run<V: Vector<Element = X::Real>>(self) {
         let line = complex_vectors::<V>(self.line);
         let second = self.image.skip_lanes(V::LANES);
         for (n, &input) in self.inputs.iter().enumerate() {
@@ -190,15 +208,15 @@ impl<T: Element> Algorithm<T> for Enter<'_, T> {
 /// Points ahead of the work that are brought to the cache.
 const AHEAD: usize = 16;
 
-struct Leave<'a, T> {
+struct Leave<'a, X: Stored> {
     inputs: &'a [usize],
-    image: TileMut<'a, T>,
-    line: &'a mut [T],
+    image: TileMut<'a, X>,
+    line: &'a mut [X::Real],
 }
 
-impl<T: Element> Algorithm<T> for Leave<'_, T> {
+impl<X: Stored> Algorithm<X::Real> for Leave<'_, X> {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(mut self) {
+    fn run<V: Vector<Element = X::Real>>(mut self) {
         let line = complex_vectors::<V>(self.line);
         for (n, &input) in self.inputs.iter().enumerate() {
             self.image.reader().prefetch(n + AHEAD, 1);

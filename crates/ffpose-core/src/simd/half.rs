@@ -2,6 +2,8 @@
 //!
 //! Kernels compute in `f32` and `f64`. A result in half precision is rounded once, to nearest and ties to even.
 
+use ndarray::ArrayViewMut2;
+
 use super::{Element, MAX_LANES, Vector};
 
 /// bfloat16: the upper half of an `f32`.
@@ -15,7 +17,7 @@ pub struct Bf16(pub u16);
 pub struct F16(pub u16);
 
 /// What memory holds of the lanes of vectors: their own elements, or halves of their precision.
-pub trait Stored: Copy {
+pub trait Stored: Copy + Send + Sync {
     /// The elements of the vectors.
     type Real: Element;
 
@@ -27,6 +29,11 @@ pub trait Stored: Copy {
 
     /// The value of this type nearest to `value`, the even one of two that are as near.
     fn nearest_to(value: Self::Real) -> Self;
+
+    /// `view` as one of elements of vectors, or back if it is none.
+    fn as_real(
+        view: ArrayViewMut2<'_, Self>,
+    ) -> Result<ArrayViewMut2<'_, Self::Real>, ArrayViewMut2<'_, Self>>;
 
     /// # Safety
     /// `LANES` elements are readable at `from`.
@@ -75,6 +82,12 @@ macro_rules! stored_as_it_is {
                 value
             }
 
+            fn as_real(
+                view: ArrayViewMut2<'_, Self>,
+            ) -> Result<ArrayViewMut2<'_, Self>, ArrayViewMut2<'_, Self>> {
+                Ok(view)
+            }
+
             moved_by!(load, store);
         }
     };
@@ -99,20 +112,32 @@ impl Stored for Bf16 {
         Self(upper_half(if value.is_nan() { f32::NAN.to_bits() } else { rounded }))
     }
 
+    fn as_real(
+        view: ArrayViewMut2<'_, Self>,
+    ) -> Result<ArrayViewMut2<'_, f32>, ArrayViewMut2<'_, Self>> {
+        Err(view)
+    }
+
     moved_by!(load_bf16, store_bf16);
 }
 
 impl Stored for F16 {
     type Real = f32;
 
-    /// The bits of both formats stand alike but for the bias of the exponent, which a product corrects, exactly.
+    /// The bits of both formats stand alike but for the bias of the exponent. No step has a subnormal `f32`, which a processor
+    /// may be told to take for zero.
     #[inline(always)]
     fn widened(self) -> f32 {
         let bits = u32::from(self.0);
         let shifted = (bits & 0x7fff) << 13;
-        let scaled = (f32::from_bits(shifted) * f32::from_bits(0x7780_0000)).to_bits(); // 2^112
-        let finite = if shifted < 0x0f80_0000 { scaled } else { shifted | 0x7f80_0000 };
-        f32::from_bits(finite | (bits & 0x8000) << 16)
+        let least = f32::from_bits(0x3880_0000); // 2^-14, the smallest normal number
+        let tiny = f32::from_bits(shifted | least.to_bits()) - least;
+        let size = match shifted {
+            0..0x0080_0000 => tiny.to_bits(),
+            0x0080_0000..0x0f80_0000 => shifted + (112 << 23),
+            _ => shifted | 0x7f80_0000,
+        };
+        f32::from_bits(size | (bits & 0x8000) << 16)
     }
 
     /// Below the smallest normal number a sum rounds at the right place, and above it integers do.
@@ -129,6 +154,12 @@ impl Stored for F16 {
             _ => infinite,
         };
         Self(upper_half(rounded | bits & 0x8000_0000))
+    }
+
+    fn as_real(
+        view: ArrayViewMut2<'_, Self>,
+    ) -> Result<ArrayViewMut2<'_, f32>, ArrayViewMut2<'_, Self>> {
+        Err(view)
     }
 
     moved_by!(load_f16, store_f16);

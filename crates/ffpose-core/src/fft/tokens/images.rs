@@ -9,7 +9,7 @@ use super::order::Step;
 use super::pack::{GradientRows, Pack, Unpack};
 use super::passes::Parts;
 use crate::parallel::Team;
-use crate::simd::Element;
+use crate::simd::{Element, Stored};
 
 /// The weight of a step.
 pub(super) enum StepWeight<'a, T> {
@@ -27,17 +27,23 @@ pub(super) enum StepGradient<'a, T> {
 }
 
 impl<T: Element> Tokens<T> {
-    pub(super) fn forward_image<'a>(
+    /// `spectrum` has room for one: half precision has no place for it.
+    pub(super) fn forward_image<'a, X: Stored<Real = T>>(
         &self,
-        x: ArrayView2<'_, T>,
-        mut y: ArrayViewMut2<'_, T>,
+        x: ArrayView2<'_, X>,
+        y: ArrayViewMut2<'_, X>,
         weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
+        spectrum: &mut [T],
         team: &mut Team<'_, T>,
     ) where
         T: 'a,
     {
-        self.first_pass(x, y.view_mut(), team);
-        let steps = self.steps.iter().zip(self.rows_of_steps(y.view_mut()));
+        let (mut spectrum, y) = match X::as_real(y) {
+            Ok(y) => (y, None),
+            Err(y) => (self.image(spectrum), Some(y)),
+        };
+        self.first_pass(x, spectrum.view_mut(), team);
+        let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
         team.run(steps.zip(weights), |((step, mut rows), weight), scratch| {
             let Parts { block, packed, .. } = self.scratch(scratch);
             self.gather(step, &rows, block);
@@ -45,14 +51,17 @@ impl<T: Element> Tokens<T> {
             self.filter(step, block, Product::<T, false>(weight));
             self.put(block, &mut rows);
         });
-        self.last_pass(y, team);
+        match y {
+            None => self.last_pass(spectrum, team),
+            Some(y) => self.last_pass_to(spectrum, y, team),
+        }
     }
 
     /// `spectra` has room for those of two images.
-    pub(super) fn backward_image<'a>(
+    pub(super) fn backward_image<'a, X: Stored<Real = T>>(
         &self,
-        [grad, x]: [ArrayView2<'_, T>; 2],
-        grad_x: Option<ArrayViewMut2<'_, T>>,
+        [grad, x]: [ArrayView2<'_, X>; 2],
+        grad_x: Option<ArrayViewMut2<'_, X>>,
         weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
         gradients: Option<impl Iterator<Item = StepGradient<'a, T>> + Send>,
         spectra: &mut [T],
@@ -62,7 +71,11 @@ impl<T: Element> Tokens<T> {
     {
         let inverse = grad_x.is_some();
         let (spectrum, other) = spectra.split_at_mut(self.spectrum_len());
-        let mut spectrum = grad_x.unwrap_or_else(|| self.image(spectrum));
+        let (mut spectrum, grad_x) = match grad_x.map(X::as_real) {
+            Some(Ok(grad_x)) => (grad_x, None),
+            Some(Err(grad_x)) => (self.image(spectrum), Some(grad_x)),
+            None => (self.image(spectrum), None),
+        };
         self.first_pass(grad, spectrum.view_mut(), team);
         let x = gradients.is_some().then(|| {
             let mut other = self.image(other);
@@ -108,8 +121,10 @@ impl<T: Element> Tokens<T> {
                 self.put(block, &mut rows);
             }
         });
-        if inverse {
-            self.last_pass(spectrum, team);
+        match grad_x {
+            Some(grad_x) => self.last_pass_to(spectrum, grad_x, team),
+            None if inverse => self.last_pass(spectrum, team),
+            None => {}
         }
     }
 

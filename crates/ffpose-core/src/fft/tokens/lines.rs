@@ -9,7 +9,7 @@ use crate::fft::butterfly::{Codelet, Dft, turn};
 use crate::fft::real::{RealDft, TwoReal};
 use crate::fft::unroll::unroll;
 use crate::simd::{
-    Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, gather, scatter,
+    Algorithm, Complex, Isa, Stored, Tile, TileMut, Vector, complex_vectors, gather, scatter,
 };
 
 /// The lengths that have a codelet.
@@ -42,27 +42,27 @@ macro_rules! with_codelet {
 
 /// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors. `target` is where the rows go after
 /// that, asked for in time.
-pub(super) fn forward<T: Element>(
+pub(super) fn forward<X: Stored>(
     isa: Isa,
-    image: Tile<'_, T>,
-    target: Tile<'_, T>,
-    block: Block<'_, T>,
-    work: &mut [T],
+    image: Tile<'_, X>,
+    target: Tile<'_, X::Real>,
+    block: Block<'_, X::Real>,
+    work: &mut [X::Real],
 ) {
-    with_codelet!(image.lanes() / isa.lanes::<T>(), (P, Q, ROWS) => {
-        isa.run(Forward::<T, P, Q, ROWS> { image, target, block, work });
+    with_codelet!(image.lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
+        isa.run(Forward::<X, P, Q, ROWS> { image, target, block, work });
     });
 }
 
 /// Rows of `block`, doubled but for slot 0, to rows of `image`, up to a factor of their length.
-pub(super) fn inverse<T: Element>(
+pub(super) fn inverse<X: Stored>(
     isa: Isa,
-    block: Block<'_, T>,
-    image: TileMut<'_, T>,
-    work: &mut [T],
+    block: Block<'_, X::Real>,
+    image: TileMut<'_, X>,
+    work: &mut [X::Real],
 ) {
-    with_codelet!(image.reader().lanes() / isa.lanes::<T>(), (P, Q, ROWS) => {
-        isa.run(Inverse::<T, P, Q, ROWS> { block, image, work });
+    with_codelet!(image.reader().lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
+        isa.run(Inverse::<X, P, Q, ROWS> { block, image, work });
     });
 }
 
@@ -136,20 +136,20 @@ const fn real_frequency(n: usize, slot: usize) -> usize {
     }
 }
 
-struct Forward<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
-    image: Tile<'a, T>,
-    target: Tile<'a, T>,
-    block: Block<'a, T>,
-    work: &'a mut [T],
+struct Forward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
+    image: Tile<'a, X>,
+    target: Tile<'a, X::Real>,
+    block: Block<'a, X::Real>,
+    work: &'a mut [X::Real],
 }
 
-impl<T: Element, const P: usize, const Q: usize, const ROWS: usize> Algorithm<T>
-    for Forward<'_, T, P, Q, ROWS>
+impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
+    for Forward<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
+    fn run<V: Vector<Element = X::Real>>(self) {
         let Block { vectors, pitch } = self.block;
         let block = complex_vectors::<V>(vectors);
         let work = &mut complex_vectors::<V>(self.work)[..ROWS * Q];
@@ -206,19 +206,19 @@ impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS> {
     }
 }
 
-struct Inverse<'a, T, const P: usize, const Q: usize, const ROWS: usize> {
-    block: Block<'a, T>,
-    image: TileMut<'a, T>,
-    work: &'a mut [T],
+struct Inverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
+    block: Block<'a, X::Real>,
+    image: TileMut<'a, X>,
+    work: &'a mut [X::Real],
 }
 
-impl<T: Element, const P: usize, const Q: usize, const ROWS: usize> Algorithm<T>
-    for Inverse<'_, T, P, Q, ROWS>
+impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
+    for Inverse<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(mut self) {
+    fn run<V: Vector<Element = X::Real>>(mut self) {
         let Block { vectors, pitch } = self.block;
         let block = complex_vectors::<V>(vectors);
         let work = &mut complex_vectors::<V>(self.work)[..ROWS * Q];

@@ -40,9 +40,9 @@ use self::images::{StepGradient, StepWeight};
 use self::order::Step;
 use self::pack::Plan;
 use super::roots::root;
-use crate::kernel::{Backward, Kernel, Single, SingleBackward};
+use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
-use crate::simd::{Complex, Element, Isa, Table};
+use crate::simd::{Complex, Element, Isa, Stored, Table};
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
@@ -143,7 +143,7 @@ impl<T: Element> Tokens<T> {
     }
 }
 
-impl<T: Element> Kernel<T> for Tokens<T> {
+impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     fn tile(&self) -> usize {
         self.width
     }
@@ -156,7 +156,12 @@ impl<T: Element> Kernel<T> for Tokens<T> {
         2 * self.spectrum_len() + self.member_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, X::Real>,
+        packed: &mut [X::Real],
+        team: &mut Team<'_, X::Real>,
+    ) {
         let weight = weight.to_slice().expect("a whole weight");
         team.run(self.steps.iter().zip(self.parts_mut(packed)), |(step, packed), _| {
             self.pack_step(step, weight, packed);
@@ -165,17 +170,19 @@ impl<T: Element> Kernel<T> for Tokens<T> {
 
     fn forward(
         &self,
-        x: ArrayView3<'_, T>,
-        packed: &[T],
-        mut y: ArrayViewMut3<'_, T>,
-        team: &mut Team<'_, T>,
+        x: ArrayView3<'_, X>,
+        packed: &[X::Real],
+        mut y: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
     ) {
+        let (spectrum, mut team) = team.share(self.spectrum_len());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            self.forward_image(x, y, self.parts(packed).map(StepWeight::Packed), team);
+            let weights = self.parts(packed).map(StepWeight::Packed);
+            self.forward_image(x, y, weights, spectrum, &mut team);
         }
     }
 
-    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
+    fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
@@ -189,39 +196,44 @@ impl<T: Element> Kernel<T> for Tokens<T> {
 
     fn unpack_gradient(
         &self,
-        grad_sum: &[T],
-        grad_weight: ArrayViewMut3<'_, T>,
-        team: &mut Team<'_, T>,
+        grad_sum: &[X::Real],
+        grad_weight: ArrayViewMut3<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
     ) {
         let steps = self.steps.iter().zip(self.parts(grad_sum));
         let jobs = steps.zip(self.gradients_of_steps(grad_weight));
         team.run(jobs, |((step, sum), mut gradient), _| self.unpack(step, sum, &mut gradient));
     }
 
-    fn single(&self) -> Option<&dyn Single<T>> {
+    fn single(&self) -> Option<&dyn Single<X>> {
         Some(self)
+    }
+
+    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
+        Some(TakesHalf::Tokens(self))
     }
 }
 
 /// A step's weight is packed when it is its turn: it is read once, so that it need not leave the cache.
-impl<T: Element> Single<T> for Tokens<T> {
+impl<X: Stored> Single<X> for Tokens<X::Real> {
     fn narrowest_tile(&self) -> usize {
         self.width
     }
 
     fn forward(
         &self,
-        x: ArrayView2<'_, T>,
-        weight: ArrayView3<'_, T>,
-        y: ArrayViewMut2<'_, T>,
-        team: &mut Team<'_, T>,
+        x: ArrayView2<'_, X>,
+        weight: ArrayView3<'_, X::Real>,
+        y: ArrayViewMut2<'_, X>,
+        team: &mut Team<'_, X::Real>,
     ) {
         let weight = weight.to_slice().expect("a whole weight");
         let weights = std::iter::repeat_with(|| StepWeight::Natural(weight));
-        self.forward_image(x, y, weights, team);
+        let (spectrum, mut team) = team.share(self.spectrum_len());
+        self.forward_image(x, y, weights, spectrum, &mut team);
     }
 
-    fn backward(&self, pass: SingleBackward<'_, T>, team: &mut Team<'_, T>) {
+    fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
         let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
         let weight = weight.to_slice().expect("a whole weight");

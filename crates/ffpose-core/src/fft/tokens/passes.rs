@@ -7,7 +7,7 @@ use super::lanes::{Filter, Middle, Turns};
 use super::order::Step;
 use super::{Tokens, lines};
 use crate::parallel::Team;
-use crate::simd::{Element, Tile, TileMut, aligned, slack};
+use crate::simd::{Element, Stored, Tile, TileMut, aligned, slack};
 
 /// The rows of blocks `u1` and, unless it is the same, `-u1`.
 pub(super) type Rows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];
@@ -55,9 +55,9 @@ impl<T: Element> Tokens<T> {
     }
 
     /// An image to the transforms of its lines and of their parts `x1`.
-    pub(super) fn first_pass(
+    pub(super) fn first_pass<X: Stored<Real = T>>(
         &self,
-        x: ArrayView2<'_, T>,
+        x: ArrayView2<'_, X>,
         spectrum: ArrayViewMut2<'_, T>,
         team: &mut Team<'_, T>,
     ) {
@@ -74,20 +74,38 @@ impl<T: Element> Tokens<T> {
     }
 
     /// Undoes [`first_pass`](Self::first_pass) in place, up to a factor.
-    pub(super) fn last_pass(&self, y: ArrayViewMut2<'_, T>, team: &mut Team<'_, T>) {
+    pub(super) fn last_pass(&self, spectrum: ArrayViewMut2<'_, T>, team: &mut Team<'_, T>) {
         let ([a, _], pitch) = (self.factors, self.pitch());
-        let mut y = self.blocks(y);
-        let columns = y.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
-        team.run(columns, |(y, twiddles), scratch| {
+        let mut spectrum = self.blocks(spectrum);
+        let columns = spectrum.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
+        team.run(columns, |(spectrum, twiddles), scratch| {
             let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
-            let image = TileMut::new(y);
+            let image = TileMut::new(spectrum);
             image_to_block::<T, true>(self.isa, image.reader(), twiddles, Block { vectors, pitch });
             lines::inverse(self.isa, Block { vectors, pitch }, image, work);
         });
     }
 
+    /// As [`last_pass`](Self::last_pass), to `y`.
+    pub(super) fn last_pass_to<X: Stored<Real = T>>(
+        &self,
+        spectrum: ArrayViewMut2<'_, T>,
+        y: ArrayViewMut2<'_, X>,
+        team: &mut Team<'_, T>,
+    ) {
+        let ([a, _], pitch) = (self.factors, self.pitch());
+        let (spectrum, mut y) = (self.blocks(spectrum), self.blocks(y));
+        let columns = spectrum.axis_iter(Axis(1)).zip(y.axis_iter_mut(Axis(1)));
+        team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
+            let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
+            let x = Tile::new(x);
+            image_to_block::<T, true>(self.isa, x, twiddles, Block { vectors, pitch });
+            lines::inverse(self.isa, Block { vectors, pitch }, TileMut::new(y), work);
+        });
+    }
+
     /// Rows `(X, Y)` as `(A, B, Y)`.
-    fn blocks<'a>(&self, rows: ArrayViewMut2<'a, T>) -> ArrayViewMut3<'a, T> {
+    fn blocks<'a, X>(&self, rows: ArrayViewMut2<'a, X>) -> ArrayViewMut3<'a, X> {
         let [a, b] = self.factors;
         rows.into_shape_with_order((a, b, self.width)).expect("rows without gaps")
     }
