@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import platform
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,6 +66,7 @@ def environment() -> dict[str, Any]:
         "instruction_set": instruction_set(),
         "torch_cpu_capability": torch.backends.cpu.get_cpu_capability(),
         "mkl_enable_instructions": os.environ.get("MKL_ENABLE_INSTRUCTIONS", ""),
+        "mkl_code": _mkl_code(),
         "cores": cores(),
     }
 
@@ -71,6 +74,18 @@ def environment() -> dict[str, Any]:
 def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _mkl_code() -> str:
+    """Return which code torch's MKL runs: "vectorised", on Intel's processors alone, or "baseline".
+
+    The answer is MKL's own, or that of a preloaded library; empty where there is no MKL.
+    """
+    bundled = Path(torch.__file__).parent / "lib" / "libtorch_cpu.so"
+    for library in (None, str(bundled)):
+        with suppress(OSError, AttributeError):
+            return "vectorised" if ctypes.CDLL(library).mkl_serv_intel_cpu_true() else "baseline"
+    return ""
 
 
 def _processor() -> str:

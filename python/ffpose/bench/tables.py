@@ -53,9 +53,10 @@ def _heading(openings: Sequence[Opening], isa: str, threads: int) -> str:
     opening = next(each for each in openings if each.setting.isa == isa)
     about = opening.environment
     peak = next(each for each in opening.peaks if each.threads == threads)
+    mkl = f", MKL's {about['mkl_code']} code" if about["mkl_code"] else ""
     return (
         f"{isa}, {_threads(threads)}: ffpose {about['ffpose']}, torch {about['torch']}"
-        f" ({about['torch_cpu_capability']}), {about['processor']}; peaks"
+        f" ({about['torch_cpu_capability']}{mkl}), {about['processor']}; peaks"
         f" {peak.flops / 1e9:.0f} GFLOP/s, {peak.copy_bytes / 1e9:.1f} GB/s"
     )
 
