@@ -13,11 +13,12 @@ use std::sync::Arc;
 use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimension};
 
 use crate::general::General;
-use crate::half::{Number, Widened};
 use crate::kernel::{Backward, Kernel, Single, SingleBackward};
+use crate::number::Number;
 use crate::parallel::{self, Pool};
 use crate::scratch::{self, Needs, Scratch, Worker};
 use crate::tiling::Tiling;
+use crate::widened::Widened;
 use crate::{Error, Isa, Layout, Real, Shape, fft};
 
 const BATCH: Axis = Axis(0);
