@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from ffpose.arrays import quaternion_to_euler
-from ffpose.errors import DataError
 from ffpose.files import atomic_write
 from ffpose.geometry import URSO_CAMERA, Camera, Pose
+from ffpose.images import read_rgb
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.overlay import draw_axes
 from ffpose.transforms import Preprocessing
@@ -86,27 +86,17 @@ class Predictor:
         return Pose(pose.translation[0].double().numpy(), pose.orientation[0].double().numpy())
 
 
-def read_image(path: Path) -> Image.Image:
-    """Read an image file as RGB.
+def predict(weights: Path, images: Sequence[Path]) -> Iterator[Prediction]:
+    """Predict the pose in each image file, one by one as they are asked for.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ffpose.DataError: The file is no image, or a broken one.
+        ValueError: The weights cannot be used.
+        ffpose.DataError: As `ffpose.images.read_rgb`.
     """
-    try:
-        with Image.open(path) as image:
-            return image.convert("RGB")
-    except FileNotFoundError:
-        raise
-    except (OSError, SyntaxError, UnidentifiedImageError, Image.DecompressionBombError) as error:
-        raise DataError(f"cannot be read as an image: {error}", path) from error
-
-
-def predict(weights: Path, images: Sequence[Path]) -> Iterator[Prediction]:
-    """Predict the pose in each image file, one by one as they are asked for."""
     predictor = Predictor.from_weights(weights)
     for path in images:
-        yield Prediction(path, predictor(read_image(path)))
+        yield Prediction(path, predictor(read_rgb(path)))
 
 
 def write_overlay(prediction: Prediction, folder: Path, camera: Camera = URSO_CAMERA) -> Path:
@@ -122,7 +112,7 @@ def write_overlay(prediction: Prediction, folder: Path, camera: Camera = URSO_CA
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{prediction.image.stem}_pose.png"
-    drawn = draw_axes(read_image(prediction.image), prediction.pose, camera)
+    drawn = draw_axes(read_rgb(prediction.image), prediction.pose, camera)
     with atomic_write(path) as temporary:
         drawn.save(temporary)
     return path

@@ -11,9 +11,7 @@ from PIL import Image
 
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
-
-_MODES = ("L", "LA", "P", "RGB", "RGBA")
-"""Pillow's modes of eight bits a channel: those that become RGB without loss of range."""
+from ffpose.images import open_image, to_rgb
 
 
 @dataclass(frozen=True)
@@ -64,33 +62,24 @@ class Record:
         with self._open() as image:
             # Before a pixel is decoded: a small file can declare an image that fills the memory.
             self._expect_size(image, camera)
-            if image.mode not in _MODES:
-                raise self.error(f"expected pixels of mode {', '.join(_MODES)}, got {image.mode}")
-            # A palette may hold transparency, which Pillow only drops by way of RGBA.
-            return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
+            return to_rgb(image, self.image)
 
     def _expect_size(self, image: Image.Image, camera: Camera) -> None:
         width, height = image.size
         if (width, height) != (camera.width, camera.height):
-            raise self.error(
+            raise DataError(
                 f"expected {camera.width}x{camera.height} pixels, as the data set's camera "
-                f"has them, got {width}x{height}"
+                f"has them, got {width}x{height}",
+                self.image,
             )
 
     @contextmanager
     def _open(self) -> Iterator[Image.Image]:
+        """Open the image; an error of the block names the place that lists it as well."""
         try:
-            with Image.open(self.image) as image:
+            with open_image(self.image) as image:
                 yield image
         except FileNotFoundError as error:
             raise self.error("no such file") from error
-        except DataError:
-            raise
-        except (
-            OSError,
-            SyntaxError,  # how Pillow reports a broken PNG chunk
-            ValueError,
-            Image.DecompressionBombError,
-            Image.DecompressionBombWarning,
-        ) as error:
-            raise self.error(f"cannot be read as an image: {error}") from error
+        except DataError as error:
+            raise self.error(error.message) from error
