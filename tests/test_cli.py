@@ -1,8 +1,12 @@
 import json
 import subprocess
 import sys
+from contextlib import redirect_stdout
+from io import StringIO
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from ffpose import __version__
 from ffpose.cli import COMMANDS, image_size, main
@@ -78,6 +82,39 @@ def test_predict(trained, image_set, tmp_path, capsys):
         "0_rgb_pose.png",
         "1_rgb_pose.png",
     ]
+
+
+def test_predict_draws_with_the_camera_it_is_given(trained, image_set, tmp_path):
+    """The axes' origin is where the printed translation is, by fx x / z + cx."""
+    camera = {"width": 64, "height": 48, "fx": 8.0, "fy": 8.0, "cx": 12.0, "cy": 40.0}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    image = image_set / "0_rgb.png"
+    words = ["predict", str(trained / "best.safetensors"), str(image), "--json"]
+    words += ["--overlay", str(tmp_path), "--camera", str(tmp_path / "camera.json")]
+    with redirect_stdout(StringIO()) as said:
+        assert main(words) == 0
+    x, y, z = json.loads(said.getvalue())["predictions"][0]["translation_m"]
+    plain, drawn = (
+        np.asarray(Image.open(path), int) for path in (image, tmp_path / "0_rgb_pose.png")
+    )
+    changed = np.argwhere((drawn != plain).any(axis=2))
+    origin = [8 * y / z + 40, 8 * x / z + 12]
+    assert np.abs(changed + 0.5 - origin).max(axis=1).min() < 1.5
+    assert np.abs(changed + 0.5 - origin).max() < 8  # axes of 2 m at 8 m and more
+
+
+def test_predict_refuses_overlays_of_one_name_before_it_computes(trained, image_set, capsys):
+    words = ["predict", str(trained / "best.safetensors"), str(image_set / "0_rgb.png")]
+    assert main([*words, "b/0_rgb.png", "--overlay", "ov"]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "expected images of distinct names, got" in said.err
+
+
+def test_predict_takes_a_camera_with_overlays_alone(trained, image_set, capsys):
+    words = ["predict", str(trained / "best.safetensors"), str(image_set / "0_rgb.png")]
+    assert main([*words, "--camera", "camera.json"]) == 1
+    assert "--camera: expected with --overlay" in capsys.readouterr().err
 
 
 def test_inspect(image_set, tmp_path, capsys):

@@ -178,20 +178,31 @@ def predict_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("images", type=Path, nargs="+", help="image files")
     parser.add_argument("--json", action="store_true", help="print the poses as JSON")
     parser.add_argument("--overlay", type=Path, help="folder for images with the axes drawn")
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        help="camera that --overlay draws with, as a set's camera.json; without it URSO's",
+    )
 
 
 def predict(options: Namespace) -> None:
     """Print the pose seen in each image."""
+    from ffpose.geometry import URSO_CAMERA, Camera
+    from ffpose.prediction import expect_distinct_overlays, write_overlay
     from ffpose.prediction import predict as run
-    from ffpose.prediction import write_overlay
 
+    if options.overlay is not None:
+        expect_distinct_overlays(options.images, options.overlay)
+    elif options.camera is not None:
+        raise ValueError("--camera: expected with --overlay, whose axes alone depend on it")
+    camera = URSO_CAMERA if options.camera is None else Camera.read(options.camera)
     predictions = []
     for prediction in run(options.weights, options.images):
         predictions.append(prediction.to_dict())
         if not options.json:
             print(prediction)
         if options.overlay is not None:
-            say(str(write_overlay(prediction, options.overlay)))
+            say(str(write_overlay(prediction, options.overlay, camera)))
     if options.json:
         show({"predictions": predictions})
 

@@ -99,19 +99,41 @@ def predict(weights: Path, images: Sequence[Path]) -> Iterator[Prediction]:
         yield Prediction(path, predictor(read_rgb(path)))
 
 
+def overlay_path(image: Path, folder: Path) -> Path:
+    """Return where the overlay of an image file goes: ``NAME_pose.png`` in ``folder``."""
+    return folder / f"{image.stem}_pose.png"
+
+
+def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
+    """Check, before anything is computed, that no overlay would replace another.
+
+    Raises:
+        ValueError: Two images have one name; the text says which.
+    """
+    first: dict[Path, Path] = {}
+    for image in images:
+        path = overlay_path(image, folder)
+        if path in first:
+            raise ValueError(
+                f"overlay: expected images of distinct names, got {first[path]} and {image}, "
+                f"both for {path}"
+            )
+        first[path] = image
+
+
 def write_overlay(prediction: Prediction, folder: Path, camera: Camera = URSO_CAMERA) -> Path:
     """Write the image with the predicted axes drawn on it.
 
     Args:
         prediction: The image and the pose.
-        folder: Where to write ``NAME_pose.png``; it is made where it is missing.
+        folder: Where to write `overlay_path`; it is made where it is missing.
         camera: The camera that took the image; it is resized to the image's size.
 
     Returns:
         The file written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{prediction.image.stem}_pose.png"
+    path = overlay_path(prediction.image, folder)
     drawn = draw_axes(read_rgb(prediction.image), prediction.pose, camera)
     with atomic_write(path) as temporary:
         drawn.save(temporary)
