@@ -92,6 +92,17 @@ def test_an_image_of_another_size_stops_it(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_truncated_image_stops_it(tmp_path):
+    root = write_set(tmp_path / "set")
+    path = root / "images" / "3_rgb.png"
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(path)
+    path.write_bytes(path.read_bytes()[:-4000])
+    with pytest.raises(DataError, match=r"val_images\.csv:1: .*3_rgb\.png: .*truncated"):
+        inspect_dataset(read(root), tmp_path / "out", sheet_images=1)
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_sheet_shows_the_axes_at_the_labelled_place(tmp_path):
     dataset = read(write_set(tmp_path / "set"))["test"]
     pixels = np.asarray(contact_sheet(dataset, 4)).astype(int)

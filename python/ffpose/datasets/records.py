@@ -43,15 +43,6 @@ class Record:
         with self._open() as image:
             return image.size
 
-    def check_size(self, camera: Camera) -> None:
-        """Hold the size that the image's header declares against that of its camera.
-
-        Raises:
-            DataError: The file is missing or no image, or its size is another.
-        """
-        with self._open() as image:
-            self._expect_size(image, camera)
-
     def decode(self, camera: Camera) -> Image.Image:
         """Return the image as RGB; transparency is dropped.
 
