@@ -187,9 +187,11 @@ def test_scene_without_a_pose_fails_before_anything_is_written(tmp_path):
 def test_set_larger_than_the_disk_is_refused_at_once(tmp_path, monkeypatch):
     room = shutil.disk_usage(tmp_path)._replace(free=10**6)
     monkeypatch.setattr("shutil.disk_usage", lambda path: room)
+    new = tmp_path / "a" / "new"
     with pytest.raises(OSError, match=r"1000 images need at least 0\.5 GB, got 0\.0 GB free"):
-        write_dataset("soyuz_easy", tmp_path, 1000, size=(1280, 960))
-    assert not list(tmp_path.glob("*_rgb.png"))
+        write_dataset("soyuz_easy", new, 1000, size=(1280, 960))
+    assert not list(tmp_path.iterdir())
+    assert write_dataset("soyuz_easy", new, 1, size=SIZE).rendered == 1
 
 
 def test_disk_that_fills_up_is_one_error_and_the_next_run_carries_on(folder, tmp_path, monkeypatch):
@@ -262,7 +264,8 @@ def test_ray_does_not_change_a_byte(tmp_path):
 @pytest.mark.skipif(find_spec("ray") is not None, reason="the extra `ray` is installed")
 def test_ray_that_is_missing_is_named(tmp_path):
     with pytest.raises(ImportError, match=r"ffpose\[ray\]"):
-        write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, ray=True)
+        write_dataset("soyuz_easy", tmp_path / "new", 3, seed=7, size=SIZE, ray=True)
+    assert not (tmp_path / "new").exists()
 
 
 def test_unwritable_folder_is_an_os_error(tmp_path):

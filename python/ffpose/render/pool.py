@@ -42,6 +42,18 @@ class Job(NamedTuple):
     layers: bool
 
 
+def prepare(ray: bool) -> None:
+    """Check that what renders is installed, and join the Ray cluster, before a file is written.
+
+    Raises:
+        MissingExtraError: a package of the extra `render`, or `ray`, is not installed.
+    """
+    for package in ("embreex", "PIL", "rich"):
+        require(package, "render")
+    if ray:
+        _joined_ray()
+
+
 def render_all(
     job: Job, indices: Sequence[int], workers: int, ray: bool
 ) -> Iterator[tuple[int, str]]:
@@ -53,7 +65,6 @@ def render_all(
         workers: processes on this machine.
         ray: use a Ray cluster instead.
     """
-    require("PIL", "render")
     if ray:
         return _on_ray(job, indices)
     if workers == 1 or len(indices) < 2:
@@ -125,10 +136,7 @@ def _worker_render(index: int) -> str:
 
 def _on_ray(job: Job, indices: Sequence[int]) -> Iterator[tuple[int, str]]:
     """The tasks give the files' bytes back, so that the nodes need no common folder."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    ray = require("ray", "ray")
-    if not ray.is_initialized():
-        ray.init(log_to_driver=False)
+    ray = _joined_ray()
     task = ray.remote(_rendered_files)
     shared = ray.put(job)
     most = RAY_TASKS_PER_CORE * int(ray.cluster_resources().get("CPU", 1))
@@ -145,6 +153,15 @@ def _on_ray(job: Job, indices: Sequence[int]) -> Iterator[tuple[int, str]]:
     finally:
         for reference in running:
             ray.cancel(reference)
+
+
+def _joined_ray() -> Any:
+    """The module `ray`, this process being part of a cluster."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    ray = require("ray", "ray")
+    if not ray.is_initialized():
+        ray.init(log_to_driver=False)
+    return ray
 
 
 def _rendered_files(job: Job, index: int) -> dict[str, bytes]:

@@ -19,7 +19,7 @@ from ffpose.errors import require
 from ffpose.geometry import Camera
 from ffpose.render.layers import layer_names
 from ffpose.render.manifest import Manifest, difference, sha256
-from ffpose.render.pool import Job, render_all
+from ffpose.render.pool import Job, prepare, render_all
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
 from ffpose.render.tables import image_name, write_tables
@@ -91,18 +91,23 @@ def write_dataset(
     _check_range(seed=(seed, 0, 2**63 - 1), workers=(workers, 1, 1024))
     camera = camera_of(scene, size)
     label(scene, seed, start)  # a scene that allows no pose fails here, before a file is written
+    prepare(ray)
     job = Job(scene, seed, (camera.width, camera.height), Path(out), layers)
-    manifest = _open_folder(job)
+    manifest = Manifest.of(scene, seed, job.size, layers)
+    begun = _begun(job, manifest)
 
     wanted = range(start, start + count)
-    hashes = dict(_valid_images(job, wanted, manifest.files))
+    hashes = dict(_valid_images(job, wanted, begun.files)) if begun else {}
     missing = [index for index in wanted if index not in hashes]
     _check_room(job, len(missing))
+    if begun is None:  # last, as a folder with a manifest takes no other set
+        job.folder.mkdir(parents=True, exist_ok=True)
+        manifest.write(job.folder)
     with _bar(count, len(hashes), progress) as advance:
         for index, digest in render_all(job, missing, workers, ray):
             hashes[index] = digest
             advance()
-    _close_folder(job, manifest, hashes, camera)
+    _close_folder(job, begun or manifest, hashes, camera)
     seconds = time.perf_counter() - begin
     return Written(job.folder, len(missing), count - len(missing), seconds)
 
@@ -114,10 +119,8 @@ def _check_range(**values: tuple[int, int, int]) -> None:
             raise ValueError(f"{name}: expected {least}…{most}, got {value}")
 
 
-def _open_folder(job: Job) -> Manifest:
-    """Make or check the folder; returns the manifest to carry on with."""
-    job.folder.mkdir(parents=True, exist_ok=True)
-    manifest = Manifest.of(job.scene, job.seed, job.size, job.layers)
+def _begun(job: Job, manifest: Manifest) -> Manifest | None:
+    """The manifest in the folder, checked to be of the same set; None where nothing was begun."""
     # Images first: another shard that begins just now writes its manifest before its images.
     images = _indices(job.folder)
     old = Manifest.read(job.folder)
@@ -127,8 +130,7 @@ def _open_folder(job: Job) -> Manifest:
                 f"{job.folder}: expected an empty folder or a set that was begun here, "
                 "got images without a manifest"
             )
-        manifest.write(job.folder)
-        return manifest
+        return None
     changed = difference(old, manifest)
     if changed:
         raise ValueError(f"{job.folder}: expected the same set as before, got {changed}")
@@ -138,7 +140,8 @@ def _open_folder(job: Job) -> Manifest:
 def _check_room(job: Job, images: int) -> None:
     """Refuse what cannot fit, before hours of work meet a full disk."""
     least = int(LEAST_BYTES_PER_PIXEL * job.size[0] * job.size[1] * images)
-    free = shutil.disk_usage(job.folder).free
+    disk = next(place for place in (job.folder, *job.folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(disk).free
     if free < least:
         need = f"{images} images need at least {least / 1e9:.1f} GB, got {free / 1e9:.1f} GB free"
         raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {need}", str(job.folder))
@@ -158,7 +161,9 @@ def _close_folder(job: Job, manifest: Manifest, hashes: dict[int, str], camera: 
 
 
 def _indices(folder: Path) -> list[int]:
-    """Indices of the images in a folder, in order."""
+    """Indices of the images in a folder, in order; none where there is no folder yet."""
+    if not folder.is_dir():
+        return []
     matches = (re.fullmatch(r"(\d+)_rgb\.png", path.name) for path in folder.iterdir())
     return sorted(int(match[1]) for match in matches if match)
 
