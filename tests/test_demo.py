@@ -1,4 +1,7 @@
+import csv
 import json
+import re
+from dataclasses import replace
 
 import pytest
 
@@ -47,7 +50,31 @@ def test_the_page_stands_alone(folder):
         assert outside not in page
 
 
-def test_a_demo_can_be_run_again(folder, document):
-    again = run(folder, SMALL, quiet=True)
-    name = "median_rotation_error_deg"
-    assert again[name] == document[name]
+def test_a_demo_run_again_reports_the_work_that_was_done(folder, document, capsys):
+    again = run(folder, SMALL)
+    said = capsys.readouterr().err
+    assert "render: all images were there already" in said
+    assert "train: all 1 epochs were done already" in said
+    for same in ("median_rotation_error_deg", "train_seconds", "images_rendered"):
+        assert again[same] == document[same]
+    for step in ("render", "train"):
+        assert again["seconds_per_step"][step] == document["seconds_per_step"][step]
+    page = (folder / "report.html").read_text()
+    rows = dict(re.findall(r"<td>(seconds to [^<]+)</td><td>([^<]+)</td>", page))
+    assert rows["seconds to render 30 images"] == f"{document['seconds_per_step']['render']:.1f}"
+    with (folder / "training/results.csv").open() as file:
+        trained = sum(float(row["seconds"]) for row in csv.DictReader(file))
+    assert rows["seconds to train"] == f"{trained:.1f}"
+
+
+def test_weights_of_other_settings_are_not_reported(folder):
+    before = (folder / "report.json").read_bytes()
+    with pytest.raises(ValueError, match="expected images 30 as the demo there, got 40"):
+        run(folder, replace(SMALL, images=40), quiet=True)
+    assert (folder / "report.json").read_bytes() == before
+
+
+def test_a_training_of_unknown_settings_is_not_reported(tmp_path):
+    (tmp_path / "training").mkdir()
+    with pytest.raises(ValueError, match=r"got training/ without demo\.json"):
+        run(tmp_path, SMALL, quiet=True)

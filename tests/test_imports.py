@@ -30,6 +30,7 @@ ALLOWED = {
     "plots": {"evaluation", "geometry", "datasets", "overlay"},
     "inspection": {"datasets", "geometry", "arrays", "overlay"},
     "report": {"evaluation", "plots", "geometry"},
+    "demo_record": set(),
     "render": {"geometry", "arrays"},
     "bench": {"ops", "arrays"},
     "info": {"arrays"},

@@ -15,15 +15,14 @@ import platform
 import shlex
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import ffpose
 from ffpose.arrays import instruction_set
+from ffpose.demo_record import DemoRecord
 from ffpose.evaluation import Evaluation, evaluate, write_results
 from ffpose.files import atomic_write
 from ffpose.plots import save_figure, training_curves, write_evaluation_figures
@@ -34,6 +33,7 @@ from ffpose.training import (
     DataConfig,
     LossConfig,
     OptimizerConfig,
+    RunFolder,
     Stage,
     TrainConfig,
     TrainResult,
@@ -100,62 +100,91 @@ class DemoConfig:
         )
 
 
-class _Clock:
-    """Says on standard error which step runs, and keeps the seconds of each."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        self.seconds: dict[str, float] = {}
-        self._quiet = quiet
-
-    @contextmanager
-    def step(self, name: str, words: str) -> Iterator[None]:
-        """Time a step."""
-        if not self._quiet:
-            print(f"{name}: {words}", file=sys.stderr, flush=True)
-        began = time.perf_counter()
-        yield
-        self.seconds[name] = time.perf_counter() - began
-
-
 def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> dict[str, Any]:
     """Render, train, evaluate and report.
 
     Args:
         out: The folder to write: ``images/``, ``training/``, ``evaluation/``, ``report.html`` and
-            ``report.json``. A demo that was interrupted there is taken up.
+            ``report.json``, and ``demo.json``, the settings. A demo that was begun there is taken
+            up, and of one that has ended only evaluation and report are made again.
         config: The demo's size.
         quiet: Print nothing.
 
     Returns:
         What ``report.json`` holds.
+
+    Raises:
+        ValueError: ``out`` holds a demo of other settings.
+        DataError: A file there cannot be read.
     """
     config = config or DemoConfig()
+    record = DemoRecord.open(out, {**asdict(config), "ffpose": ffpose.__version__})
     out.mkdir(parents=True, exist_ok=True)
-    images, clock = out / "images", _Clock(quiet=quiet)
-    with clock.step("render", f"{config.images} images of a Soyuz over the Earth"):
-        write_dataset(
-            config.scene,
-            images,
-            config.images,
-            config.seed,
-            size=config.size,
-            workers=config.workers,
-            progress=not quiet,
-        )
-    with clock.step("train", f"{config.epochs} epochs from random weights"):
-        trained = train(config.training(images, out / "training"), resume=True, quiet=quiet)
-        save_figure(training_curves(trained.history), trained.folder.curves)
-    with clock.step("evaluate", "on images that were not trained on"):
-        evaluation = evaluate(trained.folder.best, "urso", images)
-        write_results(evaluation, out / "evaluation")
-    with clock.step("report", str(out / "report.html")):
-        write_evaluation_figures(evaluation, out / "evaluation")
-        page = _page(config, out, evaluation, trained, clock.seconds)
-        write_report(page, out / "report.html")
-    document = _document(config, out, evaluation, trained, clock.seconds)
+    record.write(out)
+    _render(config, out, record, quiet=quiet)
+    trained = _train(config, out, quiet=quiet)
+    _say("evaluate: on images that were not trained on", quiet=quiet)
+    began = time.perf_counter()
+    evaluation = evaluate(trained.folder.best, "urso", out / "images")
+    write_results(evaluation, out / "evaluation")
+    seconds = {
+        "render": record.render_seconds,
+        "train": trained.seconds,
+        "evaluate": time.perf_counter() - began,
+    }
+    _say(f"report: {out / 'report.html'}", quiet=quiet)
+    write_evaluation_figures(evaluation, out / "evaluation")
+    write_report(_page(config, out, evaluation, trained, record, seconds), out / "report.html")
+    document = _document(config, out, evaluation, trained, record, seconds)
     with atomic_write(out / "report.json") as path:
         path.write_text(json.dumps(document, indent=2) + "\n")
     return document
+
+
+def _say(text: str, *, quiet: bool) -> None:
+    if not quiet:
+        print(text, file=sys.stderr, flush=True)
+
+
+def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> None:
+    """Render the images that are not there yet, and record what they cost."""
+    _say(f"render: {config.images} images of a Soyuz over the Earth", quiet=quiet)
+    written = write_dataset(
+        config.scene,
+        out / "images",
+        config.images,
+        config.seed,
+        size=config.size,
+        workers=config.workers,
+        progress=not quiet,
+    )
+    if written.rendered == 0:
+        _say("render: all images were there already", quiet=quiet)
+        return
+    record.images_rendered += written.rendered
+    record.render_seconds += written.seconds
+    record.write(out)
+
+
+def _train(config: DemoConfig, out: Path, *, quiet: bool) -> TrainResult:
+    """Train the epochs that are not done yet."""
+    training = config.training(out / "images", out / "training")
+    _say(f"train: {_epochs_to_do(training)}", quiet=quiet)
+    trained = train(training, resume=True, quiet=quiet)
+    save_figure(training_curves(trained.history), trained.folder.curves)
+    return trained
+
+
+def _epochs_to_do(training: TrainConfig) -> str:
+    """Say what is left of a training."""
+    total = sum(stage.epochs for stage in training.resolved_stages)
+    folder = RunFolder(training.out)
+    done = len(folder.load_state().history) if folder.state.exists() else 0
+    if done == 0:
+        return f"{total} epochs from random weights"
+    if done < total:
+        return f"epochs {done + 1} to {total}, the others were done already"
+    return f"all {total} epochs were done already"
 
 
 def versions() -> dict[str, str]:
@@ -185,6 +214,7 @@ def _document(
     out: Path,
     evaluation: Evaluation,
     trained: TrainResult,
+    record: DemoRecord,
     seconds: dict[str, float],
 ) -> dict[str, Any]:
     """Return what ``report.json`` holds."""
@@ -200,6 +230,7 @@ def _document(
         "ratio_to_baseline": {name: summary[name] / baseline[name] for name in ERRORS},
         "attitude_range_deg": _attitudes(config),
         "distance_range_m": list(config.scene.distance_m),
+        "images_rendered": record.images_rendered,
         "seconds_per_step": seconds,
         "epochs": len(trained.history),
         "best_epoch": trained.best_epoch,
@@ -214,6 +245,7 @@ def _page(
     out: Path,
     evaluation: Evaluation,
     trained: TrainResult,
+    record: DemoRecord,
     seconds: dict[str, float],
 ) -> Report:
     """Return what ``report.html`` says."""
@@ -232,7 +264,9 @@ def _page(
             "images rendered": f"{config.images} of {config.size[0]} × {config.size[1]} pixels",
             "attitudes": ranges,
             "epochs": f"{len(trained.history)}, the best is {trained.best_epoch}",
-            **{f"seconds to {name}": f"{value:.1f}" for name, value in seconds.items()},
+            f"seconds to render {record.images_rendered} images": f"{seconds['render']:.1f}",
+            "seconds to train": f"{seconds['train']:.1f}",
+            "seconds to evaluate": f"{seconds['evaluate']:.1f}",
             **versions(),
         },
         command=command(out),
