@@ -196,6 +196,68 @@ def test_wrong_usage_is_code_2(words, capsys):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.parametrize(
+    ("option", "meant"), [("--batch-size", "--batch_size"), ("--epoch", "--epochs")]
+)
+def test_an_unknown_option_is_one_line_with_what_was_meant(option, meant, image_set, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main(["train", *data_words(image_set), "--out", "x", option, "4"])
+    assert leaving.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"unrecognized arguments: {option} 4 (did you mean {meant}?)" in line
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_broken_image_is_one_line_whoever_reads_it(workers, tmp_path, capsys):
+    root = write_set(tmp_path / "set")
+    (root / "10_rgb.png").write_bytes(b"cut off")
+    words = train_words(root, tmp_path / "run", "--data.workers", str(workers))
+    assert main(words) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(f"ffpose: {root / 'val_images.csv'}:1: {root / '10_rgb.png'}: cannot")
+    assert "Traceback" not in last
+
+
+POSE = ("torch", "torchvision", "torchmetrics", "timm", "roma", "safetensors", "matplotlib")
+BOTH = ("jsonargparse", "PIL", "rich", *POSE, "embreex", "trimesh")
+
+
+@pytest.mark.parametrize(
+    ("missing", "words", "extra"),
+    [
+        (BOTH, ["render", "soyuz_easy", "--out", "x", "--count", "1"], "render"),
+        (BOTH, ["inspect", "--data.kind", "urso", "--data.root", "x", "--out", "x"], "pose"),
+        (BOTH, ["demo"], "pose,render"),
+        (POSE, ["inspect", "--data.kind", "urso", "--data.root", "x", "--out", "x"], "pose"),
+        (POSE, ["demo", "--out", "x"], "pose,render"),
+        (POSE, ["bench", "filter"], "pose"),
+    ],
+)
+def test_a_command_names_the_extra_that_it_needs(missing, words, extra, tmp_path):
+    done = without(missing, words, tmp_path)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert f"pip install 'WHEEL[{extra}]'" in line
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["info"]])
+def test_help_needs_no_extra(words, tmp_path):
+    done = without(BOTH, words, tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def without(missing, words, folder):
+    """Run a command where packages are missing: None in their place stops an import."""
+    code = (
+        "import sys\n"
+        f"sys.modules.update(dict.fromkeys({missing}))\n"
+        "from ffpose.cli import main\n"
+        f"sys.exit(main({words}))"
+    )
+    call = [sys.executable, "-c", code]
+    return subprocess.run(call, capture_output=True, text=True, check=False, cwd=folder)
+
+
 @pytest.mark.parametrize("command", [*COMMANDS, "info"])
 def test_every_command_explains_itself(command, capsys):
     with pytest.raises(SystemExit) as leaving:

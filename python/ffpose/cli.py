@@ -2,30 +2,35 @@
 
 Figures that a program may read go to standard output, all else to standard error. Exit code 0:
 done; 1: the work failed, said in one line (``--debug`` shows the traceback); 2: wrong usage. What a
-command needs is imported when it runs, so that ``ffpose --help`` answers at once.
+command needs is imported when it runs, so that ``ffpose --help`` answers at once, and with NumPy
+alone.
 """
 
 from __future__ import annotations
 
+import argparse
+import difflib
 import json
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ffpose.errors import require
+from ffpose.errors import MissingExtraError, require, without_traceback
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
 
 
 class Command(NamedTuple):
-    """A command: what it does in a line, its arguments, and its function."""
+    """A command: what it does in a line, its arguments, its function, and the extra it needs."""
 
     summary: str
     add_arguments: Callable[[ArgumentParser], None]
     run: Callable[[Namespace], None]
+    extra: str = "pose"
 
 
 def image_size(text: str) -> tuple[int, int]:
@@ -67,7 +72,7 @@ def render_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--count", type=int, required=True, help="how many images")
     parser.add_argument("--start", type=int, default=0, help="index of the first image")
     parser.add_argument("--seed", type=int, default=0, help="seed of the set")
-    size = require("jsonargparse.typing", "pose").restricted_string_type("Size", r"^\d+x\d+$")
+    size = require("jsonargparse.typing", "render").restricted_string_type("Size", r"^\d+x\d+$")
     parser.add_argument("--size", type=size, help="WIDTHxHEIGHT in pixels, as 640x480")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--ray", action="store_true", help="render on a Ray cluster")
@@ -254,8 +259,10 @@ def bench(options: Namespace) -> None:
 
 
 COMMANDS = {
-    "demo": Command("render, train, evaluate and report, in minutes", demo_arguments, demo),
-    "render": Command("render images with exact labels", render_arguments, render),
+    "demo": Command(
+        "render, train, evaluate and report, in minutes", demo_arguments, demo, "pose,render"
+    ),
+    "render": Command("render images with exact labels", render_arguments, render, "render"),
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labelled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
@@ -264,26 +271,53 @@ COMMANDS = {
 }
 
 
-def build_parser() -> ArgumentParser:
-    """Return the parser of all commands but ``info``, which does without one."""
+def overview() -> argparse.ArgumentParser:
+    """Return the parser of the first word, a command; it needs no extra."""
     import ffpose
 
-    jsonargparse = require("jsonargparse", "pose")
-    parser: ArgumentParser = jsonargparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         prog="ffpose", description="Spectral filters, and satellite pose from one image."
     )
     parser.add_argument("--version", action="version", version=f"ffpose {ffpose.__version__}")
-    commands = parser.add_subcommands(dest="command", metavar="COMMAND")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
-        subparser = jsonargparse.ArgumentParser(description=command.run.__doc__)
-        command.add_arguments(subparser)
-        subparser.add_argument(
-            "--debug", action="store_true", help="show the traceback of an error"
-        )
-        commands.add_subcommand(name, subparser, help=command.summary)
-    info = jsonargparse.ArgumentParser()
-    commands.add_subcommand("info", info, help="versions, instruction set, threads, extras")
+        commands.add_parser(name, help=f"{command.summary} [{command.extra}]", add_help=False)
+    commands.add_parser("info", help="versions, instruction set, threads, extras", add_help=False)
+    parser.epilog = "Brackets name the extras that a command needs. Next: ffpose COMMAND --help"
     return parser
+
+
+def build_parser(name: str) -> ArgumentParser:
+    """Return the parser of one command's arguments.
+
+    Raises:
+        MissingExtraError: The extra that the command needs is not installed.
+    """
+    command = COMMANDS[name]
+    jsonargparse = require("jsonargparse", command.extra)
+
+    parser: ArgumentParser = jsonargparse.ArgumentParser(
+        prog=f"ffpose {name}",
+        description=command.run.__doc__,
+        allow_abbrev=False,
+        exit_on_error=False,  # wrong usage is said in a line, not in a screenful
+    )
+    command.add_arguments(parser)
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return parser
+
+
+def advice(message: str, known: Sequence[str]) -> str:
+    """Return what is wrong with the usage in one line, with the option that may have been meant.
+
+    Example:
+        >>> advice("unrecognized arguments: --batch-size 4", ["--out", "--batch_size"])
+        'unrecognized arguments: --batch-size 4 (did you mean --batch_size?)'
+    """
+    line = " ".join(message.split())
+    unknown = re.search(r"(?i)unrecognized arguments: (--[^\s=]+)", line)
+    close = difflib.get_close_matches(unknown[1], known, n=1) if unknown else []
+    return f"{line} (did you mean {close[0]}?)" if close else line
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -296,22 +330,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 failed. Wrong usage leaves by SystemExit with code 2.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if words[:1] == ["info"]:
+    name = overview().parse_args(words[:1]).command
+    if name == "info":
         from ffpose.info import main as info
 
         return info(words[1:])
     try:
-        parser = build_parser()
-        options = parser.parse_args(words)
-        options = parser.instantiate(options)
-        chosen = options[options.command]
-        del chosen["debug"]
-        COMMANDS[options.command].run(chosen)
+        parser = build_parser(name)
+        options = parser.instantiate(parser.parse_args(words[1:]))
+        del options["debug"]
+        COMMANDS[name].run(options)
+    except argparse.ArgumentError as error:
+        known = re.findall(r"--[\w.-]+", parser.format_usage())
+        say(f"ffpose {name}: {advice(error.message, known)}; see ffpose {name} --help")
+        raise SystemExit(2) from error
     except KeyboardInterrupt:
         say("ffpose: interrupted; files that are written are whole")
     except Exception as error:
         if "--debug" in words:
             raise
+        if isinstance(error, ModuleNotFoundError) and error.name:  # imported without `require`
+            error = MissingExtraError.of(error.name.partition(".")[0], COMMANDS[name].extra)
         say(f"ffpose: {describe(error)}")
     else:
         return 0
@@ -320,7 +359,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def describe(error: Exception) -> str:
     """Return an error in one line; the type of one that is not meant for users stands before it."""
-    text = " ".join(str(error).split())
+    text = " ".join(without_traceback(str(error)).split())
     if isinstance(error, ValueError | OSError | ImportError | RuntimeError) and text:
         return text
     return f"{type(error).__name__}: {text}"

@@ -16,7 +16,8 @@ class DataError(ValueError):
 
     Attributes:
         file: The file that is to be mended; None only where torch raises the error of a
-            DataLoader's worker again, with the worker's whole traceback as its text.
+            DataLoader's worker again, with the worker's whole traceback as its text
+            (`without_traceback` finds the error's own).
         line: Its line, counted from one; None where the file as a whole is meant.
     """
 
@@ -38,6 +39,34 @@ class DataError(ValueError):
 class MissingExtraError(ImportError):
     """A feature was used whose optional dependencies are not installed."""
 
+    @classmethod
+    def of(cls, package: str, extra: str) -> MissingExtraError:
+        """Return the error that says how ``package`` is installed, which ``extra`` brings."""
+        return cls(
+            f"this part of ffpose needs {package}, of the extra [{extra}]; install it with: pip "
+            f"install 'WHEEL[{extra}]', WHEEL being the file that `make wheel` leaves in dist/"
+        )
+
+
+def without_traceback(text: str) -> str:
+    r"""Return the text of an error, which torch buries in a traceback if a worker raised it.
+
+    Example:
+        >>> without_traceback(
+        ...     "Caught ValueError in DataLoader worker process 0.\n"
+        ...     "Original Traceback (most recent call last):\n"
+        ...     '  File "worker.py", line 1, in fetch\n'
+        ...     "ValueError: a.png: truncated"
+        ... )
+        'a.png: truncated'
+    """
+    _, mark, traceback = text.partition("\nOriginal Traceback (most recent call last):\n")
+    if not mark:
+        return text
+    lines = traceback.splitlines()
+    frames = [place for place, line in enumerate(lines) if line.startswith("  ")]
+    return "\n".join(lines[frames[-1] + 1 :]).partition(": ")[2] if frames else text
+
 
 def require(module: str, extra: str) -> ModuleType:
     """Import an optional dependency.
@@ -55,7 +84,4 @@ def require(module: str, extra: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        package = module.partition(".")[0]
-        raise MissingExtraError(
-            f"this part of ffpose needs {package}; install it with: pip install 'ffpose[{extra}]'"
-        ) from error
+        raise MissingExtraError.of(module.partition(".")[0], extra) from error

@@ -263,7 +263,7 @@ def test_ray_does_not_change_a_byte(tmp_path):
 
 @pytest.mark.skipif(find_spec("ray") is not None, reason="the extra `ray` is installed")
 def test_ray_that_is_missing_is_named(tmp_path):
-    with pytest.raises(ImportError, match=r"ffpose\[ray\]"):
+    with pytest.raises(ImportError, match=r"WHEEL\[ray\]"):
         write_dataset("soyuz_easy", tmp_path / "new", 3, seed=7, size=SIZE, ray=True)
     assert not (tmp_path / "new").exists()
 
