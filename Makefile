@@ -47,8 +47,9 @@ test-arm: ## the Rust tests for 64-bit ARM under qemu; not needed to use ffpose
 bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
 
-wheel: $(VENV)/.dev ## build the wheel into target/wheels
-	$(BIN)/maturin build --locked --release
+wheel: $(VENV)/.dev ## build the wheel, the one file in dist
+	rm -rf dist
+	$(BIN)/maturin build --locked --release --out dist
 
 clean: ## remove the environment and everything built
 	rm -rf $(VENV) target dist
