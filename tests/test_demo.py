@@ -1,6 +1,9 @@
 import csv
 import json
+import os
 import re
+import shlex
+import subprocess
 from dataclasses import replace
 
 import pytest
@@ -48,6 +51,16 @@ def test_the_page_stands_alone(folder):
     assert "data:image/svg+xml;base64," in page
     for outside in ('src="http', "src='", "<script", "<link", "@import", 'src="/'):
         assert outside not in page
+    texts = re.findall(r'<img [^>]*alt="([^"]*)"', page)
+    assert len(texts) == page.count("<img ")
+    assert sum("error" in text for text in texts) == 4  # the charts; an image shows its figures
+
+
+def test_the_command_runs_without_an_activated_environment(document):
+    call = [*shlex.split(document["command"]), "--help"]
+    environment = {name: os.environ[name] for name in ("PYTHONPATH",) if name in os.environ}
+    done = subprocess.run(call, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_demo_run_again_reports_the_work_that_was_done(folder, document, capsys):

@@ -200,8 +200,11 @@ def versions() -> dict[str, str]:
 
 
 def command(out: Path) -> str:
-    """Return the command that makes all of it again."""
-    return shlex.join(["ffpose", "demo", "--out", str(out)])
+    """Return the command that makes all of it, whether this environment is activated or not."""
+    python = Path(sys.executable)
+    if python.is_relative_to(Path.cwd()):
+        python = python.relative_to(Path.cwd())
+    return shlex.join([str(python), "-m", "ffpose.cli", "demo", "--out", str(out)])
 
 
 def _attitudes(config: DemoConfig) -> dict[str, list[float]]:

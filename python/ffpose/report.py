@@ -39,6 +39,13 @@ ROWS = (
 )
 """Key in the summary, name, and unit of each figure."""
 
+DISTRIBUTIONS = (
+    (error_cdf, "share of the images below each error, model and mean pose"),
+    (error_histograms, "histograms of the errors, model and mean pose"),
+    (errors_by_distance, "each image's errors over the distance of the spacecraft"),
+)
+"""Drawings of the errors, and what they show in words."""
+
 
 @dataclass(frozen=True)
 class Report:
@@ -72,10 +79,11 @@ def write_report(report: Report, path: Path) -> None:
         headline="".join(_card(summary, *row) for row in (ROWS[0], ROWS[2])),
         figures=_figures_table(summary),
         galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
-        curves=_embed_figure(training_curves(report.history)),
+        curves=_embed_figure(
+            training_curves(report.history), "loss and validation errors over the epochs"
+        ),
         distributions="".join(
-            _embed_figure(draw(evaluation))
-            for draw in (error_cdf, error_histograms, errors_by_distance)
+            _embed_figure(draw(evaluation), text) for draw, text in DISTRIBUTIONS
         ),
         facts="".join(
             f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
@@ -146,10 +154,10 @@ def _embed_image(image: Image.Image, text: str) -> str:
     return _tag("image/jpeg", buffer.getvalue(), text)
 
 
-def _embed_figure(figure: Figure) -> str:
+def _embed_figure(figure: Figure, text: str) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg")
-    return _tag("image/svg+xml", buffer.getvalue(), "figure")
+    return _tag("image/svg+xml", buffer.getvalue(), text)
 
 
 def _tag(kind: str, data: bytes, text: str) -> str:
