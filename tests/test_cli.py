@@ -159,11 +159,14 @@ def test_render_takes_a_mesh_a_camera_and_a_shard(tmp_path, capsys):
         (["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "9x9"], "16…8192"),
         (["predict", "none.safetensors", "a.png"], "none.safetensors"),
         (["inspect", "--data.kind", "urso", "--data.root", "none", "--out", "x"], "none"),
+        (["evaluate", "w", "--data.kind", "urso", "--data.root", "s", "--out", "file"], "the file"),
+        (["inspect", "--data.kind", "urso", "--data.root", "file", "--out", "x"], "the file"),
         (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),
     ],
 )
 def test_failed_work_is_one_line_and_code_1(words, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
     assert main(words) == 1
     said = capsys.readouterr()
     assert said.out == ""

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ffpose.files import atomic_write
+from ffpose.files import atomic_write, expect_folder
 
 
 def write_and_fail(path):
@@ -33,3 +33,12 @@ def test_an_interruption_leaves_what_was_there(tmp_path):
 def test_the_folder_must_exist(tmp_path):
     with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "missing" / "report.json"):
         pass
+
+
+def test_a_file_is_no_folder_to_write_to(tmp_path):
+    (tmp_path / "file").write_text("")
+    for good in (tmp_path, tmp_path / "new", tmp_path / "new" / "deep"):
+        expect_folder(good)
+    for bad in (tmp_path / "file", tmp_path / "file" / "set"):
+        with pytest.raises(NotADirectoryError, match=r"expected a folder, got the file .*file$"):
+            expect_folder(bad)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ffpose.errors import MissingExtraError, require, without_traceback
+from ffpose.files import expect_folder
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
@@ -167,6 +168,7 @@ def evaluate(options: Namespace) -> None:
     from ffpose.evaluation import format_table, write_results
     from ffpose.plots import write_evaluation_figures
 
+    expect_folder(options.out)
     data = options.data
     evaluation = run(options.weights, data.kind, data.root, data.split)
     write_results(evaluation, options.out)
@@ -197,6 +199,7 @@ def predict(options: Namespace) -> None:
     from ffpose.prediction import predict as run
 
     if options.overlay is not None:
+        expect_folder(options.overlay)
         expect_distinct_overlays(options.images, options.overlay)
     elif options.camera is not None:
         raise ValueError("--camera: expected with --overlay, whose axes alone depend on it")
@@ -229,6 +232,7 @@ def inspect(options: Namespace) -> None:
     from ffpose.inspection import inspect_dataset
     from ffpose.transforms import Preprocessing
 
+    expect_folder(options.out)
     kind, root = options.data.kind, options.data.root
     splits = list_splits(kind, root)
     summary = inspect_dataset(

@@ -27,3 +27,14 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         temporary = Path(folder) / target.name
         yield temporary
         temporary.replace(target)
+
+
+def expect_folder(path: str | Path) -> None:
+    """Check, before work is done for it, that ``path`` is a folder or can be made one.
+
+    Raises:
+        NotADirectoryError: It, or what shall hold it, is a file.
+    """
+    there = next(place for place in (Path(path), *Path(path).absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(f"expected a folder, got the file {there}")

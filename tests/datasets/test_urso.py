@@ -58,6 +58,15 @@ def test_splits_are_those_whose_lists_are_there(tmp_path):
     assert list_splits("urso", tmp_path) == ["train", "test"]
 
 
+def test_a_folder_without_splits_and_a_file_are_no_set(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"expected one of train_images\.csv, .* got none"):
+        list_splits("urso", tmp_path)
+    (tmp_path / "gt.csv").write_text("")
+    for call in (list_splits, lambda *place: open_dataset(*place, "train", PREPROCESSING)):
+        with pytest.raises(NotADirectoryError, match=r"expected a folder, got the file .*gt\.csv"):
+            call("urso", tmp_path / "gt.csv")
+
+
 def test_the_camera_is_ursos_at_the_size_of_the_images(tmp_path):
     dataset = read(write_set(tmp_path))
     assert dataset.camera == URSO_CAMERA.resized(64, 48)

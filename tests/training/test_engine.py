@@ -210,6 +210,14 @@ def test_loss_weights_have_no_decay():
     assert {group["eps"] for group in groups} == {1e-10}
 
 
+@pytest.mark.parametrize("bad", [{"rol": 10}, {"roll": "ten"}])
+def test_unknown_augmentation_lists_the_known(image_set, tmp_path, bad):
+    config = train_config(image_set, tmp_path / "run")
+    config = replace(config, data=replace(config.data, augmentation=bad))
+    with pytest.raises(ValueError, match=r"data\.augmentation: expected .*roll.* got \{'rol"):
+        run_quietly(config)
+
+
 def test_unknown_model_lists_the_known(image_set, tmp_path):
     with pytest.raises(ValueError, match="expected one of base, small, tiny, got 'huge'"):
         run_quietly(train_config(image_set, tmp_path / "run", model="huge"))

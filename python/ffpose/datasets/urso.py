@@ -22,6 +22,7 @@ import numpy as np
 from ffpose.datasets.base import SPLITS, Split
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
+from ffpose.files import expect_folder
 from ffpose.geometry import URSO_CAMERA, Camera, Pose
 
 COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
@@ -41,10 +42,16 @@ def splits(root: Path) -> list[Split]:
     """Return the splits that the set holds, in the order train, val, test.
 
     Raises:
-        FileNotFoundError: The folder does not exist.
+        FileNotFoundError: The folder does not exist, or lists no split.
+        NotADirectoryError: It is a file.
     """
     _expect_exists(root)
-    return [split for split in SPLITS if (root / f"{split}_images.csv").exists()]
+    expect_folder(root)
+    found = [split for split in SPLITS if (root / f"{split}_images.csv").exists()]
+    if not found:
+        names = ", ".join(f"{split}_images.csv" for split in SPLITS)
+        raise FileNotFoundError(f"URSO set: expected one of {names} in {root}, got none")
+    return found
 
 
 def read(root: Path, split: Split) -> tuple[list[Record], Camera]:
@@ -52,11 +59,14 @@ def read(root: Path, split: Split) -> tuple[list[Record], Camera]:
 
     Raises:
         FileNotFoundError: The folder, or a file that lists the split, does not exist.
+        NotADirectoryError: The folder is a file.
         DataError: A name or label cannot be used, an image is missing or listed twice, labels and
             names do not align, or the camera is not known. It names file and line.
     """
     names_file, poses_file = root / f"{split}_images.csv", root / f"{split}_poses_gt.csv"
-    for path in (root, names_file, poses_file):
+    _expect_exists(root)
+    expect_folder(root)
+    for path in (names_file, poses_file):
         _expect_exists(path)
     names, rows = _read_names(names_file), _read_rows(poses_file)
     if len(rows) != len(names):

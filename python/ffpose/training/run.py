@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,11 +71,21 @@ def _open_splits(
 ) -> tuple[PoseDataset, PoseDataset]:
     """Open the images to learn from, augmented, and those to validate on."""
     data = config.data
-    augmentation = Augmentation(**data.augmentation) if data.augment else None
+    augmentation = _augmentation(data.augmentation) if data.augment else None
     return (
         open_dataset(data.kind, data.root, "train", preprocessing, augmentation, data.cache),
         open_dataset(data.kind, data.root, "val", preprocessing, None, data.cache),
     )
+
+
+def _augmentation(values: Mapping[str, Any]) -> Augmentation:
+    try:
+        return Augmentation(**values)
+    except TypeError as error:  # an unknown name, or a value that is no number
+        names = ", ".join(Augmentation.__dataclass_fields__)
+        raise ValueError(
+            f"data.augmentation: expected numbers for some of {names}, got {dict(values)}"
+        ) from error
 
 
 def _device(name: str) -> torch.device:
