@@ -1,8 +1,12 @@
 """Files appear whole or not at all."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
-from ffpose.files import atomic_write, expect_folder
+from ffpose.files import atomic_write, expect_folder, remove_leftovers
 
 
 def write_and_fail(path):
@@ -28,6 +32,28 @@ def test_an_interruption_leaves_what_was_there(tmp_path):
         write_and_fail(target)
     assert target.read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+KILLED = """
+import os, sys
+from ffpose.files import atomic_write
+with atomic_write(sys.argv[1]) as path:
+    path.write_text("half")
+    os._exit(9)
+"""
+
+
+def test_what_a_killed_process_leaves_is_removed_when_it_is_old(tmp_path):
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "a.png")]
+    assert subprocess.run(command, check=False).returncode == 9
+    (left,) = tmp_path.iterdir()
+    (tmp_path / ".other").mkdir()
+    remove_leftovers(tmp_path)
+    assert left.exists()  # it may be written to now
+    for path in (left, tmp_path / ".other"):
+        os.utime(path, (0, 0))
+    remove_leftovers(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [".other"]
 
 
 def test_the_folder_must_exist(tmp_path):

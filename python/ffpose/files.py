@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+_PREFIX = ".ffpose-"
+"""Of the folders that files are written in before they are renamed."""
 
 
 @contextmanager
@@ -14,7 +19,8 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
     The temporary file lies in a new folder beside ``path`` and keeps its name, so that a writer
     that goes by the suffix works, and the rename stays within one file system. When the block
-    raises, nothing remains and an older file at ``path`` is as it was.
+    raises, nothing remains and an older file at ``path`` is as it was. A process that is killed
+    leaves that folder (`remove_leftovers`).
 
     Args:
         path: Where the file shall be; its folder must exist.
@@ -23,10 +29,23 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         The path to write to.
     """
     target = Path(path)
-    with tempfile.TemporaryDirectory(prefix=".", dir=target.parent) as folder:
+    with tempfile.TemporaryDirectory(prefix=_PREFIX, dir=target.parent) as folder:
         temporary = Path(folder) / target.name
         yield temporary
         temporary.replace(target)
+
+
+def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:
+    """Remove what killed processes left of `atomic_write`.
+
+    Args:
+        folder: Where the files were to be.
+        older_than: Seconds; younger ones may be of a process that is writing now.
+    """
+    for left in Path(folder).glob(f"{_PREFIX}*"):
+        with suppress(FileNotFoundError):  # a writer that lives has just renamed its file
+            if time.time() - left.stat().st_mtime > older_than:
+                shutil.rmtree(left)
 
 
 def expect_folder(path: str | Path) -> None:

@@ -128,6 +128,16 @@ def test_layers_are_written_beside_the_images(tmp_path):
     assert "0_depth.png" in json.loads((tmp_path / "manifest.json").read_text())["files"]
 
 
+def test_what_a_killed_run_left_is_removed(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "set")
+    left = tmp_path / "set" / ".ffpose-left"
+    left.mkdir()
+    (left / "4_rgb.png").write_bytes(b"cut off")
+    os.utime(left, (0, 0))
+    write_dataset("soyuz_easy", tmp_path / "set", 12, seed=7, size=SIZE)
+    assert contents(tmp_path / "set") == contents(folder)
+
+
 def test_lost_layer_is_written_again(tmp_path):
     write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, layers=True)
     before = contents(tmp_path)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ffpose.errors import require
+from ffpose.files import remove_leftovers
 from ffpose.geometry import Camera
 from ffpose.render.layers import layer_names
 from ffpose.render.manifest import Manifest, difference, sha256
@@ -103,6 +104,7 @@ def write_dataset(
     if begun is None:  # last, as a folder with a manifest takes no other set
         job.folder.mkdir(parents=True, exist_ok=True)
         manifest.write(job.folder)
+    remove_leftovers(job.folder)
     with _bar(count, len(hashes), progress) as advance:
         for index, digest in render_all(job, missing, workers, ray):
             hashes[index] = digest
