@@ -1,11 +1,14 @@
 """The README promises; this runs what it promises."""
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from ffpose.cli import build_parser
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -33,6 +36,12 @@ def test_commands_exist(command):
     call = [sys.executable, "-m", "ffpose.cli", command, "--help"]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("line", re.findall(r"^ffpose .*$", SHELL, flags=re.MULTILINE))
+def test_command_lines_parse(line):
+    _, name, *words = shlex.split(line)
+    build_parser(name).parse_args(words)
 
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"\]\(((?!http)[^)#]+)\)", README))))

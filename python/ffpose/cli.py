@@ -129,7 +129,9 @@ def train_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--config", action="config", help="YAML file, as a run leaves it")
     parser.add_argument("--resume", action="store_true", help="take up the run in --out")
     parser.add_argument(
-        "--backbone-weights", default="auto", help='"auto", "none" or a file (default: auto)'
+        "--backbone-weights",
+        default="auto",
+        help='"auto" (from huggingface.co if it answers), "none" or a file (default: auto)',
     )
     parser.add_class_arguments(TrainConfig, skip={"backbone_weights"})
 
