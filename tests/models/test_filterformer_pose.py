@@ -126,6 +126,17 @@ def test_compile_and_export_without_graph_break():
             torch.testing.assert_close(got, wanted, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("pooling", ["token", "mean"])
+def test_an_exported_network_takes_batches_of_any_size(pooling):
+    model, batch = build(pooling=pooling).eval(), torch.export.Dim("batch")
+    images = torch.randn(2, 3, 48, 64)
+    program = torch.export.export(model, (images,), dynamic_shapes=({0: batch},)).module()
+    for count in (1, 2, 5):
+        images = torch.randn(count, 3, 48, 64)
+        for got, wanted in zip(program(images), model(images), strict=True):
+            torch.testing.assert_close(got, wanted, rtol=1e-4, atol=1e-5)
+
+
 @pytest.mark.parametrize("shape", [(1, 3, 64, 48), (1, 1, 48, 64), (3, 48, 64)])
 def test_images_of_another_shape(shape):
     with pytest.raises(ValueError, match=r"images: expected shape \(B, 3, 48, 64\), got"):

@@ -88,7 +88,7 @@ class PoseBranch(nn.Module):
         tokens = self.projection(features).flatten(2).transpose(1, 2)  # (B, rows * columns, dim)
         tokens = self.position(tokens)
         if self.pose_token is not None:
-            token = self.pose_token.expand(len(tokens), -1, -1)
+            token = self.pose_token.expand(tokens.shape[0], -1, -1)
             tokens = torch.cat((token, tokens), dim=1)  # (B, 1 + rows * columns, dim)
         encoded = self.encoder(tokens)
         latent = encoded.mean(1) if self.pose_token is None else encoded[:, 0]  # (B, dim)
