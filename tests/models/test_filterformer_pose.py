@@ -1,5 +1,8 @@
 """The network as a whole: shapes, units, readings, learning, graphs."""
 
+import subprocess
+import sys
+
 import pytest
 import torch
 
@@ -135,6 +138,31 @@ def test_an_exported_network_takes_batches_of_any_size(pooling):
         images = torch.randn(count, 3, 48, 64)
         for got, wanted in zip(program(images), model(images), strict=True):
             torch.testing.assert_close(got, wanted, rtol=1e-4, atol=1e-5)
+
+
+RUN_PROGRAM = """
+import sys
+import torch
+import ffpose.models
+
+program, images, poses = sys.argv[1:]
+torch.save(tuple(torch.export.load(program).module()(torch.load(images))), poses)
+"""
+
+
+# torch takes weights that lie channels last for slices; on the CPU they are saved whole.
+@pytest.mark.filterwarnings("ignore:No complete tensor found in the group")
+def test_an_exported_network_is_saved_and_runs_in_another_process(tmp_path):
+    model, images = build().eval(), torch.randn(2, 3, 48, 64)
+    program, inputs, poses = (tmp_path / name for name in ("model.pt2", "images.pt", "poses.pt"))
+    torch.export.save(torch.export.export(model, (images,)), program)
+    torch.save(images, inputs)
+    command = [sys.executable, "-c", RUN_PROGRAM, program, inputs, poses]
+    subprocess.run(command, check=True, timeout=120)
+    for got, wanted in zip(torch.load(poses), model(images), strict=True):
+        torch.testing.assert_close(got, wanted, rtol=1e-4, atol=1e-5)
+    loaded = torch.export.load(program).module()(images)
+    assert isinstance(loaded, PosePrediction)
 
 
 @pytest.mark.parametrize("shape", [(1, 3, 64, 48), (1, 1, 48, 64), (3, 48, 64)])

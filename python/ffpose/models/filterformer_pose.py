@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
+from torch.utils import _pytree
 
 from ffpose.errors import DataError
 from ffpose.models.backbone import Backbone, build_backbone
@@ -40,6 +41,10 @@ class PosePrediction(NamedTuple):
 
     translation: Tensor
     orientation: Tensor
+
+
+# Saved programs name their result's type; torch leaves named tuples to whoever defines them.
+_pytree._register_namedtuple(PosePrediction, serialized_type_name="ffpose.models.PosePrediction")
 
 
 class PoseBranch(nn.Module):
@@ -98,6 +103,9 @@ class PoseBranch(nn.Module):
 
 class FilterformerPose(nn.Module):
     """The network; `from_config` builds it with its backbone, `from_pretrained` reads a file.
+
+    `torch.export` takes it, with a batch of any size where ``dynamic_shapes`` asks for one. A saved
+    program is loaded after ``import ffpose.models``, which knows its operators and its result.
 
     Args:
         config: Sizes and readings. backbone: Gives the maps of ``config.translation_reduction`` and
