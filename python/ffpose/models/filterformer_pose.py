@@ -108,14 +108,15 @@ class FilterformerPose(nn.Module):
     program is loaded after ``import ffpose.models``, which knows its operators and its result.
 
     Args:
-        config: Sizes and readings. backbone: Gives the maps of ``config.translation_reduction`` and
-        ``config.orientation_reduction``.
+        config: Sizes and readings.
+        backbone: Gives the maps of ``config.translation_reduction`` and
+            ``config.orientation_reduction``, in this order.
 
     Attributes:
         config: As given.
-        backbone: As given; training freezes it in the later stages ...
-        translation_branch: ... and one of the two branches.
-        orientation_branch: See above.
+        backbone: As given; stages 2 and 3 of training freeze it.
+        translation_branch: The `PoseBranch` of the first map; stage 3 freezes it.
+        orientation_branch: The `PoseBranch` of the second map; stage 2 freezes it.
     """
 
     translation_mean: Tensor
@@ -225,8 +226,9 @@ class FilterformerPose(nn.Module):
         """Read a network that `save_pretrained` wrote; it comes in evaluation mode.
 
         Raises:
-            FileNotFoundError: There is no such file. ffpose.DataError: The file is truncated,
-            altered, newer than this version, or not of this architecture.
+            FileNotFoundError: There is no such file.
+            ffpose.DataError: The file is truncated, altered, newer than this version, or not of
+                this architecture.
         """
         config = read_metadata(path).config
         try:
