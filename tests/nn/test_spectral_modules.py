@@ -157,16 +157,45 @@ def test_wrong_input(x, error, text):
 @pytest.mark.parametrize(
     ("shape", "spatial_size", "text"),
     [
-        ((2, 16), None, r"\(B, N, 3\), got \(2, 16\)"),
-        ((2, 16, 4), None, r"\(B, N, 3\), got \(2, 16, 4\)"),
-        ((2, 15, 3), None, r"a grid of 15 tokens, got \(3, 3\)"),
-        ((2, 16, 3), (2, 7), r"a grid of 16 tokens, got \(2, 7\)"),
-        ((2, 16, 3), (2, 8), r"expected shape \(2, 5, 3, 2\).*got \(4, 3, 3, 2\)"),
+        ((2, 16), None, r"\(B, 16, 3\).*, got \(2, 16\)"),
+        ((2, 16, 4), None, r"\(B, 16, 3\).*, got \(2, 16, 4\)"),
+        ((2, 15, 3), None, r"\(B, 16, 3\).*, got \(2, 15, 3\)"),
+        ((2, 9, 3), None, r"\(B, 16, 3\).*, got \(2, 9, 3\)"),
+        ((2, 16, 3), (4, 5), r"\(B, 20, 3\).*, got \(2, 16, 3\)"),
+        ((2, 16, 3), (2, 8), r"4 rows, and columns .* = 3, got \(2, 8\)"),
+        ((2, 16, 3), (-4, -4), r"4 rows, and columns .* = 3, got \(-4, -4\)"),
     ],
 )
 def test_wrong_input_of_global_filter(shape, spatial_size, text):
     with pytest.raises(ValueError, match=text):
         GlobalFilter(3, 4, 3)(torch.zeros(shape), spatial_size)
+
+
+def test_a_grid_that_is_not_square_is_named():
+    with pytest.raises(ValueError, match=r"4 rows, and columns .* = 5, got \(4, 4\)"):
+        GlobalFilter(3, 4, 5)(torch.zeros(2, 16, 3))
+
+
+def test_global_filters_of_four_stages_compile_whole():
+    """One class, one compiled forward: the token count varies from stage to stage."""
+    torch.compiler.reset()
+    for rows in (14, 7, 28, 56):
+        module = GlobalFilter(4, rows, rows // 2 + 1)
+        compiled = torch.compile(module, fullgraph=True, backend="aot_eager")
+        for batch in (2, 3):
+            x = torch.randn(batch, rows * rows, 4)
+            torch.testing.assert_close(compiled(x), module(x))
+
+
+def test_global_filter_compiles_with_dynamic_shapes():
+    module = GlobalFilter(4)
+    compiled = torch.compile(module, fullgraph=True, backend="aot_eager", dynamic=True)
+    for batch in (2, 5):
+        x = torch.randn(batch, 196, 4)
+        torch.testing.assert_close(compiled(x), module(x))
+    module.compile(backend="aot_eager", dynamic=True)
+    with pytest.raises(ValueError, match=r"\(B, 196, 4\).*, got \(2, 195, 4\)"):
+        module(torch.randn(2, 195, 4))
 
 
 def test_wrong_construction_of_global_filter():

@@ -6,7 +6,6 @@ with ``norm="ortho"``; the norms of the two transforms cancel, so their weights 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import torch
@@ -228,17 +227,16 @@ class GlobalFilter(nn.Module):
             ``(B, N, C)``.
 
         Raises:
-            ValueError: The shape of ``x`` or the grid fits neither the other nor the weight.
+            ValueError: The grid does not fit the weight, or ``x`` does not fit the grid.
             TypeError: The dtype does not go with the weight's.
         """
-        if x.dim() != 3 or x.shape[2] != self.dim:
-            raise ValueError(f"x: expected shape (B, N, {self.dim}), got {tuple(x.shape)}")
-        rows, columns = spatial_size or (math.isqrt(x.shape[1]),) * 2
-        if rows * columns != x.shape[1]:
+        rows, columns = self._grid(spatial_size)
+        if x.dim() != 3 or x.shape[1:] != (rows * columns, self.dim):
             raise ValueError(
-                f"spatial_size: expected a grid of {x.shape[1]} tokens, got {(rows, columns)}"
+                f"x: expected shape (B, {rows * columns}, {self.dim}) for a grid of"
+                f" {(rows, columns)}, got {tuple(x.shape)}"
             )
-        grid = x.reshape(-1, rows, columns, self.dim)
+        grid = x.reshape(x.shape[0], rows, columns, self.dim)
         return spectral_filter(grid, self.complex_weight, "grid").reshape(x.shape)
 
     def resized(
@@ -258,12 +256,7 @@ class GlobalFilter(nn.Module):
         Raises:
             ValueError: A size below one, or a ``spatial_size`` that does not fit the weight.
         """
-        rows, columns = spatial_size or (self.h, self.h)
-        if (rows, columns // 2 + 1) != (self.h, self.w):
-            raise ValueError(
-                f"spatial_size: expected {self.h} rows, and columns with"
-                f" columns // 2 + 1 = {self.w}, got {(rows, columns)}"
-            )
+        rows, columns = self._grid(spatial_size)
         if len(size) != 2 or min(size) < 1:
             raise ValueError(f"size: expected (rows, columns), each at least 1, got {tuple(size)}")
         grid = (rows, columns, self.dim)
@@ -272,6 +265,16 @@ class GlobalFilter(nn.Module):
             twin = GlobalFilter(self.dim, *weight.shape[:2])
         twin.complex_weight = _parameter_like(self.complex_weight, weight)
         return twin.train(self.training)
+
+    def _grid(self, spatial_size: tuple[int, int] | None) -> tuple[int, int]:
+        """Return rows and columns of the grid, a square when None, if the weight is for it."""
+        rows, columns = spatial_size or (self.h, self.h)
+        if (rows, columns // 2 + 1) != (self.h, self.w):
+            raise ValueError(
+                f"spatial_size: expected {self.h} rows, and columns with"
+                f" columns // 2 + 1 = {self.w}, got {(rows, columns)}"
+            )
+        return rows, columns
 
     def extra_repr(self) -> str:
         """Return what ``print`` shows between the parentheses."""
