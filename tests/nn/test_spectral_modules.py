@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from ffpose.nn import GlobalFilter, SpectralFilter
+from ffpose.nn import GlobalFilter, SequenceFilter, SpectralFilter
 
 
 class PlainGlobalFilter(nn.Module):
@@ -109,6 +109,20 @@ def test_dtype_device_and_std_of_the_parameter():
     assert module.weight.dtype == torch.float64
     assert 0.3 < module.weight.std() < 0.7
     assert SpectralFilter((8, 6), device="meta").weight.is_meta
+
+
+@pytest.mark.parametrize(
+    "build", [lambda: SpectralFilter((6, 8)), lambda: SequenceFilter(9, 4), lambda: GlobalFilter(4)]
+)
+def test_a_filter_built_without_memory_is_filled_later(build):
+    """The recipe of large models: meta device, `to_empty`, `reset_parameters`."""
+    with torch.device("meta"):
+        module = build()
+    module.to_empty(device="cpu")
+    (parameter,) = module.parameters()
+    nn.init.constant_(parameter, torch.nan)
+    module.reset_parameters()
+    assert 0.01 < parameter.std() < 0.04
 
 
 def test_print_tells_size_and_layout():

@@ -214,7 +214,12 @@ class GlobalFilter(nn.Module):
         if min(dim, h, w) < 1:
             raise ValueError(f"dim, h, w: expected each at least 1, got {(dim, h, w)}")
         self.dim, self.h, self.w = dim, h, w
-        self.complex_weight = nn.Parameter(torch.randn(h, w, dim, 2) * INIT_STD)
+        self.complex_weight = nn.Parameter(torch.empty(h, w, dim, 2))
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Draw the weight anew."""
+        nn.init.normal_(self.complex_weight, std=INIT_STD)
 
     def forward(self, x: Tensor, spatial_size: tuple[int, int] | None = None) -> Tensor:
         """Filter ``x (B, N, C)``, whose tokens are the rows of a grid one after the other.
