@@ -96,6 +96,16 @@ def test_modules_of_half_precision_train(module, shape, dtype):
     assert {t.dtype for t in (y, x.grad, weight.grad)} == {dtype}
 
 
+def test_global_filter_of_float64_computes_in_float64():
+    x, module = torch.randn(2, 16, 3, dtype=torch.float64), GlobalFilter(3, 4, 3)
+    with pytest.raises(TypeError, match=r"expected torch.float64 .* got torch.float32"):
+        module(x)
+    module.double()
+    expected = PlainGlobalFilter(3, 4, 3)
+    expected.complex_weight = module.complex_weight
+    torch.testing.assert_close(module(x), expected(x), rtol=0, atol=1e-14)
+
+
 def test_autocast_may_hand_over_half_precision():
     linear, module = nn.Linear(6, 6), SpectralFilter((8, 6))
     with torch.autocast("cpu", torch.bfloat16):

@@ -194,8 +194,9 @@ class SequenceFilter(nn.Module):
 class GlobalFilter(nn.Module):
     """Replaces GFNet's class of this name: same arguments, parameter name, forward and numbers.
 
-    Rao et al., "Global Filter Networks for Image Classification", 2021. Other than the original it
-    keeps the input's dtype where that is float64 or half precision.
+    Rao et al., "Global Filter Networks for Image Classification", 2021. The original turns every
+    input into float32; here the result has the input's dtype. Half precision takes the float32
+    weight too, as under autocast; float64 takes a float64 weight (``filter.double()``).
 
     Args:
         dim: Channels C.
