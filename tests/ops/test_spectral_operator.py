@@ -375,6 +375,32 @@ def test_vmap_over_images_weights_and_both():
     torch.testing.assert_close(by_operator, function(x, weight))
 
 
+@pytest.mark.parametrize("in_dims", [(0, 0), (None, 0), (0, None), (None, -1)])
+@pytest.mark.parametrize(("layout", "shape"), [("tokens", (2, 4, 6)), ("grid", (2, 4, 6, 3))])
+def test_vmap_over_no_samples(layout, shape, in_dims):
+    """The shapes that torch.fft gives, of the result and of every gradient."""
+
+    def of_no_samples(tensor, dim):
+        batched = tensor if dim is None else tensor.new_empty(0, *tensor.shape).movedim(0, dim)
+        return batched.requires_grad_()
+
+    tensors = tuple(map(of_no_samples, arguments(layout, shape), in_dims))
+
+    def results(filter):
+        def total(x, weight):
+            return filter(x, weight, layout).sum()
+
+        y = torch.vmap(lambda x, weight: filter(x, weight, layout), in_dims)(*tensors)
+        gradients = torch.autograd.grad(y.sum(), tensors)
+        each = torch.vmap(torch.func.grad(total, (0, 1)), in_dims)(*tensors)
+        return [result.shape for result in (y, *gradients, *each)]
+
+    assert results(spectral_filter) == results(by_definition)
+    x, weight = (tensor.detach() for tensor in tensors)
+    y = torch.vmap(lambda x, weight: forward_op(x, weight, layout), in_dims)(x, weight)
+    assert y.shape == (0, *shape)
+
+
 def test_gradient_of_each_sample():
     x, weight = arguments("tokens", (5, 4, 6))
 

@@ -122,13 +122,20 @@ def unbatch(
 ) -> Iterator[tuple[Tensor, ...]]:
     """Take apart what `torch.vmap` batched: yield the tensors of each of ``size`` samples.
 
+    Where there is no sample, yield one of zeros: `rebatch` reads shapes off its result.
+
     Args:
         tensors: Of the samples together.
         dims: For each tensor, the dimension that counts the samples; None where all share it.
         size: How many samples.
     """
     columns = (
-        [tensor] * size if dim is None else tensor.unbind(dim)
+        [tensor] * max(size, 1) if dim is None else tensor.unbind(dim) or [tensor.sum(dim)]
         for tensor, dim in zip(tensors, dims, strict=False)
     )
     return zip(*columns, strict=True)
+
+
+def rebatch(results: Sequence[Tensor], size: int) -> Tensor:
+    """Put together the results of the ``size`` samples that `unbatch` gave, counted first."""
+    return torch.stack(tuple(results))[:size]

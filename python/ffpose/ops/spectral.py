@@ -24,7 +24,14 @@ import torch
 from torch import Tensor
 from torch.autograd import Function
 
-from ffpose.ops.bridge import add, below_autograd, is_plain, transforms_at_work, unbatch
+from ffpose.ops.bridge import (
+    add,
+    below_autograd,
+    is_plain,
+    rebatch,
+    transforms_at_work,
+    unbatch,
+)
 from ffpose.ops.layout import Layout, check_filter, check_gradient
 from ffpose.ops.spectral_kernels import (
     BACKWARD,
@@ -119,7 +126,8 @@ class _SpectralFilter(Function):
         if in_dims[0] is not None and in_dims[1] is None:
             return spectral_filter(x.movedim(in_dims[0], 0), weight, layout), 0
         samples = unbatch((x, weight), in_dims, info.batch_size)
-        return torch.stack([spectral_filter(x, weight, layout) for x, weight in samples]), 0
+        results = [spectral_filter(x, weight, layout) for x, weight in samples]
+        return rebatch(results, info.batch_size), 0
 
 
 class _SpectralFilterOnCpu(Function):
@@ -217,7 +225,7 @@ class _SpectralFilterBackward(Function):
             _SpectralFilterBackward.apply(*each, layout, need_x, need_weight) for each in samples
         ]
         for_x, for_weight = zip(*gradients, strict=True)
-        return (torch.stack(for_x), torch.stack(for_weight)), (0, 0)
+        return (rebatch(for_x, info.batch_size), rebatch(for_weight, info.batch_size)), (0, 0)
 
 
 def _record_forward(x: Tensor, weight: Tensor, layout: Layout) -> Any:
