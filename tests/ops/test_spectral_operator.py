@@ -235,6 +235,20 @@ def test_inference_mode_and_parameters_take_the_direct_way():
         torch.testing.assert_close(spectral_filter(x.clone(), torch.nn.Parameter(weight)), expected)
 
 
+@pytest.mark.parametrize("by", [spectral_filter, forward_op])
+def test_a_weight_learns_from_what_inference_mode_made(by):
+    """As from the features of a frozen network."""
+    x, weight = arguments("tokens", (2, 4, 6))
+    weight.requires_grad_()
+    with torch.inference_mode():
+        x = x.clone()
+    got, expected = (
+        torch.autograd.grad(filter(x, weight, "tokens").square().sum(), weight)
+        for filter in (by, by_definition)
+    )
+    torch.testing.assert_close(got, expected)
+
+
 def test_a_dispatch_mode_sees_the_operator():
     class Recorder(TorchDispatchMode):
         def __torch_dispatch__(self, func, types, args=(), kwargs=None):

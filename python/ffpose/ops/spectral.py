@@ -67,7 +67,13 @@ def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Ten
         if not (torch.is_grad_enabled() and (x.requires_grad or weight.requires_grad)):
             return forward_rust(x, weight, layout)
         if not transforms_at_work():
-            recorded: Tensor = _SpectralFilterOnCpu.apply(x, weight, layout)
+            try:
+                recorded: Tensor = _SpectralFilterOnCpu.apply(x, weight, layout)
+            except RuntimeError:
+                if not x.is_inference():
+                    raise
+                # Autograd saves nothing that inference mode made; the copy is made outside.
+                recorded = _SpectralFilterOnCpu.apply(x.clone(), weight, layout)
             return recorded
     check_filter(x, weight, layout)
     if torch.compiler.is_compiling():
