@@ -3,6 +3,9 @@
 Importing this module registers ``torch.ops.ffpose.spectral_filter``, ``normalize_quaternion`` and
 the backward of each. The functions below are the same operators with less overhead where nothing
 asks for a gradient or a graph; all are differentiable twice.
+
+A program that `torch.export` or AOTInductor saved knows the operators by name only: import this
+module before loading it.
 """
 
 from ffpose.ops.bridge import arithmetic_dtype
