@@ -2,7 +2,8 @@
 //!
 //! The core owns no threads: a [`Pool`] lends them. [`StdThreads`] is for callers without one.
 
-use std::sync::{Mutex, PoisonError};
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 /// Threads that a caller lends.
@@ -54,34 +55,43 @@ pub(crate) fn worth_together(pool: &dyn Pool, elements: usize) -> usize {
     worth(pool, elements / 3 * 2)
 }
 
-/// Runs `work` on every job. Each of `workers` takes the next job as soon as it is done with one.
+/// Runs `work` on every job. Each of `workers` has an equal share of neighbouring jobs, the same in every call, so that it finds
+/// in its cache what it wrote there; then it takes over from the others.
 ///
 /// Jobs write to places of their own, so the result does not depend on who does which.
-pub(crate) fn run<J, W: ExactSizeIterator + Send>(
+pub(crate) fn run<J: Send, W: Send>(
     pool: &dyn Pool,
-    workers: W,
-    jobs: impl Iterator<Item = J> + Send,
-    work: impl Fn(J, &mut W::Item) + Sync,
+    mut workers: impl ExactSizeIterator<Item = W>,
+    jobs: impl Iterator<Item = J>,
+    work: impl Fn(J, &mut W) + Sync,
 ) {
     let count = workers.len();
-    let (workers, jobs) = (Mutex::new(workers), Mutex::new(jobs));
-    let run_worker = |_| {
-        if let Some(mut worker) = next(&workers) {
-            while let Some(job) = next(&jobs) {
-                work(job, &mut worker);
-            }
-        }
-    };
     if count == 1 {
-        run_worker(0);
-    } else {
-        pool.run(count, &run_worker);
+        let mut worker = workers.next().expect("one");
+        return jobs.for_each(|job| work(job, &mut worker));
     }
+    let workers: Vec<_> = workers.map(Mutex::new).collect();
+    let jobs: Vec<_> = jobs.collect();
+    let (len, mut jobs) = (jobs.len(), jobs.into_iter());
+    let shares: Vec<_> = (0..count)
+        .map(|i| len * (i + 1) / count - len * i / count)
+        .map(|share| Mutex::new(jobs.by_ref().take(share).collect::<VecDeque<_>>()))
+        .collect();
+    let next = |index: usize| {
+        let own = lock(&shares[index]).pop_front();
+        own.or_else(|| (1..count).find_map(|i| lock(&shares[(index + i) % count]).pop_back()))
+    };
+    pool.run(count, &|index| {
+        let mut worker = lock(&workers[index]);
+        while let Some(job) = next(index) {
+            work(job, &mut worker);
+        }
+    });
 }
 
-/// The next item of an iterator that threads share.
-fn next<I: Iterator>(items: &Mutex<I>) -> Option<I::Item> {
-    items.lock().unwrap_or_else(PoisonError::into_inner).next()
+/// What only one thread at a time looks at, also after a panic in another.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Threads that may share the work on one piece, and scratch for each; often one alone.
@@ -111,9 +121,9 @@ impl<'a, T> Team<'a, T> {
     }
 
     /// Runs `work` on every job, each with the scratch of the member who does it; see [`run`].
-    pub(crate) fn run<J>(
+    pub(crate) fn run<J: Send>(
         &mut self,
-        jobs: impl Iterator<Item = J> + Send,
+        jobs: impl Iterator<Item = J>,
         work: impl Fn(J, &mut [T]) + Sync,
     ) where
         T: Send,

@@ -210,13 +210,15 @@ impl<T: Real> SpectralFilter<T> {
         let needs = needs(kernel, (pool, x.len()), tiling.pieces(), shared);
         let (mut workers, shared) = scratch.lend(pool, needs)?;
         let (sums, wide_weight) = shared.split_at_mut(sums);
-        sums.fill(T::default());
         let weight = W::read(self.isa, weight, wide_weight);
         let jobs = in_order(tiling.pieces(), grad_x.map(|g| tiling.images_mut(g)))
             .zip(in_order(tiling.pieces(), summed.then(|| sums.chunks_exact_mut(packed_len))))
             .enumerate();
-        parallel::run(pool, workers.each(), jobs, |(piece, (grad_x, grad_sum)), worker| {
+        parallel::run(pool, workers.each(), jobs, |(piece, (grad_x, mut grad_sum)), worker| {
             let Worker { packed, team } = worker;
+            if let Some(sum) = &mut grad_sum {
+                sum.fill(T::default());
+            }
             if grad_x.is_some() {
                 kernel.pack(tiling.bins(weight, tiling.tile_of(piece)), packed, team);
             }
@@ -224,12 +226,22 @@ impl<T: Real> SpectralFilter<T> {
             kernel.backward(Backward { grad, x, packed, grad_x, grad_sum }, team);
         });
         if let Some(grad_weight) = grad_weight {
-            let total = add_parts(sums, tiling.tiles() * packed_len).chunks_exact(packed_len);
+            let (totals, parts) = sums.split_at_mut(tiling.tiles() * packed_len);
+            let parts = parts.chunks_exact(totals.len());
             W::write(self.isa, grad_weight, wide_weight, |grad_weight| {
-                let jobs = total.zip(tiling.bins_mut(grad_weight));
-                parallel::run(pool, workers.each(), jobs, |(sum, grad_weight), worker| {
-                    kernel.unpack_gradient(sum, grad_weight, &mut worker.team);
-                });
+                let totals = totals.chunks_exact_mut(packed_len).enumerate();
+                let jobs = totals.zip(tiling.bins_mut(grad_weight));
+                parallel::run(
+                    pool,
+                    workers.each(),
+                    jobs,
+                    |((tile, total), grad_weight), worker| {
+                        for part in parts.clone() {
+                            add(total, &part[tile * packed_len..][..packed_len]);
+                        }
+                        kernel.unpack_gradient(total, grad_weight, &mut worker.team);
+                    },
+                );
             });
         }
         Ok(())
@@ -330,13 +342,8 @@ fn sum_parts(tiles: usize, images: usize) -> usize {
     images.div_ceil(images.div_ceil((8 / tiles).max(1)).max(4))
 }
 
-/// Adds parts of `len` numbers to the first of them, in order, and returns it.
-fn add_parts<T: Real>(parts: &mut [T], len: usize) -> &[T] {
-    let (total, rest) = parts.split_at_mut(len);
-    for part in rest.chunks_exact(len) {
-        total.iter_mut().zip(part).for_each(|(sum, term)| *sum = *sum + *term);
-    }
-    total
+fn add<T: Real>(sums: &mut [T], terms: &[T]) {
+    sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum = *sum + *term);
 }
 
 /// The items in `Some`, or `None` for each of `len`.
