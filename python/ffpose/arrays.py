@@ -305,7 +305,7 @@ def shade_earth(
 
     Raises:
         TypeError: ``rays`` is not of float32, or a number is not real.
-        ValueError: Another shape.
+        ValueError: Another shape, or ``detail`` out of range.
 
     Examples:
         Away from the Earth there is nothing to see:

@@ -172,6 +172,21 @@ def test_half_precision_is_as_near_as_one_rounding(layout, shape, dtype, weight_
         assert ((got - expected).abs() <= rounding + of_float32 * expected.abs().max()).all()
 
 
+@pytest.mark.parametrize("channels", [3, 16, 20])
+def test_subnormal_half_precision_is_not_flushed(channels):
+    """6e-6 is no normal float16, but a normal float32: the filter that changes nothing keeps it."""
+    x = torch.full((1, 4, 4, channels), 6e-6, dtype=torch.float16)
+    weight = torch.zeros(4, 3, channels, 2)
+    weight[..., 0] = 1.0
+    flushes = torch.set_flush_denormal(True)
+    try:
+        y = spectral_filter(x, weight, "grid")
+    finally:
+        torch.set_flush_denormal(False)
+    assert flushes
+    assert torch.equal(y, x)
+
+
 @pytest.mark.parametrize("by", [filter_by_fft, forward_op])
 def test_every_way_takes_weights_of_half_precision(by):
     x, weight = arguments("tokens", (2, 6, 5), torch.bfloat16, weight_dtype=torch.bfloat16)

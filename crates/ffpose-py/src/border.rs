@@ -158,16 +158,35 @@ impl<'py> FromPyObject<'_, 'py> for Threads {
     type Error = PyErr;
 
     fn extract(argument: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
-        let wrong = || {
-            let got = argument.as_any();
-            PyValueError::new_err(format!("num_threads must be at least 1, got {got}"))
-        };
-        match argument.extract::<isize>() {
-            Ok(threads) => {
-                usize::try_from(threads).ok().filter(|n| *n > 0).map(Self).ok_or_else(wrong)
-            }
-            Err(error) if error.is_instance_of::<PyOverflowError>(argument.py()) => Err(wrong()),
-            Err(error) => Err(error),
-        }
+        integer(argument, "num_threads must be at least 1", |number| {
+            usize::try_from(number).ok().filter(|threads| *threads > 0).map(Self)
+        })
     }
+}
+
+/// How many octaves of detail a caller asks for.
+pub(crate) struct Octaves(pub(crate) u8);
+
+impl<'py> FromPyObject<'_, 'py> for Octaves {
+    type Error = PyErr;
+
+    fn extract(argument: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        integer(argument, "detail must be in 0…255", |number| u8::try_from(number).ok().map(Self))
+    }
+}
+
+/// An integer that `accept` takes; any other is a `ValueError` that begins with `expected`.
+fn integer<T>(
+    argument: Borrowed<'_, '_, PyAny>,
+    expected: &str,
+    accept: impl FnOnce(isize) -> Option<T>,
+) -> PyResult<T> {
+    let number = match argument.extract::<isize>() {
+        Err(error) if !error.is_instance_of::<PyOverflowError>(argument.py()) => return Err(error),
+        number => number.ok(),
+    };
+    number.and_then(accept).ok_or_else(|| {
+        let got = argument.as_any();
+        PyValueError::new_err(format!("{expected}, got {got}"))
+    })
 }

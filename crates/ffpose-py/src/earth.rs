@@ -4,7 +4,7 @@ use ffpose_core::earth::{Earth, Seen, shade};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::border::{Numbers, array, enter};
+use crate::border::{Numbers, Octaves, array, enter};
 
 /// Radiance (3, N) of the Earth along rays (3, N), and the part (N,) of what lies behind that still shows; float32.
 #[pyfunction]
@@ -16,7 +16,7 @@ pub(crate) fn shade_earth<'py>(
     altitude: Numbers<f32>,
     sun: Numbers<[f32; 3]>,
     ground: Numbers<[[f32; 3]; 3]>,
-    detail: u8,
+    detail: Octaves,
     pixel_angle: Numbers<f32>,
 ) -> PyResult<(Bound<'py, PyArray2<f32>>, Bound<'py, PyArray1<f32>>)> {
     let rays = array::<f32>("rays", rays)?;
@@ -25,7 +25,7 @@ pub(crate) fn shade_earth<'py>(
         altitude: altitude.0,
         sun: sun.0,
         ground: ground.0,
-        detail,
+        detail: detail.0,
         pixel_angle: pixel_angle.0,
     };
     let rays = rays.as_array();
