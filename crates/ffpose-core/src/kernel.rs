@@ -61,6 +61,11 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
         team: &mut Team<'_, X::Real>,
     );
 
+    /// Whether the members of a team share the work on a piece.
+    fn is_shared(&self) -> bool {
+        false
+    }
+
     /// The kernel's way for one image, if it has one of its own.
     fn single(&self) -> Option<&dyn Single<X>> {
         None

@@ -11,7 +11,7 @@ const LANES: Axis = Axis(2);
 
 /// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`]. `Real` is what is computed in.
 pub trait Number: Default + Stored<Real: Real> + 'static {
-    /// `kernel` for images of this type: itself, if it takes them, or as it is `widened`.
+    /// `kernel` itself if it takes images of this type, else `widened`.
     #[doc(hidden)]
     #[allow(private_interfaces)] // sealed: nobody outside can name the supertrait
     fn kernel<'a>(

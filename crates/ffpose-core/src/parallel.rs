@@ -55,8 +55,8 @@ pub(crate) fn worth_together(pool: &dyn Pool, elements: usize) -> usize {
     worth(pool, elements / 3 * 2)
 }
 
-/// Runs `work` on every job. Each of `workers` has an equal share of neighbouring jobs, the same in every call, so that it finds
-/// in its cache what it wrote there; then it takes over from the others.
+/// Runs `work` on every job. Each of `workers` begins with an equal share of neighbouring jobs, the same in every call: what it
+/// wrote there is still in its cache. Then it takes what is left of the others' shares.
 ///
 /// Jobs write to places of their own, so the result does not depend on who does which.
 pub(crate) fn run<J: Send, W: Send>(
@@ -65,14 +65,13 @@ pub(crate) fn run<J: Send, W: Send>(
     jobs: impl Iterator<Item = J>,
     work: impl Fn(J, &mut W) + Sync,
 ) {
-    let count = workers.len();
-    if count == 1 {
+    if workers.len() == 1 {
         let mut worker = workers.next().expect("one");
         return jobs.for_each(|job| work(job, &mut worker));
     }
-    let workers: Vec<_> = workers.map(Mutex::new).collect();
     let jobs: Vec<_> = jobs.collect();
-    let (len, mut jobs) = (jobs.len(), jobs.into_iter());
+    let workers: Vec<_> = workers.take(jobs.len().max(1)).map(Mutex::new).collect();
+    let (count, len, mut jobs) = (workers.len(), jobs.len(), jobs.into_iter());
     let shares: Vec<_> = (0..count)
         .map(|i| len * (i + 1) / count - len * i / count)
         .map(|share| Mutex::new(jobs.by_ref().take(share).collect::<VecDeque<_>>()))
@@ -89,7 +88,7 @@ pub(crate) fn run<J: Send, W: Send>(
     });
 }
 
-/// What only one thread at a time looks at, also after a panic in another.
+/// Locks `mutex`, also after a panic in another thread.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -46,10 +46,7 @@ pub(crate) struct Workers<'a, T> {
 
 impl<T> Workers<'_, T> {
     /// Every worker.
-    pub(crate) fn each(&mut self) -> impl ExactSizeIterator<Item = Worker<'_, T>> + Send
-    where
-        T: Send,
-    {
+    pub(crate) fn each(&mut self) -> impl ExactSizeIterator<Item = Worker<'_, T>> {
         let (pool, Needs { packed, kernel, .. }) = (self.pool, self.needs);
         let [packed_lines, kernel_lines] = self.needs.lines::<T>();
         self.memory.chunks_exact_mut(self.needs.each::<T>()).map(move |memory| {
@@ -66,7 +63,8 @@ impl Needs {
     /// Whole lines for each slice; a member has at least one.
     fn lines<T>(&self) -> [usize; 2] {
         let line = LINE / size_of::<T>();
-        [self.packed, self.kernel.max(1)].map(|len| len.next_multiple_of(line))
+        [self.packed, self.kernel.max(1)]
+            .map(|len| len.checked_next_multiple_of(line).unwrap_or(usize::MAX))
     }
 
     /// Numbers for one worker.
@@ -130,8 +128,10 @@ mod tests {
     #[test]
     fn memory_that_there_is_not_is_an_error() {
         let mut scratch = Scratch::default();
-        for workers in [usize::MAX, usize::MAX >> 12, 1 << 40] {
-            let needs = Needs { workers, members: 8, packed: 9, kernel: 1000, shared: 7 };
+        for (workers, kernel) in
+            [(usize::MAX, 1000), (usize::MAX >> 12, 1000), (1 << 40, 1000), (1, usize::MAX)]
+        {
+            let needs = Needs { workers, members: 8, packed: 9, kernel, shared: 7 };
             let result = scratch.lend::<f32>(&StdThreads(1), needs);
             assert!(matches!(result.map(|_| ()), Err(Error::Memory { .. })));
         }

@@ -357,7 +357,7 @@ fn widened_len<N: Number>(len: usize) -> usize {
     if N::HALF { len } else { 0 }
 }
 
-/// What a call on so many elements in so many pieces needs. A single piece is for all threads together.
+/// What a call on so many elements in so many pieces needs. A single piece is for all threads together, if the kernel shares it.
 fn needs<X: Number>(
     kernel: &dyn Kernel<X>,
     (pool, elements): (&dyn Pool, usize),
@@ -365,7 +365,7 @@ fn needs<X: Number>(
     shared: usize,
 ) -> Needs {
     let (workers, members) = match pieces {
-        1 => (1, parallel::worth_together(pool, elements)),
+        1 if kernel.is_shared() => (1, parallel::worth_together(pool, elements)),
         _ => (parallel::worth(pool, elements).min(pieces), 1),
     };
     Needs { workers, members, packed: kernel.packed_len(), kernel: kernel.scratch_len(), shared }

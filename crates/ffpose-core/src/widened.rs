@@ -1,4 +1,4 @@
-//! A kernel for images of half precision, of one that takes none: each image is widened for it, in memory that stays in cache.
+//! Lets a kernel that takes no half precision filter such images: each is widened, in memory that stays in cache.
 
 use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
 
@@ -10,11 +10,11 @@ use crate::{Isa, Real, Shape};
 
 const BATCH: Axis = Axis(0);
 
-/// The kernel, and room for what it is given.
+/// A kernel, and how it is given widened images.
 pub(crate) struct Widened<'a, T: Real> {
     isa: Isa,
     kernel: &'a dyn Kernel<T>,
-    /// Numbers with room for the largest image of a piece.
+    /// Numbers of the largest image of a piece, rounded up to whole cache lines.
     image_len: usize,
 }
 
@@ -24,7 +24,7 @@ impl<'a, T: Real> Widened<'a, T> {
         Self {
             isa,
             kernel,
-            image_len: image_len.div_ceil(slack::<T>()).saturating_mul(slack::<T>()),
+            image_len: image_len.checked_next_multiple_of(slack::<T>()).unwrap_or(usize::MAX),
         }
     }
 
@@ -86,7 +86,10 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
         for image in 0..grad.len_of(BATCH) {
             let image = Slice::from(image..image + 1);
             let grad = X::read(self.isa, grad.slice_axis(BATCH, image), wide_grad);
-            let x = X::read(self.isa, x.slice_axis(BATCH, image), wide_x);
+            let x = match grad_sum {
+                Some(_) => X::read(self.isa, x.slice_axis(BATCH, image), wide_x),
+                None => grad, // not looked at
+            };
             let mut run = |grad_x: Option<ArrayViewMut3<'_, X::Real>>| {
                 let grad_sum = grad_sum.as_deref_mut();
                 let pass = Backward { grad, x, packed, grad_x, grad_sum };

@@ -197,6 +197,11 @@ fn half_precision_is_rounded_once<H: Number<Real = f32> + PartialEq + std::fmt::
         (Layout::Grid, vec![2, 12, 9, 1]),
         (Layout::Tokens, vec![3, 28, 37]),
         (Layout::Tokens, vec![1, 49, 64]),
+        // two threads: together, each some images, by the general kernels
+        (Layout::Tokens, vec![1, 784, 512]),
+        (Layout::Tokens, vec![7, 196, 256]),
+        (Layout::Tokens, vec![7, 191, 200]),
+        (Layout::Grid, vec![16, 90, 100, 2]),
     ];
     for (layout, dim) in cases {
         let shape = Shape::of_images(layout, &dim).unwrap();

@@ -17,7 +17,7 @@ use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Stored, Tile, TileMut, aligned, slack};
 
-/// Bytes of the lanes of one tile. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
+/// Bytes of the lanes of one tile, as they are computed with. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
 /// lines at a distance of a power of two meet in the same few sets of the cache.
 const TILE_BYTES: usize = 8 * LINE_BYTES;
 

@@ -159,7 +159,7 @@ impl<'a, T: Stored> Tile<'a, T> {
     }
 }
 
-/// As above, of numbers that are what is computed with.
+/// Tiles of elements of vectors, not of half their precision.
 impl<'a, T: Element> Tile<'a, T> {
     /// The tile of `view` `(points, lanes, 2)` of complex numbers, whose lanes are alternately real and imaginary.
     pub(crate) fn of_complex(view: ArrayView3<'a, T>) -> Self {
@@ -320,7 +320,7 @@ impl<'a, T: Stored> TileMut<'a, T> {
     }
 }
 
-/// As above, of numbers that are what is computed with.
+/// Tiles of elements of vectors, not of half their precision.
 impl<'a, T: Element> TileMut<'a, T> {
     /// The tile of `view` `(points, lanes, 2)` of complex numbers, whose lanes are alternately real and imaginary.
     pub(crate) fn of_complex(mut view: ArrayViewMut3<'a, T>) -> Self {

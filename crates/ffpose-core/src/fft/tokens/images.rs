@@ -27,12 +27,12 @@ pub(super) enum StepGradient<'a, T> {
 }
 
 impl<T: Element> Tokens<T> {
-    /// `spectrum` has room for one: half precision has no place for it.
+    /// `spectrum` has room for that of one image: it is used where `y` is of half precision.
     pub(super) fn forward_image<'a, X: Stored<Real = T>>(
         &self,
         x: ArrayView2<'_, X>,
         y: ArrayViewMut2<'_, X>,
-        weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
+        weights: impl Iterator<Item = StepWeight<'a, T>>,
         spectrum: &mut [T],
         team: &mut Team<'_, T>,
     ) where
@@ -62,8 +62,8 @@ impl<T: Element> Tokens<T> {
         &self,
         [grad, x]: [ArrayView2<'_, X>; 2],
         grad_x: Option<ArrayViewMut2<'_, X>>,
-        weights: impl Iterator<Item = StepWeight<'a, T>> + Send,
-        gradients: Option<impl Iterator<Item = StepGradient<'a, T>> + Send>,
+        weights: impl Iterator<Item = StepWeight<'a, T>>,
+        gradients: Option<impl Iterator<Item = StepGradient<'a, T>>>,
         spectra: &mut [T],
         team: &mut Team<'_, T>,
     ) where

@@ -8,7 +8,8 @@
 //!    ([`lanes`]); `B` back.
 //! 3. As the first, back.
 //!
-//! Between passes the spectrum is in the output, block after block. No pass moves more than a few rows of it into its scratch.
+//! Between passes the spectrum is in the output, or in scratch where that is of half precision, block after block. No pass moves
+//! more than a few rows of it at a time.
 
 /// Runs `$run` with the constant `$name` equal to `$length`, a power of two.
 macro_rules! with_run {
@@ -207,6 +208,10 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
 
     fn single(&self) -> Option<&dyn Single<X>> {
         Some(self)
+    }
+
+    fn is_shared(&self) -> bool {
+        true
     }
 
     fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
