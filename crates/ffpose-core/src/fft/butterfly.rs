@@ -5,7 +5,7 @@
 
 use super::roots::Roots;
 use super::unroll::unroll;
-use crate::simd::{Complex, Element, Vector};
+use crate::simd::{Complex, Element, Vector, mirrored};
 
 /// Where the codelets live: `Codelet: Dft<N>` for every length `N` that has one.
 pub(crate) struct Codelet;
@@ -108,14 +108,14 @@ fn odd<V: Vector, const N: usize, const END: usize>(x: [Complex<V>; N]) -> [Comp
     });
     // real parts of all outputs, then imaginary ones: either half is as many numbers as fit in registers
     unroll!(k in 1..END {
-        let even = cosines::<V, N, END>(k, x[0].re, re(sum));
-        let odd = sines::<V, N, END>(k, im(difference));
-        (out[k].re, out[N - k].re) = (even + odd, even - odd);
+        let even = plus_cosines::<V, N, END>(k, x[0].re, re(sum));
+        out[k].re = plus_sines::<V, N, END>(k, even, im(difference));
+        out[N - k].re = mirrored(even, out[k].re);
     });
     unroll!(k in 1..END {
-        let even = cosines::<V, N, END>(k, x[0].im, im(sum));
-        let odd = sines::<V, N, END>(k, re(difference));
-        (out[k].im, out[N - k].im) = (even - odd, even + odd);
+        let even = plus_cosines::<V, N, END>(k, x[0].im, im(sum));
+        out[N - k].im = plus_sines::<V, N, END>(k, even, re(difference));
+        out[k].im = mirrored(even, out[N - k].im);
     });
     out
 }
@@ -140,7 +140,7 @@ fn im<V: Vector, const N: usize>(z: [Complex<V>; N]) -> [V; N] {
 
 /// `start + Σ_j a[j] cos(2π j k / N)` for `0 < j < END`
 #[inline(always)]
-fn cosines<V: Vector, const N: usize, const END: usize>(k: usize, start: V, a: [V; N]) -> V {
+fn plus_cosines<V: Vector, const N: usize, const END: usize>(k: usize, start: V, a: [V; N]) -> V {
     let mut total = start;
     unroll!(j in 1..END {
         total = a[j].mul_add(constant(Roots::<N>::TABLE[j * k % N].0), total);
@@ -148,11 +148,11 @@ fn cosines<V: Vector, const N: usize, const END: usize>(k: usize, start: V, a: [
     total
 }
 
-/// `Σ_j a[j] sin(2π j k / N)` for `0 < j < END`
+/// `start + Σ_j a[j] sin(2π j k / N)` for `0 < j < END`
 #[inline(always)]
-fn sines<V: Vector, const N: usize, const END: usize>(k: usize, a: [V; N]) -> V {
-    let mut total = a[1] * constant(Roots::<N>::TABLE[k].1);
-    unroll!(j in 2..END {
+fn plus_sines<V: Vector, const N: usize, const END: usize>(k: usize, start: V, a: [V; N]) -> V {
+    let mut total = start;
+    unroll!(j in 1..END {
         total = a[j].mul_add(constant(Roots::<N>::TABLE[j * k % N].1), total);
     });
     total

@@ -6,7 +6,7 @@
 
 use super::butterfly::{Codelet, Dft, constant};
 use super::roots::Roots;
-use crate::simd::{Complex, Vector};
+use crate::simd::{Complex, Vector, mirrored};
 
 /// The DFT of an array of `N` real vectors, as `S = ceil(N / 2)` complex ones.
 pub(crate) trait RealDft<const N: usize, const S: usize> {
@@ -68,7 +68,7 @@ impl RealDft<7, 4> for Codelet {
         let difference = [x[1] - x[6], x[2] - x[5], x[3] - x[4]];
         let mut out = [Complex::new(x[0] + sum[0] + (sum[1] + sum[2]), constant(0.0)); 4];
         for k in 1..4 {
-            out[k] = Complex::new(cosines(k, sum, x[0]), sines(k, difference));
+            out[k] = Complex::new(plus_cosines(k, sum, x[0]), sines(k, difference));
         }
         out
     }
@@ -78,9 +78,9 @@ impl RealDft<7, 4> for Codelet {
         let (re, im) = ([y[1].re, y[2].re, y[3].re], [y[1].im, y[2].im, y[3].im]);
         let mut out = [y[0].re + re[0] + (re[1] + re[2]); 7];
         for n in 1..4 {
-            let (even, odd) = (cosines(n, re, y[0].re), sines(n, im));
-            out[n] = even + odd;
-            out[7 - n] = even - odd;
+            let even = plus_cosines(n, re, y[0].re);
+            out[n] = plus_sines(n, im, even);
+            out[7 - n] = mirrored(even, out[n]);
         }
         out
     }
@@ -88,9 +88,16 @@ impl RealDft<7, 4> for Codelet {
 
 /// `start + Σ_j a[j] cos(2π (j + 1) k / 7)`
 #[inline(always)]
-fn cosines<V: Vector>(k: usize, a: [V; 3], start: V) -> V {
+fn plus_cosines<V: Vector>(k: usize, a: [V; 3], start: V) -> V {
     let c = |j: usize| Roots::<7>::TABLE[j * k % 7].0;
     a[2].mul_add(constant(c(3)), a[1].mul_add(constant(c(2)), a[0].mul_add(constant(c(1)), start)))
+}
+
+/// `start + Σ_j a[j] sin(2π (j + 1) k / 7)`
+#[inline(always)]
+fn plus_sines<V: Vector>(k: usize, a: [V; 3], start: V) -> V {
+    let s = |j: usize| Roots::<7>::TABLE[j * k % 7].1;
+    a[2].mul_add(constant(s(3)), a[1].mul_add(constant(s(2)), a[0].mul_add(constant(s(1)), start)))
 }
 
 /// `Σ_j a[j] sin(2π (j + 1) k / 7)`

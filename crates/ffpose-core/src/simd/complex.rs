@@ -82,6 +82,40 @@ impl<V: Vector> Complex<V> {
         Self::new(self.im.neg_mul_add(w.im, self.re * w.re), self.re.mul_add(w.im, self.im * w.re))
     }
 
+    /// `self + b * w`
+    #[inline(always)]
+    pub(crate) fn plus_times(self, b: Self, w: Self) -> Self {
+        Self::new(
+            b.im.neg_mul_add(w.im, b.re.mul_add(w.re, self.re)),
+            b.re.mul_add(w.im, b.im.mul_add(w.re, self.im)),
+        )
+    }
+
+    /// `self + b * conj(w)`
+    #[inline(always)]
+    pub(crate) fn plus_times_conj(self, b: Self, w: Self) -> Self {
+        Self::new(
+            b.im.mul_add(w.im, b.re.mul_add(w.re, self.re)),
+            b.re.neg_mul_add(w.im, b.im.mul_add(w.re, self.im)),
+        )
+    }
+
+    /// `self - i * b * w`
+    #[inline(always)]
+    pub(crate) fn minus_i_times(self, b: Self, w: Self) -> Self {
+        Self::new(
+            b.re.mul_add(w.im, b.im.mul_add(w.re, self.re)),
+            b.im.mul_add(w.im, b.re.neg_mul_add(w.re, self.im)),
+        )
+    }
+
+    /// `self - difference` from `sum`, which is `self + difference`: with one instruction for each part, where the product that
+    /// `difference` may be would have to be made anew.
+    #[inline(always)]
+    pub(crate) fn mirrored(self, sum: Self) -> Self {
+        Self::new(mirrored(self.re, sum.re), mirrored(self.im, sum.im))
+    }
+
     /// `self * conj(w)`
     #[inline(always)]
     pub(crate) fn times_conj(self, w: Self) -> Self {
@@ -103,4 +137,10 @@ impl<V: Vector> Sub for Complex<V> {
     fn sub(self, other: Self) -> Self {
         Self::new(self.re - other.re, self.im - other.im)
     }
+}
+
+/// `a - b` from `a + b`, where `b` need not be known by itself.
+#[inline(always)]
+pub(crate) fn mirrored<V: Vector>(a: V, sum: V) -> V {
+    a.mul_sub(V::splat(V::Element::nearest(2.0)), sum)
 }

@@ -22,7 +22,7 @@ mod x86;
 use std::fmt::Debug;
 use std::ops::{Add, Mul, Neg, Sub};
 
-pub(crate) use complex::Complex;
+pub(crate) use complex::{Complex, mirrored};
 pub use half::{Bf16, F16, Stored};
 pub(crate) use half::{narrow, widen};
 pub use isa::Isa;
@@ -71,6 +71,9 @@ pub(crate) trait Vector:
 
     /// `c - self * b`, fused where the instruction set has it.
     fn neg_mul_add(self, b: Self, c: Self) -> Self;
+
+    /// `self * b - c`, fused where the instruction set has it.
+    fn mul_sub(self, b: Self, c: Self) -> Self;
 
     /// # Safety
     /// `LANES` elements are readable at `from`.

@@ -51,6 +51,11 @@ macro_rules! vector {
             }
 
             #[inline(always)]
+            fn mul_sub(self, b: Self, c: Self) -> Self {
+                -self.neg_mul_add(b, c)
+            }
+
+            #[inline(always)]
             unsafe fn load(from: *const $element) -> Self {
                 // SAFETY: the caller promises the elements; the instruction needs no alignment.
                 Self(unsafe { $load(from) })

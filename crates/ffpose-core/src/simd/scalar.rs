@@ -52,6 +52,11 @@ impl<T: Element + Neg<Output = T>> Vector for Scalar<T> {
     }
 
     #[inline(always)]
+    fn mul_sub(self, b: Self, c: Self) -> Self {
+        self * b - c
+    }
+
+    #[inline(always)]
     unsafe fn load(from: *const T) -> Self {
         // SAFETY: the caller promises one readable element.
         Self(unsafe { *from })

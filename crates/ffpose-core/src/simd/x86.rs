@@ -11,7 +11,7 @@ use super::{Bf16, F16, Vector};
 /// The operations are safe although the intrinsics need their instruction set: see the module's documentation.
 macro_rules! vector {
     ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident
-     $mul_add:ident $neg_mul_add:ident $xor:ident $interleave:ident $deinterleave:ident $reverse:ident
+     $mul_add:ident $neg_mul_add:ident $mul_sub:ident $xor:ident $interleave:ident $deinterleave:ident $reverse:ident
      $exchange_halves:ident $transpose_in_halves:ident
      $(; $load_bf16:ident $store_bf16:ident $load_f16:ident $store_f16:ident)?) => {
         #[derive(Clone, Copy)]
@@ -51,6 +51,12 @@ macro_rules! vector {
             fn neg_mul_add(self, b: Self, c: Self) -> Self {
                 // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
                 Self(unsafe { $neg_mul_add(self.0, b.0, c.0) })
+            }
+
+            #[inline(always)]
+            fn mul_sub(self, b: Self, c: Self) -> Self {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                Self(unsafe { $mul_sub(self.0, b.0, c.0) })
             }
 
             #[inline(always)]
@@ -146,18 +152,18 @@ macro_rules! vector {
 }
 
 vector!(F32x8(__m256), f32; _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
-    _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8
+    _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_fmsub_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8
     reverse_f32x8 exchange_halves_f32x8 transpose_in_halves_f32x8;
     load_bf16x8 store_bf16x8 load_f16x8 store_f16x8);
 vector!(F64x4(__m256d), f64; _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_add_pd _mm256_sub_pd _mm256_mul_pd
-    _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4
+    _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_fmsub_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4
     reverse_f64x4 exchange_halves_f64x4 transpose_in_halves_f64x4);
 vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
-    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 reverse_f32x16
+    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_fmsub_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 reverse_f32x16
     exchange_halves_f32x16 transpose_in_halves_f32x16;
     load_bf16x16 store_bf16x16 load_f16x16 store_f16x16);
 vector!(F64x8(__m512d), f64; _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_add_pd _mm512_sub_pd _mm512_mul_pd
-    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 reverse_f64x8
+    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_fmsub_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 reverse_f64x8
     exchange_halves_f64x8 transpose_in_halves_f64x8);
 
 #[inline]

@@ -1,20 +1,23 @@
 //! The one transform that crosses lanes, with what is done to the spectrum in between.
 //!
-//! Items are the slots of rows, in order; as many as there are lanes are a group. A square of vectors is transposed, so that
-//! lanes are items; each is turned by `exp(-2πi k y / Y)`, where `k` is its frequency along the line and `y` the lane that it
-//! came from, and transformed over `y`. Vector `j` of a group is then frequency `k + M j` along Y. The same back.
+//! Items are the slots of rows, in the order of their frequencies; as many as there are lanes are a group. A square of vectors is
+//! transposed, so that lanes are items; each is turned by `exp(-2πi k y / Y)`, where `k` is its frequency along the line and `y`
+//! the lane that it came from, and transformed over `y`. Vector `j` of a group is then frequency `k + M j` along Y. The same
+//! back, with the norm.
 //!
 //! A group fills all registers, so that it is moved in halves. Item `r` and item `r + L / 2` exchange halves: then one vector has
 //! lanes `y < L / 2` of both, the other the rest. Their sum and difference are of even and odd `j = 2 c + p`. What is left stays
 //! in the half `p`, and in registers: to transpose inside the halves of its vectors, and a DFT of `L / 2` vectors.
 //!
-//! Rows come in pairs of `u` and `-u`, since slot 0 is two real lines as one complex line: they part to slot 0 of the two rows.
+//! Rows come in pairs of `u` and `-u`, since slot 0 is two real lines as one complex line, `k = 0` and `k = M / 2`. The row of `u`
+//! gets the first, at `u`, so that its frequencies are 0 to `M / 2 - 1`; that of `-u` the second, at `-u`: 1 to `M / 2`.
 
 use std::hint::black_box;
 
 use super::columns::Block;
+use super::turned::TurnedDft;
 use crate::fft::butterfly::{Codelet, Dft};
-use crate::fft::pair::{join, split};
+use crate::fft::roots::root;
 use crate::fft::unroll::unroll;
 use crate::simd::{Algorithm, Complex, Element, Vector, complex_vectors, complex_vectors_of};
 
@@ -29,8 +32,7 @@ pub(super) struct Turns<'a, T> {
     /// The least number of rows in pairs whose slots fill groups without a rest.
     pub(super) rows_each: usize,
     pub(super) slots: usize,
-    /// What the odd half is turned by, and what the items of such rows are: for each group, each `r` and each half of `y` a
-    /// complex vector.
+    /// The tables of [`twiddles`].
     pub(super) twiddles: &'a [T],
 }
 
@@ -41,10 +43,14 @@ pub(super) struct Group<'a, V, const J: usize> {
     place: usize,
     /// Where the items are among the vectors of the block.
     items: [[usize; J]; HALVES],
-    /// What items `r` and `r + J` are turned by, once they have exchanged halves.
-    turns: &'a [[Complex<V>; HALVES]; J],
-    /// What the odd half is turned by.
+    /// What the second half of items `r` and `r + J` is turned by against the first.
+    halfway: &'a [Complex<V>; J],
+    /// The factors of the transform of each half.
+    factors: [&'a [Complex<V>]; HALVES],
+    /// What the odd half is turned by on the way back, conjugate.
     odd: &'a Complex<V>,
+    /// What the halves of items `r` and `r + J` are multiplied by at last, conjugate.
+    back: &'a [[Complex<V>; HALVES]; J],
 }
 
 /// What is done to the spectrum of a group.
@@ -66,7 +72,7 @@ pub(super) trait Middle<T: Element> {
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
     where
-        Codelet: Dft<J>;
+        Codelet: TurnedDft<J>;
 }
 
 /// The product with a packed weight, or with its conjugate.
@@ -92,7 +98,7 @@ impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> 
         mut z: [Complex<V>; J],
     ) -> [Complex<V>; J]
     where
-        Codelet: Dft<J>,
+        Codelet: TurnedDft<J>,
     {
         let weight = group.part(complex_vectors_of(self.0));
         for c in 0..J {
@@ -138,14 +144,14 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
     where
-        Codelet: Dft<J>,
+        Codelet: TurnedDft<J>,
     {
         let block = complex_vectors::<V>(self.x.vectors);
         let mut x = z;
         for r in 0..J {
             x[r] = block[group.items[p][r]];
         }
-        let x = Codelet::dft(transposed(x));
+        let x = Codelet::turned_dft(transposed(x), group.factors[p]);
         let sum = group.part_mut(complex_vectors::<V>(self.sum));
         for c in 0..J {
             let Complex { re, im } = sum[c][p];
@@ -181,7 +187,7 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
     where
-        Codelet: Dft<J>,
+        Codelet: TurnedDft<J>,
     {
         let z = self.0.apply(group, p, z);
         self.1.apply(group, p, z)
@@ -212,11 +218,12 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
     #[inline(always)]
     fn run_lanes<V: Vector<Element = T>, const J: usize>(mut self)
     where
-        Codelet: Dft<J>,
+        Codelet: Dft<J> + TurnedDft<J>,
     {
         assert!(RUN <= HALVES * J, "a run is part of a group");
         let Turns { rows, rows_each, slots, twiddles } = self.turns;
-        let (odd, turns) = complex_vectors_of::<V>(twiddles).split_first().expect("a table");
+        let (odd, tables) = complex_vectors_of::<V>(twiddles).split_first().expect("a table");
+        let each = <Codelet as TurnedDft<J>>::FACTORS.len();
         let Block { vectors, pitch } = self.block;
         let block = complex_vectors::<V>(vectors);
         let groups = rows_each * slots / V::LANES;
@@ -229,16 +236,27 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
                     unroll!(r in 0..J {
                         let item = p * J + r;
                         let run = number * V::LANES + item / RUN * RUN;
-                        items[p][r] = rows[run / slots] * pitch + run % slots + item % RUN;
+                        let k = run % slots + run / slots % 2 + item % RUN;
+                        let is_last = item % RUN == RUN - 1 && k == slots; // k = M / 2, in slot 0
+                        items[p][r] = rows[run / slots] * pitch + if is_last { 0 } else { k };
                     });
                 });
-                let place = turn * groups + number;
-                let group = Group { place, items, turns: part(turns, number), odd };
+                let table = &tables[number * (3 * J + 2 * each)..][..3 * J + 2 * each];
+                let (halfway, table) = table.split_first_chunk().expect("a table");
+                let (factors, back) = table.split_at(2 * each);
+                let group = Group {
+                    place: turn * groups + number,
+                    items,
+                    halfway,
+                    factors: [&factors[..each], &factors[each..]],
+                    odd,
+                    back: back.as_chunks().0.first_chunk().expect("a table"),
+                };
                 group.check(block);
                 self.middle.enter(group);
                 let mut halves = group.halves_of(block);
                 unroll!(p in 0..HALVES {
-                    let z = Codelet::dft(transposed(halves[p]));
+                    let z = Codelet::turned_dft(transposed(halves[p]), group.factors[p]);
                     let z = self.middle.apply(group, p, z);
                     if M::INVERSE {
                         halves[p] = transposed(Codelet::idft(z));
@@ -310,24 +328,22 @@ impl<V: Vector, const J: usize> Group<'_, V, J> {
         let mut halves = [[Complex::zero(); J]; HALVES];
         unroll!(r in 0..J {
             let [low, high] = exchanged(block[self.items[0][r]], block[self.items[1][r]]);
-            let [by_low, by_high] = self.turns[r];
-            let (low, high) = (low.times(by_low), high.times(by_high));
-            halves[0][r] = low + high;
-            halves[1][r] = (low - high).times(*self.odd);
+            halves[0][r] = low.plus_times(high, self.halfway[r]);
+            halves[1][r] = low.mirrored(halves[0][r]);
         });
         halves
     }
 
-    /// Undoes [`halves_of`](Self::halves_of) up to a factor.
+    /// Undoes [`halves_of`](Self::halves_of) and the turns, with the norm.
     #[inline(always)]
     fn put_halves(&self, halves: [[Complex<V>; J]; HALVES], block: &mut [Complex<V>]) {
         // loaded again: the compiler would keep them on the stack
-        let (turns, odd) = (black_box(self.turns), *black_box(self.odd));
+        let (back, odd) = (black_box(self.back), *black_box(self.odd));
         unroll!(r in 0..J {
-            let (even, odd) = (halves[0][r], halves[1][r].times_conj(odd));
-            let [by_low, by_high] = turns[r];
-            let (low, high) = ((even + odd).times_conj(by_low), (even - odd).times_conj(by_high));
-            let [first, second] = exchanged(low, high);
+            let low = halves[0][r].plus_times_conj(halves[1][r], odd);
+            let high = halves[0][r].mirrored(low);
+            let [by_low, by_high] = back[r];
+            let [first, second] = exchanged(low.times_conj(by_low), high.times_conj(by_high));
             block[self.items[0][r]] = first;
             block[self.items[1][r]] = second;
         });
@@ -351,22 +367,77 @@ fn transposed<V: Vector, const J: usize>(z: [Complex<V>; J]) -> [Complex<V>; J] 
     complex(re, im)
 }
 
-/// Slot 0 of each pair of rows to the doubled spectra of its two real lines.
+/// Slot 0 of each pair of rows, `Z = A + iB` of real lines `a` and `b`, to `2 A(u)` and `2 B(-u)`.
 #[inline(always)]
 fn split_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) {
-    for &[a, b] in rows.as_chunks().0 {
-        let [first, second] = split(block[a * pitch], block[b * pitch]);
-        block[a * pitch] = first;
-        block[b * pitch] = second;
+    for &[u, minus_u] in rows.as_chunks().0 {
+        let (z, mirror) = (block[u * pitch], block[minus_u * pitch]);
+        block[u * pitch] = Complex::new(z.re + mirror.re, z.im - mirror.im);
+        block[minus_u * pitch] = Complex::new(z.im + mirror.im, z.re - mirror.re);
     }
 }
 
 /// Undoes [`split_rows`] up to a factor.
 #[inline(always)]
 fn join_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) {
-    for &[a, b] in rows.as_chunks().0 {
-        let (first, second) = join([block[a * pitch], block[b * pitch]]);
-        block[a * pitch] = first;
-        block[b * pitch] = second;
+    for &[u, minus_u] in rows.as_chunks().0 {
+        let (a, b) = (block[u * pitch], block[minus_u * pitch]);
+        block[u * pitch] = Complex::new(a.re + b.im, a.im + b.re);
+        block[minus_u * pitch] = Complex::new(a.re - b.im, b.re - a.im);
+    }
+}
+
+/// What [`Filter`] multiplies by, as vectors of real parts and vectors of imaginary ones: `exp(-2πi y / L)` for `y < J = L / 2`,
+/// and for each group of `rows` rows its [`Group::halfway`], its [`Group::factors`] and its [`Group::back`], which has the norm
+/// of images of `points` lines.
+pub(super) fn twiddles<T: Element>(
+    [points, width]: [usize; 2],
+    lanes: usize,
+    rows: usize,
+) -> Vec<T> {
+    let (slots, half) = (width / lanes / 2, lanes / 2);
+    let mut numbers = Vec::new();
+    let mut push = |number_of: &dyn Fn(usize) -> (f64, f64)| {
+        let values: Vec<_> = (0..lanes).map(number_of).collect();
+        numbers.extend(values.iter().map(|&(c, _)| T::nearest(c)));
+        numbers.extend(values.iter().map(|&(_, s)| T::nearest(-s)));
+    };
+    push(&|lane| root(lane % half, lanes));
+    for group in 0..rows * slots / lanes {
+        let frequency = |place: usize| {
+            let item = group * lanes + place;
+            item % slots + item / slots % 2
+        };
+        for r in 0..half {
+            push(&|lane| root(frequency(lane / half * half + r) * half, width));
+        }
+        for p in 0..HALVES {
+            for &(power, eighths) in factors_of(half) {
+                let turned = power * p * (width / lanes) + eighths * width / 8;
+                push(&|lane| root(power * frequency(lane) + turned, width));
+            }
+        }
+        for (r, y) in (0..half).flat_map(|r| [(r, 0), (r, half)]) {
+            push(&|lane| {
+                let k = frequency(lane / half * half + r);
+                // a line's own two real frequencies were doubled, the others were left out with their mirrors
+                let once = if k % slots == 0 { 0.5 } else { 2.0 };
+                let norm = once / (points * width) as f64;
+                let (c, s) = root(k * (y + lane % half), width);
+                (norm * c, norm * s)
+            });
+        }
+    }
+    numbers
+}
+
+/// The factors of the transform of length `half`.
+fn factors_of(half: usize) -> &'static [(usize, usize)] {
+    match half {
+        1 => <Codelet as TurnedDft<1>>::FACTORS,
+        2 => <Codelet as TurnedDft<2>>::FACTORS,
+        4 => <Codelet as TurnedDft<4>>::FACTORS,
+        8 => <Codelet as TurnedDft<8>>::FACTORS,
+        half => unreachable!("no transform across {half} vectors"),
     }
 }

@@ -34,6 +34,7 @@ mod lines;
 mod order;
 mod pack;
 mod passes;
+mod turned;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
@@ -87,7 +88,7 @@ impl<T: Element> Tokens<T> {
             twiddles: twiddles.collect(),
             steps,
             rows_each,
-            turns: Table::new(&turns(width, lanes, rows_each)),
+            turns: Table::new(&lanes::twiddles([points, width], lanes, rows_each)),
         })
     }
 
@@ -253,28 +254,4 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
 fn factors(points: usize) -> Option<[usize; 2]> {
     let pairs = columns::LENGTHS.into_iter().flat_map(|a| columns::LENGTHS.map(|b| [a, b]));
     pairs.filter(|[a, b]| a * b == points).min_by_key(|[a, b]| a.abs_diff(*b))
-}
-
-/// `exp(-2πi y / L)` for `y < L / 2`, and `exp(-2πi k y / Y)` for each group of some rows, each item `r < L / 2` and each half of
-/// `y`, as lanes of items `r` and `r + L / 2`: real parts of all lanes, then imaginary ones.
-fn turns<T: Element>(width: usize, lanes: usize, rows: usize) -> Vec<T> {
-    let (slots, half) = (width / lanes / 2, lanes / 2);
-    let mut numbers = Vec::new();
-    let mut push = |root_of: &dyn Fn(usize) -> (f64, f64)| {
-        let roots: Vec<_> = (0..lanes).map(root_of).collect();
-        numbers.extend(roots.iter().map(|&(c, _)| T::nearest(c)));
-        numbers.extend(roots.iter().map(|&(_, s)| T::nearest(-s)));
-    };
-    push(&|lane| root(lane % half, lanes));
-    for group in 0..rows * slots / lanes {
-        for (r, y) in (0..half).flat_map(|r| [(r, 0), (r, half)]) {
-            push(&|lane| {
-                let item = group * lanes + lane / half * half + r;
-                let (row, slot) = (item / slots, item % slots);
-                let k = if slot == 0 { row % 2 * slots } else { slot };
-                root(k * (y + lane % half), width)
-            });
-        }
-    }
-    numbers
 }
