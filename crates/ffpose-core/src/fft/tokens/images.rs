@@ -26,15 +26,22 @@ pub(super) enum StepGradient<'a, T> {
     Natural(GradientRows<'a, T>),
 }
 
+/// What images are filtered with, besides the plan.
+pub(super) struct Means<'a, 'b, T> {
+    /// Room for the spectrum of one image, used where the output is of half precision; in a backward pass, for two.
+    pub(super) spectra: &'a mut [T],
+    /// Whether memory is to be asked for ahead. What is near anyway would only be made to wait.
+    pub(super) far: bool,
+    pub(super) team: &'a mut Team<'b, T>,
+}
+
 impl<T: Element> Tokens<T> {
-    /// `spectrum` has room for that of one image: it is used where `y` is of half precision.
     pub(super) fn forward_image<'a, X: Stored<Real = T>>(
         &self,
         x: ArrayView2<'_, X>,
         y: ArrayViewMut2<'_, X>,
         weights: impl Iterator<Item = StepWeight<'a, T>>,
-        spectrum: &mut [T],
-        team: &mut Team<'_, T>,
+        Means { spectra: spectrum, far, team }: Means<'_, '_, T>,
     ) where
         T: 'a,
     {
@@ -42,7 +49,7 @@ impl<T: Element> Tokens<T> {
             Ok(y) => (y, None),
             Err(y) => (self.image(spectrum), Some(y)),
         };
-        self.first_pass(x, spectrum.view_mut(), team);
+        self.first_pass(x, spectrum.view_mut(), far, team);
         let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
         team.run(steps.zip(weights), |((step, mut rows), weight), scratch| {
             let Parts { block, packed, .. } = self.scratch(scratch);
@@ -52,20 +59,18 @@ impl<T: Element> Tokens<T> {
             self.put(block, &mut rows);
         });
         match y {
-            None => self.last_pass(spectrum, team),
-            Some(y) => self.last_pass_to(spectrum, y, team),
+            None => self.last_pass(spectrum, far, team),
+            Some(y) => self.last_pass_to(spectrum, y, far, team),
         }
     }
 
-    /// `spectra` has room for those of two images.
     pub(super) fn backward_image<'a, X: Stored<Real = T>>(
         &self,
         [grad, x]: [ArrayView2<'_, X>; 2],
         grad_x: Option<ArrayViewMut2<'_, X>>,
         weights: impl Iterator<Item = StepWeight<'a, T>>,
         gradients: Option<impl Iterator<Item = StepGradient<'a, T>>>,
-        spectra: &mut [T],
-        team: &mut Team<'_, T>,
+        Means { spectra, far, team }: Means<'_, '_, T>,
     ) where
         T: 'a,
     {
@@ -76,10 +81,10 @@ impl<T: Element> Tokens<T> {
             Some(Err(grad_x)) => (self.image(spectrum), Some(grad_x)),
             None => (self.image(spectrum), None),
         };
-        self.first_pass(grad, spectrum.view_mut(), team);
+        self.first_pass(grad, spectrum.view_mut(), far, team);
         let x = gradients.is_some().then(|| {
             let mut other = self.image(other);
-            self.first_pass(x, other.view_mut(), team);
+            self.first_pass(x, other.view_mut(), far, team);
             self.rows_of_steps(other)
         });
         let gradients = x.into_iter().flatten().zip(gradients.into_iter().flatten()).map(Some);
@@ -122,8 +127,8 @@ impl<T: Element> Tokens<T> {
             }
         });
         match grad_x {
-            Some(grad_x) => self.last_pass_to(spectrum, grad_x, team),
-            None if inverse => self.last_pass(spectrum, team),
+            Some(grad_x) => self.last_pass_to(spectrum, grad_x, far, team),
+            None if inverse => self.last_pass(spectrum, far, team),
             None => {}
         }
     }

@@ -40,12 +40,12 @@ macro_rules! with_codelet {
     };
 }
 
-/// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors. `target` is where the rows go after
-/// that, asked for in time.
+/// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors. Where memory is far, `target` is where
+/// the rows go after that: it is asked for in time, and so are the rows of the next call.
 pub(super) fn forward<X: Stored>(
     isa: Isa,
     image: Tile<'_, X>,
-    target: Tile<'_, X::Real>,
+    target: Option<Tile<'_, X::Real>>,
     block: Block<'_, X::Real>,
     work: &mut [X::Real],
 ) {
@@ -54,15 +54,17 @@ pub(super) fn forward<X: Stored>(
     });
 }
 
-/// Rows of `block`, doubled but for slot 0, to rows of `image`, up to a factor of their length.
+/// Rows of `block`, doubled but for slot 0, to rows of `image`, up to a factor of their length. Where memory is far, the rows of
+/// the next call are asked for.
 pub(super) fn inverse<X: Stored>(
     isa: Isa,
     block: Block<'_, X::Real>,
     image: TileMut<'_, X>,
     work: &mut [X::Real],
+    far: bool,
 ) {
     with_codelet!(image.reader().lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
-        isa.run(Inverse::<X, P, Q, ROWS> { block, image, work });
+        isa.run(Inverse::<X, P, Q, ROWS> { block, image, work, far });
     });
 }
 
@@ -138,7 +140,7 @@ const fn real_frequency(n: usize, slot: usize) -> usize {
 
 struct Forward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     image: Tile<'a, X>,
-    target: Tile<'a, X::Real>,
+    target: Option<Tile<'a, X::Real>>,
     block: Block<'a, X::Real>,
     work: &'a mut [X::Real],
 }
@@ -155,8 +157,10 @@ where
         let work = &mut complex_vectors::<V>(self.work)[..ROWS * Q];
         for row in 0..self.image.points() {
             let line = self.image.point(row, V::LANES);
-            line.prefetch_behind(); // of the next `x2`
-            self.target.point(row, V::LANES).prefetch_all();
+            if let Some(target) = self.target {
+                line.prefetch_behind(); // of the next `x2`
+                target.point(row, V::LANES).prefetch_all();
+            }
             let slots = &mut block[row * pitch..][..ROWS * Q];
             unroll!(q in 0..Q {
                 let points = Line::<P, Q, ROWS>::POINTS[q];
@@ -210,6 +214,7 @@ struct Inverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize>
     block: Block<'a, X::Real>,
     image: TileMut<'a, X>,
     work: &'a mut [X::Real],
+    far: bool,
 }
 
 impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
@@ -238,7 +243,9 @@ where
                 scatter(work, row * Q, 1, z);
             });
             let mut line = self.image.point(row, V::LANES);
-            line.reader().prefetch_behind(); // of the next `x2`
+            if self.far {
+                line.reader().prefetch_behind(); // of the next `x2`
+            }
             unroll!(q in 0..Q {
                 let across = <Codelet as RealDft<P, ROWS>>::real_idft(gather(work, q, Q));
                 let points = Line::<P, Q, ROWS>::POINTS[q];

@@ -38,13 +38,16 @@ mod turned;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
-use self::images::{StepGradient, StepWeight};
+use self::images::{Means, StepGradient, StepWeight};
 use self::order::Step;
 use self::pack::Plan;
 use super::roots::root;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{Complex, Element, Isa, Stored, Table};
+
+/// Bytes of the second cache of a core, of those of today a small one.
+const SECOND_CACHE: usize = 1 << 20;
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
@@ -124,6 +127,12 @@ impl<T: Element> Tokens<T> {
         self.points() * self.width
     }
 
+    /// Whether even a single image may be far when it is its turn: not if an image, its result and the weight fit in a second
+    /// cache, where the layer before has left them.
+    fn is_large(&self) -> bool {
+        3 * self.spectrum_len() * size_of::<T>() > SECOND_CACHE
+    }
+
     /// The parts of a packed weight that belong to each step.
     fn parts<'a>(&self, packed: &'a [T]) -> impl Iterator<Item = &'a [T]> {
         let mut rest = packed;
@@ -180,7 +189,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         let (spectrum, mut team) = team.share(self.spectrum_len());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             let weights = self.parts(packed).map(StepWeight::Packed);
-            self.forward_image(x, y, weights, spectrum, &mut team);
+            let means = Means { spectra: &mut *spectrum, far: true, team: &mut team };
+            self.forward_image(x, y, weights, means);
         }
     }
 
@@ -192,7 +202,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
             let sums = grad_sum.as_deref_mut();
             let sums = sums.map(|sum| self.parts_mut(sum).map(StepGradient::Sum));
             let grad_x = grad_x.as_mut().map(|grad_x| grad_x.index_axis_mut(Axis(0), image));
-            self.backward_image([grad, x], grad_x, weights, sums, spectra, &mut team);
+            let means = Means { spectra: &mut *spectra, far: true, team: &mut team };
+            self.backward_image([grad, x], grad_x, weights, sums, means);
         }
     }
 
@@ -236,7 +247,8 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
         let weight = weight.to_slice().expect("a whole weight");
         let weights = std::iter::repeat_with(|| StepWeight::Natural(weight));
         let (spectrum, mut team) = team.share(self.spectrum_len());
-        self.forward_image(x, y, weights, spectrum, &mut team);
+        let means = Means { spectra: spectrum, far: self.is_large(), team: &mut team };
+        self.forward_image(x, y, weights, means);
     }
 
     fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
@@ -246,7 +258,8 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
         let weights = std::iter::repeat_with(|| StepWeight::Natural(weight));
         let gradients =
             grad_weight.map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural));
-        self.backward_image([grad, x], grad_x, weights, gradients, spectra, &mut team);
+        let means = Means { spectra, far: self.is_large(), team: &mut team };
+        self.backward_image([grad, x], grad_x, weights, gradients, means);
     }
 }
 

@@ -59,6 +59,7 @@ impl<T: Element> Tokens<T> {
         &self,
         x: ArrayView2<'_, X>,
         spectrum: ArrayViewMut2<'_, T>,
+        far: bool,
         team: &mut Team<'_, T>,
     ) {
         let ([a, b], pitch) = (self.factors, self.pitch());
@@ -68,13 +69,19 @@ impl<T: Element> Tokens<T> {
         team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
             let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
             let y = TileMut::new(y);
-            lines::forward(self.isa, Tile::new(x), y.reader(), Block { vectors, pitch }, work);
+            let target = far.then(|| y.reader());
+            lines::forward(self.isa, Tile::new(x), target, Block { vectors, pitch }, work);
             block_to_image::<T, false>(self.isa, Block { vectors, pitch }, twiddles, y);
         });
     }
 
     /// Undoes [`first_pass`](Self::first_pass) in place, up to a factor.
-    pub(super) fn last_pass(&self, spectrum: ArrayViewMut2<'_, T>, team: &mut Team<'_, T>) {
+    pub(super) fn last_pass(
+        &self,
+        spectrum: ArrayViewMut2<'_, T>,
+        far: bool,
+        team: &mut Team<'_, T>,
+    ) {
         let ([a, _], pitch) = (self.factors, self.pitch());
         let mut spectrum = self.blocks(spectrum);
         let columns = spectrum.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
@@ -82,7 +89,7 @@ impl<T: Element> Tokens<T> {
             let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
             let image = TileMut::new(spectrum);
             image_to_block::<T, true>(self.isa, image.reader(), twiddles, Block { vectors, pitch });
-            lines::inverse(self.isa, Block { vectors, pitch }, image, work);
+            lines::inverse(self.isa, Block { vectors, pitch }, image, work, far);
         });
     }
 
@@ -91,6 +98,7 @@ impl<T: Element> Tokens<T> {
         &self,
         spectrum: ArrayViewMut2<'_, T>,
         y: ArrayViewMut2<'_, X>,
+        far: bool,
         team: &mut Team<'_, T>,
     ) {
         let ([a, _], pitch) = (self.factors, self.pitch());
@@ -100,7 +108,7 @@ impl<T: Element> Tokens<T> {
             let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
             let x = Tile::new(x);
             image_to_block::<T, true>(self.isa, x, twiddles, Block { vectors, pitch });
-            lines::inverse(self.isa, Block { vectors, pitch }, TileMut::new(y), work);
+            lines::inverse(self.isa, Block { vectors, pitch }, TileMut::new(y), work, far);
         });
     }
 
