@@ -15,7 +15,7 @@ use super::passes::inverted;
 use super::rows::{Place, Rows};
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
-use crate::simd::{Element, Isa, Stored, Tile, TileMut, aligned, slack};
+use crate::simd::{Element, Isa, Stored, Tile, TileMut, aligned, second_cache, slack};
 
 /// Bytes of the lanes of one tile, as they are computed with. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
 /// lines at a distance of a power of two meet in the same few sets of the cache.
@@ -28,7 +28,9 @@ const LINE_BYTES: usize = 64;
 /// from memory, which is quicker at longer runs.
 const SPECTRA_BYTES: usize = 1 << 20;
 
-/// The same for one image alone, which is likely to be in that cache.
+/// Bytes of the second cache that one image alone, likely to be there, leaves to what streams through beside its spectrum; and what
+/// its spectrum has at least.
+const STREAM_BYTES: usize = 3 << 18;
 const ALONE_BYTES: usize = 1 << 18;
 
 /// The plan for grids of one height and width.
@@ -92,7 +94,8 @@ impl<T: Element> Grid<T> {
             let fitting = bytes / (columns.len() * size_of::<T>()) * lanes;
             1 << fitting.min(Self::TILE).max(lanes).ilog2()
         };
-        let alone = together(ALONE_BYTES);
+        let alone = second_cache().saturating_sub(STREAM_BYTES);
+        let alone = together(alone.clamp(ALONE_BYTES, SPECTRA_BYTES));
         let together = together(SPECTRA_BYTES);
         Self {
             isa,
@@ -126,6 +129,11 @@ impl<T: Element> Grid<T> {
             set: self.columns.len() / (2 * self.lanes),
             far,
         }
+    }
+
+    /// For lanes of one image: far are those that do not fit in the second cache together with their result and their weight.
+    fn place_of_one<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
+        self.place(3 * size_of::<X>() * x.len() > second_cache())
     }
 
     /// Parts of `lanes` lanes, at most `together` in each: whole vectors, then the rest.
@@ -235,9 +243,10 @@ impl<T: Element> Grid<T> {
     ) {
         let Scratch { spectrum, work, padded, .. } = scratch;
         let spectrum = &mut spectrum[..self.spectra(x.ncols())];
-        self.rows_forward(self.place(false), x, spectrum, work, padded);
+        let place = self.place_of_one(&x);
+        self.rows_forward(place, x, spectrum, work, padded);
         self.columns.through::<_, true>(spectrum, self.product::<false>(weight), work);
-        self.rows_inverse(self.place(false), spectrum, y, work, padded);
+        self.rows_inverse(place, spectrum, y, work, padded);
     }
 
     /// As [`Single::backward`], for lanes that go together.
@@ -250,9 +259,10 @@ impl<T: Element> Grid<T> {
         let Scratch { spectrum, other, work, padded } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
-        self.rows_forward(self.place(false), grad, spectrum, work, padded);
+        let place = self.place_of_one(&grad);
+        self.rows_forward(place, grad, spectrum, work, padded);
         if grad_weight.is_some() {
-            self.rows_forward(self.place(false), x, other, work, padded);
+            self.rows_forward(place, x, other, work, padded);
         }
         let product = self.product::<true>(weight);
         match grad_weight {
@@ -272,7 +282,7 @@ impl<T: Element> Grid<T> {
             }
         }
         if let Some(grad_x) = grad_x {
-            self.rows_inverse(self.place(false), spectrum, grad_x, work, padded);
+            self.rows_inverse(place, spectrum, grad_x, work, padded);
         }
     }
 

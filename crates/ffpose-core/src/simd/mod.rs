@@ -9,6 +9,7 @@
 //!
 //! All unsafe code of the crate is in this folder.
 
+mod cache;
 mod complex;
 mod half;
 mod isa;
@@ -22,13 +23,14 @@ mod x86;
 use std::fmt::Debug;
 use std::ops::{Add, Mul, Neg, Sub};
 
+pub(crate) use cache::second_cache;
 pub(crate) use complex::{Complex, mirrored};
 pub use half::{Bf16, F16, Stored};
 pub(crate) use half::{narrow, widen};
 pub use isa::Isa;
 pub(crate) use memory::{
-    Table, Tile, TileMut, aligned, complex_vectors, complex_vectors_of, gather, gather_at, scatter,
-    scatter_at, slack,
+    Runs, Table, Tile, TileMut, aligned, complex_vectors, complex_vectors_of, gather, gather_at,
+    scatter, scatter_at, slack,
 };
 
 /// The most lanes that a [`Vector`] of this crate has.
@@ -140,6 +142,13 @@ pub(crate) trait Vector:
 
     /// Undoes [`interleave`](Vector::interleave).
     fn deinterleave(low: Self, high: Self) -> (Self, Self);
+
+    /// As [`deinterleave`](Vector::deinterleave), with the lanes in reverse.
+    #[inline(always)]
+    fn deinterleave_reversed(low: Self, high: Self) -> (Self, Self) {
+        let (a, b) = Self::deinterleave(low, high);
+        (a.reverse(), b.reverse())
+    }
 
     /// The lanes in reverse.
     fn reverse(self) -> Self;

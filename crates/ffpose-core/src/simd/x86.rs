@@ -11,7 +11,7 @@ use super::{Bf16, F16, Vector};
 /// The operations are safe although the intrinsics need their instruction set: see the module's documentation.
 macro_rules! vector {
     ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident
-     $mul_add:ident $neg_mul_add:ident $mul_sub:ident $xor:ident $interleave:ident $deinterleave:ident $reverse:ident
+     $mul_add:ident $neg_mul_add:ident $mul_sub:ident $xor:ident $interleave:ident $deinterleave:ident $deinterleave_reversed:ident $reverse:ident
      $exchange_halves:ident $transpose_in_halves:ident
      $(; $load_bf16:ident $store_bf16:ident $load_f16:ident $store_f16:ident)?) => {
         #[derive(Clone, Copy)]
@@ -112,6 +112,13 @@ macro_rules! vector {
             }
 
             #[inline(always)]
+            fn deinterleave_reversed(low: Self, high: Self) -> (Self, Self) {
+                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
+                let (a, b) = unsafe { $deinterleave_reversed(low.0, high.0) };
+                (Self(a), Self(b))
+            }
+
+            #[inline(always)]
             fn reverse(self) -> Self {
                 // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
                 Self(unsafe { $reverse(self.0) })
@@ -152,18 +159,18 @@ macro_rules! vector {
 }
 
 vector!(F32x8(__m256), f32; _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
-    _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_fmsub_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8
+    _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_fmsub_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8 deinterleave_reversed_f32x8
     reverse_f32x8 exchange_halves_f32x8 transpose_in_halves_f32x8;
     load_bf16x8 store_bf16x8 load_f16x8 store_f16x8);
 vector!(F64x4(__m256d), f64; _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_add_pd _mm256_sub_pd _mm256_mul_pd
-    _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_fmsub_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4
+    _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_fmsub_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4 deinterleave_reversed_f64x4
     reverse_f64x4 exchange_halves_f64x4 transpose_in_halves_f64x4);
 vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
-    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_fmsub_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 reverse_f32x16
+    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_fmsub_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 deinterleave_reversed_f32x16 reverse_f32x16
     exchange_halves_f32x16 transpose_in_halves_f32x16;
     load_bf16x16 store_bf16x16 load_f16x16 store_f16x16);
 vector!(F64x8(__m512d), f64; _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_add_pd _mm512_sub_pd _mm512_mul_pd
-    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_fmsub_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 reverse_f64x8
+    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_fmsub_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 deinterleave_reversed_f64x8 reverse_f64x8
     exchange_halves_f64x8 transpose_in_halves_f64x8);
 
 #[inline]
@@ -179,6 +186,22 @@ fn deinterleave_f32x8(low: __m256, high: __m256) -> (__m256, __m256) {
     let in_order =
         |halves| _mm256_castpd_ps(_mm256_permute4x64_pd::<0xd8>(_mm256_castps_pd(halves)));
     (in_order(_mm256_shuffle_ps::<0x88>(low, high)), in_order(_mm256_shuffle_ps::<0xdd>(low, high)))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn deinterleave_reversed_f32x8(low: __m256, high: __m256) -> (__m256, __m256) {
+    // in each half of a vector two numbers of `low`, then two of `high`
+    let order = _mm256_setr_epi32(7, 6, 3, 2, 5, 4, 1, 0);
+    let reversed = |halves| _mm256_permutevar8x32_ps(halves, order);
+    (reversed(_mm256_shuffle_ps::<0x88>(low, high)), reversed(_mm256_shuffle_ps::<0xdd>(low, high)))
+}
+
+#[inline]
+#[target_feature(enable = "avx2")]
+fn deinterleave_reversed_f64x4(low: __m256d, high: __m256d) -> (__m256d, __m256d) {
+    let (p, q) = (_mm256_unpacklo_pd(low, high), _mm256_unpackhi_pd(low, high));
+    (_mm256_permute4x64_pd::<0x27>(p), _mm256_permute4x64_pd::<0x27>(q))
 }
 
 #[inline]
@@ -209,6 +232,22 @@ fn deinterleave_f32x16(low: __m512, high: __m512) -> (__m512, __m512) {
     let even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
     let odd = _mm512_setr_epi32(1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
     (_mm512_permutex2var_ps(low, even, high), _mm512_permutex2var_ps(low, odd, high))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn deinterleave_reversed_f32x16(low: __m512, high: __m512) -> (__m512, __m512) {
+    let even = _mm512_setr_epi32(30, 28, 26, 24, 22, 20, 18, 16, 14, 12, 10, 8, 6, 4, 2, 0);
+    let odd = _mm512_setr_epi32(31, 29, 27, 25, 23, 21, 19, 17, 15, 13, 11, 9, 7, 5, 3, 1);
+    (_mm512_permutex2var_ps(low, even, high), _mm512_permutex2var_ps(low, odd, high))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f")]
+fn deinterleave_reversed_f64x8(low: __m512d, high: __m512d) -> (__m512d, __m512d) {
+    let even = _mm512_setr_epi64(14, 12, 10, 8, 6, 4, 2, 0);
+    let odd = _mm512_setr_epi64(15, 13, 11, 9, 7, 5, 3, 1);
+    (_mm512_permutex2var_pd(low, even, high), _mm512_permutex2var_pd(low, odd, high))
 }
 
 #[inline]

@@ -6,17 +6,10 @@ use super::Tokens;
 use super::columns::Block;
 use super::lanes::{Accumulate, Product};
 use super::order::Step;
-use super::pack::{GradientRows, Pack, Unpack};
 use super::passes::Parts;
+use super::weight::{GradientRows, StepWeight, Unpack};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored};
-
-/// The weight of a step.
-pub(super) enum StepWeight<'a, T> {
-    Packed(&'a [T]),
-    /// The whole weight `(X, Y/2+1, 2)` in natural order.
-    Natural(&'a [T]),
-}
 
 /// Where the gradient of the weight of a step goes.
 pub(super) enum StepGradient<'a, T> {
@@ -40,7 +33,7 @@ impl<T: Element> Tokens<T> {
         &self,
         x: ArrayView2<'_, X>,
         y: ArrayViewMut2<'_, X>,
-        weights: impl Iterator<Item = StepWeight<'a, T>>,
+        weight: &[T],
         Means { spectra: spectrum, far, team }: Means<'_, '_, T>,
     ) where
         T: 'a,
@@ -51,10 +44,10 @@ impl<T: Element> Tokens<T> {
         };
         self.first_pass(x, spectrum.view_mut(), far, team);
         let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
-        team.run(steps.zip(weights), |((step, mut rows), weight), scratch| {
-            let Parts { block, packed, .. } = self.scratch(scratch);
+        team.run(steps, |(step, mut rows), scratch| {
+            let Parts { block, .. } = self.scratch(scratch);
             self.gather(step, &rows, block);
-            let weight = self.packed(step, weight, packed);
+            let weight = StepWeight::new(self.plan(), step, weight);
             self.filter(step, block, Product::<T, false>(weight));
             self.put(block, &mut rows);
         });
@@ -68,7 +61,7 @@ impl<T: Element> Tokens<T> {
         &self,
         [grad, x]: [ArrayView2<'_, X>; 2],
         grad_x: Option<ArrayViewMut2<'_, X>>,
-        weights: impl Iterator<Item = StepWeight<'a, T>>,
+        weight: &[T],
         gradients: Option<impl Iterator<Item = StepGradient<'a, T>>>,
         Means { spectra, far, team }: Means<'_, '_, T>,
     ) where
@@ -90,11 +83,12 @@ impl<T: Element> Tokens<T> {
         let gradients = x.into_iter().flatten().zip(gradients.into_iter().flatten()).map(Some);
         let gradients_if_wanted = gradients.chain(std::iter::repeat_with(|| None));
         let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
-        let steps = steps.zip(weights).zip(gradients_if_wanted);
-        team.run(steps, |(((step, mut rows), weight), gradient), scratch| {
-            let Parts { block, other, packed, sum, .. } = self.scratch(scratch);
+        let steps = steps.zip(gradients_if_wanted);
+        team.run(steps, |((step, mut rows), gradient), scratch| {
+            let Parts { block, other, sum, .. } = self.scratch(scratch);
             self.gather(step, &rows, block);
-            let product = inverse.then(|| Product::<T, true>(self.packed(step, weight, packed)));
+            let weight = || StepWeight::new(self.plan(), step, weight);
+            let product = inverse.then(|| Product::<T, true>(weight()));
             match gradient {
                 Some((x, gradient)) => {
                     self.gather(step, &x, other);
@@ -131,23 +125,6 @@ impl<T: Element> Tokens<T> {
             None if inverse => self.last_pass(spectrum, far, team),
             None => {}
         }
-    }
-
-    /// The packed weight of a step, by way of `packed` if it is not.
-    fn packed<'a>(&self, step: &Step, weight: StepWeight<'a, T>, packed: &'a mut [T]) -> &'a [T] {
-        match weight {
-            StepWeight::Packed(packed) => packed,
-            StepWeight::Natural(weight) => {
-                let packed = &mut packed[..self.packed_len_of(step)];
-                self.pack_step(step, weight, packed);
-                packed
-            }
-        }
-    }
-
-    pub(super) fn pack_step(&self, step: &Step, weight: &[T], packed: &mut [T]) {
-        let plan = self.plan();
-        with_run!(self.run(), RUN => self.isa.run(Pack::<T, RUN> { plan, step, weight, packed }));
     }
 
     pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {

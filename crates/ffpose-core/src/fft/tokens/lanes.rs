@@ -16,6 +16,7 @@ use std::hint::black_box;
 
 use super::columns::Block;
 use super::turned::TurnedDft;
+use super::weight::{GroupWeight, StepWeight};
 use crate::fft::butterfly::{Codelet, Dft};
 use crate::fft::roots::root;
 use crate::fft::unroll::unroll;
@@ -61,12 +62,19 @@ pub(super) trait Middle<T: Element> {
     /// Makes the slots 0 of `rows` ready.
     fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
 
+    /// What is known of a group beforehand.
+    type Ready<const RUN: usize, const J: usize>;
+
     /// Makes a group ready, and checks all bounds: later the compiler would keep vectors on the stack meanwhile.
-    fn enter<V: Vector<Element = T>, const J: usize>(&mut self, group: Group<'_, V, J>);
+    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
+        &mut self,
+        group: Group<'_, V, J>,
+    ) -> Self::Ready<RUN, J>;
 
     /// The new values of vectors `p`, `p + 2`, ... of a group.
-    fn apply<V: Vector<Element = T>, const J: usize>(
+    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
+        ready: &Self::Ready<RUN, J>,
         group: Group<'_, V, J>,
         p: usize,
         z: [Complex<V>; J],
@@ -75,36 +83,38 @@ pub(super) trait Middle<T: Element> {
         Codelet: TurnedDft<J>;
 }
 
-/// The product with a packed weight, or with its conjugate.
-#[derive(Clone, Copy)]
-pub(super) struct Product<'a, T, const CONJUGATE: bool>(pub(super) &'a [T]);
+/// The product with a weight, or with its conjugate.
+pub(super) struct Product<'a, T, const CONJUGATE: bool>(pub(super) StepWeight<'a, T>);
 
-impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> {
+impl<'a, T: Element, const CONJUGATE: bool> Middle<T> for Product<'a, T, CONJUGATE> {
     const INVERSE: bool = true;
+    type Ready<const RUN: usize, const J: usize> = GroupWeight<'a, T, RUN, J>;
 
     #[inline(always)]
     fn begin<V: Vector<Element = T>>(&mut self, _: &[usize]) {}
 
     #[inline(always)]
-    fn enter<V: Vector<Element = T>, const J: usize>(&mut self, group: Group<'_, V, J>) {
-        let _: &[[_; HALVES]; J] = group.part(complex_vectors_of::<V>(self.0));
+    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
+        &mut self,
+        group: Group<'_, V, J>,
+    ) -> Self::Ready<RUN, J> {
+        self.0.group::<V, RUN, J>(group.place)
     }
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const J: usize>(
+    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
-        group: Group<'_, V, J>,
+        ready: &Self::Ready<RUN, J>,
+        _: Group<'_, V, J>,
         p: usize,
         mut z: [Complex<V>; J],
     ) -> [Complex<V>; J]
     where
         Codelet: TurnedDft<J>,
     {
-        let weight = group.part(complex_vectors_of(self.0));
-        for c in 0..J {
-            let weight = weight[c][p];
-            z[c] = if CONJUGATE { z[c].times_conj(weight) } else { z[c].times(weight) };
-        }
+        unroll!(c in 0..J {
+            z[c] = ready.times::<V, CONJUGATE>(HALVES * c + p, z[c]);
+        });
         z
     }
 }
@@ -117,6 +127,7 @@ pub(super) struct Accumulate<'a, T> {
 
 impl<T: Element> Middle<T> for Accumulate<'_, T> {
     const INVERSE: bool = false;
+    type Ready<const RUN: usize, const J: usize> = ();
 
     #[inline(always)]
     fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]) {
@@ -124,7 +135,10 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
     }
 
     #[inline(always)]
-    fn enter<V: Vector<Element = T>, const J: usize>(&mut self, group: Group<'_, V, J>) {
+    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
+        &mut self,
+        group: Group<'_, V, J>,
+    ) -> Self::Ready<RUN, J> {
         let _: &mut [[_; HALVES]; J] = group.part_mut(complex_vectors::<V>(self.sum));
         let x = complex_vectors::<V>(self.x.vectors);
         group.check(x);
@@ -137,8 +151,9 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
     }
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const J: usize>(
+    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
+        _: &Self::Ready<RUN, J>,
         group: Group<'_, V, J>,
         p: usize,
         z: [Complex<V>; J],
@@ -166,6 +181,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
 /// One after the other.
 impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     const INVERSE: bool = A::INVERSE || B::INVERSE;
+    type Ready<const RUN: usize, const J: usize> = (A::Ready<RUN, J>, B::Ready<RUN, J>);
 
     #[inline(always)]
     fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]) {
@@ -174,14 +190,17 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     }
 
     #[inline(always)]
-    fn enter<V: Vector<Element = T>, const J: usize>(&mut self, group: Group<'_, V, J>) {
-        self.0.enter(group);
-        self.1.enter(group);
+    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
+        &mut self,
+        group: Group<'_, V, J>,
+    ) -> Self::Ready<RUN, J> {
+        (self.0.enter(group), self.1.enter(group))
     }
 
     #[inline(always)]
-    fn apply<V: Vector<Element = T>, const J: usize>(
+    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
+        ready: &Self::Ready<RUN, J>,
         group: Group<'_, V, J>,
         p: usize,
         z: [Complex<V>; J],
@@ -189,8 +208,8 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     where
         Codelet: TurnedDft<J>,
     {
-        let z = self.0.apply(group, p, z);
-        self.1.apply(group, p, z)
+        let z = self.0.apply(&ready.0, group, p, z);
+        self.1.apply(&ready.1, group, p, z)
     }
 }
 
@@ -253,11 +272,11 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
                     back: back.as_chunks().0.first_chunk().expect("a table"),
                 };
                 group.check(block);
-                self.middle.enter(group);
+                let ready = self.middle.enter::<V, RUN, J>(group);
                 let mut halves = group.halves_of(block);
                 unroll!(p in 0..HALVES {
                     let z = Codelet::turned_dft(transposed(halves[p]), group.factors[p]);
-                    let z = self.middle.apply(group, p, z);
+                    let z = self.middle.apply(&ready, group, p, z);
                     if M::INVERSE {
                         halves[p] = transposed(Codelet::idft(z));
                     }
@@ -271,13 +290,6 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
             }
         }
     }
-}
-
-/// The vectors of a group in a table.
-#[inline(always)]
-fn part<V, const J: usize>(table: &[Complex<V>], group: usize) -> &[[Complex<V>; HALVES]; J] {
-    let pairs = table.as_chunks().0;
-    pairs[group * J..].first_chunk().expect("a whole group")
 }
 
 #[inline(always)]
@@ -299,13 +311,7 @@ fn parts<V: Vector, const N: usize>(z: [Complex<V>; N]) -> ([V; N], [V; N]) {
 }
 
 impl<V: Vector, const J: usize> Group<'_, V, J> {
-    /// The vectors of this group in a packed weight.
-    #[inline(always)]
-    fn part<'a>(&self, packed: &'a [Complex<V>]) -> &'a [[Complex<V>; HALVES]; J] {
-        part(packed, self.place)
-    }
-
-    /// As [`part`](Self::part), to write.
+    /// The vectors of this group in the sums of a step.
     #[inline(always)]
     fn part_mut<'a>(&self, packed: &'a mut [Complex<V>]) -> &'a mut [[Complex<V>; HALVES]; J] {
         let pairs = packed.as_chunks_mut().0;

@@ -32,22 +32,19 @@ mod images;
 mod lanes;
 mod lines;
 mod order;
-mod pack;
 mod passes;
 mod turned;
+mod weight;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
-use self::images::{Means, StepGradient, StepWeight};
+use self::images::{Means, StepGradient};
 use self::order::Step;
-use self::pack::Plan;
+use self::weight::Plan;
 use super::roots::root;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
-use crate::simd::{Complex, Element, Isa, Stored, Table};
-
-/// Bytes of the second cache of a core, of those of today a small one.
-const SECOND_CACHE: usize = 1 << 20;
+use crate::simd::{Complex, Element, Isa, Stored, Table, second_cache};
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
@@ -130,10 +127,15 @@ impl<T: Element> Tokens<T> {
     /// Whether even a single image may be far when it is its turn: not if an image, its result and the weight fit in a second
     /// cache, where the layer before has left them.
     fn is_large(&self) -> bool {
-        3 * self.spectrum_len() * size_of::<T>() > SECOND_CACHE
+        3 * self.spectrum_len() * size_of::<T>() > second_cache()
     }
 
-    /// The parts of a packed weight that belong to each step.
+    /// Numbers of a weight.
+    fn weight_len(&self) -> usize {
+        self.points() * (self.width + 2)
+    }
+
+    /// The parts of a sum that belong to each step.
     fn parts<'a>(&self, packed: &'a [T]) -> impl Iterator<Item = &'a [T]> {
         let mut rest = packed;
         self.steps.iter().map(move |step| {
@@ -160,7 +162,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     }
 
     fn packed_len(&self) -> usize {
-        self.steps.iter().map(|step| self.packed_len_of(step)).sum()
+        let sum: usize = self.steps.iter().map(|step| self.packed_len_of(step)).sum();
+        sum.max(self.weight_len())
     }
 
     fn scratch_len(&self) -> usize {
@@ -171,12 +174,10 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         &self,
         weight: ArrayView3<'_, X::Real>,
         packed: &mut [X::Real],
-        team: &mut Team<'_, X::Real>,
+        _: &mut Team<'_, X::Real>,
     ) {
         let weight = weight.to_slice().expect("a whole weight");
-        team.run(self.steps.iter().zip(self.parts_mut(packed)), |(step, packed), _| {
-            self.pack_step(step, weight, packed);
-        });
+        packed[..weight.len()].copy_from_slice(weight);
     }
 
     fn forward(
@@ -188,9 +189,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     ) {
         let (spectrum, mut team) = team.share(self.spectrum_len());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            let weights = self.parts(packed).map(StepWeight::Packed);
             let means = Means { spectra: &mut *spectrum, far: true, team: &mut team };
-            self.forward_image(x, y, weights, means);
+            self.forward_image(x, y, &packed[..self.weight_len()], means);
         }
     }
 
@@ -198,12 +198,11 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
-            let weights = self.parts(packed).map(StepWeight::Packed);
             let sums = grad_sum.as_deref_mut();
             let sums = sums.map(|sum| self.parts_mut(sum).map(StepGradient::Sum));
             let grad_x = grad_x.as_mut().map(|grad_x| grad_x.index_axis_mut(Axis(0), image));
             let means = Means { spectra: &mut *spectra, far: true, team: &mut team };
-            self.backward_image([grad, x], grad_x, weights, sums, means);
+            self.backward_image([grad, x], grad_x, &packed[..self.weight_len()], sums, means);
         }
     }
 
@@ -231,7 +230,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     }
 }
 
-/// A step's weight is packed when it is its turn: it is read once, so that it need not leave the cache.
+/// The gradient of the weight is brought to its order step by step, while its sums are in the cache.
 impl<X: Stored> Single<X> for Tokens<X::Real> {
     fn narrowest_tile(&self) -> usize {
         self.width
@@ -245,21 +244,19 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
         team: &mut Team<'_, X::Real>,
     ) {
         let weight = weight.to_slice().expect("a whole weight");
-        let weights = std::iter::repeat_with(|| StepWeight::Natural(weight));
         let (spectrum, mut team) = team.share(self.spectrum_len());
         let means = Means { spectra: spectrum, far: self.is_large(), team: &mut team };
-        self.forward_image(x, y, weights, means);
+        self.forward_image(x, y, weight, means);
     }
 
     fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
         let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
         let weight = weight.to_slice().expect("a whole weight");
-        let weights = std::iter::repeat_with(|| StepWeight::Natural(weight));
         let gradients =
             grad_weight.map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural));
         let means = Means { spectra, far: self.is_large(), team: &mut team };
-        self.backward_image([grad, x], grad_x, weights, gradients, means);
+        self.backward_image([grad, x], grad_x, weight, gradients, means);
     }
 }
 

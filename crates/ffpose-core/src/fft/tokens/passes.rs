@@ -17,8 +17,7 @@ pub(super) struct Parts<'a, T> {
     /// The rows of two blocks, and of those of `x` in a backward pass.
     pub(super) block: &'a mut [T],
     pub(super) other: &'a mut [T],
-    /// The weight of a step, and the sum of its gradient.
-    pub(super) packed: &'a mut [T],
+    /// The sum of a step's gradient of the weight.
     pub(super) sum: &'a mut [T],
     /// Room for half a line of complex vectors.
     line: &'a mut [T],
@@ -38,15 +37,14 @@ impl<T: Element> Tokens<T> {
 
     /// Scratch of one member of a team.
     pub(super) fn member_len(&self) -> usize {
-        slack::<T>() + 2 * (self.block_len() + self.largest_step()) + self.width
+        slack::<T>() + 2 * self.block_len() + self.largest_step() + self.width
     }
 
     pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> Parts<'a, T> {
         let (block, rest) = aligned(scratch).split_at_mut(self.block_len());
         let (other, rest) = rest.split_at_mut(self.block_len());
-        let (packed, rest) = rest.split_at_mut(self.largest_step());
         let (sum, rest) = rest.split_at_mut(self.largest_step());
-        Parts { block, other, packed, sum, line: &mut rest[..self.width] }
+        Parts { block, other, sum, line: &mut rest[..self.width] }
     }
 
     /// `spectrum` as an image.

@@ -1,10 +1,10 @@
-//! A weight in natural order to the order of the groups, and a gradient back.
+//! A weight in natural order in the order of the groups, and a gradient back.
 //!
 //! Vector `j` of a group is frequency `k + M j` along Y, with `k` that of the lane. Below `Y / 2` these stand in the weight's row
 //! of `u`, above it in that of `-u` in reverse; either way the lanes of a run are neighbours.
 
 use super::order::Step;
-use crate::simd::{Algorithm, Complex, Element, MAX_LANES, Tile, TileMut, Vector};
+use crate::simd::{Algorithm, Complex, Element, MAX_LANES, Runs, Tile, TileMut, Vector};
 
 /// The rows of a weight: real and imaginary part of each bin.
 #[derive(Clone, Copy)]
@@ -58,69 +58,92 @@ struct Run {
     columns: [usize; 2],
 }
 
-/// `weight` `(X, Y/2+1)` of complex numbers to the groups of a step.
-pub(super) struct Pack<'a, T, const RUN: usize> {
-    pub(super) plan: Plan,
-    pub(super) step: &'a Step,
-    pub(super) weight: &'a [T],
-    pub(super) packed: &'a mut [T],
+/// A weight `(X, Y/2+1)` in natural order, where a step is multiplied by it.
+#[derive(Clone, Copy)]
+pub(super) struct StepWeight<'a, T> {
+    plan: Plan,
+    pairs: &'a [[usize; 2]],
+    bins: &'a [[T; 2]],
 }
 
-impl<T: Element, const RUN: usize> Algorithm<T> for Pack<'_, T, RUN> {
+/// The weight of a group of `2 J` vectors.
+pub(super) struct GroupWeight<'a, T, const RUN: usize, const J: usize> {
+    /// Of frequencies below `Y / 2`, and of those above it, whose vectors and lanes are in reverse.
+    own: Runs<'a, T, RUN, J>,
+    mirror: Runs<'a, T, RUN, J>,
+    /// Instead of vectors 0 and `J`, which have the columns of zero and Nyquist, where the Hermitian part counts.
+    edges: [[[T; 2]; MAX_LANES]; 2],
+}
+
+impl<'a, T: Element> StepWeight<'a, T> {
+    pub(super) fn new(plan: Plan, step: &'a Step, weight: &'a [T]) -> Self {
+        Self { plan, pairs: &step.frequencies, bins: weight.as_chunks().0 }
+    }
+
+    /// The weight of group `number`.
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let Self { plan, step, weight, packed } = self;
-        let pairs = &step.frequencies;
-        let (weight, half, stride) = (weight.as_chunks::<2>().0, plan.half(), plan.stride());
-        for (number, group) in packed.chunks_exact_mut(2 * V::LANES * V::LANES).enumerate() {
-            let (mut own, mut mirror) = ([0; MAX_LANES], [0; MAX_LANES]);
-            for i in 0..V::LANES / RUN {
-                // what fillers are multiplied by is of no account
-                let first = number * V::LANES + i * RUN;
-                let Run { rows, columns } = plan.run::<RUN>(pairs, first).unwrap_or_default();
-                own[i] = rows[0] * half + columns[0];
-                mirror[V::LANES / RUN - 1 - i] = rows[1] * half + columns[1];
-            }
-            let (low, high) = group.split_at_mut(V::LANES * V::LANES);
-            for (j, packed) in low.chunks_exact_mut(2 * V::LANES).enumerate() {
-                let z = runs_at::<V, RUN>(weight, &own, stride * j);
-                TileMut::dense(packed, V::LANES).scatter(0, 1, [z.re, z.im]);
-            }
-            for (j, packed) in high.chunks_exact_mut(2 * V::LANES).rev().enumerate() {
-                let z = reversed(runs_at::<V, RUN>(weight, &mirror, stride * j));
-                TileMut::dense(packed, V::LANES).scatter(0, 1, [z.re, z.im]);
+    pub(super) fn group<V: Vector<Element = T>, const RUN: usize, const J: usize>(
+        &self,
+        number: usize,
+    ) -> GroupWeight<'a, T, RUN, J> {
+        let (plan, half, stride) = (self.plan, self.plan.half(), self.plan.stride());
+        let (mut own, mut mirror) = ([0; MAX_LANES], [0; MAX_LANES]);
+        let mut edges = [[[T::default(); 2]; MAX_LANES]; 2];
+        for i in 0..V::LANES / RUN {
+            // what fillers are multiplied by is of no account
+            let run = plan.run::<RUN>(self.pairs, number * V::LANES + i * RUN).unwrap_or_default();
+            let (lane, mirrored) = (i * RUN, V::LANES - (i + 1) * RUN);
+            let Run { rows: [u, minus_u], columns } = run;
+            own[i] = u * half + columns[0];
+            mirror[mirrored / RUN] = minus_u * half + columns[1];
+            let nyquist = mirror[mirrored / RUN] + stride * (J - 1);
+            edges[0][lane..][..RUN].copy_from_slice(&self.bins[own[i]..][..RUN]);
+            edges[1][mirrored..][..RUN].copy_from_slice(&self.bins[nyquist..][..RUN]);
+            if columns[0] == 0 {
+                let last = plan.width / 2;
+                let bin = |row: usize, k: usize| self.bins[row * half + k];
+                edges[0][lane] = hermitian(bin(u, 0), bin(minus_u, 0));
+                edges[1][V::LANES - 1 - lane] = hermitian(bin(minus_u, last), bin(u, last));
             }
         }
-        // of the columns of zero and Nyquist, the Hermitian part
-        for (&[u, minus_u], place) in pairs.iter().zip(plan.zeroth(pairs.len(), V::LANES)) {
-            for (j, k) in [(0, 0), (V::LANES / 2, plan.width / 2)] {
-                let (z, m) = (weight[u * half + k], weight[minus_u * half + k]);
-                let place = place + 2 * V::LANES * j;
-                packed[place] = (z[0] + m[0]) * T::nearest(0.5);
-                packed[place + V::LANES] = (z[1] - m[1]) * T::nearest(0.5);
-            }
+        GroupWeight {
+            own: Runs::new::<V>(self.bins, &own, stride),
+            mirror: Runs::new::<V>(self.bins, &mirror, stride),
+            edges,
         }
     }
 }
 
-/// The complex numbers of runs that begin at `starts`, counted from `offset`.
-#[inline(always)]
-fn runs_at<V: Vector, const RUN: usize>(
-    numbers: &[[V::Element; 2]],
-    starts: &[usize; MAX_LANES],
-    offset: usize,
-) -> Complex<V> {
-    let mut lanes = [[V::Element::default(); 2]; MAX_LANES];
-    for i in 0..V::LANES / RUN {
-        lanes[i * RUN..][..RUN].copy_from_slice(&numbers[starts[i] + offset..][..RUN]);
+impl<T: Element, const RUN: usize, const J: usize> GroupWeight<'_, T, RUN, J> {
+    /// `z` times vector `j`, or times its conjugate.
+    #[inline(always)]
+    pub(super) fn times<V: Vector<Element = T>, const CONJUGATE: bool>(
+        &self,
+        j: usize,
+        z: Complex<V>,
+    ) -> Complex<V> {
+        let is_mirrored = j >= J;
+        let weight = if j.is_multiple_of(J) {
+            let [low, high] = Tile::dense(self.edges[j / J].as_flattened(), V::LANES).gather(0, 1);
+            let (re, im) = if is_mirrored {
+                V::deinterleave_reversed(low, high)
+            } else {
+                V::deinterleave(low, high)
+            };
+            Complex::new(re, im)
+        } else if is_mirrored {
+            self.mirror.complex_reversed(2 * J - 1 - j)
+        } else {
+            self.own.complex(j)
+        };
+        if CONJUGATE == is_mirrored { z.times(weight) } else { z.times_conj(weight) }
     }
-    Tile::dense(lanes.as_flattened(), 2 * V::LANES).complex(0)
 }
 
-/// The conjugate with the lanes in reverse.
-#[inline(always)]
-fn reversed<V: Vector>(z: Complex<V>) -> Complex<V> {
-    Complex::new(z.re.reverse(), -z.im.reverse())
+/// The mean of a number and the conjugate of another.
+fn hermitian<T: Element>(a: [T; 2], b: [T; 2]) -> [T; 2] {
+    let half = T::nearest(0.5);
+    [(a[0] + b[0]) * half, (a[1] - b[1]) * half]
 }
 
 /// The rows of a gradient that belong to a step, of complex numbers, by position.
@@ -159,7 +182,7 @@ impl<T: Element, const RUN: usize> Algorithm<T> for Unpack<'_, '_, T, RUN> {
                 let [re, im] = Tile::dense(sum, V::LANES).gather::<V, 2>(0, 1);
                 let z = Complex::new(re, im).scale(scale);
                 let is_mirrored = 2 * j >= V::LANES;
-                let z = if is_mirrored { reversed(z) } else { z };
+                let z = if is_mirrored { Complex::new(z.re.reverse(), -z.im.reverse()) } else { z };
                 let mut lanes = [[T::default(); 2]; MAX_LANES];
                 TileMut::dense(lanes.as_flattened_mut(), 2 * V::LANES).set_complex(0, z);
                 for i in 0..known {
