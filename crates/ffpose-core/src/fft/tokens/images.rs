@@ -47,7 +47,7 @@ impl<T: Element> Tokens<T> {
         team.run(steps, |(step, mut rows), scratch| {
             let Parts { block, .. } = self.scratch(scratch);
             self.gather(step, &rows, block);
-            let weight = StepWeight::new(self.plan(), step, weight);
+            let weight = StepWeight::new(self.plan, weight);
             self.filter(step, block, Product::<T, false>(weight));
             self.put(block, &mut rows);
         });
@@ -87,7 +87,7 @@ impl<T: Element> Tokens<T> {
         team.run(steps, |((step, mut rows), gradient), scratch| {
             let Parts { block, other, sum, .. } = self.scratch(scratch);
             self.gather(step, &rows, block);
-            let weight = || StepWeight::new(self.plan(), step, weight);
+            let weight = || StepWeight::new(self.plan, weight);
             let product = inverse.then(|| Product::<T, true>(weight()));
             match gradient {
                 Some((x, gradient)) => {
@@ -95,12 +95,12 @@ impl<T: Element> Tokens<T> {
                     let (sum, natural) = match gradient {
                         StepGradient::Sum(sum) => (sum, None),
                         StepGradient::Natural(rows) => {
-                            let sum = &mut sum[..self.packed_len_of(step)];
+                            let sum = &mut sum[..self.sum_len_of(step)];
                             sum.fill(T::default());
                             (sum, Some(rows))
                         }
                     };
-                    let x = Block { vectors: other, pitch: self.pitch() };
+                    let x = Block { vectors: other, pitch: self.plan.pitch() };
                     let accumulate = Accumulate { x, sum: &mut *sum };
                     match product {
                         Some(product) => self.filter(step, block, (accumulate, product)),
@@ -128,8 +128,8 @@ impl<T: Element> Tokens<T> {
     }
 
     pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {
-        let plan = self.plan();
-        with_run!(self.run(), RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
+        let plan = self.plan;
+        with_run!(self.run, RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
     }
 
     /// The rows of a weight's gradient that belong to each step.
@@ -140,7 +140,7 @@ impl<T: Element> Tokens<T> {
         let [a, b] = self.factors;
         let gradient = gradient.into_slice().expect("a whole weight");
         let mut rows: Vec<_> = (0..a).map(|_| Vec::with_capacity(b)).collect();
-        for (u, row) in gradient.chunks_exact_mut(self.width + 2).enumerate() {
+        for (u, row) in gradient.chunks_exact_mut(self.plan.width + 2).enumerate() {
             rows[u % a].push(row.as_chunks_mut().0);
         }
         (0..=a / 2).map(move |u1| {

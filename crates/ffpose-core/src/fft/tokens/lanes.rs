@@ -16,11 +16,13 @@ use std::hint::black_box;
 
 use super::columns::Block;
 use super::turned::TurnedDft;
-use super::weight::{GroupWeight, StepWeight};
+use super::weight::{GroupWeight, Run, StepWeight};
 use crate::fft::butterfly::{Codelet, Dft};
 use crate::fft::roots::root;
 use crate::fft::unroll::unroll;
-use crate::simd::{Algorithm, Complex, Element, Vector, complex_vectors, complex_vectors_of};
+use crate::simd::{
+    Algorithm, Complex, Element, MAX_LANES, Vector, complex_vectors, complex_vectors_of,
+};
 
 /// Halves of a group, and of the lanes of a vector.
 const HALVES: usize = 2;
@@ -30,20 +32,23 @@ const HALVES: usize = 2;
 pub(super) struct Turns<'a, T> {
     /// Positions of `u` and `-u` in turn.
     pub(super) rows: &'a [usize],
-    /// The least number of rows in pairs whose slots fill groups without a rest.
+    /// The least number of rows in pairs whose items fill groups without a rest.
     pub(super) rows_each: usize,
+    /// The runs of all groups.
+    pub(super) runs: &'a [Run],
     pub(super) slots: usize,
     /// The tables of [`twiddles`].
     pub(super) twiddles: &'a [T],
 }
 
-/// A group of `2 J` items.
+/// A group of `2 J` items in runs of `RUN`.
 #[derive(Clone, Copy)]
-pub(super) struct Group<'a, V, const J: usize> {
+pub(super) struct Group<'a, V, const RUN: usize, const J: usize> {
     /// Its number in the block.
     place: usize,
-    /// Where the items are among the vectors of the block.
-    items: [[usize; J]; HALVES],
+    runs: &'a [Run],
+    /// Where each run begins among the vectors of the block.
+    firsts: [usize; MAX_LANES],
     /// What the second half of items `r` and `r + J` is turned by against the first.
     halfway: &'a [Complex<V>; J],
     /// The factors of the transform of each half.
@@ -68,14 +73,14 @@ pub(super) trait Middle<T: Element> {
     /// Makes a group ready, and checks all bounds: later the compiler would keep vectors on the stack meanwhile.
     fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
-        group: Group<'_, V, J>,
+        group: Group<'_, V, RUN, J>,
     ) -> Self::Ready<RUN, J>;
 
     /// The new values of vectors `p`, `p + 2`, ... of a group.
     fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
         ready: &Self::Ready<RUN, J>,
-        group: Group<'_, V, J>,
+        group: Group<'_, V, RUN, J>,
         p: usize,
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
@@ -96,16 +101,16 @@ impl<'a, T: Element, const CONJUGATE: bool> Middle<T> for Product<'a, T, CONJUGA
     #[inline(always)]
     fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
-        group: Group<'_, V, J>,
+        group: Group<'_, V, RUN, J>,
     ) -> Self::Ready<RUN, J> {
-        self.0.group::<V, RUN, J>(group.place)
+        self.0.group::<V, RUN, J>(group.runs)
     }
 
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
         ready: &Self::Ready<RUN, J>,
-        _: Group<'_, V, J>,
+        _: Group<'_, V, RUN, J>,
         p: usize,
         mut z: [Complex<V>; J],
     ) -> [Complex<V>; J]
@@ -137,7 +142,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
     #[inline(always)]
     fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
-        group: Group<'_, V, J>,
+        group: Group<'_, V, RUN, J>,
     ) -> Self::Ready<RUN, J> {
         let _: &mut [[_; HALVES]; J] = group.part_mut(complex_vectors::<V>(self.sum));
         let x = complex_vectors::<V>(self.x.vectors);
@@ -145,7 +150,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
         let halves = group.halves_of(x);
         unroll!(p in 0..HALVES {
             unroll!(r in 0..J {
-                x[group.items[p][r]] = halves[p][r];
+                *group.item_mut(x, p * J + r) = halves[p][r];
             });
         });
     }
@@ -154,7 +159,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
     fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
         _: &Self::Ready<RUN, J>,
-        group: Group<'_, V, J>,
+        group: Group<'_, V, RUN, J>,
         p: usize,
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
@@ -164,7 +169,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
         let block = complex_vectors::<V>(self.x.vectors);
         let mut x = z;
         for r in 0..J {
-            x[r] = block[group.items[p][r]];
+            x[r] = *group.item(block, p * J + r);
         }
         let x = Codelet::turned_dft(transposed(x), group.factors[p]);
         let sum = group.part_mut(complex_vectors::<V>(self.sum));
@@ -192,7 +197,7 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     #[inline(always)]
     fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
-        group: Group<'_, V, J>,
+        group: Group<'_, V, RUN, J>,
     ) -> Self::Ready<RUN, J> {
         (self.0.enter(group), self.1.enter(group))
     }
@@ -201,7 +206,7 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
         ready: &Self::Ready<RUN, J>,
-        group: Group<'_, V, J>,
+        group: Group<'_, V, RUN, J>,
         p: usize,
         z: [Complex<V>; J],
     ) -> [Complex<V>; J]
@@ -240,9 +245,10 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
         Codelet: Dft<J> + TurnedDft<J>,
     {
         assert!(RUN <= HALVES * J, "a run is part of a group");
-        let Turns { rows, rows_each, slots, twiddles } = self.turns;
+        let Turns { rows, rows_each, runs, slots, twiddles } = self.turns;
         let (odd, tables) = complex_vectors_of::<V>(twiddles).split_first().expect("a table");
-        let each = <Codelet as TurnedDft<J>>::FACTORS.len();
+        let factors_len = <Codelet as TurnedDft<J>>::FACTORS.len();
+        let table_len = 3 * J + 2 * factors_len;
         let Block { vectors, pitch } = self.block;
         let block = complex_vectors::<V>(vectors);
         let groups = rows_each * slots / V::LANES;
@@ -250,24 +256,21 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
             split_rows(block, pitch, rows);
             self.middle.begin::<V>(rows);
             for number in 0..groups {
-                let mut items = [[0; J]; HALVES];
-                unroll!(p in 0..HALVES {
-                    unroll!(r in 0..J {
-                        let item = p * J + r;
-                        let run = number * V::LANES + item / RUN * RUN;
-                        let k = run % slots + run / slots % 2 + item % RUN;
-                        let is_last = item % RUN == RUN - 1 && k == slots; // k = M / 2, in slot 0
-                        items[p][r] = rows[run / slots] * pitch + if is_last { 0 } else { k };
-                    });
-                });
-                let table = &tables[number * (3 * J + 2 * each)..][..3 * J + 2 * each];
+                let place = turn * groups + number;
+                let runs = &runs[place * (V::LANES / RUN)..][..V::LANES / RUN];
+                let mut firsts = [0; MAX_LANES];
+                for i in 0..V::LANES / RUN {
+                    firsts[i] = runs[i].item;
+                }
+                let table = &tables[number * table_len..][..table_len];
                 let (halfway, table) = table.split_first_chunk().expect("a table");
-                let (factors, back) = table.split_at(2 * each);
+                let (factors, back) = table.split_at(2 * factors_len);
                 let group = Group {
-                    place: turn * groups + number,
-                    items,
+                    place,
+                    runs,
+                    firsts,
                     halfway,
-                    factors: [&factors[..each], &factors[each..]],
+                    factors: [&factors[..factors_len], &factors[factors_len..]],
                     odd,
                     back: back.as_chunks().0.first_chunk().expect("a table"),
                 };
@@ -310,7 +313,7 @@ fn parts<V: Vector, const N: usize>(z: [Complex<V>; N]) -> ([V; N], [V; N]) {
     (re, im)
 }
 
-impl<V: Vector, const J: usize> Group<'_, V, J> {
+impl<V: Vector, const RUN: usize, const J: usize> Group<'_, V, RUN, J> {
     /// The vectors of this group in the sums of a step.
     #[inline(always)]
     fn part_mut<'a>(&self, packed: &'a mut [Complex<V>]) -> &'a mut [[Complex<V>; HALVES]; J] {
@@ -321,11 +324,19 @@ impl<V: Vector, const J: usize> Group<'_, V, J> {
     /// All items are in `block`.
     #[inline(always)]
     fn check(&self, block: &[Complex<V>]) {
-        unroll!(p in 0..HALVES {
-            unroll!(r in 0..J {
-                assert!(self.items[p][r] < block.len());
-            });
-        });
+        for i in 0..V::LANES / RUN {
+            let _ = &block[self.firsts[i]..][..RUN];
+        }
+    }
+
+    #[inline(always)]
+    fn item<'a>(&self, block: &'a [Complex<V>], item: usize) -> &'a Complex<V> {
+        &block[self.firsts[item / RUN]..][..RUN][item % RUN]
+    }
+
+    #[inline(always)]
+    fn item_mut<'a>(&self, block: &'a mut [Complex<V>], item: usize) -> &'a mut Complex<V> {
+        &mut block[self.firsts[item / RUN]..][..RUN][item % RUN]
     }
 
     /// The group up to what is done to each half alone.
@@ -333,7 +344,7 @@ impl<V: Vector, const J: usize> Group<'_, V, J> {
     fn halves_of(&self, block: &[Complex<V>]) -> [[Complex<V>; J]; HALVES] {
         let mut halves = [[Complex::zero(); J]; HALVES];
         unroll!(r in 0..J {
-            let [low, high] = exchanged(block[self.items[0][r]], block[self.items[1][r]]);
+            let [low, high] = exchanged(*self.item(block, r), *self.item(block, J + r));
             halves[0][r] = low.plus_times(high, self.halfway[r]);
             halves[1][r] = low.mirrored(halves[0][r]);
         });
@@ -350,8 +361,8 @@ impl<V: Vector, const J: usize> Group<'_, V, J> {
             let high = halves[0][r].mirrored(low);
             let [by_low, by_high] = back[r];
             let [first, second] = exchanged(low.times_conj(by_low), high.times_conj(by_high));
-            block[self.items[0][r]] = first;
-            block[self.items[1][r]] = second;
+            *self.item_mut(block, r) = first;
+            *self.item_mut(block, J + r) = second;
         });
     }
 }
@@ -373,13 +384,13 @@ fn transposed<V: Vector, const J: usize>(z: [Complex<V>; J]) -> [Complex<V>; J] 
     complex(re, im)
 }
 
-/// Slot 0 of each pair of rows, `Z = A + iB` of real lines `a` and `b`, to `2 A(u)` and `2 B(-u)`.
+/// Slot 0 of each pair of rows, `Z = A + iB` of real lines `a` and `b`, to `2 A(u)` and, behind the last slot, `2 B(-u)`.
 #[inline(always)]
 fn split_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) {
     for &[u, minus_u] in rows.as_chunks().0 {
         let (z, mirror) = (block[u * pitch], block[minus_u * pitch]);
         block[u * pitch] = Complex::new(z.re + mirror.re, z.im - mirror.im);
-        block[minus_u * pitch] = Complex::new(z.im + mirror.im, z.re - mirror.re);
+        block[(minus_u + 1) * pitch - 1] = Complex::new(z.im + mirror.im, z.re - mirror.re);
     }
 }
 
@@ -387,7 +398,7 @@ fn split_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize])
 #[inline(always)]
 fn join_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) {
     for &[u, minus_u] in rows.as_chunks().0 {
-        let (a, b) = (block[u * pitch], block[minus_u * pitch]);
+        let (a, b) = (block[u * pitch], block[(minus_u + 1) * pitch - 1]);
         block[u * pitch] = Complex::new(a.re + b.im, a.im + b.re);
         block[minus_u * pitch] = Complex::new(a.re - b.im, b.re - a.im);
     }

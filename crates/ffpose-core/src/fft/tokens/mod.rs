@@ -50,7 +50,9 @@ use crate::simd::{Complex, Element, Isa, Stored, Table, second_cache};
 pub(crate) struct Tokens<T> {
     isa: Isa,
     lanes: usize,
-    width: usize,
+    plan: Plan,
+    /// Items of one row that stay together in a group.
+    run: usize,
     /// `X = A B`.
     factors: [usize; 2],
     /// `exp(-2πi x2 u1 / X)`, for each `x2` in turn.
@@ -71,9 +73,12 @@ impl<T: Element> Tokens<T> {
         }
         let factors = factors(points)?;
         let slots = width / lanes / 2;
+        let plan = Plan { points, width, slots };
+        // a power of two that divides both
+        let run = lanes.min(slots & slots.wrapping_neg());
         let pairs_each = lanes / lanes.min((2 * slots) & (2 * slots).wrapping_neg());
         let steps: Vec<_> =
-            (0..=factors[0] / 2).map(|u1| Step::new(factors, u1, pairs_each)).collect();
+            (0..=factors[0] / 2).map(|u1| Step::new(plan, factors, u1, pairs_each, run)).collect();
         let twiddles = (0..points).map(|i| (i / factors[0]) * (i % factors[0]));
         let twiddles = twiddles.map(|n| {
             let (c, s) = root(n, points);
@@ -83,7 +88,8 @@ impl<T: Element> Tokens<T> {
         Some(Self {
             isa,
             lanes,
-            width,
+            plan,
+            run,
             factors,
             twiddles: twiddles.collect(),
             steps,
@@ -92,36 +98,14 @@ impl<T: Element> Tokens<T> {
         })
     }
 
-    fn points(&self) -> usize {
-        self.factors[0] * self.factors[1]
-    }
-
-    fn slots(&self) -> usize {
-        self.width / self.lanes / 2
-    }
-
-    /// Items of one row that stay together in a group.
-    fn run(&self) -> usize {
-        self.lanes.min(self.slots() & self.slots().wrapping_neg())
-    }
-
-    /// Complex vectors from one row of a block to the next: odd, since an even number would meet the same few sets of the cache.
-    fn pitch(&self) -> usize {
-        self.slots() | 1
-    }
-
-    /// Numbers of the packed weight of a step.
-    fn packed_len_of(&self, step: &Step) -> usize {
-        step.rows.len() * self.width
-    }
-
-    fn plan(&self) -> Plan {
-        Plan { points: self.points(), width: self.width, slots: self.slots() }
+    /// Numbers of the sum of a step's gradient.
+    fn sum_len_of(&self, step: &Step) -> usize {
+        step.rows.len() * self.plan.width
     }
 
     /// Numbers of the spectrum of an image.
     fn spectrum_len(&self) -> usize {
-        self.points() * self.width
+        self.plan.points * self.plan.width
     }
 
     /// Whether even a single image may be far when it is its turn: not if an image, its result and the weight fit in a second
@@ -132,7 +116,7 @@ impl<T: Element> Tokens<T> {
 
     /// Numbers of a weight.
     fn weight_len(&self) -> usize {
-        self.points() * (self.width + 2)
+        self.plan.points * (self.plan.width + 2)
     }
 
     /// The parts of a sum that belong to each step.
@@ -140,7 +124,7 @@ impl<T: Element> Tokens<T> {
         let mut rest = packed;
         self.steps.iter().map(move |step| {
             let part;
-            (part, rest) = rest.split_at(self.packed_len_of(step));
+            (part, rest) = rest.split_at(self.sum_len_of(step));
             part
         })
     }
@@ -150,7 +134,7 @@ impl<T: Element> Tokens<T> {
         let mut rest = packed;
         self.steps.iter().map(move |step| {
             let part;
-            (part, rest) = std::mem::take(&mut rest).split_at_mut(self.packed_len_of(step));
+            (part, rest) = std::mem::take(&mut rest).split_at_mut(self.sum_len_of(step));
             part
         })
     }
@@ -158,11 +142,11 @@ impl<T: Element> Tokens<T> {
 
 impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     fn tile(&self) -> usize {
-        self.width
+        self.plan.width
     }
 
     fn packed_len(&self) -> usize {
-        let sum: usize = self.steps.iter().map(|step| self.packed_len_of(step)).sum();
+        let sum: usize = self.steps.iter().map(|step| self.sum_len_of(step)).sum();
         sum.max(self.weight_len())
     }
 
@@ -233,7 +217,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
 /// The gradient of the weight is brought to its order step by step, while its sums are in the cache.
 impl<X: Stored> Single<X> for Tokens<X::Real> {
     fn narrowest_tile(&self) -> usize {
-        self.width
+        self.plan.width
     }
 
     fn forward(

@@ -4,14 +4,18 @@
 
 use std::ops::Range;
 
+use super::weight::{Plan, Run};
+
 /// Blocks `u1` and `A - u1` as one: rows `u2`, then `B + u2`, then copies and fillers.
 pub(super) struct Step {
     /// Positions of `u` and `-u` in turn.
     pub(super) rows: Vec<usize>,
-    /// The frequencies `u` and `-u` of each two of these rows; fillers, which come last, have none.
-    pub(super) frequencies: Vec<[usize; 2]>,
-    /// Where these frequencies are among the rows of the two blocks: a copy is where its original is.
+    /// Where the frequencies `u` and `-u` of each two of these rows are among the rows of the two blocks: a copy is where its
+    /// original is. Fillers, which come last, have none.
     pub(super) positions: Vec<[usize; 2]>,
+    /// The runs of these rows, with rows of a weight, and with those of the two blocks, without fillers.
+    pub(super) runs: Vec<Run>,
+    pub(super) gradient_runs: Vec<Run>,
     /// Rows that are their own mirrors, and where a copy stands for the mirror.
     pub(super) copies: Vec<(usize, usize)>,
     /// Positions of the rows of zeros that fill the last turn, each a place of its own.
@@ -19,8 +23,14 @@ pub(super) struct Step {
 }
 
 impl Step {
-    /// The step of blocks `u1 <= A / 2` and `-u1`, of a multiple of `pairs_each` pairs.
-    pub(super) fn new([a, b]: [usize; 2], u1: usize, pairs_each: usize) -> Self {
+    /// The step of blocks `u1 <= A / 2` and `-u1`, of a multiple of `pairs_each` pairs, in runs of `run` items.
+    pub(super) fn new(
+        plan: Plan,
+        [a, b]: [usize; 2],
+        u1: usize,
+        pairs_each: usize,
+        run: usize,
+    ) -> Self {
         let (mut rows, mut copies) = (Vec::new(), Vec::new());
         let (mut frequencies, mut positions) = (Vec::new(), Vec::new());
         for u2 in 0..b {
@@ -41,9 +51,11 @@ impl Step {
             }
         }
         let fillers = 2 * b + copies.len();
+        let gradient_runs = plan.runs(&rows, &positions, run);
         let turn = 2 * pairs_each;
         let fillers = fillers..fillers + rows.len().next_multiple_of(turn) - rows.len();
         rows.extend(fillers.clone());
-        Self { rows, frequencies, positions, copies, fillers }
+        let runs = plan.runs(&rows, &frequencies, run);
+        Self { rows, positions, runs, gradient_runs, copies, fillers }
     }
 }

@@ -27,29 +27,30 @@ impl<T: Element> Tokens<T> {
     /// Numbers of a block of any step.
     fn block_len(&self) -> usize {
         let rows = self.steps.iter().map(|step| step.fillers.end).max().unwrap_or(0);
-        2 * self.lanes * self.pitch() * rows.max(self.factors[0])
+        2 * self.lanes * self.plan.pitch() * rows.max(self.factors[0])
     }
 
     /// Numbers of the packed weight of the largest step.
     fn largest_step(&self) -> usize {
-        self.steps.iter().map(|step| self.packed_len_of(step)).max().unwrap_or(0)
+        self.steps.iter().map(|step| self.sum_len_of(step)).max().unwrap_or(0)
     }
 
     /// Scratch of one member of a team.
     pub(super) fn member_len(&self) -> usize {
-        slack::<T>() + 2 * self.block_len() + self.largest_step() + self.width
+        slack::<T>() + 2 * self.block_len() + self.largest_step() + self.plan.width
     }
 
     pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> Parts<'a, T> {
         let (block, rest) = aligned(scratch).split_at_mut(self.block_len());
         let (other, rest) = rest.split_at_mut(self.block_len());
         let (sum, rest) = rest.split_at_mut(self.largest_step());
-        Parts { block, other, sum, line: &mut rest[..self.width] }
+        Parts { block, other, sum, line: &mut rest[..self.plan.width] }
     }
 
     /// `spectrum` as an image.
     pub(super) fn image<'a>(&self, spectrum: &'a mut [T]) -> ArrayViewMut2<'a, T> {
-        ArrayViewMut2::from_shape((self.points(), self.width), spectrum).expect("room for an image")
+        ArrayViewMut2::from_shape((self.plan.points, self.plan.width), spectrum)
+            .expect("room for an image")
     }
 
     /// An image to the transforms of its lines and of their parts `x1`.
@@ -60,8 +61,8 @@ impl<T: Element> Tokens<T> {
         far: bool,
         team: &mut Team<'_, T>,
     ) {
-        let ([a, b], pitch) = (self.factors, self.pitch());
-        let x = x.into_shape_with_order((a, b, self.width)).expect("rows without gaps");
+        let ([a, b], pitch) = (self.factors, self.plan.pitch());
+        let x = x.into_shape_with_order((a, b, self.plan.width)).expect("rows without gaps");
         let mut spectrum = self.blocks(spectrum);
         let columns = x.axis_iter(Axis(1)).zip(spectrum.axis_iter_mut(Axis(1)));
         team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
@@ -80,7 +81,7 @@ impl<T: Element> Tokens<T> {
         far: bool,
         team: &mut Team<'_, T>,
     ) {
-        let ([a, _], pitch) = (self.factors, self.pitch());
+        let ([a, _], pitch) = (self.factors, self.plan.pitch());
         let mut spectrum = self.blocks(spectrum);
         let columns = spectrum.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
         team.run(columns, |(spectrum, twiddles), scratch| {
@@ -99,7 +100,7 @@ impl<T: Element> Tokens<T> {
         far: bool,
         team: &mut Team<'_, T>,
     ) {
-        let ([a, _], pitch) = (self.factors, self.pitch());
+        let ([a, _], pitch) = (self.factors, self.plan.pitch());
         let (spectrum, mut y) = (self.blocks(spectrum), self.blocks(y));
         let columns = spectrum.axis_iter(Axis(1)).zip(y.axis_iter_mut(Axis(1)));
         team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
@@ -113,7 +114,7 @@ impl<T: Element> Tokens<T> {
     /// Rows `(X, Y)` as `(A, B, Y)`.
     fn blocks<'a, X>(&self, rows: ArrayViewMut2<'a, X>) -> ArrayViewMut3<'a, X> {
         let [a, b] = self.factors;
-        rows.into_shape_with_order((a, b, self.width)).expect("rows without gaps")
+        rows.into_shape_with_order((a, b, self.plan.width)).expect("rows without gaps")
     }
 
     /// The rows of each step.
@@ -132,7 +133,7 @@ impl<T: Element> Tokens<T> {
 
     /// The blocks of a step to `block`, transformed.
     pub(super) fn gather(&self, step: &Step, rows: &Rows<'_, T>, block: &mut [T]) {
-        let (pitch, row) = (self.pitch(), 2 * self.lanes * self.pitch());
+        let (pitch, row) = (self.plan.pitch(), 2 * self.lanes * self.plan.pitch());
         for (rows, vectors) in rows.iter().flatten().zip(block.chunks_mut(self.factors[1] * row)) {
             image_to_block::<T, false>(
                 self.isa,
@@ -149,7 +150,7 @@ impl<T: Element> Tokens<T> {
 
     /// Undoes [`gather`](Self::gather), up to a factor.
     pub(super) fn put(&self, block: &mut [T], rows: &mut Rows<'_, T>) {
-        let (pitch, row) = (self.pitch(), 2 * self.lanes * self.pitch());
+        let (pitch, row) = (self.plan.pitch(), 2 * self.lanes * self.plan.pitch());
         for (rows, vectors) in
             rows.iter_mut().flatten().zip(block.chunks_mut(self.factors[1] * row))
         {
@@ -163,10 +164,11 @@ impl<T: Element> Tokens<T> {
         let turns = Turns {
             rows: &step.rows,
             rows_each: self.rows_each,
-            slots: self.slots(),
+            runs: &step.runs,
+            slots: self.plan.slots,
             twiddles: self.turns.values(),
         };
-        let block = Block { vectors: block, pitch: self.pitch() };
-        with_run!(self.run(), RUN => self.isa.run(Filter::<T, _, RUN> { block, turns, middle }));
+        let block = Block { vectors: block, pitch: self.plan.pitch() };
+        with_run!(self.run, RUN => self.isa.run(Filter::<T, _, RUN> { block, turns, middle }));
     }
 }

@@ -30,15 +30,27 @@ impl Plan {
         2 * self.slots
     }
 
-    /// The run of `RUN` items from `first` on of rows in pairs; none in fillers, which are behind the last pair.
-    #[inline(always)]
-    fn run<const RUN: usize>(self, pairs: &[[usize; 2]], first: usize) -> Option<Run> {
-        let row = first / self.slots;
-        let &[u, minus_u] = pairs.get(row / 2)?;
-        let is_minus = row % 2;
-        let (own, mirror) = if is_minus == 0 { (u, minus_u) } else { (minus_u, u) };
-        let k = first % self.slots + is_minus;
-        Some(Run { rows: [own, mirror], columns: [k, self.stride() + 1 - k - RUN] })
+    /// Complex vectors from one row of a block to the next: one more than slots, where the row of `-u` has its last frequency. Odd,
+    /// since an even number would meet the same few sets of the cache.
+    pub(super) fn pitch(self) -> usize {
+        self.slots + 1
+    }
+
+    /// The runs of `len` items of rows in pairs of `u` and `-u`, which are at `rows` of the block. What has no pair is a filler.
+    pub(super) fn runs(self, rows: &[usize], pairs: &[[usize; 2]], len: usize) -> Vec<Run> {
+        let run = |(place, first): (usize, usize)| {
+            // what fillers are multiplied by is of no account
+            let [u, minus_u] = pairs.get(place / 2).copied().unwrap_or_default();
+            let is_minus = place % 2;
+            let k = first + is_minus;
+            Run {
+                item: rows[place] * self.pitch() + k,
+                rows: if is_minus == 0 { [u, minus_u] } else { [minus_u, u] },
+                columns: [k, self.stride() + 1 - k - len],
+            }
+        };
+        let firsts = |place| (0..self.slots).step_by(len).map(move |first| (place, first));
+        (0..rows.len()).flat_map(firsts).map(run).collect()
     }
 
     /// Of each pair of rows where among packed numbers the real part of `k = 0` is.
@@ -50,10 +62,11 @@ impl Plan {
     }
 }
 
-/// Lanes of neighbouring frequencies of a row: its row and that of its mirror, and among `M` columns of each the least that has
-/// one of them.
-#[derive(Clone, Copy, Default)]
-struct Run {
+/// Items of neighbouring frequencies of a row.
+pub(super) struct Run {
+    /// The first among the vectors of a block.
+    pub(super) item: usize,
+    /// Its row and that of its mirror, and among `M` columns of each the least that has one of the frequencies.
     rows: [usize; 2],
     columns: [usize; 2],
 }
@@ -62,7 +75,6 @@ struct Run {
 #[derive(Clone, Copy)]
 pub(super) struct StepWeight<'a, T> {
     plan: Plan,
-    pairs: &'a [[usize; 2]],
     bins: &'a [[T; 2]],
 }
 
@@ -76,24 +88,22 @@ pub(super) struct GroupWeight<'a, T, const RUN: usize, const J: usize> {
 }
 
 impl<'a, T: Element> StepWeight<'a, T> {
-    pub(super) fn new(plan: Plan, step: &'a Step, weight: &'a [T]) -> Self {
-        Self { plan, pairs: &step.frequencies, bins: weight.as_chunks().0 }
+    pub(super) fn new(plan: Plan, weight: &'a [T]) -> Self {
+        Self { plan, bins: weight.as_chunks().0 }
     }
 
-    /// The weight of group `number`.
+    /// The weight of the group of such runs.
     #[inline(always)]
     pub(super) fn group<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &self,
-        number: usize,
+        runs: &[Run],
     ) -> GroupWeight<'a, T, RUN, J> {
         let (plan, half, stride) = (self.plan, self.plan.half(), self.plan.stride());
         let (mut own, mut mirror) = ([0; MAX_LANES], [0; MAX_LANES]);
         let mut edges = [[[T::default(); 2]; MAX_LANES]; 2];
         for i in 0..V::LANES / RUN {
-            // what fillers are multiplied by is of no account
-            let run = plan.run::<RUN>(self.pairs, number * V::LANES + i * RUN).unwrap_or_default();
             let (lane, mirrored) = (i * RUN, V::LANES - (i + 1) * RUN);
-            let Run { rows: [u, minus_u], columns } = run;
+            let Run { rows: [u, minus_u], columns, .. } = runs[i];
             own[i] = u * half + columns[0];
             mirror[mirrored / RUN] = minus_u * half + columns[1];
             let nyquist = mirror[mirrored / RUN] + stride * (J - 1);
@@ -161,21 +171,17 @@ impl<T: Element, const RUN: usize> Algorithm<T> for Unpack<'_, '_, T, RUN> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let Self { plan, step, sum, gradient } = self;
-        let (stride, pairs) = (plan.stride(), &step.positions);
+        let (stride, each) = (plan.stride(), V::LANES / RUN);
         let (twice, once) = (T::nearest(2.0 * plan.norm()), T::nearest(0.5 * plan.norm()));
-        for (number, group) in sum.chunks_exact(2 * V::LANES * V::LANES).enumerate() {
+        let groups = sum.chunks_exact(2 * V::LANES * V::LANES);
+        for (group, runs) in groups.zip(step.gradient_runs.chunks(each)) {
             let mut scales = [twice; MAX_LANES];
-            let mut runs = [Run::default(); MAX_LANES];
-            let mut known = 0; // runs before fillers
-            for i in 0..V::LANES / RUN {
-                let first = number * V::LANES + i * RUN;
-                let Some(run) = plan.run::<RUN>(pairs, first) else { break };
+            for (i, run) in runs.iter().enumerate() {
                 for lane in 0..RUN {
                     if (run.columns[0] + lane).is_multiple_of(plan.slots) {
                         scales[i * RUN + lane] = once;
                     }
                 }
-                (runs[i], known) = (run, i + 1);
             }
             let [scale] = Tile::dense(&scales, MAX_LANES).gather::<V, 1>(0, 1);
             for (j, sum) in group.chunks_exact(2 * V::LANES).enumerate() {
@@ -185,8 +191,7 @@ impl<T: Element, const RUN: usize> Algorithm<T> for Unpack<'_, '_, T, RUN> {
                 let z = if is_mirrored { Complex::new(z.re.reverse(), -z.im.reverse()) } else { z };
                 let mut lanes = [[T::default(); 2]; MAX_LANES];
                 TileMut::dense(lanes.as_flattened_mut(), 2 * V::LANES).set_complex(0, z);
-                for i in 0..known {
-                    let Run { rows, columns } = runs[i];
+                for (i, &Run { rows, columns, .. }) in runs.iter().enumerate() {
                     let (row, column, lane) = if is_mirrored {
                         let above = stride * (V::LANES - 1 - j);
                         (rows[1], columns[1] + above, V::LANES - (i + 1) * RUN)
@@ -199,6 +204,7 @@ impl<T: Element, const RUN: usize> Algorithm<T> for Unpack<'_, '_, T, RUN> {
         }
         // of the columns of zero and Nyquist, to both rows, each of which is a column of its own
         let shared = T::nearest(0.25 * plan.norm());
+        let pairs = &step.positions;
         for (&[u, minus_u], place) in pairs.iter().zip(plan.zeroth(pairs.len(), V::LANES)) {
             for (j, k) in [(0, 0), (V::LANES / 2, plan.width / 2)] {
                 let place = place + 2 * V::LANES * j;
