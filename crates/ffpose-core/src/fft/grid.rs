@@ -15,7 +15,9 @@ use super::passes::inverted;
 use super::rows::{Place, Rows};
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
-use crate::simd::{Element, Isa, Stored, Tile, TileMut, aligned, second_cache, slack};
+use crate::simd::{
+    Element, Isa, Stored, Tile, TileMut, aligned, come_unasked, second_cache, slack,
+};
 
 /// Bytes of the lanes of one tile, as they are computed with. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
 /// lines at a distance of a power of two meet in the same few sets of the cache.
@@ -131,6 +133,11 @@ impl<T: Element> Grid<T> {
         }
     }
 
+    /// For lanes of several images: each is a strided part of its image, and there have to be several in the cache.
+    fn place_of_several<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
+        self.place(!come_unasked(8 * size_of::<X>() * x.len()))
+    }
+
     /// For lanes of one image: far are those that do not fit in the second cache together with their result and their weight.
     fn place_of_one<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
         self.place(3 * size_of::<X>() * x.len() > second_cache())
@@ -218,9 +225,10 @@ impl<T: Element> Grid<T> {
         let Scratch { spectrum, other, work, padded } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
-        self.rows_forward(self.place(true), grad, spectrum, work, padded);
+        let place = self.place_of_several(&grad);
+        self.rows_forward(place, grad, spectrum, work, padded);
         if sum.is_some() {
-            self.rows_forward(self.place(true), x, other, work, padded);
+            self.rows_forward(place, x, other, work, padded);
         }
         let weight = grad_x.is_some().then_some(packed);
         match (sum, weight) {
@@ -229,7 +237,7 @@ impl<T: Element> Grid<T> {
             (None, None) => {}
         }
         if let Some(grad_x) = grad_x {
-            self.rows_inverse(self.place(true), spectrum, grad_x, work, padded);
+            self.rows_inverse(place, spectrum, grad_x, work, padded);
         }
     }
 
@@ -349,9 +357,11 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
                 let spectrum = &mut spectrum[..self.spectra(lanes.len())];
                 let packed = &packed[lanes.start / self.lanes * packed_len..];
                 let part = s![image, .., lanes];
-                self.rows_forward(self.place(true), x.slice(part), spectrum, work, padded);
+                let x = x.slice(part);
+                let place = self.place_of_several(&x);
+                self.rows_forward(place, x, spectrum, work, padded);
                 self.columns.filter::<false>(spectrum, packed, work);
-                self.rows_inverse(self.place(true), spectrum, y.slice_mut(part), work, padded);
+                self.rows_inverse(place, spectrum, y.slice_mut(part), work, padded);
             }
         }
     }

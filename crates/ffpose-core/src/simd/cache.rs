@@ -1,17 +1,26 @@
 //! What the processor says of its caches.
 
-use std::sync::OnceLock;
+use std::sync::LazyLock;
+
+static SECOND_CACHE: LazyLock<Option<usize>> = LazyLock::new(detected_second_cache);
+static FETCHES_AHEAD: LazyLock<bool> = LazyLock::new(is_intel);
 
 /// Bytes of the second cache of a core; of a processor that does not say, what is common.
 pub(crate) fn second_cache() -> usize {
-    static SIZE: OnceLock<usize> = OnceLock::new();
-    *SIZE.get_or_init(|| detected().unwrap_or(1 << 20))
+    SECOND_CACHE.unwrap_or(1 << 20)
+}
+
+/// Whether several images of so many `bytes`, few enough for the second cache, come to it without being asked for.
+///
+/// Intel's processors see to that, and asking costs 5 to 15 % (Xeon of 2024); on AMD's (Zen 5) a third of the time goes without.
+pub(crate) fn come_unasked(bytes: usize) -> bool {
+    *FETCHES_AHEAD && bytes <= second_cache()
 }
 
 /// The leaf that AMD defined and Intel has as well.
 #[cfg(target_arch = "x86_64")]
 #[allow(unused_unsafe)] // newer Rust has the instruction as a safe function
-fn detected() -> Option<usize> {
+fn detected_second_cache() -> Option<usize> {
     use std::arch::x86_64::__cpuid;
     const HIGHEST: u32 = 0x8000_0000;
     const CACHES: u32 = 0x8000_0006;
@@ -20,7 +29,20 @@ fn detected() -> Option<usize> {
     (kilobytes > 0).then_some((kilobytes as usize) << 10)
 }
 
+#[cfg(target_arch = "x86_64")]
+#[allow(unused_unsafe)] // newer Rust has the instruction as a safe function
+fn is_intel() -> bool {
+    // SAFETY: every 64-bit x86 has the instruction.
+    let name = unsafe { std::arch::x86_64::__cpuid(0) };
+    [name.ebx, name.edx, name.ecx].map(u32::to_le_bytes).as_flattened() == b"GenuineIntel"
+}
+
 #[cfg(not(target_arch = "x86_64"))]
-fn detected() -> Option<usize> {
+fn detected_second_cache() -> Option<usize> {
     None
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn is_intel() -> bool {
+    false
 }

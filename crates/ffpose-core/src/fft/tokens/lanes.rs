@@ -158,7 +158,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
         &mut self,
-        _: &Self::Ready<RUN, J>,
+        (): &Self::Ready<RUN, J>,
         group: Group<'_, V, RUN, J>,
         p: usize,
         z: [Complex<V>; J],

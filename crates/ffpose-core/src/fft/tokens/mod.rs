@@ -44,7 +44,7 @@ use self::weight::Plan;
 use super::roots::root;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
-use crate::simd::{Complex, Element, Isa, Stored, Table, second_cache};
+use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, second_cache};
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
@@ -108,10 +108,10 @@ impl<T: Element> Tokens<T> {
         self.plan.points * self.plan.width
     }
 
-    /// Whether even a single image may be far when it is its turn: not if an image, its result and the weight fit in a second
-    /// cache, where the layer before has left them.
-    fn is_large(&self) -> bool {
-        3 * self.spectrum_len() * size_of::<T>() > second_cache()
+    /// Bytes of an image, its result and the weight, about: where the second cache has room for them, the layer before has left
+    /// a single image there.
+    fn bytes(&self) -> usize {
+        3 * self.spectrum_len() * size_of::<T>()
     }
 
     /// Numbers of a weight.
@@ -173,7 +173,11 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     ) {
         let (spectrum, mut team) = team.share(self.spectrum_len());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            let means = Means { spectra: &mut *spectrum, far: true, team: &mut team };
+            let means = Means {
+                spectra: &mut *spectrum,
+                far: !come_unasked(self.bytes()),
+                team: &mut team,
+            };
             self.forward_image(x, y, &packed[..self.weight_len()], means);
         }
     }
@@ -185,7 +189,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
             let sums = grad_sum.as_deref_mut();
             let sums = sums.map(|sum| self.parts_mut(sum).map(StepGradient::Sum));
             let grad_x = grad_x.as_mut().map(|grad_x| grad_x.index_axis_mut(Axis(0), image));
-            let means = Means { spectra: &mut *spectra, far: true, team: &mut team };
+            let means =
+                Means { spectra: &mut *spectra, far: !come_unasked(self.bytes()), team: &mut team };
             self.backward_image([grad, x], grad_x, &packed[..self.weight_len()], sums, means);
         }
     }
@@ -229,7 +234,8 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
     ) {
         let weight = weight.to_slice().expect("a whole weight");
         let (spectrum, mut team) = team.share(self.spectrum_len());
-        let means = Means { spectra: spectrum, far: self.is_large(), team: &mut team };
+        let means =
+            Means { spectra: spectrum, far: self.bytes() > second_cache(), team: &mut team };
         self.forward_image(x, y, weight, means);
     }
 
@@ -239,7 +245,7 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
         let weight = weight.to_slice().expect("a whole weight");
         let gradients =
             grad_weight.map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural));
-        let means = Means { spectra, far: self.is_large(), team: &mut team };
+        let means = Means { spectra, far: self.bytes() > second_cache(), team: &mut team };
         self.backward_image([grad, x], grad_x, weight, gradients, means);
     }
 }
