@@ -1,4 +1,4 @@
-//! An image through all passes, forward and backward, with a weight that is packed or becomes so step by step.
+//! An image through all passes, forward and backward.
 
 use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3};
 
@@ -7,13 +7,13 @@ use super::columns::Block;
 use super::lanes::{Accumulate, Product};
 use super::order::Step;
 use super::passes::Parts;
-use super::weight::{GradientRows, StepWeight, Unpack};
+use super::weight::{GradientRows, Unpack, Weight};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored};
 
 /// Where the gradient of the weight of a step goes.
 pub(super) enum StepGradient<'a, T> {
-    /// Added up, packed.
+    /// Added up in the order of the groups.
     Sum(&'a mut [T]),
     /// Written in natural order.
     Natural(GradientRows<'a, T>),
@@ -29,15 +29,13 @@ pub(super) struct Means<'a, 'b, T> {
 }
 
 impl<T: Element> Tokens<T> {
-    pub(super) fn forward_image<'a, X: Stored<Real = T>>(
+    pub(super) fn forward_image<X: Stored<Real = T>>(
         &self,
         x: ArrayView2<'_, X>,
         y: ArrayViewMut2<'_, X>,
         weight: &[T],
         Means { spectra: spectrum, far, team }: Means<'_, '_, T>,
-    ) where
-        T: 'a,
-    {
+    ) {
         let (mut spectrum, y) = match X::as_real(y) {
             Ok(y) => (y, None),
             Err(y) => (self.image(spectrum), Some(y)),
@@ -47,8 +45,7 @@ impl<T: Element> Tokens<T> {
         team.run(steps, |(step, mut rows), scratch| {
             let Parts { block, .. } = self.scratch(scratch);
             self.gather(step, &rows, block);
-            let weight = StepWeight::new(self.plan, weight);
-            self.filter(step, block, Product::<T, false>(weight));
+            self.filter(step, block, Product::<T, false>(Weight::new(self.plan, weight)));
             self.put(block, &mut rows);
         });
         match y {
@@ -87,8 +84,7 @@ impl<T: Element> Tokens<T> {
         team.run(steps, |((step, mut rows), gradient), scratch| {
             let Parts { block, other, sum, .. } = self.scratch(scratch);
             self.gather(step, &rows, block);
-            let weight = || StepWeight::new(self.plan, weight);
-            let product = inverse.then(|| Product::<T, true>(weight()));
+            let product = inverse.then(|| Product::<T, true>(Weight::new(self.plan, weight)));
             match gradient {
                 Some((x, gradient)) => {
                     self.gather(step, &x, other);

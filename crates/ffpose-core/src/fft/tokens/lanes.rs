@@ -16,7 +16,7 @@ use std::hint::black_box;
 
 use super::columns::Block;
 use super::turned::TurnedDft;
-use super::weight::{GroupWeight, Run, StepWeight};
+use super::weight::{GroupWeight, Run, Weight};
 use crate::fft::butterfly::{Codelet, Dft};
 use crate::fft::roots::root;
 use crate::fft::unroll::unroll;
@@ -89,7 +89,7 @@ pub(super) trait Middle<T: Element> {
 }
 
 /// The product with a weight, or with its conjugate.
-pub(super) struct Product<'a, T, const CONJUGATE: bool>(pub(super) StepWeight<'a, T>);
+pub(super) struct Product<'a, T, const CONJUGATE: bool>(pub(super) Weight<'a, T>);
 
 impl<'a, T: Element, const CONJUGATE: bool> Middle<T> for Product<'a, T, CONJUGATE> {
     const INVERSE: bool = true;
@@ -316,8 +316,8 @@ fn parts<V: Vector, const N: usize>(z: [Complex<V>; N]) -> ([V; N], [V; N]) {
 impl<V: Vector, const RUN: usize, const J: usize> Group<'_, V, RUN, J> {
     /// The vectors of this group in the sums of a step.
     #[inline(always)]
-    fn part_mut<'a>(&self, packed: &'a mut [Complex<V>]) -> &'a mut [[Complex<V>; HALVES]; J] {
-        let pairs = packed.as_chunks_mut().0;
+    fn part_mut<'a>(&self, sums: &'a mut [Complex<V>]) -> &'a mut [[Complex<V>; HALVES]; J] {
+        let pairs = sums.as_chunks_mut().0;
         pairs[self.place * J..].first_chunk_mut().expect("a whole group")
     }
 

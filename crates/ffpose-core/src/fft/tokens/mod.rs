@@ -120,8 +120,8 @@ impl<T: Element> Tokens<T> {
     }
 
     /// The parts of a sum that belong to each step.
-    fn parts<'a>(&self, packed: &'a [T]) -> impl Iterator<Item = &'a [T]> {
-        let mut rest = packed;
+    fn parts<'a>(&self, sum: &'a [T]) -> impl Iterator<Item = &'a [T]> {
+        let mut rest = sum;
         self.steps.iter().map(move |step| {
             let part;
             (part, rest) = rest.split_at(self.sum_len_of(step));
@@ -130,8 +130,8 @@ impl<T: Element> Tokens<T> {
     }
 
     /// As [`parts`](Self::parts), to write.
-    fn parts_mut<'a>(&self, packed: &'a mut [T]) -> impl Iterator<Item = &'a mut [T]> {
-        let mut rest = packed;
+    fn parts_mut<'a>(&self, sum: &'a mut [T]) -> impl Iterator<Item = &'a mut [T]> {
+        let mut rest = sum;
         self.steps.iter().map(move |step| {
             let part;
             (part, rest) = std::mem::take(&mut rest).split_at_mut(self.sum_len_of(step));
@@ -154,6 +154,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         2 * self.spectrum_len() + self.member_len()
     }
 
+    /// The weight stays in natural order, in which the product reads it.
     fn pack(
         &self,
         weight: ArrayView3<'_, X::Real>,

@@ -30,7 +30,7 @@ impl<T: Element> Tokens<T> {
         2 * self.lanes * self.plan.pitch() * rows.max(self.factors[0])
     }
 
-    /// Numbers of the packed weight of the largest step.
+    /// Numbers of the sum of the largest step's gradient.
     fn largest_step(&self) -> usize {
         self.steps.iter().map(|step| self.sum_len_of(step)).max().unwrap_or(0)
     }

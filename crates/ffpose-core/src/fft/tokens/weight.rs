@@ -1,4 +1,4 @@
-//! A weight in natural order in the order of the groups, and a gradient back.
+//! A weight in natural order, read in that of the groups, and the sums of its gradient brought back from there.
 //!
 //! Vector `j` of a group is frequency `k + M j` along Y, with `k` that of the lane. Below `Y / 2` these stand in the weight's row
 //! of `u`, above it in that of `-u` in reverse; either way the lanes of a run are neighbours.
@@ -53,7 +53,7 @@ impl Plan {
         (0..rows.len()).flat_map(firsts).map(run).collect()
     }
 
-    /// Of each pair of rows where among packed numbers the real part of `k = 0` is.
+    /// Of each pair of rows where among the sums of a step the real part of `k = 0` is.
     fn zeroth(self, pairs: usize, lanes: usize) -> impl Iterator<Item = usize> {
         (0..pairs).map(move |pair| {
             let item = 2 * pair * self.slots;
@@ -71,9 +71,8 @@ pub(super) struct Run {
     columns: [usize; 2],
 }
 
-/// A weight `(X, Y/2+1)` in natural order, where a step is multiplied by it.
-#[derive(Clone, Copy)]
-pub(super) struct StepWeight<'a, T> {
+/// A weight `(X, Y/2+1)` in natural order.
+pub(super) struct Weight<'a, T> {
     plan: Plan,
     bins: &'a [[T; 2]],
 }
@@ -87,7 +86,7 @@ pub(super) struct GroupWeight<'a, T, const RUN: usize, const J: usize> {
     edges: [[[T; 2]; MAX_LANES]; 2],
 }
 
-impl<'a, T: Element> StepWeight<'a, T> {
+impl<'a, T: Element> Weight<'a, T> {
     pub(super) fn new(plan: Plan, weight: &'a [T]) -> Self {
         Self { plan, bins: weight.as_chunks().0 }
     }
