@@ -133,9 +133,10 @@ impl<T: Element> Grid<T> {
         }
     }
 
-    /// For lanes of several images: each is a strided part of its image, and there have to be several in the cache.
-    fn place_of_several<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
-        self.place(!come_unasked(8 * size_of::<X>() * x.len()))
+    /// For several images whose lanes are a part of `x`, with `others` as large as they are.
+    fn place_of_several<X>(&self, x: &ArrayView3<'_, X>, others: usize) -> Place<'_> {
+        let image = x.stride_of(Axis(0)).unsigned_abs(); // with the lanes of other parts
+        self.place(!come_unasked((1 + others) * x.len_of(Axis(0)) * image * size_of::<X>()))
     }
 
     /// For lanes of one image: far are those that do not fit in the second cache together with their result and their weight.
@@ -215,8 +216,8 @@ impl<T: Element> Grid<T> {
     /// Adds the product of the spectra of `x` and `grad` to `sum`; `grad_x` if it is wanted.
     fn backward_lanes<X: Stored<Real = T>>(
         &self,
-        grad: ArrayView2<'_, X>,
-        x: ArrayView2<'_, X>,
+        place: Place<'_>,
+        [grad, x]: [ArrayView2<'_, X>; 2],
         packed: &[T],
         grad_x: Option<ArrayViewMut2<'_, X>>,
         sum: Option<&mut [T]>,
@@ -225,7 +226,6 @@ impl<T: Element> Grid<T> {
         let Scratch { spectrum, other, work, padded } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
-        let place = self.place_of_several(&grad);
         self.rows_forward(place, grad, spectrum, work, padded);
         if sum.is_some() {
             self.rows_forward(place, x, other, work, padded);
@@ -352,14 +352,13 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
     ) {
         let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
         let packed_len = self.columns.packed_len();
+        let place = self.place_of_several(&x, 1);
         for image in 0..x.len_of(Axis(0)) {
             for lanes in self.parts(x.len_of(Axis(2)), self.together) {
                 let spectrum = &mut spectrum[..self.spectra(lanes.len())];
                 let packed = &packed[lanes.start / self.lanes * packed_len..];
                 let part = s![image, .., lanes];
-                let x = x.slice(part);
-                let place = self.place_of_several(&x);
-                self.rows_forward(place, x, spectrum, work, padded);
+                self.rows_forward(place, x.slice(part), spectrum, work, padded);
                 self.columns.filter::<false>(spectrum, packed, work);
                 self.rows_inverse(place, spectrum, y.slice_mut(part), work, padded);
             }
@@ -370,16 +369,17 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let mut scratch = self.scratch(team.scratch());
         let (lanes, packed_len) = (grad.len_of(Axis(2)), self.columns.packed_len());
+        let place = self.place_of_several(&grad, 2);
         for image in 0..grad.len_of(Axis(0)) {
             for lanes in self.parts(lanes, self.together) {
-                let place = lanes.start / self.lanes * packed_len;
+                let start = lanes.start / self.lanes * packed_len;
                 let part = s![image, .., lanes];
                 self.backward_lanes(
-                    grad.slice(part),
-                    x.slice(part),
-                    &packed[place..],
+                    place,
+                    [grad.slice(part), x.slice(part)],
+                    &packed[start..],
                     grad_x.as_mut().map(|grad_x| grad_x.slice_mut(part)),
-                    grad_sum.as_deref_mut().map(|sum| &mut sum[place..]),
+                    grad_sum.as_deref_mut().map(|sum| &mut sum[start..]),
                     &mut scratch,
                 );
             }

@@ -173,12 +173,9 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         team: &mut Team<'_, X::Real>,
     ) {
         let (spectrum, mut team) = team.share(self.spectrum_len());
+        let far = !come_unasked(2 * x.len() * size_of::<X>());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            let means = Means {
-                spectra: &mut *spectrum,
-                far: !come_unasked(self.bytes()),
-                team: &mut team,
-            };
+            let means = Means { spectra: &mut *spectrum, far, team: &mut team };
             self.forward_image(x, y, &packed[..self.weight_len()], means);
         }
     }
@@ -186,12 +183,12 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
+        let far = !come_unasked(3 * x.len() * size_of::<X>());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
             let sums = grad_sum.as_deref_mut();
             let sums = sums.map(|sum| self.parts_mut(sum).map(StepGradient::Sum));
             let grad_x = grad_x.as_mut().map(|grad_x| grad_x.index_axis_mut(Axis(0), image));
-            let means =
-                Means { spectra: &mut *spectra, far: !come_unasked(self.bytes()), team: &mut team };
+            let means = Means { spectra: &mut *spectra, far, team: &mut team };
             self.backward_image([grad, x], grad_x, &packed[..self.weight_len()], sums, means);
         }
     }
