@@ -30,9 +30,10 @@ const LINE_BYTES: usize = 64;
 /// from memory, which is quicker at longer runs.
 const SPECTRA_BYTES: usize = 1 << 20;
 
-/// Bytes of the second cache that one image alone, likely to be there, leaves to what streams through beside its spectrum; and what
-/// its spectrum has at least.
+/// Bytes of the second cache that one image alone, likely to be there, leaves to what streams through beside its spectrum.
 const STREAM_BYTES: usize = 3 << 18;
+
+/// What the spectrum of one image alone has at least.
 const ALONE_BYTES: usize = 1 << 18;
 
 /// The plan for grids of one height and width.

@@ -357,8 +357,9 @@ impl<'a, T: Element, const RUN: usize, const COUNT: usize> Runs<'a, T, RUN, COUN
         stride: usize,
     ) -> Self {
         let mut pointers = [numbers.as_ptr().cast(); MAX_LANES];
+        let span = (COUNT - 1).checked_mul(stride).and_then(|last| last.checked_add(RUN));
         for i in 0..V::LANES / RUN {
-            let end = starts[i].checked_add((COUNT - 1) * stride + RUN);
+            let end = span.and_then(|span| span.checked_add(starts[i]));
             assert!(end.is_some_and(|end| end <= numbers.len()));
             // SAFETY: the start of the run is inside the slice (checked above).
             pointers[i] = unsafe { numbers.as_ptr().add(starts[i]).cast() };

@@ -64,11 +64,11 @@ pub(super) trait Middle<T: Element> {
     /// Whether the spectrum goes back to its block.
     const INVERSE: bool;
 
-    /// Makes the slots 0 of `rows` ready.
-    fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
-
     /// What is known of a group beforehand.
     type Ready<const RUN: usize, const J: usize>;
+
+    /// Makes the slots 0 of `rows` ready.
+    fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
 
     /// Makes a group ready, and checks all bounds: later the compiler would keep vectors on the stack meanwhile.
     fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
