@@ -1,6 +1,14 @@
 //! Transforms along X, between an image and a block: one for each slot, of as many rows as a codelet is long.
 //!
 //! Rows of an image are slots, each the vector of its real and that of its imaginary parts.
+//!
+//! Where registers do not hold a column, all that the transforms across leave but the last waits in scratch: the compiler would
+//! choose by itself what does, and keep more on the stack.
+//!
+//! Functions between a job and its codelet are always inlined: a processor waits where one has written the fields of an argument
+//! one by one and the next reads two of them at once.
+
+use std::hint::black_box;
 
 use crate::fft::butterfly::{Codelet, Dft};
 use crate::fft::unroll::unroll;
@@ -34,31 +42,35 @@ macro_rules! with_codelet {
     };
 }
 
-/// Transforms all rows of `image` to the first rows of `block`.
+/// Transforms all rows of `image` to the first rows of `block`; `work` has room for as many complex vectors as there are rows.
 ///
 /// The inverse multiplies its input by the conjugate of `twiddles`, one for each row.
+#[inline(always)]
 pub(super) fn image_to_block<T: Element, const INVERSE: bool>(
     isa: Isa,
     image: Tile<'_, T>,
     twiddles: &[Complex<T>],
     block: Block<'_, T>,
+    work: &mut [T],
 ) {
     with_codelet!(image.points(), (P, Q) => {
-        isa.run(ImageToBlock::<T, P, Q, INVERSE> { image, twiddles, block });
+        isa.run(ImageToBlock::<T, P, Q, INVERSE> { image, twiddles, block, work });
     });
 }
 
-/// Transforms the first rows of `block` to all rows of `image`.
+/// Transforms the first rows of `block` to all rows of `image`; `work` as in [`image_to_block`].
 ///
 /// The forward transform multiplies its output by `twiddles`, one for each row.
+#[inline(always)]
 pub(super) fn block_to_image<T: Element, const INVERSE: bool>(
     isa: Isa,
     block: Block<'_, T>,
     twiddles: &[Complex<T>],
     image: TileMut<'_, T>,
+    work: &mut [T],
 ) {
     with_codelet!(image.reader().points(), (P, Q) => {
-        isa.run(BlockToImage::<T, P, Q, INVERSE> { block, twiddles, image });
+        isa.run(BlockToImage::<T, P, Q, INVERSE> { block, twiddles, image, work });
     });
 }
 
@@ -99,6 +111,11 @@ struct ImageToBlock<'a, T, const P: usize, const Q: usize, const INVERSE: bool> 
     image: Tile<'a, T>,
     twiddles: &'a [Complex<T>],
     block: Block<'a, T>,
+    work: &'a mut [T],
+}
+
+impl<T, const P: usize, const Q: usize, const INVERSE: bool> ImageToBlock<'_, T, P, Q, INVERSE> {
+    const WAITS: bool = Q > 2;
 }
 
 impl<T: Element, const P: usize, const Q: usize, const INVERSE: bool> Algorithm<T>
@@ -112,6 +129,7 @@ where
         let block = complex_vectors::<V>(vectors);
         let twiddles = self.twiddles;
         assert!(!INVERSE || twiddles.len() == P * Q);
+        let work = &mut complex_vectors::<V>(self.work)[..P * Q];
         for slot in 0..self.image.lanes() / (2 * V::LANES) {
             let re = self.image.skip_lanes(2 * slot * V::LANES);
             let im = self.image.skip_lanes((2 * slot + 1) * V::LANES);
@@ -129,10 +147,18 @@ where
                 }
                 let z = dft::<V, P, INVERSE>(z);
                 for p in 0..P {
-                    across[p][q] = z[p];
+                    if Self::WAITS && q + 1 < Q {
+                        work[Q * p + q] = z[p];
+                    } else {
+                        across[p][q] = z[p];
+                    }
                 }
             });
+            let waiting = if Self::WAITS { black_box(&*work) } else { &*work };
             unroll!(p in 0..P {
+                if Self::WAITS {
+                    across[p][..Q - 1].copy_from_slice(&waiting[Q * p..][..Q - 1]);
+                }
                 let z = dft::<V, Q, INVERSE>(across[p]);
                 scatter_at(block, slot, Column::<P, Q>::OUTPUTS[p], pitch, P * Q, z);
             });
@@ -144,6 +170,12 @@ struct BlockToImage<'a, T, const P: usize, const Q: usize, const INVERSE: bool> 
     block: Block<'a, T>,
     twiddles: &'a [Complex<T>],
     image: TileMut<'a, T>,
+    work: &'a mut [T],
+}
+
+impl<T, const P: usize, const Q: usize, const INVERSE: bool> BlockToImage<'_, T, P, Q, INVERSE> {
+    /// Twiddles take registers too.
+    const WAITS: bool = if INVERSE { Q > 2 } else { Q > 1 };
 }
 
 impl<T: Element, const P: usize, const Q: usize, const INVERSE: bool> Algorithm<T>
@@ -157,16 +189,25 @@ where
         let block = complex_vectors::<V>(vectors);
         let twiddles = self.twiddles;
         assert!(INVERSE || twiddles.len() == P * Q);
+        let work = &mut complex_vectors::<V>(self.work)[..P * Q];
         for slot in 0..self.image.reader().lanes() / (2 * V::LANES) {
             let mut across = [[Complex::zero(); Q]; P];
             unroll!(q in 0..Q {
                 let inputs = Column::<P, Q>::INPUTS[q];
                 let z = dft::<V, P, INVERSE>(gather_at(block, slot, inputs, pitch, P * Q));
                 for p in 0..P {
-                    across[p][q] = z[p];
+                    if Self::WAITS && q + 1 < Q {
+                        work[Q * p + q] = z[p];
+                    } else {
+                        across[p][q] = z[p];
+                    }
                 }
             });
+            let waiting = if Self::WAITS { black_box(&*work) } else { &*work };
             unroll!(p in 0..P {
+                if Self::WAITS {
+                    across[p][..Q - 1].copy_from_slice(&waiting[Q * p..][..Q - 1]);
+                }
                 let outputs = Column::<P, Q>::OUTPUTS[p];
                 let z = dft::<V, Q, INVERSE>(across[p]);
                 let (mut re, mut im) = ([z[0].re; Q], [z[0].im; Q]);

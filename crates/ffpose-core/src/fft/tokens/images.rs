@@ -43,10 +43,10 @@ impl<T: Element> Tokens<T> {
         self.first_pass(x, spectrum.view_mut(), far, team);
         let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
         team.run(steps, |(step, mut rows), scratch| {
-            let Parts { block, .. } = self.scratch(scratch);
-            self.gather(step, &rows, block);
+            let Parts { block, work, .. } = self.scratch(scratch);
+            self.gather(step, &rows, block, work);
             self.filter(step, block, Product::<T, false>(Weight::new(self.plan, weight)));
-            self.put(block, &mut rows);
+            self.put(block, &mut rows, work);
         });
         match y {
             None => self.last_pass(spectrum, far, team),
@@ -82,12 +82,12 @@ impl<T: Element> Tokens<T> {
         let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
         let steps = steps.zip(gradients_if_wanted);
         team.run(steps, |((step, mut rows), gradient), scratch| {
-            let Parts { block, other, sum, .. } = self.scratch(scratch);
-            self.gather(step, &rows, block);
+            let Parts { block, other, sum, work } = self.scratch(scratch);
+            self.gather(step, &rows, block, work);
             let product = inverse.then(|| Product::<T, true>(Weight::new(self.plan, weight)));
             match gradient {
                 Some((x, gradient)) => {
-                    self.gather(step, &x, other);
+                    self.gather(step, &x, other, work);
                     let (sum, natural) = match gradient {
                         StepGradient::Sum(sum) => (sum, None),
                         StepGradient::Natural(rows) => {
@@ -113,7 +113,7 @@ impl<T: Element> Tokens<T> {
                 }
             }
             if inverse {
-                self.put(block, &mut rows);
+                self.put(block, &mut rows, work);
             }
         });
         match grad_x {

@@ -42,6 +42,7 @@ macro_rules! with_codelet {
 
 /// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors. Where memory is far, `target` is where
 /// the rows go after that: it is asked for in time, and so are the rows of the next call.
+#[inline(always)]
 pub(super) fn forward<X: Stored>(
     isa: Isa,
     image: Tile<'_, X>,
@@ -56,6 +57,7 @@ pub(super) fn forward<X: Stored>(
 
 /// Rows of `block`, doubled but for slot 0, to rows of `image`, up to a factor of their length. Where memory is far, the rows of
 /// the next call are asked for.
+#[inline(always)]
 pub(super) fn inverse<X: Stored>(
     isa: Isa,
     block: Block<'_, X::Real>,

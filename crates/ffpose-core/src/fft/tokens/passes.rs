@@ -19,8 +19,8 @@ pub(super) struct Parts<'a, T> {
     pub(super) other: &'a mut [T],
     /// The sum of a step's gradient of the weight.
     pub(super) sum: &'a mut [T],
-    /// Room for half a line of complex vectors.
-    line: &'a mut [T],
+    /// Room for half a line of complex vectors, and for a column of them.
+    pub(super) work: &'a mut [T],
 }
 
 impl<T: Element> Tokens<T> {
@@ -35,16 +35,23 @@ impl<T: Element> Tokens<T> {
         self.steps.iter().map(|step| self.sum_len_of(step)).max().unwrap_or(0)
     }
 
-    /// Scratch of one member of a team.
-    pub(super) fn member_len(&self) -> usize {
-        slack::<T>() + 2 * self.block_len() + self.largest_step() + self.plan.width
+    /// Numbers of half a line, or of a column, of complex vectors.
+    fn work_len(&self) -> usize {
+        let [a, b] = self.factors;
+        self.plan.width.max(2 * self.lanes * a.max(b))
     }
 
+    /// Scratch of one member of a team.
+    pub(super) fn member_len(&self) -> usize {
+        slack::<T>() + 2 * self.block_len() + self.largest_step() + self.work_len()
+    }
+
+    #[inline(always)]
     pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> Parts<'a, T> {
         let (block, rest) = aligned(scratch).split_at_mut(self.block_len());
         let (other, rest) = rest.split_at_mut(self.block_len());
         let (sum, rest) = rest.split_at_mut(self.largest_step());
-        Parts { block, other, sum, line: &mut rest[..self.plan.width] }
+        Parts { block, other, sum, work: &mut rest[..self.work_len()] }
     }
 
     /// `spectrum` as an image.
@@ -66,11 +73,11 @@ impl<T: Element> Tokens<T> {
         let mut spectrum = self.blocks(spectrum);
         let columns = x.axis_iter(Axis(1)).zip(spectrum.axis_iter_mut(Axis(1)));
         team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
-            let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
+            let Parts { block: vectors, work, .. } = self.scratch(scratch);
             let y = TileMut::new(y);
             let target = far.then(|| y.reader());
             lines::forward(self.isa, Tile::new(x), target, Block { vectors, pitch }, work);
-            block_to_image::<T, false>(self.isa, Block { vectors, pitch }, twiddles, y);
+            block_to_image::<T, false>(self.isa, Block { vectors, pitch }, twiddles, y, work);
         });
     }
 
@@ -85,9 +92,10 @@ impl<T: Element> Tokens<T> {
         let mut spectrum = self.blocks(spectrum);
         let columns = spectrum.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
         team.run(columns, |(spectrum, twiddles), scratch| {
-            let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
+            let Parts { block: vectors, work, .. } = self.scratch(scratch);
             let image = TileMut::new(spectrum);
-            image_to_block::<T, true>(self.isa, image.reader(), twiddles, Block { vectors, pitch });
+            let block = Block { vectors: &mut *vectors, pitch };
+            image_to_block::<T, true>(self.isa, image.reader(), twiddles, block, work);
             lines::inverse(self.isa, Block { vectors, pitch }, image, work, far);
         });
     }
@@ -104,9 +112,10 @@ impl<T: Element> Tokens<T> {
         let (spectrum, mut y) = (self.blocks(spectrum), self.blocks(y));
         let columns = spectrum.axis_iter(Axis(1)).zip(y.axis_iter_mut(Axis(1)));
         team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
-            let Parts { block: vectors, line: work, .. } = self.scratch(scratch);
+            let Parts { block: vectors, work, .. } = self.scratch(scratch);
             let x = Tile::new(x);
-            image_to_block::<T, true>(self.isa, x, twiddles, Block { vectors, pitch });
+            let block = Block { vectors: &mut *vectors, pitch };
+            image_to_block::<T, true>(self.isa, x, twiddles, block, work);
             lines::inverse(self.isa, Block { vectors, pitch }, TileMut::new(y), work, far);
         });
     }
@@ -132,15 +141,12 @@ impl<T: Element> Tokens<T> {
     }
 
     /// The blocks of a step to `block`, transformed.
-    pub(super) fn gather(&self, step: &Step, rows: &Rows<'_, T>, block: &mut [T]) {
+    #[inline(always)]
+    pub(super) fn gather(&self, step: &Step, rows: &Rows<'_, T>, block: &mut [T], work: &mut [T]) {
         let (pitch, row) = (self.plan.pitch(), 2 * self.lanes * self.plan.pitch());
         for (rows, vectors) in rows.iter().flatten().zip(block.chunks_mut(self.factors[1] * row)) {
-            image_to_block::<T, false>(
-                self.isa,
-                Tile::new(rows.view()),
-                &[],
-                Block { vectors, pitch },
-            );
+            let (image, block) = (Tile::new(rows.view()), Block { vectors, pitch });
+            image_to_block::<T, false>(self.isa, image, &[], block, work);
         }
         for &(from, to) in &step.copies {
             block.copy_within(from * row..(from + 1) * row, to * row);
@@ -149,17 +155,19 @@ impl<T: Element> Tokens<T> {
     }
 
     /// Undoes [`gather`](Self::gather), up to a factor.
-    pub(super) fn put(&self, block: &mut [T], rows: &mut Rows<'_, T>) {
+    #[inline(always)]
+    pub(super) fn put(&self, block: &mut [T], rows: &mut Rows<'_, T>, work: &mut [T]) {
         let (pitch, row) = (self.plan.pitch(), 2 * self.lanes * self.plan.pitch());
         for (rows, vectors) in
             rows.iter_mut().flatten().zip(block.chunks_mut(self.factors[1] * row))
         {
             let image = TileMut::new(rows.view_mut());
-            block_to_image::<T, true>(self.isa, Block { vectors, pitch }, &[], image);
+            block_to_image::<T, true>(self.isa, Block { vectors, pitch }, &[], image, work);
         }
     }
 
     /// `middle` on the spectrum of a block.
+    #[inline(always)]
     pub(super) fn filter(&self, step: &Step, block: &mut [T], middle: impl Middle<T>) {
         let turns = Turns {
             rows: &step.rows,
