@@ -166,7 +166,7 @@ impl<T: Real> Kernel<T> for General<T> {
         self.shape.lanes
     }
 
-    fn packed_len(&self) -> usize {
+    fn packed_len(&self, _: usize) -> usize {
         2 * self.planes() * self.spectrum_len()
     }
 

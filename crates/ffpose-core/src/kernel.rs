@@ -26,8 +26,13 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
     /// Most lanes of a view: the last tile may have fewer. In tokens the tile is all of Y.
     fn tile(&self) -> usize;
 
-    /// Numbers in the packed weight of one tile, and in its gradient sum; the same for a last, shorter tile.
-    fn packed_len(&self) -> usize;
+    /// Lanes of a view where wider tiles would make too few pieces.
+    fn narrow_tile(&self) -> usize {
+        self.tile()
+    }
+
+    /// Numbers in the packed weight of a tile of at most `lanes` lanes, and in its gradient sum.
+    fn packed_len(&self, lanes: usize) -> usize;
 
     /// Numbers of scratch that each member of a team needs, with any content.
     fn scratch_len(&self) -> usize;

@@ -121,7 +121,7 @@ impl<T: Real> SpectralFilter<T> {
         let kernel = X::kernel(kernel, &widened);
         let threads = parallel::worth(pool, x.len());
         let tiling = self.tiling(kernel, x.dim().0, Some(threads));
-        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), widened_len::<W>(weight.len()));
+        let needs = needs(kernel, (pool, x.len()), &tiling, widened_len::<W>(weight.len()));
         let (mut workers, wide_weight) = scratch.lend(pool, needs)?;
         let weight = W::read(self.isa, weight, wide_weight);
         let jobs = tiling.images_mut(y).enumerate();
@@ -204,10 +204,10 @@ impl<T: Real> SpectralFilter<T> {
         let threads = parallel::worth(pool, x.len());
         let summed = grad_weight.is_some();
         let tiling = self.tiling(kernel, x.dim().0, (!summed).then_some(threads));
-        let packed_len = kernel.packed_len();
+        let packed_len = kernel.packed_len(tiling.lanes_each());
         let sums = if summed { tiling.pieces().saturating_mul(packed_len) } else { 0 };
         let shared = sums.saturating_add(widened_len::<W>(weight.len()));
-        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), shared);
+        let needs = needs(kernel, (pool, x.len()), &tiling, shared);
         let (mut workers, shared) = scratch.lend(pool, needs)?;
         let (sums, wide_weight) = shared.split_at_mut(sums);
         let weight = W::read(self.isa, weight, wide_weight);
@@ -260,7 +260,7 @@ impl<T: Real> SpectralFilter<T> {
         let threads = parallel::worth(pool, x.len());
         let tiling = self.tiling(kernel, 1, Some(threads));
         let bins_len = widened_len::<W>(weight.len());
-        let needs = needs(kernel, (pool, x.len()), tiling.pieces(), 2 * bins_len);
+        let needs = needs(kernel, (pool, x.len()), &tiling, 2 * bins_len);
         let (mut workers, shared) = scratch.lend(pool, needs)?;
         let (wide_weight, wide_grad_weight) = shared.split_at_mut(bins_len);
         let weight = W::read(self.isa, weight, wide_weight);
@@ -294,13 +294,19 @@ impl<T: Real> SpectralFilter<T> {
         images: usize,
         threads: Option<usize>,
     ) -> Tiling {
-        let (lanes, mut tile) = (self.shape.lanes, kernel.tile());
+        let lanes = self.shape.lanes;
         if let (1, Some(single), Some(threads)) = (images, kernel.single(), threads) {
-            tile = even_tile(lanes, single.narrowest_tile(), tile, threads);
+            let tile = even_tile(lanes, single.narrowest_tile(), kernel.tile(), threads);
+            return Tiling::new(self.shape, tile, 1, 1);
         }
-        let tiles = lanes.div_ceil(tile);
-        let parts = threads.map_or_else(|| sum_parts(tiles, images), |n| even_parts(tiles, n));
-        Tiling::new(self.shape, tile, images, parts.min(images))
+        let tiling = |tile| {
+            let tiles = lanes.div_ceil(tile);
+            let parts = threads.map_or_else(|| sum_parts(tiles, images), |n| even_parts(tiles, n));
+            Tiling::new(self.shape, tile, images, parts.min(images))
+        };
+        let wide = tiling(kernel.tile());
+        let is_enough = wide.pieces() >= threads.unwrap_or(SUM_PIECES);
+        if is_enough { wide } else { tiling(kernel.narrow_tile()) }
     }
 }
 
@@ -336,10 +342,13 @@ fn even_parts(tiles: usize, threads: usize) -> usize {
     if tiles >= 8 * threads { 1 } else { even.unwrap_or(threads) }
 }
 
+/// Pieces of a gradient's sum that are enough for threads.
+const SUM_PIECES: usize = 8;
+
 /// Parts in which a gradient is summed over `images`: few tiles leave too little work for threads, so that parts of about
-/// four images or more, as many as make eight pieces, are summed apart and then added.
+/// four images or more, as many as make enough pieces, are summed apart and then added.
 fn sum_parts(tiles: usize, images: usize) -> usize {
-    images.div_ceil(images.div_ceil((8 / tiles).max(1)).max(4))
+    images.div_ceil(images.div_ceil((SUM_PIECES / tiles).max(1)).max(4))
 }
 
 fn add<T: Real>(sums: &mut [T], terms: &[T]) {
@@ -357,16 +366,17 @@ fn widened_len<N: Number>(len: usize) -> usize {
     if N::HALF { len } else { 0 }
 }
 
-/// What a call on so many elements in so many pieces needs. A single piece is for all threads together, if the kernel shares it.
+/// What a call on so many elements in such pieces needs. A single piece is for all threads together, if the kernel shares it.
 fn needs<X: Number>(
     kernel: &dyn Kernel<X>,
     (pool, elements): (&dyn Pool, usize),
-    pieces: usize,
+    tiling: &Tiling,
     shared: usize,
 ) -> Needs {
-    let (workers, members) = match pieces {
+    let packed = kernel.packed_len(tiling.lanes_each());
+    let (workers, members) = match tiling.pieces() {
         1 if kernel.is_shared() => (1, parallel::worth_together(pool, elements)),
-        _ => (parallel::worth(pool, elements).min(pieces), 1),
+        pieces => (parallel::worth(pool, elements).min(pieces), 1),
     };
-    Needs { workers, members, packed: kernel.packed_len(), kernel: kernel.scratch_len(), shared }
+    Needs { workers, members, packed, kernel: kernel.scratch_len(), shared }
 }

@@ -33,6 +33,11 @@ impl Tiling {
         }
     }
 
+    /// Most lanes in a piece.
+    pub(crate) fn lanes_each(&self) -> usize {
+        self.lanes_each
+    }
+
     /// Tiles of one image.
     pub(crate) fn tiles(&self) -> usize {
         self.tiles

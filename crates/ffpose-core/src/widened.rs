@@ -46,8 +46,12 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
         self.kernel.tile()
     }
 
-    fn packed_len(&self) -> usize {
-        self.kernel.packed_len()
+    fn narrow_tile(&self) -> usize {
+        self.kernel.narrow_tile()
+    }
+
+    fn packed_len(&self, lanes: usize) -> usize {
+        self.kernel.packed_len(lanes)
     }
 
     fn scratch_len(&self) -> usize {

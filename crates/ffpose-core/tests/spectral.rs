@@ -12,7 +12,7 @@ use ffpose_core::{
 use ndarray::{ArrayD, Axis};
 
 /// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
-const GRIDS: [[usize; 4]; 16] = [
+const GRIDS: [[usize; 4]; 17] = [
     [1, 14, 14, 20],
     [2, 7, 7, 9],
     [1, 28, 28, 5],
@@ -29,6 +29,7 @@ const GRIDS: [[usize; 4]; 16] = [
     [1, 12, 10, 8],
     [1, 3, 50, 1],
     [1, 37, 4, 16],
+    [32, 2, 2, 600], // tiles, and parts of the batch that are summed apart
 ];
 const TOKENS: [[usize; 3]; 17] = [
     [2, 14, 16],
@@ -156,6 +157,8 @@ fn gradients_are_adjoint_to_the_filter() {
 fn threads_and_batches_do_not_change_a_bit() {
     let large = [
         (Layout::Grid, vec![3, 28, 28, 250]),
+        (Layout::Grid, vec![2, 14, 14, 390]), // wide tiles for few threads, narrow ones for many
+        (Layout::Grid, vec![32, 7, 7, 500]),
         (Layout::Grid, vec![1, 28, 28, 350]), // one image, a thread for each few of its tiles
         (Layout::Grid, vec![1, 90, 100, 60]), // one tile, cut into narrower ones
         (Layout::Grid, vec![40, 30, 30, 10]),

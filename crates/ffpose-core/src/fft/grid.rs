@@ -13,15 +13,22 @@ use super::middle::{NaturalGradient, NaturalProduct};
 use super::pack::{Bins, Packing, Scales};
 use super::passes::inverted;
 use super::rows::{Place, Rows};
+use crate::Shape;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{
     Element, Isa, Stored, Tile, TileMut, aligned, come_unasked, second_cache, slack,
 };
 
-/// Bytes of the lanes of one tile, as they are computed with. Neighbouring lines of an image soon after each other are what memory is quick at; alone,
-/// lines at a distance of a power of two meet in the same few sets of the cache.
+/// Bytes of the lanes of a narrow tile, as they are computed with. Neighbouring lines of an image soon after each other are what
+/// memory is quick at; alone, lines at a distance of a power of two meet in the same few sets of the cache.
 const TILE_BYTES: usize = 8 * LINE_BYTES;
+
+/// The same of the widest tile.
+const WIDEST_TILE_BYTES: usize = 4 * TILE_BYTES;
+
+/// What part of the second cache the packed weight of a tile wider than a narrow one takes at most.
+const PACKED_SHARE: usize = 8;
 
 /// Bytes of a cache line: two threads should not write the same one.
 const LINE_BYTES: usize = 64;
@@ -36,11 +43,25 @@ const STREAM_BYTES: usize = 3 << 18;
 /// What the spectrum of one image alone has at least.
 const ALONE_BYTES: usize = 1 << 18;
 
-/// The plan for grids of one height and width.
+/// Lanes of a narrow tile.
+const fn narrow_tile<T>() -> usize {
+    TILE_BYTES / size_of::<T>()
+}
+
+/// Lanes of tiles that share `lanes` evenly, of at most `most` unless that is less than a narrow tile; whole cache lines, of half
+/// precision too.
+fn tile<T>(lanes: usize, most: usize) -> usize {
+    let most = most.clamp(narrow_tile::<T>(), WIDEST_TILE_BYTES / size_of::<T>());
+    lanes.div_ceil(lanes.div_ceil(most)).next_multiple_of(narrow_tile::<T>() / 2)
+}
+
+/// The plan for grids of one shape.
 pub(crate) struct Grid<T> {
     isa: Isa,
     /// Lanes of a vector.
     lanes: usize,
+    /// Most lanes of a tile.
+    tile: usize,
     /// Lanes that go through the transforms together: of several images, and of one alone.
     together: usize,
     alone: usize,
@@ -59,10 +80,8 @@ struct Scratch<'a, T> {
 }
 
 impl<T: Element> Grid<T> {
-    /// Most lanes of a tile.
-    const TILE: usize = TILE_BYTES / size_of::<T>();
-
-    pub(crate) fn new(isa: Isa, height: usize, width: usize) -> Self {
+    pub(crate) fn new(isa: Isa, shape: Shape) -> Self {
+        let (height, width) = (shape.rows, shape.columns);
         let rows = Rows::new(isa, width);
         let row_frequencies = rows.frequencies();
         let even = width.is_multiple_of(2);
@@ -92,10 +111,12 @@ impl<T: Element> Grid<T> {
             plain: T::nearest(2.0 * norm / (gain * gain)),
         };
         let lanes = isa.lanes::<T>();
-        // a power of two, so that a tile has no narrow part
+        let bytes = columns.packed_len() * size_of::<T>() / lanes;
+        let tile = tile::<T>(shape.lanes, second_cache() / PACKED_SHARE / bytes);
+        // a power of two, so that a narrow tile has no rest
         let together = |bytes: usize| {
             let fitting = bytes / (columns.len() * size_of::<T>()) * lanes;
-            1 << fitting.min(Self::TILE).max(lanes).ilog2()
+            1 << fitting.min(tile).max(lanes).ilog2()
         };
         let alone = second_cache().saturating_sub(STREAM_BYTES);
         let alone = together(alone.clamp(ALONE_BYTES, SPECTRA_BYTES));
@@ -103,6 +124,7 @@ impl<T: Element> Grid<T> {
         Self {
             isa,
             lanes,
+            tile,
             together,
             alone,
             points: height * width,
@@ -314,11 +336,15 @@ impl<T: Element> Grid<T> {
 
 impl<X: Stored> Kernel<X> for Grid<X::Real> {
     fn tile(&self) -> usize {
-        Self::TILE
+        self.tile
     }
 
-    fn packed_len(&self) -> usize {
-        Self::TILE / self.lanes * self.columns.packed_len()
+    fn narrow_tile(&self) -> usize {
+        self.tile.min(narrow_tile::<X::Real>())
+    }
+
+    fn packed_len(&self, lanes: usize) -> usize {
+        lanes.div_ceil(self.lanes) * self.columns.packed_len()
     }
 
     fn scratch_len(&self) -> usize {

@@ -42,7 +42,7 @@ use crate::{Layout, Real, Shape};
 pub(crate) fn plan<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>> {
     match shape.layout {
         Layout::Grid if shape.rows == 1 => Arc::new(Sequence::new(isa, shape.columns)),
-        Layout::Grid => Arc::new(Grid::new(isa, shape.rows, shape.columns)),
+        Layout::Grid => Arc::new(Grid::new(isa, shape)),
         Layout::Tokens => match Tokens::new(isa, shape.rows, shape.columns) {
             Some(tokens) => Arc::new(tokens),
             None => Arc::new(Planes::new(isa, shape.rows, shape.columns)),

@@ -177,7 +177,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
         self.width
     }
 
-    fn packed_len(&self) -> usize {
+    fn packed_len(&self, _: usize) -> usize {
         self.blocks() * self.block_len()
     }
 

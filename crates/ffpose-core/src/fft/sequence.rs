@@ -94,7 +94,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         self.pair
     }
 
-    fn packed_len(&self) -> usize {
+    fn packed_len(&self, _: usize) -> usize {
         self.columns.packed_len()
     }
 

@@ -3,9 +3,9 @@
 use super::grid::Grid;
 use super::rows::{Place, Rows};
 use super::transform::Transform;
-use crate::Real;
 use crate::kernel::Kernel;
-use crate::simd::{Isa, Tile, TileMut, aligned, slack};
+use crate::simd::{Bf16, Isa, Tile, TileMut, aligned, slack};
+use crate::{Layout, Real, Shape};
 
 /// Real and imaginary part.
 type Number = (f64, f64);
@@ -144,10 +144,20 @@ fn rows_of_all_kinds_of_widths_agree_with_the_sums() {
 }
 
 #[test]
-fn a_tile_of_the_grid_is_whole_cache_lines() {
+fn tiles_of_a_grid_share_its_lanes_evenly_in_whole_cache_lines_of_half_precision() {
+    const LINE_BYTES: usize = 64;
+    const ROUNDING: usize = 64;
     for isa in Isa::available() {
-        assert_eq!(Kernel::<f32>::tile(&Grid::<f32>::new(isa, 14, 14)) * 4 % 64, 0);
-        assert_eq!(Kernel::<f64>::tile(&Grid::<f64>::new(isa, 7, 7)) * 8 % 64, 0);
+        for (side, lanes) in [(7, 1), (7, 512), (7, 5000), (14, 129), (14, 384), (28, 600)] {
+            let shape = Shape { layout: Layout::Grid, rows: side, columns: side, lanes };
+            let grid = Grid::<f32>::new(isa, shape);
+            for tile in [Kernel::<f32>::tile(&grid), Kernel::<f32>::narrow_tile(&grid)] {
+                assert_eq!(tile * size_of::<Bf16>() % LINE_BYTES, 0, "{tile} of {lanes}");
+            }
+            let tile = Kernel::<f32>::tile(&grid);
+            let rest = lanes.next_multiple_of(tile) - lanes;
+            assert!(rest < lanes.div_ceil(tile) * ROUNDING, "{tile} of {lanes}");
+        }
     }
 }
 

@@ -145,7 +145,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         self.plan.width
     }
 
-    fn packed_len(&self) -> usize {
+    fn packed_len(&self, _: usize) -> usize {
         let sum: usize = self.steps.iter().map(|step| self.sum_len_of(step)).sum();
         sum.max(self.weight_len())
     }
