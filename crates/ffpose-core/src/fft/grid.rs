@@ -159,7 +159,9 @@ impl<T: Element> Grid<T> {
     /// For several images whose lanes are a part of `x`, with `others` as large as they are.
     fn place_of_several<X>(&self, x: &ArrayView3<'_, X>, others: usize) -> Place<'_> {
         let image = x.stride_of(Axis(0)).unsigned_abs(); // with the lanes of other parts
-        self.place(!come_unasked((1 + others) * x.len_of(Axis(0)) * image * size_of::<X>()))
+        let bytes = (1 + others) * x.len_of(Axis(0)) * image * size_of::<X>();
+        let each = x.len() / x.len_of(Axis(0)) * size_of::<X>();
+        self.place(!come_unasked(bytes, each))
     }
 
     /// For lanes of one image: far are those that do not fit in the second cache together with their result and their weight.

@@ -108,6 +108,10 @@ impl<T: Element> Tokens<T> {
         self.plan.points * self.plan.width
     }
 
+    fn image_bytes<X>(&self) -> usize {
+        self.spectrum_len() * size_of::<X>()
+    }
+
     /// Bytes of an image, its result and the weight, about: where the second cache has room for them, the layer before has left
     /// a single image there.
     fn bytes(&self) -> usize {
@@ -173,7 +177,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         team: &mut Team<'_, X::Real>,
     ) {
         let (spectrum, mut team) = team.share(self.spectrum_len());
-        let far = !come_unasked(2 * x.len() * size_of::<X>());
+        let far = !come_unasked(2 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             let means = Means { spectra: &mut *spectrum, far, team: &mut team };
             self.forward_image(x, y, &packed[..self.weight_len()], means);
@@ -183,7 +187,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
-        let far = !come_unasked(3 * x.len() * size_of::<X>());
+        let far = !come_unasked(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
             let sums = grad_sum.as_deref_mut();
             let sums = sums.map(|sum| self.parts_mut(sum).map(StepGradient::Sum));
