@@ -146,7 +146,7 @@ fn rows_of_all_kinds_of_widths_agree_with_the_sums() {
 #[test]
 fn tiles_of_a_grid_share_its_lanes_evenly_in_whole_cache_lines_of_half_precision() {
     const LINE_BYTES: usize = 64;
-    const ROUNDING: usize = 64;
+    const ROUNDING: usize = 64; // lanes
     for isa in Isa::available() {
         for (side, lanes) in [(7, 1), (7, 512), (7, 5000), (14, 129), (14, 384), (28, 600)] {
             let shape = Shape { layout: Layout::Grid, rows: side, columns: side, lanes };

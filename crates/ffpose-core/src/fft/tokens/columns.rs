@@ -115,6 +115,7 @@ struct ImageToBlock<'a, T, const P: usize, const Q: usize, const INVERSE: bool> 
 }
 
 impl<T, const P: usize, const Q: usize, const INVERSE: bool> ImageToBlock<'_, T, P, Q, INVERSE> {
+    /// Whether registers do not hold a column.
     const WAITS: bool = Q > 2;
 }
 
@@ -174,7 +175,7 @@ struct BlockToImage<'a, T, const P: usize, const Q: usize, const INVERSE: bool> 
 }
 
 impl<T, const P: usize, const Q: usize, const INVERSE: bool> BlockToImage<'_, T, P, Q, INVERSE> {
-    /// Twiddles take registers too.
+    /// As in [`ImageToBlock`]; twiddles of the results take registers too.
     const WAITS: bool = if INVERSE { Q > 2 } else { Q > 1 };
 }
 

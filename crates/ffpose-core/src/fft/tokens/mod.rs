@@ -108,6 +108,7 @@ impl<T: Element> Tokens<T> {
         self.plan.points * self.plan.width
     }
 
+    /// Bytes of an image as it is stored.
     fn image_bytes<X>(&self) -> usize {
         self.spectrum_len() * size_of::<X>()
     }
