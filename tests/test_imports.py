@@ -18,7 +18,7 @@ ALLOWED = {
     "geometry": {"arrays"},
     "ops": {"_rust"},
     "nn": {"ops", "geometry"},
-    "models": {"nn", "transforms"},
+    "models": {"nn", "transforms", "geometry"},
     "transforms": {"geometry"},
     "datasets": {"geometry", "transforms"},
     "losses": {"ops", "geometry"},

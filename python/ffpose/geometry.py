@@ -179,6 +179,32 @@ URSO_CAMERA = Camera(width=1280, height=960, fx=640.0, fy=640.463, cx=640.0, cy=
 """The camera of URSO's published image sets."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseUncertainty:
+    """How far a predicted pose may be from the truth, as the network itself says.
+
+    Attributes:
+        translation_covariance: ``(3, 3)`` square metres, camera frame; float64.
+        rotation_covariance: ``(3, 3)`` square radians: covariance of the rotation vector ``r``,
+            camera frame, with ``R_true = exp([r]x) @ R_predicted``; float64.
+        in_view: Probability that the object is in the image at all.
+    """
+
+    translation_covariance: FloatArray
+    rotation_covariance: FloatArray
+    in_view: float
+
+    def __post_init__(self) -> None:
+        for name in ("translation_covariance", "rotation_covariance"):
+            matrix = _real_array(name, getattr(self, name), 3)
+            if matrix.shape != (3, 3):
+                raise ValueError(f"{name}: expected shape (3, 3), got {matrix.shape}")
+            matrix.setflags(write=False)
+            object.__setattr__(self, name, matrix)
+        if not 0 <= self.in_view <= 1:
+            raise ValueError(f"in_view: expected a probability, got {self.in_view}")
+
+
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Pose:
     """Where an object is and how it is turned: ``p_camera = R(q) @ p_object + t``.
@@ -187,6 +213,7 @@ class Pose:
         t: Translation ``(3,)``, metres, camera frame; read-only float64.
         q: Orientation ``(4,)``, Hamilton quaternion ``(w, x, y, z)`` of norm one with ``w >= 0``;
             read-only float64.
+        uncertainty: Of a prediction, where the network gives one; None for a label.
 
     Example:
         >>> Pose([1, 2, 10], [-0.6, 0.8, 0, 0]).q.tolist() == [0.6, -0.8, 0, 0]
@@ -195,8 +222,11 @@ class Pose:
 
     t: FloatArray
     q: FloatArray
+    uncertainty: PoseUncertainty | None
 
-    def __init__(self, t: ArrayLike, q: ArrayLike) -> None:
+    def __init__(
+        self, t: ArrayLike, q: ArrayLike, uncertainty: PoseUncertainty | None = None
+    ) -> None:
         """Check and store a pose; a canonical sign is given to q.
 
         Raises:
@@ -216,6 +246,7 @@ class Pose:
         for name, array in (("t", translation), ("q", quaternion)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+        object.__setattr__(self, "uncertainty", uncertainty)
 
     @classmethod
     def from_vector(cls, vector: ArrayLike) -> Pose:

@@ -13,9 +13,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, get_args
 
+from ffpose.geometry import Camera
 from ffpose.nn import FilterKind, NormPlace, PositionKind
 
-Pooling = Literal["token", "mean"]
+Pooling = Literal["token", "mean", "flatten"]
+OrientationView = Literal["frame", "object"]
+OrientationHead = Literal["quaternion", "6d", "bins"]
 
 
 @dataclass(frozen=True)
@@ -39,12 +42,29 @@ class FilterformerPoseConfig:
         filter_std: Standard deviation of the filter weights at the start.
         position: ``"learned"`` or ``"sinusoidal"`` code of row and column.
         pooling: ``"token"``: a learned token beside the grid's, kept out of the filter, gathers the
-            answer; ``"mean"``: the mean of the tokens does.
+            answer; ``"mean"``: the mean of the tokens does; ``"flatten"``: all tokens, reduced to 16
+            channels each, go through one linear layer.
         head_hidden: Width of the heads' static perceptron.
         translation_mlp_dim: Width of the generated perceptron for translation (Table 1).
         orientation_mlp_dim: The same for orientation.
         translation_mean: Metres, camera frame; the head's output counts from here ...
         translation_std: ... in units of this. Zeros and ones regress metres as published.
+        camera: ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``; None where
+            it is not known. `view_camera` gives it as a `ffpose.geometry.Camera`.
+        orientation_view: ``"frame"``: orientation from the whole image, the paper's reading;
+            ``"object"``: from a second look, through a virtual camera turned to where the first
+            look found the object (`ffpose.models.virtual_camera`); needs ``camera``.
+        orientation_head: ``"quaternion"`` (the paper's), ``"6d"`` or ``"bins"``, see
+            `ffpose.nn.orientation`.
+        bins: Attitudes of the head ``"bins"``.
+        bins_degree: Degree of its harmonics.
+        object_backbone: Network of the second look, named as ``backbone`` is.
+        object_size: Of the virtual camera's image in pixels.
+        object_radius_m: Metres at the object from the middle of that image to its left edge.
+        first_stride: Pixels of the input a pixel of the first look.
+        distance_m: Nearest and farthest distance trained on, metres.
+        looks: How often the virtual camera is turned; 2 looks again where the first turn found the
+            object.
 
     Raises:
         ValueError: A value out of range, or sizes that do not go together.
@@ -69,10 +89,22 @@ class FilterformerPoseConfig:
     orientation_mlp_dim: int = 256
     translation_mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     translation_std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    camera: tuple[float, float, float, float] | None = None
+    orientation_view: OrientationView = "frame"
+    orientation_head: OrientationHead = "quaternion"
+    bins: int = 8000
+    bins_degree: int = 5
+    object_backbone: str = "compact_resnet"
+    object_size: tuple[int, int] = (64, 64)
+    object_radius_m: float = 6.6
+    first_stride: int = 4
+    distance_m: tuple[float, float] = (8.0, 42.0)
+    looks: int = 2
 
     def __post_init__(self) -> None:
         for name, length in TUPLES.items():  # JSON and YAML bring lists
-            object.__setattr__(self, name, _as_tuple(name, getattr(self, name), length))
+            if name != "camera" or self.camera is not None:
+                object.__setattr__(self, name, _as_tuple(name, getattr(self, name), length))
         for name, choices in CHOICES.items():
             if getattr(self, name) not in choices:
                 raise ValueError(f"{name}: expected one of {choices}, got {getattr(self, name)!r}")
@@ -106,6 +138,29 @@ class FilterformerPoseConfig:
                 f"translation_std: expected finite numbers above 0, got {self.translation_std}"
             )
 
+        if self.camera is not None and not all(map(math.isfinite, self.camera)):
+            raise ValueError(f"camera: expected finite numbers, got {self.camera}")
+        near, far = self.distance_m
+        if not 0 < near < far < math.inf:
+            raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
+        if not 0 < self.object_radius_m < math.inf:
+            raise ValueError(f"object_radius_m: expected above 0, got {self.object_radius_m}")
+        if self.orientation_view == "object":
+            if self.camera is None:
+                raise ValueError("camera: orientation_view 'object' needs it, got None")
+            if any(side % self.first_stride for side in self.image_size):
+                raise ValueError(
+                    f"first_stride: expected a divisor of {self.image_size}, got {self.first_stride}"
+                )
+
+    @property
+    def view_camera(self) -> Camera | None:
+        """The camera of the network's input; None where it is not known."""
+        if self.camera is None:
+            return None
+        height, width = self.image_size
+        return Camera(width, height, *self.camera)
+
     def grid(self, reduction: int) -> tuple[int, int]:
         """Return ``(rows, columns)`` of the feature map with that many pixels per cell."""
         height, width = self.image_size
@@ -138,16 +193,26 @@ class FilterformerPoseConfig:
         return cls(**values)
 
 
-TUPLES = {"image_size": 2, "translation_mean": 3, "translation_std": 3}
+TUPLES = {
+    "image_size": 2,
+    "translation_mean": 3,
+    "translation_std": 3,
+    "camera": 4,
+    "object_size": 2,
+    "distance_m": 2,
+}
 CHOICES: dict[str, tuple[str, ...]] = {
     "norm": get_args(NormPlace),
     "filter": get_args(FilterKind),
     "position": get_args(PositionKind),
     "pooling": get_args(Pooling),
+    "orientation_view": get_args(OrientationView),
+    "orientation_head": get_args(OrientationHead),
 }
 COUNTS = (
     *("translation_reduction", "orientation_reduction", "dim", "depth", "heads", "feed_forward"),
     *("head_hidden", "translation_mlp_dim", "orientation_mlp_dim"),
+    *("bins", "bins_degree", "first_stride", "looks"),
 )
 
 
