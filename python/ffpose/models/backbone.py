@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from ffpose.errors import require
+from ffpose.models.compact_resnet import REDUCTIONS, WIDTHS, CompactResNet
 from ffpose.models.pretrained import load_backbone_weights
 
 
@@ -43,7 +44,8 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     """Build a backbone from timm.
 
     Args:
-        name: timm's name of the model, for example ``"efficientnet_b0"``.
+        name: timm's name of the model, for example ``"efficientnet_b0"``, or one of
+            `ffpose.models.compact_resnet.WIDTHS`, which have no pretrained weights.
         reductions: Pixels per cell of each map to return.
         weights: ``"auto"``: pretrained ones where they can be had, else random ones and a line in
             the log; ``"none"``: random; otherwise a safetensors or PyTorch file.
@@ -53,6 +55,8 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
         FileNotFoundError: There is no such weights file.
         ffpose.DataError: The file does not hold this model's weights.
     """
+    if name in WIDTHS:
+        return _compact(name, reductions, weights)
     timm = require("timm", "pose")
     if not timm.is_model(name):
         near = timm.list_models(f"*{name.split('_')[0]}*")[:8]
@@ -69,6 +73,20 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     channels = [features.feature_info.channels()[place] for place in order]
     # Channels-last convolutions are up to twice as fast on CPUs, and their maps lie as tokens do.
     return Backbone(features.to(memory_format=torch.channels_last), channels, order)
+
+
+def _compact(name: str, reductions: Sequence[int], weights: str | Path) -> Backbone:
+    if weights not in ("auto", "none"):
+        raise ValueError(f"backbone: expected no pretrained weights for {name}, got {weights}")
+    missing = [reduction for reduction in reductions if reduction not in REDUCTIONS]
+    if missing:
+        raise ValueError(f"backbone: {name} gives reductions {REDUCTIONS}, expected {missing}")
+    features = CompactResNet(WIDTHS[name], max(reductions))
+    return Backbone(
+        features.to(memory_format=torch.channels_last),
+        [features.channels[reduction] for reduction in reductions],
+        [REDUCTIONS.index(reduction) for reduction in reductions],
+    )
 
 
 def _drop_unused_blocks(features: Any) -> None:

@@ -21,6 +21,11 @@ OrientationView = Literal["frame", "object"]
 OrientationHead = Literal["quaternion", "6d", "bins"]
 
 
+FLAT_CHANNELS = 16
+FLAT_LATENT = 256
+"""Of pooling "flatten": channels a token before, and entries of the vector after."""
+
+
 @dataclass(frozen=True)
 class FilterformerPoseConfig:
     """The network's structure. Sizes of images and grids are ``(height, width)``.
@@ -32,7 +37,7 @@ class FilterformerPoseConfig:
             16 with EfficientNet-B0 at 224 is the paper's 14 x 14 x 112.
         orientation_reduction: The same for orientation; 8 is the paper's 28 x 28 x 40.
         dim: Channels of the tokens, Y in Eq. 1.
-        depth: Filterformer blocks in each branch, N in Table 2.
+        depth: Filterformer blocks in each branch, N in Table 2; may be 0 with pooling "flatten".
         heads: Attention heads.
         feed_forward: Width of the blocks' feed-forward networks.
         dropout: Within the blocks.
@@ -112,6 +117,11 @@ class FilterformerPoseConfig:
             value = getattr(self, name)
             if not _is_whole(value) or value < 1:
                 raise ValueError(f"{name}: expected a whole number, at least 1, got {value!r}")
+        least = 0 if self.pooling == "flatten" else 1
+        if not _is_whole(self.depth) or self.depth < least:
+            raise ValueError(
+                f"depth: expected a whole number, at least {least}, got {self.depth!r}"
+            )
         self._check_values()
 
     def _check_values(self) -> None:
@@ -160,6 +170,25 @@ class FilterformerPoseConfig:
             return None
         height, width = self.image_size
         return Camera(width, height, *self.camera)
+
+    @property
+    def latent(self) -> int:
+        """Entries of the vector that the heads read."""
+        return FLAT_LATENT if self.pooling == "flatten" else self.dim
+
+    @property
+    def first_grid(self) -> tuple[int, int]:
+        """``(rows, columns)`` of the map that the translation branch reads."""
+        stride = self.first_stride if self.orientation_view == "object" else 1
+        return self.grid(self.translation_reduction * stride)
+
+    @property
+    def orientation_grid(self) -> tuple[int, int]:
+        """``(rows, columns)`` of the map that the orientation branch reads."""
+        if self.orientation_view == "frame":
+            return self.grid(self.orientation_reduction)
+        rows, columns = (math.ceil(side / self.orientation_reduction) for side in self.object_size)
+        return rows, columns
 
     def grid(self, reduction: int) -> tuple[int, int]:
         """Return ``(rows, columns)`` of the feature map with that many pixels per cell."""
@@ -210,7 +239,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "orientation_head": get_args(OrientationHead),
 }
 COUNTS = (
-    *("translation_reduction", "orientation_reduction", "dim", "depth", "heads", "feed_forward"),
+    *("translation_reduction", "orientation_reduction", "dim", "heads", "feed_forward"),
     *("head_hidden", "translation_mlp_dim", "orientation_mlp_dim"),
     *("bins", "bins_degree", "first_stride", "looks"),
 )

@@ -13,19 +13,44 @@ is divided by does not begin near zero.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 from torch.utils import _pytree
 
 from ffpose.errors import DataError
 from ffpose.models.backbone import Backbone, build_backbone
-from ffpose.models.config import CONFIGS, FilterformerPoseConfig, check_names
+from ffpose.models.config import (
+    CONFIGS,
+    FLAT_CHANNELS,
+    FLAT_LATENT,
+    FilterformerPoseConfig,
+    check_names,
+)
+from ffpose.models.object_look import (
+    SMALL_NUMBERS,
+    LookHead,
+    LookNumbers,
+    covariances,
+    points_at,
+    split_numbers,
+)
+from ffpose.models.virtual_camera import look, turn_to
 from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
-from ffpose.nn import Filterformer, HyperHead, PositionCode, QuaternionActivation
+from ffpose.nn import Filterformer, HyperHead, PositionCode
+from ffpose.nn.orientation import (
+    BinsHead,
+    OrientationHead,
+    QuaternionHead,
+    SixNumbersHead,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+)
 from ffpose.transforms import Preprocessing
 
 TOKEN_STD = 0.02
@@ -43,8 +68,28 @@ class PosePrediction(NamedTuple):
     orientation: Tensor
 
 
+class UncertainPose(NamedTuple):
+    """Poses as `PosePrediction`, and how far they may be from the truth.
+
+    Attributes:
+        translation: ``(B, 3)`` metres.
+        orientation: ``(B, 4)`` unit quaternions, scalar first, of either sign.
+        translation_covariance: ``(B, 3, 3)`` square metres, camera frame.
+        rotation_covariance: ``(B, 3, 3)`` square radians: of the rotation vector r, camera frame,
+            with ``R_true = exp([r]x) R``.
+        in_view: ``(B,)`` probability that the object is in the image.
+    """
+
+    translation: Tensor
+    orientation: Tensor
+    translation_covariance: Tensor
+    rotation_covariance: Tensor
+    in_view: Tensor
+
+
 # Saved programs name their result's type; torch leaves named tuples to whoever defines them.
-_pytree._register_namedtuple(PosePrediction, serialized_type_name="ffpose.models.PosePrediction")
+for _result in (PosePrediction, UncertainPose):
+    _pytree._register_namedtuple(_result, serialized_type_name=f"ffpose.models.{_result.__name__}")
 
 
 class PoseBranch(nn.Module):
@@ -54,8 +99,8 @@ class PoseBranch(nn.Module):
         config: Sizes and readings.
         channels: Of the feature map.
         grid: ``(rows, columns)`` of the feature map.
-        out_features: How many numbers.
-        mlp_dim: Width of the head's generated perceptron.
+        head: Takes the latent vector ``(B, dim)``, or ``(B, FLAT_LATENT)`` with pooling
+            ``"flatten"``, to the numbers.
     """
 
     def __init__(
@@ -63,8 +108,7 @@ class PoseBranch(nn.Module):
         config: FilterformerPoseConfig,
         channels: int,
         grid: tuple[int, int],
-        out_features: int,
-        mlp_dim: int,
+        head: nn.Module,
     ) -> None:
         super().__init__()
         self.projection = nn.Conv2d(channels, config.dim, kernel_size=1)
@@ -74,19 +118,34 @@ class PoseBranch(nn.Module):
             if config.pooling == "token"
             else None
         )
-        self.encoder = Filterformer(
-            grid,
-            config.dim,
-            depth=config.depth,
-            filter=config.filter,
-            filter_std=config.filter_std,
-            heads=config.heads,
-            hidden=config.feed_forward,
-            dropout=config.dropout,
-            norm=config.norm,
-            extra_tokens=0 if self.pose_token is None else 1,
+        self.encoder = (
+            Filterformer(
+                grid,
+                config.dim,
+                depth=config.depth,
+                filter=config.filter,
+                filter_std=config.filter_std,
+                heads=config.heads,
+                hidden=config.feed_forward,
+                dropout=config.dropout,
+                norm=config.norm,
+                extra_tokens=0 if self.pose_token is None else 1,
+            )
+            if config.depth > 0
+            else None
         )
-        self.head = HyperHead(config.dim, out_features, hidden=config.head_hidden, mlp_dim=mlp_dim)
+        self.flatten = (
+            nn.Sequential(
+                nn.Linear(config.dim, FLAT_CHANNELS),
+                nn.ReLU(),
+                nn.Flatten(),
+                nn.Linear(FLAT_CHANNELS * grid[0] * grid[1], FLAT_LATENT),
+                nn.ReLU(),
+            )
+            if config.pooling == "flatten"
+            else None
+        )
+        self.head = head
 
     def forward(self, features: Tensor) -> Tensor:
         """Return ``(B, out_features)`` for a feature map ``(B, channels, rows, columns)``."""
@@ -95,59 +154,117 @@ class PoseBranch(nn.Module):
         if self.pose_token is not None:
             token = self.pose_token.expand(tokens.shape[0], -1, -1)
             tokens = torch.cat((token, tokens), dim=1)  # (B, 1 + rows * columns, dim)
-        encoded = self.encoder(tokens)
-        latent = encoded.mean(1) if self.pose_token is None else encoded[:, 0]  # (B, dim)
-        result: Tensor = self.head(latent)
+        if self.encoder is not None:
+            tokens = self.encoder(tokens)
+        result: Tensor = self.head(self._latent(tokens))
         return result
+
+    def _latent(self, tokens: Tensor) -> Tensor:
+        """Return the vector ``(B, dim)`` that the head reads."""
+        if self.pose_token is not None:
+            return tokens[:, 0]
+        if self.flatten is None:
+            return tokens.mean(1)
+        latent: Tensor = self.flatten(tokens)
+        return latent
+
+
+def hyper_head(config: FilterformerPoseConfig, out_features: int, mlp_dim: int) -> HyperHead:
+    """Return a hypernetwork head on a branch's latent vector."""
+    return HyperHead(config.latent, out_features, hidden=config.head_hidden, mlp_dim=mlp_dim)
+
+
+def build_orientation_head(config: FilterformerPoseConfig) -> OrientationHead:
+    """Return the head of ``config.orientation_head``."""
+    match config.orientation_head:
+        case "quaternion":
+            return QuaternionHead()
+        case "6d":
+            return SixNumbersHead()
+        case _:
+            return BinsHead(config.bins, config.bins_degree)
 
 
 class FilterformerPose(nn.Module):
     """The network; `from_config` builds it with its backbone, `from_pretrained` reads a file.
+
+    With ``config.orientation_view`` ``"frame"``, the paper's reading, both branches read one image
+    and the result is a `PosePrediction`. With ``"object"`` the translation branch reads the frame,
+    made small, and the orientation branch a virtual camera's view of the object
+    (`ffpose.models.object_look`); the result is an `UncertainPose`.
 
     `torch.export` takes it, with a batch of any size where ``dynamic_shapes`` asks for one. A saved
     program is loaded after ``import ffpose.models``, which knows its operators and its result.
 
     Args:
         config: Sizes and readings.
-        backbone: Gives the maps of ``config.translation_reduction`` and
+        backbone: Gives the maps of ``config.translation_reduction`` and, for the view ``"frame"``,
             ``config.orientation_reduction``, in this order.
+        object_backbone: Gives the map of ``config.orientation_reduction`` of the object's view; for
+            the view ``"object"`` alone.
 
     Attributes:
         config: As given.
         backbone: As given; stages 2 and 3 of training freeze it.
         translation_branch: The `PoseBranch` of the first map; stage 3 freezes it.
-        orientation_branch: The `PoseBranch` of the second map; stage 2 freezes it.
+        orientation_branch: The `PoseBranch` of the second map, or of the object's view; stage 2
+            freezes it.
+        object_backbone: As given.
+        orientation: The orientation head.
     """
 
     translation_mean: Tensor
     translation_std: Tensor
+    intrinsics: Tensor
+    variance_scales: Tensor
 
-    def __init__(self, config: FilterformerPoseConfig, backbone: Backbone) -> None:
+    def __init__(
+        self,
+        config: FilterformerPoseConfig,
+        backbone: Backbone,
+        object_backbone: Backbone | None = None,
+    ) -> None:
         super().__init__()
         self.config = config
         self.backbone = backbone
-        translation_channels, orientation_channels = backbone.channels
+        self.object_backbone = object_backbone
+        self.orientation = build_orientation_head(config)
+        channels = (*backbone.channels, *(object_backbone.channels if object_backbone else ()))
         self.translation_branch = PoseBranch(
             config,
-            translation_channels,
-            config.grid(config.translation_reduction),
-            out_features=3,
-            mlp_dim=config.translation_mlp_dim,
+            channels[0],
+            config.first_grid,
+            hyper_head(config, 3, config.translation_mlp_dim),
         )
         self.orientation_branch = PoseBranch(
-            config,
-            orientation_channels,
-            config.grid(config.orientation_reduction),
-            out_features=4,
-            mlp_dim=config.orientation_mlp_dim,
+            config, channels[1], config.orientation_grid, self._orientation_output()
         )
-        self.quaternion = QuaternionActivation()
         for name in ("translation_mean", "translation_std"):
             self.register_buffer(name, torch.tensor(getattr(config, name)), persistent=False)
-        with torch.no_grad():
-            self.orientation_branch.head.bias.copy_(torch.tensor((1.0, 0.0, 0.0, 0.0)))
+        if config.orientation_view == "object":
+            self.register_buffer("intrinsics", torch.tensor(config.camera), persistent=False)
+            self.register_buffer("variance_scales", torch.ones(2))
 
-    def forward(self, images: Tensor) -> PosePrediction:
+    def _orientation_output(self) -> nn.Module:
+        """Return what takes the orientation branch's latent vector to its numbers."""
+        config, features = self.config, self.orientation.features
+        if config.orientation_head == "bins":
+            head: nn.Module = nn.Linear(config.latent, features)
+            if config.pooling != "flatten":  # after flattening a hidden layer has been there
+                head = nn.Sequential(
+                    nn.Linear(config.latent, config.head_hidden),
+                    nn.GELU(),
+                    nn.Linear(config.head_hidden, features),
+                )
+        else:
+            head = hyper_head(config, features, config.orientation_mlp_dim)
+            with torch.no_grad():
+                head.bias.copy_(torch.tensor(self.orientation.start))
+        if config.orientation_view == "frame":
+            return head
+        return LookHead(head, hyper_head(config, SMALL_NUMBERS, config.translation_mlp_dim))
+
+    def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
         """Return the pose of the object in each image.
 
         Args:
@@ -161,13 +278,89 @@ class FilterformerPose(nn.Module):
         if images.dim() != 4 or tuple(images.shape[1:]) != expected:
             sizes = ", ".join(map(str, expected))
             raise ValueError(f"images: expected shape (B, {sizes}), got {tuple(images.shape)}")
+        if self.config.orientation_view == "object":
+            return self._look_twice(images)
         maps = self.backbone(images.contiguous(memory_format=torch.channels_last))
         translation = self.translation_branch(maps[0])
         orientation = self.orientation_branch(maps[1])
         return PosePrediction(
             translation * self.translation_std + self.translation_mean,
-            self.quaternion(orientation),
+            self.orientation.decode(orientation),
         )
+
+    def _look_twice(self, images: Tensor) -> UncertainPose:
+        """Find the object in the frame, then look at it, `config.looks` times."""
+        frames = F.avg_pool2d(images, self.config.first_stride)
+        points = self.located(self.locate(frames))
+        for _ in range(self.config.looks):
+            view = turn_to(points, self.config.object_radius_m, self.config.object_size)
+            numbers = self.look(look(images, view, points, self.intrinsics))
+            points = self.in_front(view.points_back(points_at(numbers.offset, view)))
+        matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
+        orientation = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
+        translation_covariance, rotation_covariance = covariances(
+            numbers, view, self.variance_scales
+        )
+        return UncertainPose(
+            points,
+            orientation,
+            translation_covariance,
+            rotation_covariance,
+            numbers.in_view.sigmoid(),
+        )
+
+    def locate(self, frames: Tensor) -> Tensor:
+        """Return the first look's numbers ``(B, 3)``: x / z, y / z, and the log of the distance.
+
+        Args:
+            frames: ``(B, 3, h, w)``: images of ``config.image_size`` over ``config.first_stride``.
+        """
+        maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
+        result: Tensor = self.translation_branch(maps[0])
+        return result
+
+    def location(self, points: Tensor) -> Tensor:
+        """Return the numbers ``(B, 3)`` of `locate` for points ``(B, 3)`` before the camera."""
+        x, y, z = points.unbind(-1)
+        middle = math.sqrt(math.prod(self.config.distance_m))
+        return torch.stack([x / z, y / z, (points.norm(dim=-1) / middle).log()], dim=-1)
+
+    def located(self, numbers: Tensor) -> Tensor:
+        """Return the points ``(B, 3)``, metres, for numbers of `locate`.
+
+        A direction out of the frame, or a distance beyond twice the trained range, is brought to
+        its bound, so that the second look has something to look at.
+        """
+        near, far = self.config.distance_m
+        logs = [math.log(d / math.sqrt(near * far)) for d in (near / 2, far * 2)]
+        distance = math.sqrt(near * far) * numbers[:, 2].clamp(*logs).exp()
+        height, width = self.config.image_size
+        fx, fy, cx, cy = self.intrinsics.unbind(-1)
+        x = torch.minimum(torch.maximum(numbers[:, 0], -cx / fx), (width - cx) / fx)
+        y = torch.minimum(torch.maximum(numbers[:, 1], -cy / fy), (height - cy) / fy)
+        rays = torch.stack([x, y, torch.ones_like(x)], dim=-1)
+        return F.normalize(rays, dim=-1) * distance[:, None]
+
+    def in_front(self, points: Tensor) -> Tensor:
+        """Keep points ``(B, 3)`` before the camera: z is at least a tenth of the distance."""
+        least = points.norm(dim=-1) / 10
+        return torch.cat((points[:, :2], torch.maximum(points[:, 2], least)[:, None]), dim=1)
+
+    def look(self, views: Tensor) -> LookNumbers:
+        """Return the second look's numbers for views of the object ``(B, 3, h, w)``."""
+        return self.read(self.see(views))
+
+    def see(self, views: Tensor) -> Tensor:
+        """Return the feature map ``(B, C, rows, columns)`` of views of the object."""
+        assert self.object_backbone is not None
+        feature_map: Tensor = self.object_backbone(
+            views.contiguous(memory_format=torch.channels_last)
+        )[0]
+        return feature_map
+
+    def read(self, feature_map: Tensor) -> LookNumbers:
+        """Return the second look's numbers for its feature map."""
+        return split_numbers(self.orientation_branch(feature_map))
 
     @classmethod
     def from_config(
@@ -197,7 +390,13 @@ class FilterformerPose(nn.Module):
         check_names(fields)
         config = replace(config, **fields)
         reductions = (config.translation_reduction, config.orientation_reduction)
-        return cls(config, build_backbone(config.backbone, reductions, backbone_weights))
+        if config.orientation_view == "frame":
+            return cls(config, build_backbone(config.backbone, reductions, backbone_weights))
+        return cls(
+            config,
+            build_backbone(config.backbone, reductions[:1], backbone_weights),
+            build_backbone(config.object_backbone, reductions[1:], backbone_weights),
+        )
 
     def save_pretrained(
         self, path: str | Path, *, preprocessing: Preprocessing | None = None

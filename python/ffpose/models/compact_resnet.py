@@ -1,0 +1,94 @@
+"""A residual network small enough to learn from random weights on a CPU.
+
+Basic blocks (He et al., "Deep Residual Learning for Image Recognition", 2016) of dense 3 x 3
+convolutions with batch norm. On a CPU they keep the vector units busier than the depthwise
+convolutions of mobile networks; their channels are multiples of 16, the lanes of AVX-512. The last
+batch norm of a block starts at zero, so that the block begins as its skip connection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+REDUCTIONS = (4, 8, 16)
+
+WIDTHS = {
+    "compact_resnet": (16, 48, 96, 144),
+    "compact_resnet_narrow": (16, 32, 64, 96),
+    "compact_resnet_wide": (32, 64, 128, 192),
+}
+"""Channels of the stem and of the maps of `REDUCTIONS`, by name."""
+
+
+class BasicBlock(nn.Module):
+    """Two convolutions and a skip connection.
+
+    Args:
+        channels: Of the input.
+        out_channels: Of the result.
+        stride: Of the first convolution.
+    """
+
+    def __init__(self, channels: int, out_channels: int, stride: int = 1) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(channels, out_channels, 3, stride, 1, bias=False)
+        self.norm1 = nn.BatchNorm2d(out_channels)
+        self.conv2 = nn.Conv2d(out_channels, out_channels, 3, 1, 1, bias=False)
+        self.norm2 = nn.BatchNorm2d(out_channels)
+        self.skip = (
+            nn.Identity()
+            if stride == 1 and channels == out_channels
+            else nn.Sequential(
+                nn.Conv2d(channels, out_channels, 1, stride, bias=False),
+                nn.BatchNorm2d(out_channels),
+            )
+        )
+        nn.init.zeros_(self.norm2.weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return ``(B, out_channels, h / stride, w / stride)`` for ``x (B, channels, h, w)``."""
+        y = F.relu(self.norm1(self.conv1(x)), inplace=True)
+        return F.relu(self.norm2(self.conv2(y)) + self.skip(x), inplace=True)
+
+
+class CompactResNet(nn.Module):
+    """Feature maps of 4, 8 and, where asked for, 16 pixels a cell.
+
+    Args:
+        widths: Channels of the stem and of the maps of `REDUCTIONS`.
+        reduction: Pixels a cell of the coarsest map; what comes after it is not built.
+
+    Raises:
+        ValueError: A reduction that is not in `REDUCTIONS`.
+    """
+
+    def __init__(self, widths: Sequence[int], reduction: int) -> None:
+        super().__init__()
+        if reduction not in REDUCTIONS:
+            raise ValueError(f"reduction: expected one of {REDUCTIONS}, got {reduction}")
+        self.stem = nn.Sequential(
+            nn.Conv2d(3, widths[0], 3, 2, 1, bias=False),
+            nn.BatchNorm2d(widths[0]),
+            nn.ReLU(inplace=True),
+        )
+        count = REDUCTIONS.index(reduction) + 1
+        stages = [BasicBlock(widths[0], widths[1], 2)]
+        stages += [
+            nn.Sequential(BasicBlock(before, after, 2), BasicBlock(after, after))
+            for before, after in pairwise(widths[1:])
+        ]
+        self.stages = nn.ModuleList(stages[:count])
+        self.channels = dict(zip(REDUCTIONS, widths[1:], strict=True))
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """Return the maps of ``images (B, 3, H, W)``, the finest first."""
+        x = self.stem(images)
+        maps = []
+        for stage in self.stages:
+            x = stage(x)
+            maps.append(x)
+        return maps

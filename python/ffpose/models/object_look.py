@@ -1,0 +1,154 @@
+"""The second look: attitude, a finer position and their uncertainty from a view of the object.
+
+Ye et al. decouple translation from orientation by two branches that read one image; here their
+views are decoupled as well. The branch reads what a virtual camera turned to the object sees
+(`ffpose.models.virtual_camera`) and gives, in that camera's frame,
+
+* the orientation, by one of the heads of `ffpose.nn.orientation`;
+* the offset of the object from where the camera was turned: ``(x / z, y / z)`` in quarters of the
+  image's width, and the log of the ratio of the distances, times four;
+* the log standard deviations of the offset and of the rotation vector (Kendall and Gal, "What
+  Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS 2017);
+* the logit that the object is there at all.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ffpose.models.virtual_camera import VirtualCamera
+
+OFFSET_SCALE = 4.0
+OFFSET_LIMIT = 4.0
+"""Of the numbers: half of the image's width, and a factor e of the distance, are 2 and 4."""
+
+LOG_SIGMA_LIMITS = (-7.0, 2.0)
+SMALL_NUMBERS = 3 + 6 + 1
+"""Offset, log standard deviations, logit."""
+
+
+class LookNumbers(NamedTuple):
+    """What the branch gives for a batch of views.
+
+    Attributes:
+        orientation: ``(B, features)``, the orientation head's numbers.
+        offset: ``(B, 3)``.
+        log_sigma: ``(B, 6)``: of the offset, then of the rotation vector in radians.
+        in_view: ``(B,)`` logits.
+    """
+
+    orientation: Tensor
+    offset: Tensor
+    log_sigma: Tensor
+    in_view: Tensor
+
+
+class LookHead(nn.Module):
+    """Splits a latent vector into the numbers of a look.
+
+    Args:
+        orientation: From the latent vector to the orientation head's numbers.
+        small: From the latent vector to the other `SMALL_NUMBERS`.
+    """
+
+    def __init__(self, orientation: nn.Module, small: nn.Module) -> None:
+        super().__init__()
+        self.orientation, self.small = orientation, small
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Return ``(B, SMALL_NUMBERS + features)`` for a latent vector ``z``."""
+        return torch.cat((self.small(z), self.orientation(z)), dim=1)
+
+
+def split_numbers(numbers: Tensor) -> LookNumbers:
+    """Name the numbers ``(B, SMALL_NUMBERS + features)`` of `LookHead`."""
+    return LookNumbers(
+        orientation=numbers[:, SMALL_NUMBERS:],
+        offset=numbers[:, :3],
+        log_sigma=numbers[:, 3:9].clamp(*LOG_SIGMA_LIMITS),
+        in_view=numbers[:, 9],
+    )
+
+
+def offset_of(points: Tensor, view: VirtualCamera) -> Tensor:
+    """Return the offsets ``(B, 3)`` of points ``(B, 3)`` in front of a virtual camera, its frame."""
+    x, y, z = points.unbind(-1)
+    pixels = view.focal * OFFSET_SCALE
+    ratio = points.norm(dim=-1) / view.distance
+    return torch.stack(
+        [x / z * pixels / view.size[1], y / z * pixels / view.size[0], OFFSET_SCALE * ratio.log()],
+        dim=-1,
+    )
+
+
+def points_at(offset: Tensor, view: VirtualCamera) -> Tensor:
+    """Return the points ``(B, 3)`` in a virtual camera's frame for offsets; `offset_of`'s inverse.
+
+    Offsets beyond `OFFSET_LIMIT` count as that: the object is out of the view.
+    """
+    bounded = offset.clamp(-OFFSET_LIMIT, OFFSET_LIMIT)
+    pixels = view.focal * OFFSET_SCALE
+    rays = torch.stack(
+        [
+            bounded[:, 0] * view.size[1] / pixels,
+            bounded[:, 1] * view.size[0] / pixels,
+            torch.ones_like(pixels),
+        ],
+        dim=-1,
+    )
+    distance = view.distance * torch.exp(bounded[:, 2] / OFFSET_SCALE)
+    return F.normalize(rays, dim=-1) * distance[:, None]
+
+
+def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
+    """Return the derivatives ``(B, 3, 3)`` of `points_at` with respect to the offset."""
+    point = points_at(offset, view)
+    distance = point.norm(dim=-1, keepdim=True)
+    ray = point / distance  # (B, 3)
+    slope = distance * ray[:, 2:]  # metres a unit of x / z, before the ray is normalised again
+    pixels = (view.focal * OFFSET_SCALE)[:, None]
+    columns = []
+    for axis, side in enumerate((view.size[1], view.size[0])):
+        unit = F.one_hot(torch.tensor(axis, device=ray.device), 3).to(ray.dtype)
+        across = unit - ray * ray[:, axis : axis + 1]
+        columns.append(slope * across * side / pixels)
+    columns.append(point / OFFSET_SCALE)
+    return torch.stack(columns, dim=-1)
+
+
+def rotation_vector(difference: Tensor) -> Tensor:
+    """Return rotation vectors ``(B, 3)``, radians, of unit quaternions ``(B, 4)``."""
+    q = torch.where(difference[:, :1] < 0, -difference, difference)
+    sine = q[:, 1:].norm(dim=-1, keepdim=True)
+    angle = 2 * torch.atan2(sine, q[:, :1])
+    return q[:, 1:] * torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), 2.0)
+
+
+def covariances(numbers: LookNumbers, view: VirtualCamera, scales: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame.
+
+    Args:
+        numbers: Of the look.
+        view: The virtual camera of the look.
+        scales: ``(2,)`` factors of the two variances, found on the validation split.
+    """
+    variance = (2 * numbers.log_sigma).exp()  # (B, 6)
+    back = view.rotation.transpose(1, 2)
+    to_camera = back @ offset_jacobian(numbers.offset, view)
+    translation = (to_camera * variance[:, None, :3]) @ to_camera.transpose(1, 2)
+    rotation = (back * variance[:, None, 3:]) @ view.rotation
+    return translation * scales[0], rotation * scales[1]
+
+
+def sigma_loss(log_sigma: Tensor, residual: Tensor) -> Tensor:
+    """Return the Gaussian negative log likelihood of residuals, the mean over the last axis."""
+    return (0.5 * (residual * torch.exp(-log_sigma)).square() + log_sigma).mean(-1)
+
+
+def in_camera_frame(matrix: Tensor, view: VirtualCamera) -> Tensor:
+    """Take rotation matrices ``(B, 3, 3)`` from the virtual camera's frame to the camera's."""
+    return view.rotation.transpose(1, 2) @ matrix

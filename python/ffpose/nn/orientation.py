@@ -1,0 +1,217 @@
+"""Orientation heads: what the numbers that a network gives for an attitude mean.
+
+* ``"quaternion"``: four numbers, normalised (Ye et al., Sensors 2023, 23, 8633, Eq. 10).
+* ``"6d"``: two columns of the rotation matrix, made orthonormal by Gram and Schmidt; continuous
+  over all rotations, which four numbers cannot be (Zhou et al., "On the Continuity of Rotation
+  Representations in Neural Networks", CVPR 2019).
+* ``"bins"``: logits over some thousand attitudes, trained with soft labels (soft classification;
+  Proenca and Gao, "Deep Learning for Spacecraft Pose Estimation from Photorealistic Rendering",
+  ICRA 2020). A distribution can have several modes, as a symmetric craft seen in bad light asks
+  for. The attitudes are a super-Fibonacci spiral (Alexa, CVPR 2022). The logits are band-limited:
+  the network gives coefficients of the harmonics of SO(3) up to a degree, as Klee et al. ("Image to
+  Sphere", ICLR 2023) do, so that neighboring attitudes share what is learned and the head has a
+  twentieth of the weights. Decoded by the weighted mean of the quaternions near the mode (Markley
+  et al., "Averaging Quaternions", 2007).
+
+Quaternions are Hamilton's, scalar first ``(w, x, y, z)``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Protocol
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ffpose.nn.quaternion import QuaternionActivation
+
+NEIGHBORHOOD_DEG = 40.0
+"""The mean is taken over bins within this angle of the mode."""
+
+POWER_SQUARINGS = 10
+"""Squarings of the averaged matrix: 2**10 power iterations leave its first eigenvector."""
+
+
+class OrientationHead(Protocol):
+    """How the numbers of a head are trained and decoded."""
+
+    features: int
+
+    def decode(self, raw: Tensor) -> Tensor:
+        """Return unit quaternions ``(B, 4)`` for the head's numbers ``(B, features)``."""
+
+    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
+        """Return the loss of each sample ``(B,)`` against unit quaternions ``q (B, 4)``."""
+
+
+class QuaternionHead(nn.Module):
+    """Four numbers, normalised; trained on the distance to the nearer of q and -q."""
+
+    features = 4
+    start = (1.0, 0.0, 0.0, 0.0)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.activation = QuaternionActivation()
+
+    def decode(self, raw: Tensor) -> Tensor:
+        """Return unit quaternions ``(B, 4)`` for ``raw (B, 4)``."""
+        result: Tensor = self.activation(raw)
+        return result
+
+    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
+        """Return ``min(|q - q_hat|, |q + q_hat|)`` for each sample ``(B,)``."""
+        q_hat = self.decode(raw)
+        return torch.minimum((q - q_hat).norm(dim=-1), (q + q_hat).norm(dim=-1))
+
+
+class SixNumbersHead(nn.Module):
+    """Two columns of the rotation matrix; trained on the chordal distance of the matrices."""
+
+    features = 6
+    start = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+
+    def decode(self, raw: Tensor) -> Tensor:
+        """Return unit quaternions ``(B, 4)`` for ``raw (B, 6)``."""
+        return matrix_to_quaternion(orthonormalized(raw))
+
+    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
+        """Return the Frobenius norm of the matrices' difference for each sample ``(B,)``."""
+        difference = quaternion_to_matrix(q) - orthonormalized(raw)
+        return (difference.flatten(1).square().sum(-1) + 1e-6).sqrt()
+
+
+class BinsHead(nn.Module):
+    """Band-limited logits over attitudes that are spread evenly over SO(3).
+
+    Args:
+        bins: How many attitudes; 8,000 are 9 degrees apart.
+        degree: Of the harmonics: ``(degree + 1)(2 degree + 1)(2 degree + 3) / 3`` coefficients.
+        width_deg: Standard deviation of the soft labels, degrees.
+    """
+
+    bins: Tensor
+    outer: Tensor
+    basis: Tensor
+
+    def __init__(self, bins: int = 8000, degree: int = 5, width_deg: float = 7.0) -> None:
+        super().__init__()
+        attitudes = super_fibonacci(bins)
+        basis = harmonics(attitudes, degree)
+        self.features = basis.shape[1]
+        self.width = math.radians(width_deg)
+        self.register_buffer("bins", attitudes.float(), persistent=False)
+        outer = (attitudes[:, :, None] * attitudes[:, None]).flatten(1)  # (bins, 16)
+        self.register_buffer("outer", outer.float(), persistent=False)
+        self.register_buffer("basis", basis.float().T.contiguous(), persistent=False)
+
+    def logits(self, raw: Tensor) -> Tensor:
+        """Return logits ``(B, bins)`` for coefficients ``raw (B, features)``."""
+        return raw @ self.basis
+
+    def decode(self, raw: Tensor) -> Tensor:
+        """Return unit quaternions ``(B, 4)``: the weighted mean near the most likely bin."""
+        p = self.logits(raw).softmax(-1)
+        mode = self.bins[p.argmax(-1)]  # (B, 4)
+        near = (mode @ self.bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
+        matrix = ((p * near) @ self.outer).unflatten(1, (4, 4))  # sum of p q qT
+        matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
+        for _ in range(POWER_SQUARINGS):
+            matrix = matrix @ matrix
+            matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
+        return F.normalize((matrix @ mode[:, :, None])[..., 0], dim=-1)
+
+    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
+        """Return the cross-entropy with soft labels for each sample ``(B,)``."""
+        angle = 2 * torch.acos((q @ self.bins.T).abs().clamp(max=1.0))
+        target = (-(angle / self.width).square() / 2).softmax(-1)
+        return -(target * self.logits(raw).log_softmax(-1)).sum(-1)
+
+
+def super_fibonacci(count: int) -> Tensor:
+    """Return attitudes spread evenly over SO(3), unit quaternions ``(count, 4)``, float64.
+
+    Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
+    """
+    place = torch.arange(count, dtype=torch.float64) + 0.5
+    r, rest = (place / count).sqrt(), (1 - place / count).sqrt()
+    alpha = 2 * math.pi * place / math.sqrt(2)
+    beta = 2 * math.pi * place / 1.533751168755204288118041
+    return torch.stack(
+        [r * alpha.sin(), r * alpha.cos(), rest * beta.sin(), rest * beta.cos()], dim=-1
+    )
+
+
+def harmonics(q: Tensor, degree: int) -> Tensor:
+    """Return an orthonormal basis of the functions on SO(3) up to a degree, sampled at ``q``.
+
+    Even polynomials of the quaternion of degree ``2 degree`` span the same functions as Wigner's D
+    matrices up to ``degree``. The basis is orthonormal in the mean over ``q (N, 4)``; its signs are
+    fixed, so that it is the same on every machine but for rounding.
+
+    Returns:
+        ``(N, (degree + 1)(2 degree + 1)(2 degree + 3) / 3)``, float64.
+    """
+    power = 2 * degree
+    powers = q[:, :, None] ** torch.arange(power + 1)  # (N, 4, power + 1)
+    exponents = [
+        (*rest, power - sum(rest))
+        for rest in itertools.product(range(power + 1), repeat=3)
+        if sum(rest) <= power
+    ]
+    columns = [
+        math.sqrt(math.factorial(power) / math.prod(map(math.factorial, e)))
+        * powers[:, 0, e[0]]
+        * powers[:, 1, e[1]]
+        * powers[:, 2, e[2]]
+        * powers[:, 3, e[3]]
+        for e in exponents
+    ]
+    orthonormal, triangular = torch.linalg.qr(torch.stack(columns, dim=1))
+    return orthonormal * triangular.diagonal().sign() * math.sqrt(len(q))
+
+
+def orthonormalized(raw: Tensor) -> Tensor:
+    """Return rotation matrices ``(B, 3, 3)`` whose first columns come from ``raw (B, 6)``."""
+    first = F.normalize(raw[:, :3], dim=-1)
+    second = raw[:, 3:] - (first * raw[:, 3:]).sum(-1, keepdim=True) * first
+    second = F.normalize(second, dim=-1)
+    return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1)
+
+
+def quaternion_to_matrix(q: Tensor) -> Tensor:
+    """Return the rotation matrices ``(B, 3, 3)`` of unit quaternions ``(B, 4)``."""
+    w, x, y, z = q.unbind(-1)
+    rows = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ]
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+
+def matrix_to_quaternion(matrix: Tensor) -> Tensor:
+    """Return unit quaternions ``(B, 4)`` of rotation matrices ``(B, 3, 3)``, of either sign.
+
+    Of the four expressions that give the quaternion times one of its own entries, the one with the
+    largest entry is taken for each matrix: none divides by a small number.
+    """
+    m = matrix
+    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
+    wx, wy, wz = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    xy, xz, yz = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
+    rows = torch.stack(
+        [
+            torch.stack([1 + xx + yy + zz, wx, wy, wz], dim=-1),
+            torch.stack([wx, 1 + xx - yy - zz, xy, xz], dim=-1),
+            torch.stack([wy, xy, 1 - xx + yy - zz, yz], dim=-1),
+            torch.stack([wz, xz, yz, 1 - xx - yy + zz], dim=-1),
+        ],
+        dim=1,
+    )  # (B, 4, 4): row i is 4 q_i q
+    best = rows.diagonal(dim1=1, dim2=2).argmax(-1)
+    row = rows.gather(1, best[:, None, None].expand(-1, 1, 4))[:, 0]
+    return F.normalize(row, dim=-1)

@@ -1,0 +1,37 @@
+"""Pictures that are no scene: charts, blocks, gradients and noise, for a network to refuse."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+MOST_SHAPES = 8
+
+
+def clutter(count: int, size: tuple[int, int], generator: torch.Generator) -> Tensor:
+    """Return random pictures ``(count, 3, h, w)`` in [0, 1].
+
+    Each is a gradient, a number of filled rectangles and bars over it, and noise of any grain.
+    """
+    height, width = size
+    y = torch.linspace(-1, 1, height)[None, None, :, None]
+    x = torch.linspace(-1, 1, width)[None, None, None, :]
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=generator)
+
+    slope = uniform(count, 2, 1, 1, 1) - 0.5
+    pictures = uniform(count, 3, 1, 1) + slope[:, 0] * x + slope[:, 1] * y
+    shapes = torch.randint(MOST_SHAPES + 1, (count, 1, 1, 1), generator=generator)
+    for number in range(MOST_SHAPES):
+        place = 2 * uniform(count, 2, 1, 1, 1) - 1
+        reach = uniform(count, 2, 1, 1, 1).square()  # bars are as likely as blocks
+        inside = ((x - place[:, 0]).abs() < reach[:, 0]) & ((y - place[:, 1]).abs() < reach[:, 1])
+        drawn = inside & (number < shapes)
+        pictures = torch.where(drawn, uniform(count, 3, 1, 1), pictures)
+    grain = int(torch.randint(1, 9, (), generator=generator))
+    noise = torch.randn(count, 3, -(-height // grain), -(-width // grain), generator=generator)
+    noise = F.interpolate(noise, size, mode="bilinear", align_corners=False)
+    strength = 0.5 * uniform(count, 1, 1, 1).square()
+    return (pictures + strength * noise).clamp(0, 1) * uniform(count, 1, 1, 1)

@@ -1,0 +1,275 @@
+"""Batches for a network with a second look, made from stored views: exact augmentation in one step.
+
+A training sample is drawn anew each time: the camera of the first look is turned about its axis,
+the virtual camera of the second look is turned to where a first look might have found the object,
+and about the viewing ray by any angle. Each is one homography of the stored pixels, and the label
+moves with it exactly (`ffpose.models.virtual_camera`). Brightness, blur and noise follow.
+
+Some samples show no object: empty frames, and pictures that are no scene at all, so that the
+network learns to say so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional as F
+
+from ffpose.models import FilterformerPose
+from ffpose.models.object_look import offset_of
+from ffpose.models.virtual_camera import (
+    VirtualCamera,
+    sample,
+    source_pixels,
+    toward,
+    turn_to,
+    turned_about_axis,
+)
+from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
+from ffpose.training.clutter import clutter
+
+Arrays = Mapping[str, NDArray]
+
+FRAME_MARGIN = 0.02
+"""Part of the frame that the object's origin keeps from the border when the camera is turned."""
+
+
+@dataclass(frozen=True)
+class ViewAugmentation:
+    """How the views of a training sample vary.
+
+    Attributes:
+        roll_deg: Greatest turn of the first look's camera about its axis.
+        look_lateral: Standard deviation of the first look's error across the viewing ray, as a
+            part of the virtual camera's radius at the object.
+        look_distance: The same along the ray, of the logarithm of the distance.
+        look_outliers: Part of the samples whose errors are three times as large.
+        twist_deg: Greatest turn of the virtual camera about the viewing ray.
+        brightness: Standard deviation of the logarithm (base 2) of a factor.
+        noise: Greatest standard deviation of Gaussian noise, of the range [0, 1].
+        blur: Greatest share of a copy of half the resolution.
+        empty: Part of the samples that show no object.
+        frames: Part of the samples whose frame is given to the first look, which learns sooner.
+    """
+
+    roll_deg: float = 180.0
+    look_lateral: float = 0.08
+    look_distance: float = 0.09
+    look_outliers: float = 0.05
+    twist_deg: float = 180.0
+    brightness: float = 0.25
+    noise: float = 0.04
+    blur: float = 0.5
+    empty: float = 0.1
+    frames: float = 0.25
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            most = 180.0 if name.endswith("_deg") else 1.0
+            if not 0 <= value <= most:
+                raise ValueError(f"{name}: expected a number from 0 to {most:g}, got {value}")
+
+
+class ViewBatch(NamedTuple):
+    """What both looks see in ``B`` samples, and what they should say.
+
+    Attributes:
+        frames: ``(F, 3, h, w)``, standardised: of the first F samples.
+        location: ``(F, 3)``, as `FilterformerPose.location`.
+        crops: ``(B, 3, h, w)``, standardised: the object's view.
+        orientation: ``(B, 4)`` unit quaternions in the virtual camera's frame.
+        offset: ``(B, 3)``, as `ffpose.models.object_look.offset_of`.
+        coordinates: ``(B, 4, rows, columns)``: the object's coordinates in [-1, 1], and whether the
+            place shows the object, 0 or 1.
+        present: ``(B,)`` bool.
+        index: ``(B,)`` places in the set.
+    """
+
+    frames: Tensor
+    location: Tensor
+    crops: Tensor
+    orientation: Tensor
+    offset: Tensor
+    coordinates: Tensor
+    present: Tensor
+    index: Tensor
+
+
+class ViewBatches:
+    """Makes batches of stored views for one network.
+
+    Args:
+        model: Says how it looks.
+        arrays: The views of one or several sets, as `ffpose.datasets.views.open_arrays` gives them.
+        empty: Views without an object; may be none.
+        augmentation: How samples vary.
+        std: Of the input, after division by 255; what lies outside an image is zero.
+        cells: Rows and columns of the coordinates.
+    """
+
+    def __init__(
+        self,
+        model: FilterformerPose,
+        arrays: Sequence[Arrays],
+        empty: Sequence[Arrays],
+        augmentation: ViewAugmentation,
+        std: float,
+        cells: tuple[int, int],
+    ) -> None:
+        self.model, self.sets, self.empty = model, tuple(arrays), tuple(empty)
+        self.augmentation, self.std, self.cells = augmentation, std, cells
+        self.places = _places(self.sets)
+        self.empty_places = _places(self.empty)
+        config = model.config
+        assert config.camera is not None
+        fx, fy, cx, cy = config.camera
+        self.frame_camera = torch.tensor([fx, fy, cx, cy]) / config.first_stride
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def epoch(self, seed: int, batch_size: int) -> Iterator[ViewBatch]:
+        """Pass once over the set, in an order drawn from ``seed``; a rest is left out."""
+        generator = torch.Generator().manual_seed(seed)
+        order = torch.randperm(len(self), generator=generator)
+        for start in range(0, len(self) - batch_size + 1, batch_size):
+            yield self.batch(order[start : start + batch_size], generator)
+
+    def batch(self, index: Tensor, generator: torch.Generator) -> ViewBatch:
+        """Return the samples ``index``, varied by numbers drawn from ``generator``."""
+        a, count = self.augmentation, len(index)
+        labels = torch.from_numpy(self._gather("labels", index)).float()
+        t, rotation = labels[:, :3], quaternion_to_matrix(labels[:, 3:7])
+        first = max(1, round(a.frames * count))
+        frames, t_frame = self._turned_frames(index[:first], t[:first], generator)
+        points = self._looked_at(t, generator)
+        twist = math.radians(a.twist_deg) * (2 * torch.rand(count, generator=generator) - 1)
+        config = self.model.config
+        view = turn_to(points, config.object_radius_m, config.object_size, twist)
+        windows = _images(self._gather("windows", index), self.std)
+        intrinsics = labels[:, 7:11]
+        crops = sample(windows, source_pixels(view, intrinsics))
+        present = torch.ones(count, dtype=torch.bool)
+        empty = round(a.empty * count)
+        if empty:
+            crops[:empty] = self._empty_crops(empty, generator)
+            present[:empty] = False
+        return ViewBatch(
+            self._varied(frames, generator),
+            self.model.location(t_frame),
+            self._varied(crops, generator),
+            matrix_to_quaternion(view.rotation @ rotation),
+            offset_of(view.points(t), view),
+            self._coordinates(index, view, intrinsics),
+            present,
+            index,
+        )
+
+    def _gather(self, name: str, index: Tensor) -> NDArray:
+        return _rows(self.sets, self.places, name, index)
+
+    def _turned_frames(
+        self, index: Tensor, t: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Turn the first look's camera about its axis, where the object stays in the frame."""
+        frames = _images(self._gather("frames", index), self.std)
+        rows = self.model.config.image_size[0] // self.model.config.first_stride
+        frames = F.avg_pool2d(frames, frames.shape[-2] // rows)
+        height, width = frames.shape[-2:]
+        limit = math.radians(self.augmentation.roll_deg)
+        angles = limit * (2 * torch.rand(len(t), generator=generator) - 1)
+        turn = turned_about_axis(angles)
+        moved = (turn @ t[:, :, None])[..., 0]
+        fx, fy, cx, cy = self.frame_camera
+        u, v = moved[:, 0] / moved[:, 2] * fx + cx, moved[:, 1] / moved[:, 2] * fy + cy
+        room = FRAME_MARGIN * width
+        inside = (u > room) & (u < width - room) & (v > room) & (v < height - room)
+        turn = torch.where(inside[:, None, None], turn, torch.eye(3))
+        view = VirtualCamera(turn, fx.expand(len(t)), t.norm(dim=-1), (height, width))
+        return (
+            sample(frames, source_pixels(view, self.frame_camera)),
+            torch.where(inside[:, None], moved, t),
+        )
+
+    def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
+        """Return where a first look might have found objects at ``t (B, 3)``."""
+        a = self.augmentation
+        outlier = torch.rand(len(t), generator=generator) < a.look_outliers
+        scale = 1 + 2 * outlier[:, None].float()
+        error = torch.randn(len(t), 3, generator=generator) * scale
+        lateral = a.look_lateral * self.model.config.object_radius_m * error[:, :2]
+        distance = t.norm(dim=-1, keepdim=True)
+        points = (toward(t) @ torch.cat((lateral, distance), dim=1)[:, :, None])[..., 0]
+        return self.model.in_front(points * torch.exp(a.look_distance * error[:, 2:]))
+
+    def _empty_crops(self, count: int, generator: torch.Generator) -> Tensor:
+        """Return views without an object: half of empty scenes, half of no scene at all."""
+        size = self.model.config.object_size
+        crops = clutter(count, size, generator) / self.std
+        scenes = count - count // 2 if self.empty else 0
+        if scenes:
+            index = torch.randint(len(self.empty_places), (scenes,), generator=generator)
+            windows = _images(_rows(self.empty, self.empty_places, "windows", index), self.std)
+            side = windows.shape[-1]
+            # A square of the window, of about the size that the virtual camera cuts from it.
+            zoom = 0.35 + 0.35 * torch.rand(scenes, generator=generator)
+            shift = (1 - zoom)[:, None] * (2 * torch.rand(scenes, 2, generator=generator) - 1)
+            y = (torch.arange(size[0]) + 0.5) / size[0] * 2 - 1
+            x = (torch.arange(size[1]) + 0.5) / size[1] * 2 - 1
+            grid = torch.stack(torch.broadcast_tensors(x[None, :], y[:, None]), dim=-1)
+            grid = grid * zoom[:, None, None, None] + shift[:, None, None, :]
+            crops[:scenes] = sample(windows, (grid + 1) * side / 2)
+        return crops
+
+    def _coordinates(self, index: Tensor, view: VirtualCamera, intrinsics: Tensor) -> Tensor:
+        stored = torch.from_numpy(self._gather("coordinates", index)).permute(0, 3, 1, 2).float()
+        scale = self.cells[1] / view.size[1]
+        coarse = view._replace(focal=view.focal * scale, size=self.cells)
+        values = sample(stored / 127.5, source_pixels(coarse, intrinsics / 2), mode="nearest")
+        values[:, :3] -= 1
+        values[:, 3] /= 2
+        return values
+
+    def _varied(self, images: Tensor, generator: torch.Generator) -> Tensor:
+        """Vary brightness, sharpness and noise of standardised images whose black is zero."""
+        a, shape = self.augmentation, (len(images), 1, 1, 1)
+        if a.blur > 0:
+            share = a.blur * torch.rand(shape, generator=generator).square()
+            coarse = F.interpolate(images, scale_factor=0.5, mode="bilinear")
+            smooth = F.interpolate(coarse, images.shape[-2:], mode="bilinear")
+            images = torch.lerp(images, smooth, share)
+        if a.brightness > 0:
+            images = images * torch.exp2(a.brightness * torch.randn(shape, generator=generator))
+        if a.noise > 0:
+            sigma = a.noise / self.std * torch.rand(shape, generator=generator).square()
+            images = images + sigma * torch.randn(images.shape, generator=generator)
+        return images.contiguous(memory_format=torch.channels_last)
+
+
+def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
+    """Return set and row ``(N, 2)`` of each sample."""
+    return np.concatenate(
+        [
+            np.zeros((0, 2), np.intp),
+            *(
+                np.stack([np.full(len(a["labels"]), n), np.arange(len(a["labels"]))], axis=1)
+                for n, a in enumerate(sets)
+            ),
+        ]
+    )
+
+
+def _rows(sets: Sequence[Arrays], places: NDArray[np.intp], name: str, index: Tensor) -> NDArray:
+    return np.stack([sets[n][name][row] for n, row in places[index.numpy()]])
+
+
+def _images(pixels: NDArray[np.uint8], std: float) -> Tensor:
+    """Return uint8 pixels ``(B, H, W, 3)`` as standardised images ``(B, 3, H, W)``."""
+    return torch.from_numpy(pixels).permute(0, 3, 1, 2).float() * (1 / (255 * std))
