@@ -29,6 +29,8 @@ SHARPNESS = 0.8
 LEAST_DEPTH = 1e-3
 """Of a ray in the source camera; rays that point farther backwards see nothing."""
 
+FAR_OUTSIDE = -1e6
+
 
 class VirtualCamera(NamedTuple):
     """Cameras turned to the objects of a batch.
@@ -105,21 +107,27 @@ def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
     """
     height, width = view.size
     like = {"dtype": view.focal.dtype, "device": view.focal.device}
-    focal = view.focal[:, None]
-    x = ((torch.arange(width, **like) + 0.5) - width / 2)[None] / focal  # (B, w)
-    y = ((torch.arange(height, **like) + 0.5) - height / 2)[None] / focal  # (B, h)
-    back = view.rotation.transpose(1, 2)
-    rays = (
-        back[:, None, None, :, 0] * x[:, None, :, None]
-        + back[:, None, None, :, 1] * y[:, :, None, None]
-        + back[:, None, None, :, 2]
-    )  # (B, h, w, 3)
-    fx, fy, cx, cy = intrinsics.expand(len(view.focal), 4)[:, :, None, None].unbind(1)
-    depth = rays[..., 2]
-    seen = depth > LEAST_DEPTH
-    depth = depth.clamp_min(LEAST_DEPTH)
-    pixels = torch.stack([rays[..., 0] / depth * fx + cx, rays[..., 1] / depth * fy + cy], dim=-1)
-    return torch.where(seen[..., None], pixels, torch.full_like(pixels, -1e6))
+    u = (torch.arange(width, **like) + 0.5 - width / 2).expand(height, width)
+    v = (torch.arange(height, **like) + 0.5 - height / 2)[:, None].expand(height, width)
+    pixels = torch.stack([u, v, torch.ones_like(u)], dim=-1).flatten(0, 1)  # (h w, 3)
+    seen = pixels @ homography(view, intrinsics).transpose(1, 2)  # (B, h w, 3)
+    depth = seen[..., 2:]
+    found = seen[..., :2] / depth.clamp_min(LEAST_DEPTH)
+    found = torch.where(depth > LEAST_DEPTH, found, torch.full_like(found, FAR_OUTSIDE))
+    return found.unflatten(1, view.size)
+
+
+def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
+    """Return ``K R^T K_v^-1`` ``(B, 3, 3)``: from virtual pixels to those of the source image.
+
+    Virtual pixels count from the middle of the image. The third coordinate of the result is the
+    depth of a ray whose depth in the virtual camera is one.
+    """
+    fx, fy, cx, cy = intrinsics.expand(len(view.focal), 4).unbind(1)
+    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
+    matrix = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], dim=-1)
+    scale = torch.stack([1 / view.focal, 1 / view.focal, one], dim=-1)
+    return matrix.unflatten(1, (3, 3)) @ view.rotation.transpose(1, 2) * scale[:, None, :]
 
 
 def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:

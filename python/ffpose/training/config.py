@@ -13,6 +13,10 @@ from typing import Any, Literal
 from ffpose.training.stages import JOINT_STAGE, Stage
 
 
+TEST_SEEDS = 1_000_000
+"""From this seed on, scenes are for tests: no training renders them."""
+
+
 def _expect(condition: bool, name: str, expected: str, got: object) -> None:
     """Raise a ValueError that says what ``name`` should have been, unless ``condition``."""
     if not condition:
@@ -31,7 +35,14 @@ class DataConfig:
         augment: Whether to vary the training images.
         augmentation: Fields of `ffpose.transforms.Augmentation` to change, such as {"roll": 10}.
         cache: Whether to keep the decoded and resized images in memory.
-        workers: Processes that read images beside the training process.
+        workers: Processes that read or render images beside the training process.
+        scene: For the kind scenes: the set whose scenes are rendered.
+        count: For the kind scenes: images to learn from; 100 more validate.
+        empty: For the kind scenes: images without the spacecraft, which a network with a second
+            look learns to refuse.
+        seed: For the kind scenes: seed of the images, below `TEST_SEEDS`.
+        attitude_range_deg: For the kind scenes: roll, pitch and yaw lie within plus and minus
+            these angles.
     """
 
     kind: str
@@ -41,9 +52,18 @@ class DataConfig:
     augmentation: dict[str, Any] = field(default_factory=dict)
     cache: bool = False
     workers: int = 0
+    scene: str = "soyuz_hard"
+    count: int = 10000
+    empty: int = 1000
+    seed: int = 0
+    attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
 
     def __post_init__(self) -> None:
         _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
+        _expect(self.count >= 1, "data.count", "1 or more", self.count)
+        _expect(self.empty >= 0, "data.empty", "0 or more", self.empty)
+        expected = f"0 to {TEST_SEEDS - 1}, as later seeds are for tests"
+        _expect(0 <= self.seed < TEST_SEEDS, "data.seed", expected, self.seed)
 
 
 @dataclass(frozen=True)
@@ -51,6 +71,8 @@ class OptimizerConfig:
     """Adam and its learning rate.
 
     Attributes:
+        kind: "adam", as published, or "adamw", whose weight decay is apart from the gradient
+            (Loshchilov and Hutter, "Decoupled Weight Decay Regularization", ICLR 2019).
         learning_rate: The highest learning rate.
         weight_decay: Pull of the model's weights towards zero; the loss weights have none.
         eps: Adam's epsilon.
@@ -62,6 +84,7 @@ class OptimizerConfig:
         warmup_epochs: Epochs, or a part of one, over which the learning rate first rises from zero.
     """
 
+    kind: Literal["adam", "adamw"] = "adam"
     learning_rate: float = 1e-4
     weight_decay: float = 1e-4
     eps: float = 1e-10
@@ -81,6 +104,8 @@ class OptimizerConfig:
         _expect(self.step_epochs >= 1, "optimizer.step_epochs", "1 or more", self.step_epochs)
         _expect(self.step_factor > 0, "optimizer.step_factor", "more than 0", self.step_factor)
         _expect(self.warmup_epochs >= 0, "optimizer.warmup_epochs", "0 or more", self.warmup_epochs)
+        kinds = ("adam", "adamw")
+        _expect(self.kind in kinds, "optimizer.kind", " or ".join(kinds), self.kind)
         known = ("step", "cosine")
         _expect(self.schedule in known, "optimizer.schedule", " or ".join(known), self.schedule)
 
@@ -101,6 +126,75 @@ class LossConfig:
 
 
 @dataclass(frozen=True)
+class ObjectLossConfig:
+    """Weights of the terms.
+
+    Attributes:
+        location: Of the first look.
+        orientation: Of the orientation head's loss.
+        offset: Of the second look's position.
+        sigma: Of the likelihoods.
+        in_view: Of the presence.
+        coordinates: Of the object's coordinates; zero, with ``mask``, leaves dense supervision out.
+        mask: Of its silhouette.
+    """
+
+    location: float = 10.0
+    orientation: float = 1.0
+    offset: float = 3.0
+    sigma: float = 0.1
+    in_view: float = 0.5
+    coordinates: float = 6.0
+    mask: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value >= 0:
+                raise ValueError(f"{name}: expected 0 or more, got {value}")
+
+    @property
+    def dense(self) -> bool:
+        """Whether there is dense supervision."""
+        return self.coordinates > 0 or self.mask > 0
+
+
+@dataclass(frozen=True)
+class ViewAugmentation:
+    """How the views of a training sample vary.
+
+    Attributes:
+        roll_deg: Greatest turn of the first look's camera about its axis.
+        look_lateral: Standard deviation of the first look's error across the viewing ray, as a
+            part of the virtual camera's radius at the object.
+        look_distance: The same along the ray, of the logarithm of the distance.
+        look_outliers: Part of the samples whose errors are three times as large.
+        twist_deg: Greatest turn of the virtual camera about the viewing ray.
+        brightness: Standard deviation of the logarithm (base 2) of a factor.
+        noise: Greatest standard deviation of Gaussian noise, of the range [0, 1].
+        blur: Greatest share of a copy of half the resolution.
+        empty: Part of the samples that show no object.
+        frames: Part of the samples whose frame is given to the first look, which learns sooner.
+    """
+
+    roll_deg: float = 180.0
+    look_lateral: float = 0.08
+    look_distance: float = 0.09
+    look_outliers: float = 0.05
+    twist_deg: float = 180.0
+    brightness: float = 0.25
+    noise: float = 0.04
+    blur: float = 0.5
+    empty: float = 0.1
+    frames: float = 0.25
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            most = 180.0 if name.endswith("_deg") else 1.0
+            if not 0 <= value <= most:
+                raise ValueError(f"{name}: expected a number from 0 to {most:g}, got {value}")
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """All of a training run.
 
@@ -114,9 +208,16 @@ class TrainConfig:
             about its mean, in place of raw metres.
         epochs: Epochs of the first stage, in place of the number that stages gives it.
         stages: What is trained, in which order; the first stage of the paper alone by default.
-        batch_size: Images a step.
+        batch_size: Images whose gradients are computed at once.
+        accumulate: Batches whose gradients make one step.
+        ema: Share of the moving average of the weights that stays at each step, such as 0.998; the
+            average is what is validated and saved. 0 keeps none.
+        autocast: "none", or "bfloat16" for the network's matrix products and convolutions.
+        init: Weights of a network of the same architecture to start from.
         optimizer: Adam and its learning rate.
-        loss: The pose loss.
+        loss: The pose loss of a network that looks at the frame alone.
+        object_loss: The loss of a network with a second look.
+        views: How the views of such a network's samples vary.
         seed: Seed of the weights, the order of the images, augmentation and dropout.
         device: "auto" (a GPU where there is one) or a name that torch knows.
     """
@@ -130,8 +231,14 @@ class TrainConfig:
     epochs: int | None = None
     stages: tuple[Stage, ...] = (JOINT_STAGE,)
     batch_size: int = 8
+    accumulate: int = 1
+    ema: float = 0.0
+    autocast: Literal["none", "bfloat16"] = "none"
+    init: Path | None = None
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)
+    object_loss: ObjectLossConfig = field(default_factory=ObjectLossConfig)
+    views: ViewAugmentation = field(default_factory=ViewAugmentation)
     seed: int = 0
     device: str = "auto"
 
@@ -139,6 +246,10 @@ class TrainConfig:
         _expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)
         _expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
         _expect(self.batch_size >= 1, "batch_size", "1 or more", self.batch_size)
+        _expect(self.accumulate >= 1, "accumulate", "1 or more", self.accumulate)
+        _expect(0 <= self.ema < 1, "ema", "0 <= ema < 1", self.ema)
+        kinds = ("none", "bfloat16")
+        _expect(self.autocast in kinds, "autocast", " or ".join(kinds), self.autocast)
         _expect(self.seed >= 0, "seed", "0 or more", self.seed)
 
     @property

@@ -9,8 +9,6 @@ that is not part of the saved network (as in Wang et al., "GDR-Net", CVPR 2021).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -18,6 +16,7 @@ from torch.nn import functional as F
 from ffpose.losses import LossTerms
 from ffpose.models import FilterformerPose
 from ffpose.models.object_look import rotation_vector, sigma_loss
+from ffpose.training.config import ObjectLossConfig
 from ffpose.training.views import ViewBatch
 
 CELLS_PER_SIDE = 2
@@ -25,39 +24,6 @@ CELLS_PER_SIDE = 2
 
 SMOOTH = 0.05
 """Errors below it count by their square (Huber)."""
-
-
-@dataclass(frozen=True)
-class ObjectLossConfig:
-    """Weights of the terms.
-
-    Attributes:
-        location: Of the first look.
-        orientation: Of the orientation head's loss.
-        offset: Of the second look's position.
-        sigma: Of the likelihoods.
-        in_view: Of the presence.
-        coordinates: Of the object's coordinates; zero, with ``mask``, leaves dense supervision out.
-        mask: Of its silhouette.
-    """
-
-    location: float = 10.0
-    orientation: float = 1.0
-    offset: float = 3.0
-    sigma: float = 0.1
-    in_view: float = 0.5
-    coordinates: float = 6.0
-    mask: float = 2.0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0:
-                raise ValueError(f"{name}: expected 0 or more, got {value}")
-
-    @property
-    def dense(self) -> bool:
-        """Whether there is dense supervision."""
-        return self.coordinates > 0 or self.mask > 0
 
 
 class ObjectObjective(nn.Module):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,20 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.losses import PoseLoss
 from ffpose.models import CONFIGS, FilterformerPose
+from ffpose.models.config import check_names
+from ffpose.models.weights import load_weights
+from ffpose.training.averaging import AveragedModel
 from ffpose.training.config import OptimizerConfig, TrainConfig
-from ffpose.transforms import Augmentation, Preprocessing
+from ffpose.training.data import TrainingData, open_training_data
+from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.tasks import FrameTask, ObjectTask, Task
+from ffpose.training.views import ViewBatches
+from ffpose.transforms import Preprocessing
+
+OBJECT_STD = (0.25, 0.25, 0.25)
+"""Of the input of a network with a second look, whose mean is zero."""
 
 
 @dataclass
@@ -25,67 +33,69 @@ class Run:
     Attributes:
         config: What the run is asked to do.
         model: The network.
-        loss: The joint loss with its two learnable weights.
-        optimizer: Adam over both; made anew where a stage begins.
-        train_set: Images to learn from.
-        val_set: Images that choose the best epoch.
+        average: Its moving average, which is validated and saved.
+        optimizer: Over network and loss; made anew where a stage begins.
+        task: Batches, loss and validation.
         device: Where the network computes.
     """
 
     config: TrainConfig
     model: FilterformerPose
-    loss: PoseLoss
+    average: AveragedModel
     optimizer: torch.optim.Optimizer
-    train_set: PoseDataset
-    val_set: PoseDataset
+    task: Task
     device: torch.device
 
 
 def build_run(config: TrainConfig) -> Run:
-    """Open the images and build model, loss and optimiser, the weights from the run's seed.
+    """Open the images and build model, loss and optimizer, the weights from the run's seed.
 
     Raises:
         ValueError: An unknown model or kind of image set, or fields that do not go together.
-        ffpose.DataError: A label, or a file of backbone weights, cannot be used.
+        ffpose.DataError: A label, or a file of weights, cannot be used.
     """
     if config.model not in CONFIGS:
         raise ValueError(f"model: expected one of {', '.join(CONFIGS)}, got {config.model!r}")
     device = _device(config.device)
-    fields = dict(config.model_fields)
-    height, width = fields.get("image_size", CONFIGS[config.model].image_size)
-    preprocessing = Preprocessing(size=(height, width), mode=config.data.mode)
-    train_set, val_set = _open_splits(config, preprocessing)
-    if config.normalize_translation:
-        fields |= translation_statistics(train_set.poses)
+    preset = replace(CONFIGS[config.model], **_fields(config))
+    object_view = preset.orientation_view == "object"
+    preprocessing = Preprocessing(size=preset.image_size, mode=config.data.mode)
+    if object_view:  # what lies outside an image is zero, and has to be black
+        preprocessing = Preprocessing(preset.image_size, config.data.mode, (0.0,) * 3, OBJECT_STD)
+    data = open_training_data(config.data, preset, preprocessing)
+    fields = _fields(config) | data.fields
+    if config.normalize_translation and not object_view:
+        fields |= translation_statistics(data.poses)
     torch.manual_seed(config.seed)
     model = FilterformerPose.from_config(
         config.model, backbone_weights=config.backbone_weights, **fields
     ).to(device)
-    loss = PoseLoss(config.loss.s_t, config.loss.s_q, config.loss.antipodal).to(device)
-    optimizer = build_optimizer(model, loss, config.optimizer)
-    return Run(config, model, loss, optimizer, train_set, val_set, device)
+    if config.init is not None:
+        load_weights(config.init, model)
+    task = _task(config, model, data, device)
+    optimizer = build_optimizer(model, task.loss, config.optimizer)
+    return Run(config, model, AveragedModel(model, config.ema), optimizer, task, device)
 
 
-def _open_splits(
-    config: TrainConfig, preprocessing: Preprocessing
-) -> tuple[PoseDataset, PoseDataset]:
-    """Open the images to learn from, augmented, and those to validate on."""
-    data = config.data
-    augmentation = _augmentation(data.augmentation) if data.augment else None
-    return (
-        open_dataset(data.kind, data.root, "train", preprocessing, augmentation, data.cache),
-        open_dataset(data.kind, data.root, "val", preprocessing, None, data.cache),
+def _task(
+    config: TrainConfig, model: FilterformerPose, data: TrainingData, device: torch.device
+) -> Task:
+    """Return what the network learns from."""
+    if model.config.orientation_view == "object":
+        loss = ObjectObjective(model, config.object_loss).to(device)
+        views = ViewBatches(model, data.views, data.empty, config.views, OBJECT_STD[0], loss.cells)
+        return ObjectTask(views, data.val_set, loss, config.batch_size)
+    assert data.train_set is not None
+    pose_loss = PoseLoss(config.loss.s_t, config.loss.s_q, config.loss.antipodal).to(device)
+    return FrameTask(
+        data.train_set, data.val_set, pose_loss, config.batch_size, config.data.workers
     )
 
 
-def _augmentation(values: Mapping[str, Any]) -> Augmentation:
-    try:
-        return Augmentation(**values)
-    except TypeError as error:  # an unknown name, or a value that is no number
-        names = ", ".join(Augmentation.__dataclass_fields__)
-        raise ValueError(
-            f"data.augmentation: expected numbers for some of {names}, got {dict(values)}"
-        ) from error
+def _fields(config: TrainConfig) -> dict[str, Any]:
+    """Return the changed fields of the model, those that name a preset's as well."""
+    check_names(config.model_fields)
+    return dict(config.model_fields)
 
 
 def _device(name: str) -> torch.device:
@@ -115,4 +125,5 @@ def build_optimizer(
         {"params": list(model.parameters()), "weight_decay": config.weight_decay},
         {"params": list(loss.parameters()), "weight_decay": 0.0},
     ]
-    return torch.optim.Adam(groups, lr=config.learning_rate, eps=config.eps, fused=True)
+    adam = torch.optim.AdamW if config.kind == "adamw" else torch.optim.Adam
+    return adam(groups, lr=config.learning_rate, eps=config.eps, fused=True)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -34,47 +33,15 @@ from ffpose.models.virtual_camera import (
 )
 from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
+from ffpose.training.config import ViewAugmentation
 
 Arrays = Mapping[str, NDArray]
 
+SUPPLY = 1 << 21
+"""Normal numbers that are drawn once, for the noise."""
+
 FRAME_MARGIN = 0.02
 """Part of the frame that the object's origin keeps from the border when the camera is turned."""
-
-
-@dataclass(frozen=True)
-class ViewAugmentation:
-    """How the views of a training sample vary.
-
-    Attributes:
-        roll_deg: Greatest turn of the first look's camera about its axis.
-        look_lateral: Standard deviation of the first look's error across the viewing ray, as a
-            part of the virtual camera's radius at the object.
-        look_distance: The same along the ray, of the logarithm of the distance.
-        look_outliers: Part of the samples whose errors are three times as large.
-        twist_deg: Greatest turn of the virtual camera about the viewing ray.
-        brightness: Standard deviation of the logarithm (base 2) of a factor.
-        noise: Greatest standard deviation of Gaussian noise, of the range [0, 1].
-        blur: Greatest share of a copy of half the resolution.
-        empty: Part of the samples that show no object.
-        frames: Part of the samples whose frame is given to the first look, which learns sooner.
-    """
-
-    roll_deg: float = 180.0
-    look_lateral: float = 0.08
-    look_distance: float = 0.09
-    look_outliers: float = 0.05
-    twist_deg: float = 180.0
-    brightness: float = 0.25
-    noise: float = 0.04
-    blur: float = 0.5
-    empty: float = 0.1
-    frames: float = 0.25
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            most = 180.0 if name.endswith("_deg") else 1.0
-            if not 0 <= value <= most:
-                raise ValueError(f"{name}: expected a number from 0 to {most:g}, got {value}")
 
 
 class ViewBatch(NamedTuple):
@@ -107,7 +74,7 @@ class ViewBatches:
 
     Args:
         model: Says how it looks.
-        arrays: The views of one or several sets, as `ffpose.datasets.views.open_arrays` gives them.
+        arrays: The views of one or several sets, as `ffpose.views.open_arrays` gives them.
         empty: Views without an object; may be none.
         augmentation: How samples vary.
         std: Of the input, after division by 255; what lies outside an image is zero.
@@ -125,11 +92,13 @@ class ViewBatches:
     ) -> None:
         self.model, self.sets, self.empty = model, tuple(arrays), tuple(empty)
         self.augmentation, self.std, self.cells = augmentation, std, cells
+        self.scale = 1 / (255 * std)
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
         config = model.config
         assert config.camera is not None
         fx, fy, cx, cy = config.camera
+        self.supply = torch.randn(SUPPLY, generator=torch.Generator().manual_seed(0))
         self.frame_camera = torch.tensor([fx, fy, cx, cy]) / config.first_stride
 
     def __len__(self) -> int:
@@ -153,9 +122,9 @@ class ViewBatches:
         twist = math.radians(a.twist_deg) * (2 * torch.rand(count, generator=generator) - 1)
         config = self.model.config
         view = turn_to(points, config.object_radius_m, config.object_size, twist)
-        windows = _images(self._gather("windows", index), self.std)
+        windows = _images(self._gather("windows", index))
         intrinsics = labels[:, 7:11]
-        crops = sample(windows, source_pixels(view, intrinsics))
+        crops = sample(windows, source_pixels(view, intrinsics)) * self.scale
         present = torch.ones(count, dtype=torch.bool)
         empty = round(a.empty * count)
         if empty:
@@ -179,7 +148,7 @@ class ViewBatches:
         self, index: Tensor, t: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
         """Turn the first look's camera about its axis, where the object stays in the frame."""
-        frames = _images(self._gather("frames", index), self.std)
+        frames = _images(self._gather("frames", index))
         rows = self.model.config.image_size[0] // self.model.config.first_stride
         frames = F.avg_pool2d(frames, frames.shape[-2] // rows)
         height, width = frames.shape[-2:]
@@ -194,7 +163,7 @@ class ViewBatches:
         turn = torch.where(inside[:, None, None], turn, torch.eye(3))
         view = VirtualCamera(turn, fx.expand(len(t)), t.norm(dim=-1), (height, width))
         return (
-            sample(frames, source_pixels(view, self.frame_camera)),
+            sample(frames, source_pixels(view, self.frame_camera)) * self.scale,
             torch.where(inside[:, None], moved, t),
         )
 
@@ -216,7 +185,7 @@ class ViewBatches:
         scenes = count - count // 2 if self.empty else 0
         if scenes:
             index = torch.randint(len(self.empty_places), (scenes,), generator=generator)
-            windows = _images(_rows(self.empty, self.empty_places, "windows", index), self.std)
+            windows = _images(_rows(self.empty, self.empty_places, "windows", index))
             side = windows.shape[-1]
             # A square of the window, of about the size that the virtual camera cuts from it.
             zoom = 0.35 + 0.35 * torch.rand(scenes, generator=generator)
@@ -225,7 +194,7 @@ class ViewBatches:
             x = (torch.arange(size[1]) + 0.5) / size[1] * 2 - 1
             grid = torch.stack(torch.broadcast_tensors(x[None, :], y[:, None]), dim=-1)
             grid = grid * zoom[:, None, None, None] + shift[:, None, None, :]
-            crops[:scenes] = sample(windows, (grid + 1) * side / 2)
+            crops[:scenes] = sample(windows, (grid + 1) * side / 2) * self.scale
         return crops
 
     def _coordinates(self, index: Tensor, view: VirtualCamera, intrinsics: Tensor) -> Tensor:
@@ -249,8 +218,17 @@ class ViewBatches:
             images = images * torch.exp2(a.brightness * torch.randn(shape, generator=generator))
         if a.noise > 0:
             sigma = a.noise / self.std * torch.rand(shape, generator=generator).square()
-            images = images + sigma * torch.randn(images.shape, generator=generator)
+            images = images + sigma * self._normal(images.shape, generator)
         return images.contiguous(memory_format=torch.channels_last)
+
+
+    def _normal(self, shape: torch.Size, generator: torch.Generator) -> Tensor:
+        """Return normal numbers: a piece of a stored supply, which costs less than drawing them."""
+        count = shape.numel()
+        if count > len(self.supply) // 2:
+            return torch.randn(shape, generator=generator)
+        start = int(torch.randint(len(self.supply) - count, (), generator=generator))
+        return self.supply[start : start + count].view(shape)
 
 
 def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
@@ -270,6 +248,6 @@ def _rows(sets: Sequence[Arrays], places: NDArray[np.intp], name: str, index: Te
     return np.stack([sets[n][name][row] for n, row in places[index.numpy()]])
 
 
-def _images(pixels: NDArray[np.uint8], std: float) -> Tensor:
-    """Return uint8 pixels ``(B, H, W, 3)`` as standardised images ``(B, 3, H, W)``."""
-    return torch.from_numpy(pixels).permute(0, 3, 1, 2).float() * (1 / (255 * std))
+def _images(pixels: NDArray[np.uint8]) -> Tensor:
+    """Return uint8 pixels ``(B, H, W, 3)`` as images ``(B, 3, H, W)`` of 0 ... 255."""
+    return torch.from_numpy(pixels).permute(0, 3, 1, 2).float()

@@ -1,0 +1,53 @@
+"""The exponential moving average of the weights, which is what is validated and saved.
+
+Polyak and Juditsky, "Acceleration of Stochastic Approximation by Averaging", 1992: the average of
+the last steps lies nearer to the minimum than any one of them. Batch norm's running statistics are
+averaged with the weights. The first steps count in full, so that the start is soon forgotten.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import torch
+from torch import nn
+
+WARM_UP = 10.0
+
+
+class AveragedModel:
+    """A copy of a network whose weights follow it.
+
+    Args:
+        model: The network that is trained.
+        decay: Share of the average that stays at each step; 0 keeps no average.
+
+    Attributes:
+        model: What to validate and save.
+        steps: How many steps have been averaged.
+    """
+
+    def __init__(self, model: nn.Module, decay: float) -> None:
+        self.decay = decay
+        self.steps = 0
+        self.trained = model
+        self.model = deepcopy(model).requires_grad_(False) if decay > 0 else model
+
+    @torch.no_grad()
+    def update(self) -> None:
+        """Follow the network by one step."""
+        if self.decay == 0:
+            return
+        self.steps += 1
+        weight = 1 - min(self.decay, self.steps / (self.steps + WARM_UP))
+        averages, values = [], []
+        pairs = zip(
+            self.model.state_dict().values(), self.trained.state_dict().values(), strict=True
+        )
+        for average, value in pairs:
+            if average.is_floating_point():
+                averages.append(average)
+                values.append(value)
+            else:
+                average.copy_(value)
+        torch._foreach_lerp_(averages, values, weight)
