@@ -25,13 +25,8 @@ from torch.utils import _pytree
 from ffpose.errors import DataError
 from ffpose.models.backbone import Backbone, build_backbone
 from ffpose.models.config import CONFIGS, FilterformerPoseConfig, check_names
-from ffpose.models.weights import (
-    BackboneSource,
-    WeightsMetadata,
-    load_weights,
-    read_metadata,
-    write_weights,
-)
+from ffpose.models.pretrained import BackboneSource
+from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
 from ffpose.models.zoo import resolve
 from ffpose.nn import Filterformer, HyperHead, PositionCode, QuaternionActivation
 from ffpose.transforms import Preprocessing

@@ -9,13 +9,12 @@ made, and still loads.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
@@ -23,9 +22,10 @@ from torch import Tensor, nn
 
 from ffpose import __version__
 from ffpose.errors import DataError
-from ffpose.files import atomic_write
+from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Camera
 from ffpose.models.config import FilterformerPoseConfig
+from ffpose.models.pretrained import BackboneSource
 from ffpose.models.zoo import resolve
 from ffpose.transforms import Preprocessing
 
@@ -40,8 +40,6 @@ NAMES_SHOWN = 4
 
 ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold")
 """Fields of `WeightsMetadata` that format 2 added, each a JSON value in the header."""
-
-BackboneSource = Mapping[str, str] | Literal["none"]
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,7 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: Weigh
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
     with atomic_write(path) as temporary:
         temporary.write_bytes(save(tensors, header))  # save_file would deny others to read it
-        digest = _sha256(temporary)
+        digest = sha256(temporary)
         # Between the two renames a kill leaves weights without a checksum, never with a wrong one.
         checksum_path(path).unlink(missing_ok=True)
     with atomic_write(checksum_path(path)) as temporary:
@@ -224,18 +222,13 @@ def _check_bytes(path: Path) -> None:
         logger.warning("%s: not verified, there is no %s", path, sidecar.name)
         return
     expected = sidecar.read_bytes().decode("ascii", "replace").split()[:1]
-    got = _sha256(path)
+    got = sha256(path)
     if expected != [got]:
         raise DataError(
             f"the file was altered: expected SHA-256 {' '.join(expected)}, as {sidecar.name} says,"
             f" got {got}",
             path,
         )
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _check_architecture(
