@@ -55,6 +55,8 @@ def build_run(config: TrainConfig) -> Run:
     height, width = fields.get("image_size", CONFIGS[config.model].image_size)
     preprocessing = Preprocessing(size=(height, width), mode=config.data.mode)
     train_set, val_set = _open_splits(config, preprocessing)
+    view = preprocessing.camera(train_set.camera)
+    fields.setdefault("camera", (view.fx, view.fy, view.cx, view.cy))
     if config.normalize_translation:
         fields |= translation_statistics(train_set.poses)
     torch.manual_seed(config.seed)
