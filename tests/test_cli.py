@@ -1,4 +1,5 @@
 import json
+import shutil
 import subprocess
 import sys
 from contextlib import redirect_stdout
@@ -10,6 +11,7 @@ from PIL import Image
 
 from ffpose import __version__
 from ffpose.cli import COMMANDS, image_size, main
+from ffpose.models import FilterformerPose
 from ffpose.training.checkpoint import read_results
 from tiny_runs import MODEL_FIELDS, write_set
 
@@ -111,10 +113,68 @@ def test_predict_refuses_overlays_of_one_name_before_it_computes(trained, image_
     assert "expected images of distinct names, got" in said.err
 
 
-def test_predict_takes_a_camera_with_overlays_alone(trained, image_set, capsys):
-    words = ["predict", str(trained / "best.safetensors"), str(image_set / "0_rgb.png")]
-    assert main([*words, "--camera", "camera.json"]) == 1
-    assert "--camera: expected with --overlay" in capsys.readouterr().err
+@pytest.fixture
+def square(tmp_path):
+    """An image and its camera, of another shape than the set's."""
+    Image.new("RGB", (60, 60), (90, 80, 70)).save(tmp_path / "square.png")
+    camera = {"width": 30, "height": 30, "fx": 40.0, "fy": 40.0, "cx": 15.0, "cy": 15.0}
+    (tmp_path / "square.json").write_text(json.dumps(camera))
+    return tmp_path
+
+
+def test_predict_asks_for_the_camera_of_another_image(trained, square, capsys):
+    words = ["predict", str(trained / "best.safetensors"), str(square / "square.png")]
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"ffpose: {square / 'square.png'}: expected the aspect ratio of")
+    assert "Camera(width=64, height=48, fx=32.0, fy=32.02315" in line
+    assert "60x60" in line
+    for more in (["--camera", str(square / "square.json")], ["--any-camera"]):
+        assert main([*words, *more]) == 0
+        assert "t = (" in capsys.readouterr().out
+
+
+def test_predict_takes_one_camera_or_any(trained, square, capsys):
+    words = ["predict", str(trained / "best.safetensors"), str(square / "square.png")]
+    assert main([*words, "--any-camera", "--camera", str(square / "square.json")]) == 1
+    assert "expected --camera or --any-camera, got both" in capsys.readouterr().err
+
+
+def test_a_camera_is_nothing_to_weights_without(square, capsys):
+    weights = square / "w.safetensors"
+    FilterformerPose.from_config("tiny", backbone_weights="none").save_pretrained(weights)
+    words = ["predict", str(weights), str(square / "square.png"), "--camera"]
+    assert main([*words, str(square / "square.json")]) == 1
+    assert "--camera: expected with --overlay, for these weights" in capsys.readouterr().err
+    assert main([*words, str(square / "square.json"), "--overlay", str(square / "ov")]) == 0
+
+
+def test_weights_of_the_package_go_by_name(trained, image_set, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("ffpose.models.zoo.FOLDER", tmp_path)
+    shutil.copy(trained / "best.safetensors", tmp_path / "soyuz-hard.safetensors")
+    images = [str(image_set / "0_rgb.png")]
+    assert main(["predict", str(trained / "best.safetensors"), *images, "--json"]) == 0
+    expected = capsys.readouterr().out
+    assert main(["predict", "soyuz-hard", *images, "--json"]) == 0
+    assert capsys.readouterr().out == expected
+    words = ["evaluate", "soyuz-hard", *data_words(image_set), "--out", str(tmp_path / "e")]
+    assert main(words) == 0
+    assert main(["predict", "soyuz", *images]) == 1
+    assert "a name (one of soyuz-hard), got soyuz" in capsys.readouterr().err
+
+
+def test_evaluate_refuses_a_set_of_another_camera(image_set, tmp_path, capsys):
+    fields = {"image_size": (64, 64), "depth": 1, "dim": 16, "heads": 2}
+    fields["camera"] = (32.0, 32.0, 32.0, 32.0)
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **fields)
+    model.save_pretrained(tmp_path / "w.safetensors")
+    words = ["evaluate", str(tmp_path / "w.safetensors"), *data_words(image_set)]
+    words += ["--out", str(tmp_path / "out")]
+    assert main(words) == 1
+    assert "expected images of the weights' camera, Camera(" in capsys.readouterr().err
+    assert main([*words, "--any-camera"]) == 0
 
 
 def test_inspect(image_set, tmp_path, capsys):

@@ -7,7 +7,9 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.evaluation import Evaluation, evaluate, format_table, mean_pose, write_results
+from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.models import FilterformerPose
+from ffpose.reprojection import reproject
 from ffpose.transforms import Preprocessing
 from tiny_runs import SIZE, write_set
 
@@ -131,6 +133,49 @@ def test_the_table_holds_model_and_baseline(evaluation):
     line = next(s for s in format_table(summary).splitlines() if s.startswith("median_rot"))
     baseline = summary["mean_pose_baseline"]["median_rotation_error_deg"]
     assert line.split()[1:] == [f"{summary['median_rotation_error_deg']:.4f}", f"{baseline:.4f}"]
+
+
+FX, FY = 32.0, 64 / 48 * 32.02315
+"""URSO's focal lengths, of 64x48 pixels resized to 64x64."""
+
+
+def sighted(path, camera):
+    """Write weights that know the camera of their input, 64x64 pixels; return the network too."""
+    fields = {"image_size": (64, 64), "depth": 1, "dim": 16, "heads": 2, "camera": camera}
+    torch.manual_seed(0)
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **fields).eval()
+    model.save_pretrained(path)
+    return model
+
+
+def test_the_sets_camera_is_the_weights(evaluation, image_set, tmp_path):
+    """URSO's, within a part in a thousand."""
+    sighted(tmp_path / "w.safetensors", (FX * 1.0009, FY, 32.0, 32.0 * 0.9991))
+    found = evaluate(tmp_path / "w.safetensors", "urso", image_set)
+    np.testing.assert_allclose(found.predicted, evaluation.predicted, atol=1e-5)
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_images_of_another_camera_are_refused_with_both(image_set, tmp_path, place):
+    camera = [FX, FY, 32.0, 32.0]
+    camera[place] *= 1.0011
+    sighted(tmp_path / "w.safetensors", camera)
+    with pytest.raises(ValueError, match="--any-camera") as refused:
+        evaluate(tmp_path / "w.safetensors", "urso", image_set)
+    assert "a set of Camera(width=64, height=48, fx=32.0, fy=32.02315" in str(refused.value)
+    assert f"fx={camera[0]}" in str(refused.value)
+
+
+def test_any_camera_turns_images_into_the_view(image_set, tmp_path):
+    model = sighted(tmp_path / "w.safetensors", (40.0, 30.0, 30.0, 35.0))
+    found = evaluate(tmp_path / "w.safetensors", "urso", image_set, any_camera=True)
+    view = Camera(64, 64, 40.0, 30.0, 30.0, 35.0)
+    for index in range(len(found.dataset)):
+        image = reproject(found.dataset.load_image(index), URSO_CAMERA.resized(*SIZE), view)
+        with torch.no_grad():
+            pose = model(Preprocessing(size=(64, 64))(image)[None])
+        expected = torch.cat([pose.translation[0], pose.orientation[0]])
+        np.testing.assert_allclose(found.predicted[index], expected, rtol=0, atol=1e-5)
 
 
 def test_missing_weights_are_named(image_set, tmp_path):

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from ffpose.files import atomic_write, expect_folder, remove_leftovers
+from ffpose.files import atomic_write, expect_folder, remove_leftovers, sha256
 
 
 def write_and_fail(path):
@@ -68,3 +68,10 @@ def test_a_file_is_no_folder_to_write_to(tmp_path):
     for bad in (tmp_path / "file", tmp_path / "file" / "set"):
         with pytest.raises(NotADirectoryError, match=r"expected a folder, got the file .*file$"):
             expect_folder(bad)
+
+
+def test_the_sha256_of_abc(tmp_path):
+    """The example of FIPS 180-2, appendix B.1."""
+    (tmp_path / "abc").write_bytes(b"abc")
+    expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert sha256(tmp_path / "abc") == expected

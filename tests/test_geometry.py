@@ -21,6 +21,14 @@ def wxyz(rotation):
     return rotation.as_quat(scalar_first=True)
 
 
+@pytest.mark.parametrize(
+    ("size", "same"),
+    [((1280, 960), True), ((4, 3), True), ((640, 481), False), ((960, 1280), False)],
+)
+def test_an_image_has_the_aspect_of_its_camera(size, same):
+    assert URSO_CAMERA.has_aspect(*size) is same
+
+
 def test_rotation_matrix_is_scipys():
     rotation = rotations(50)
     np.testing.assert_allclose(rotation_matrix(wxyz(rotation)), rotation.as_matrix(), atol=1e-15)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -77,6 +78,8 @@ def test_the_camera_goes_with_the_image(mode, size):
     seen = preprocessing.camera(camera)
     assert (seen.height, seen.width) == size
     np.testing.assert_allclose(found, seen.project(point), atol=0.05)
+    back = preprocessing.image_camera(seen, 640, 480)
+    np.testing.assert_allclose(astuple(back), astuple(camera), rtol=1e-12)
 
 
 def test_windows_lie_in_the_frame_and_reach_its_edges():

@@ -155,9 +155,19 @@ def data_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--data.root", type=Path, required=True, help="folder of the image set")
 
 
+def weights_argument(parser: ArgumentParser) -> None:
+    """Declare which weights a command reads, and that it may read images of another camera."""
+    parser.add_argument(
+        "weights", type=Path, help="weights as training left them, or a name such as soyuz-easy"
+    )
+    parser.add_argument(
+        "--any-camera", action="store_true", help="take images of a camera unlike the weights'"
+    )
+
+
 def evaluate_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `evaluate`."""
-    parser.add_argument("weights", type=Path, help="weights as training left them")
+    weights_argument(parser)
     data_arguments(parser)
     parser.add_argument("--data.split", default="test", help="train, val or test (default: test)")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
@@ -165,14 +175,19 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
 
 
 def evaluate(options: Namespace) -> None:
-    """Measure a model against labels and against the mean pose."""
+    """Measure a model against labels and against the mean pose.
+
+    With --any-camera, images of another camera are turned by geometry into the network's view.
+    """
     from ffpose.evaluation import evaluate as run
     from ffpose.evaluation import format_table, write_results
     from ffpose.plots import write_evaluation_figures
 
     expect_folder(options.out)
     data = options.data
-    evaluation = run(options.weights, data.kind, data.root, data.split)
+    evaluation = run(
+        options.weights, data.kind, data.root, data.split, any_camera=options.any_camera
+    )
     write_results(evaluation, options.out)
     write_evaluation_figures(evaluation, options.out)
     if options.json:
@@ -183,36 +198,42 @@ def evaluate(options: Namespace) -> None:
 
 def predict_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `predict`."""
-    parser.add_argument("weights", type=Path, help="weights as training left them")
+    weights_argument(parser)
     parser.add_argument("images", type=Path, nargs="+", help="image files")
     parser.add_argument("--json", action="store_true", help="print the poses as JSON")
     parser.add_argument("--overlay", type=Path, help="folder for images with the axes drawn")
     parser.add_argument(
         "--camera",
         type=Path,
-        help="camera that --overlay draws with, as a set's camera.json; without it URSO's",
+        help="camera of the images, as a set's camera.json; without it the weights'",
     )
 
 
 def predict(options: Namespace) -> None:
-    """Print the pose seen in each image."""
-    from ffpose.geometry import URSO_CAMERA, Camera
+    """Print the pose seen in each image.
+
+    Images of another camera than the weights' are turned by geometry into the network's view if
+    --camera says which, and resized to it if --any-camera lets them be.
+    """
+    from ffpose.geometry import Camera
+    from ffpose.models import read_metadata
     from ffpose.prediction import expect_distinct_overlays, write_overlay
     from ffpose.prediction import predict as run
 
     if options.overlay is not None:
         expect_folder(options.overlay)
         expect_distinct_overlays(options.images, options.overlay)
-    elif options.camera is not None:
-        raise ValueError("--camera: expected with --overlay, whose axes alone depend on it")
-    camera = URSO_CAMERA if options.camera is None else Camera.read(options.camera)
+    elif options.camera is not None and read_metadata(options.weights).camera is None:
+        raise ValueError("--camera: expected with --overlay, for these weights know no camera")
+    camera = None if options.camera is None else Camera.read(options.camera)
     predictions = []
-    for prediction in run(options.weights, options.images):
+    found = run(options.weights, options.images, camera=camera, any_camera=options.any_camera)
+    for prediction in found:
         predictions.append(prediction.to_dict())
         if not options.json:
             print(prediction)
         if options.overlay is not None:
-            say(str(write_overlay(prediction, options.overlay, camera)))
+            say(str(write_overlay(prediction, options.overlay)))
     if options.json:
         show({"predictions": predictions})
 

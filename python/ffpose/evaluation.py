@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import time
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,11 +25,16 @@ from torch.utils.data import DataLoader
 from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.datasets.base import Split
 from ffpose.files import atomic_write
-from ffpose.geometry import Pose
+from ffpose.geometry import Camera, Pose
 from ffpose.metrics import PoseError, PoseErrors, pose_error
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
+from ffpose.reprojection import Reprojection
+from ffpose.transforms import Preprocessing
 
 FloatArray = NDArray[np.float64]
+
+CAMERA_TOLERANCE = 1e-3
+"""How far intrinsics may lie apart, relatively, and still be those of one camera."""
 
 VECTOR = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
 
@@ -89,36 +95,42 @@ class Evaluation:
 
 
 def evaluate(
-    weights: Path,
+    weights: str | Path,
     kind: str,
     root: Path,
     split: Split = "test",
     *,
     batch_size: int = 32,
     workers: int = 0,
+    any_camera: bool = False,
 ) -> Evaluation:
     """Predict the poses of a split's images.
 
     Args:
-        weights: Weights as training left them; they say how images become the network's input.
+        weights: The file, or the name of weights that come with the package; they say how images
+            become the network's input.
         kind: The layout of the image set.
         root: The folder of the image set. Its training split gives the baseline.
         split: The images to predict.
         batch_size: Images at a time.
         workers: Processes that read images beside this one.
+        any_camera: Turn images of another camera than the weights' into the network's view, by
+            geometry (`ffpose.reprojection`).
 
     Returns:
         Predictions and labels.
 
     Raises:
         FileNotFoundError: The weights or a file of the image set are missing.
-        ValueError: The weights were altered, or are of another kind of network.
+        ValueError: The weights were altered, are of another kind of network, or have another
+            camera than the images.
         ffpose.DataError: An image or a label cannot be used.
     """
     model = FilterformerPose.from_pretrained(weights).eval()
-    preprocessing = read_metadata(weights).preprocessing
-    dataset = open_dataset(kind, root, split, preprocessing)
-    baseline = mean_pose(open_dataset(kind, root, "train", preprocessing).poses)
+    metadata = read_metadata(weights)
+    dataset = open_dataset(kind, root, split, metadata.preprocessing)
+    dataset.preprocessing = _preprocessing(metadata, dataset.camera, any_camera)
+    baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
     loader = DataLoader(dataset, batch_size=batch_size, num_workers=workers)
     began = time.perf_counter()
     with torch.inference_mode():
@@ -126,6 +138,26 @@ def evaluate(
     seconds = (time.perf_counter() - began) / len(dataset)
     predicted = torch.cat([torch.cat([p.translation, p.orientation], dim=1) for p in poses])
     return Evaluation(dataset, predicted.double().numpy(), baseline, seconds)
+
+
+def _preprocessing(metadata: WeightsMetadata, camera: Camera, any_camera: bool) -> Preprocessing:
+    """Return what brings images of ``camera`` to the network's input, or refuse them."""
+    plain, view = metadata.preprocessing, metadata.config.view_camera
+    if view is None or _agree(plain.camera(camera), view):
+        return plain
+    if any_camera:
+        return Reprojection.of(plain, camera, view)
+    expected = plain.image_camera(view, camera.width, camera.height)
+    raise ValueError(
+        f"expected images of the weights' camera, {expected}, got a set of {camera}; "
+        "--any-camera turns them into the network's view"
+    )
+
+
+def _agree(camera: Camera, other: Camera) -> bool:
+    """Return whether the intrinsics of two cameras of one image size agree."""
+    pairs = zip(astuple(camera), astuple(other), strict=True)
+    return all(math.isclose(one, two, rel_tol=CAMERA_TOLERANCE) for one, two in pairs)
 
 
 def mean_pose(poses: FloatArray) -> FloatArray:

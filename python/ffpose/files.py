@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import tempfile
 import time
@@ -33,6 +34,12 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         temporary = Path(folder) / target.name
         yield temporary
         temporary.replace(target)
+
+
+def sha256(path: str | Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal, as ``sha256sum`` prints it."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:

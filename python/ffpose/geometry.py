@@ -147,6 +147,10 @@ class Camera:
         """The calibration matrix ``(3, 3)``: ``matrix @ p_camera`` is ``depth * (u, v, 1)``."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    def has_aspect(self, width: int, height: int) -> bool:
+        """Return whether an image of ``width`` x ``height`` can be this camera's, resized."""
+        return width * self.height == height * self.width
+
     def resized(self, width: int, height: int) -> Camera:
         """Return the camera of the same view, its image resized to ``width`` x ``height``."""
         x, y = width / self.width, height / self.height

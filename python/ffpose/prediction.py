@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from PIL import Image
 
 from ffpose.arrays import quaternion_to_euler
+from ffpose.errors import DataError
 from ffpose.files import atomic_write
-from ffpose.geometry import URSO_CAMERA, Camera, Pose
+from ffpose.geometry import URSO_CAMERA, Camera, FloatArray, Pose, PoseUncertainty
 from ffpose.images import read_rgb
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import FilterformerPose, PosePrediction, read_metadata
 from ffpose.overlay import draw_axes
+from ffpose.reprojection import Reprojection
 from ffpose.transforms import Preprocessing
 
 
@@ -26,77 +29,182 @@ class Prediction:
     Attributes:
         image: The image's file.
         pose: The predicted pose.
+        camera: The camera that took the image, of this or another size; None where it is not
+            known.
+        in_view_threshold: Below which probability the object is taken to be out of view; None
+            where the weights hold none.
     """
 
     image: Path
     pose: Pose
+    camera: Camera | None = None
+    in_view_threshold: float | None = None
+
+    @property
+    def flagged(self) -> bool | None:
+        """Whether the object seems not to be in view; None where the network does not tell."""
+        if self.pose.uncertainty is None or self.in_view_threshold is None:
+            return None
+        return self.pose.uncertainty.in_view < self.in_view_threshold
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the prediction as JSON can hold it: metres, ``(w, x, y, z)``, degrees."""
-        return {
+        """Return the prediction as JSON can hold it: metres, ``(w, x, y, z)``, degrees.
+
+        Of a network that knows its uncertainty: covariances in m² and rad², a probability too.
+        """
+        document: dict[str, Any] = {
             "image": str(self.image),
             "translation_m": self.pose.t.tolist(),
             "orientation_wxyz": self.pose.q.tolist(),
             "roll_pitch_yaw_deg": quaternion_to_euler(self.pose.q).tolist(),
         }
+        uncertainty = self.pose.uncertainty
+        if uncertainty is not None:
+            document["translation_covariance_m2"] = uncertainty.translation_covariance.tolist()
+            document["rotation_covariance_rad2"] = uncertainty.rotation_covariance.tolist()
+            document["in_view"] = uncertainty.in_view
+        if self.flagged is not None:
+            document["flagged"] = self.flagged
+        return document
 
     def __str__(self) -> str:
+        uncertainty = self.pose.uncertainty
+        if uncertainty is not None and self.flagged:
+            return f"{self.image}: no spacecraft in view (p = {uncertainty.in_view:.2g})"
         x, y, z = self.pose.t
         roll, pitch, yaw = quaternion_to_euler(self.pose.q)
+        metres = degrees = ""
+        if uncertainty is not None:
+            distance, angle = standard_deviations(self.pose.t, uncertainty)
+            metres, degrees = f" ± {distance:.2f} m along the ray", f" ± {angle:.1f}°"
         return (
-            f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m, "
-            f"roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°"
+            f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m{metres}, "
+            f"roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°{degrees}"
         )
 
 
+def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[float, float]:
+    """Return one sigma of the distance, metres, and of the angle of rotation, degrees.
+
+    The first is along the viewing ray to ``t``, ``sqrt(uᵀ C u)``; the second is the root mean
+    square length of the rotation vector, ``sqrt(trace C)``.
+    """
+    ray = t / np.linalg.norm(t)
+    distance = np.sqrt(ray @ uncertainty.translation_covariance @ ray)
+    angle = np.sqrt(np.trace(uncertainty.rotation_covariance))
+    return float(distance), float(np.degrees(angle))
+
+
 class Predictor:
-    """A trained model and the preprocessing that its weights record.
+    """A trained model and the way from an image to its input.
 
     Args:
         model: The network; it is put in evaluation mode.
         preprocessing: From image to network input.
+        camera: The camera whose images the preprocessing takes, of any size; None: any image.
 
     Attributes:
         model: As given.
         preprocessing: As given.
+        camera: As given.
 
     Example:
-        ``Predictor.from_weights("best.safetensors")(Image.open("0_rgb.png").convert("RGB"))``
+        ``Predictor.from_weights("soyuz-easy")(Image.open("0_rgb.png").convert("RGB"))``
     """
 
-    def __init__(self, model: FilterformerPose, preprocessing: Preprocessing) -> None:
+    def __init__(
+        self, model: FilterformerPose, preprocessing: Preprocessing, camera: Camera | None = None
+    ) -> None:
         self.model = model.eval()
         self.preprocessing = preprocessing
+        self.camera = camera
 
     @classmethod
-    def from_weights(cls, path: Path) -> Predictor:
+    def from_weights(
+        cls, weights: str | Path, *, camera: Camera | None = None, any_camera: bool = False
+    ) -> Predictor:
         """Load weights.
 
+        Weights that do not know their camera take any image, resized to their input.
+
+        Args:
+            weights: The file, or the name of weights that come with the package.
+            camera: The camera of the images to come, which are turned by geometry into the
+                network's view; None: that of the weights.
+            any_camera: Resize any image to the network's input, as if the weights' camera had
+                taken it.
+
         Raises:
-            FileNotFoundError: There is no such file.
-            ValueError: The weights were altered, or are of another kind of network.
+            FileNotFoundError: There is no such file or name.
+            ValueError: The weights were altered, are of another kind of network, or both a camera
+                and any are asked for.
         """
-        return cls(FilterformerPose.from_pretrained(path), read_metadata(path).preprocessing)
+        if camera is not None and any_camera:
+            raise ValueError("expected --camera or --any-camera, got both")
+        metadata = read_metadata(weights)
+        preprocessing, view = metadata.preprocessing, metadata.config.view_camera
+        expected = None if any_camera or camera is not None else metadata.camera
+        if camera is not None and view is not None:
+            preprocessing = Reprojection.of(preprocessing, camera, view)
+        return cls(FilterformerPose.from_pretrained(weights), preprocessing, expected)
 
     def __call__(self, image: Image.Image) -> Pose:
-        """Return the pose of the spacecraft in an RGB image of any size."""
-        inputs = self.preprocessing(image)[None]
+        """Return the pose of the spacecraft in an RGB image, with its uncertainty if it has one.
+
+        Raises:
+            ValueError: The image has not the aspect ratio of its camera.
+        """
+        if self.camera is not None and not self.camera.has_aspect(*image.size):
+            raise ValueError(
+                f"expected the aspect ratio of the weights' camera, {self.camera}, got an image of "
+                f"{image.size[0]}x{image.size[1]} pixels, which another camera took: name it "
+                "(--camera FILE), or resize any image to the network's input (--any-camera)"
+            )
         with torch.inference_mode():
-            pose = self.model(inputs)
-        return Pose(pose.translation[0].double().numpy(), pose.orientation[0].double().numpy())
+            return _pose(self.model(self.preprocessing(image)[None]))
 
 
-def predict(weights: Path, images: Sequence[Path]) -> Iterator[Prediction]:
+def _pose(prediction: PosePrediction) -> Pose:
+    """Return the pose of a batch of one, with its uncertainty where the network gives one."""
+    uncertainty = None
+    if getattr(prediction, "in_view", None) is not None:
+        fields = ("translation_covariance", "rotation_covariance", "in_view")
+        values = (getattr(prediction, field)[0].double().numpy() for field in fields)
+        translation, rotation, in_view = values
+        uncertainty = PoseUncertainty(translation, rotation, float(in_view))
+    t, q = (value[0].double().numpy() for value in (prediction.translation, prediction.orientation))
+    return Pose(t, q, uncertainty)
+
+
+def predict(
+    weights: str | Path,
+    images: Sequence[Path],
+    *,
+    camera: Camera | None = None,
+    any_camera: bool = False,
+) -> Iterator[Prediction]:
     """Predict the pose in each image file, one by one as they are asked for.
+
+    Args:
+        weights: As `Predictor.from_weights`, and so are the next two.
+        images: Image files.
+        camera: The camera of the images, where it is not that of the weights.
+        any_camera: Take images of any camera, resized.
 
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: The weights cannot be used.
-        ffpose.DataError: As `ffpose.images.read_rgb`.
+        ffpose.DataError: As `ffpose.images.read_rgb`, or an image of another camera.
     """
-    predictor = Predictor.from_weights(weights)
+    metadata = read_metadata(weights)
+    predictor = Predictor.from_weights(weights, camera=camera, any_camera=any_camera)
     for path in images:
-        yield Prediction(path, predictor(read_rgb(path)))
+        image = read_rgb(path)
+        try:
+            pose = predictor(image)
+        except ValueError as error:
+            raise DataError(str(error), path) from error
+        yield Prediction(path, pose, camera or metadata.camera, metadata.in_view_threshold)
 
 
 def overlay_path(image: Path, folder: Path) -> Path:
@@ -121,20 +229,21 @@ def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
         first[path] = image
 
 
-def write_overlay(prediction: Prediction, folder: Path, camera: Camera = URSO_CAMERA) -> Path:
-    """Write the image with the predicted axes drawn on it.
+def write_overlay(prediction: Prediction, folder: Path) -> Path:
+    """Write the image with the predicted axes drawn on it; without them if it is flagged.
 
     Args:
-        prediction: The image and the pose.
+        prediction: The image, the pose and the camera; URSO's where there is none.
         folder: Where to write `overlay_path`; it is made where it is missing.
-        camera: The camera that took the image; it is resized to the image's size.
 
     Returns:
         The file written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = overlay_path(prediction.image, folder)
-    drawn = draw_axes(read_rgb(prediction.image), prediction.pose, camera)
+    drawn = read_rgb(prediction.image)
+    if not prediction.flagged:
+        drawn = draw_axes(drawn, prediction.pose, prediction.camera or URSO_CAMERA)
     with atomic_write(path) as temporary:
         drawn.save(temporary)
     return path

@@ -136,6 +136,20 @@ class Preprocessing:
         resized = camera.resized(width, height)
         return resized.cropped(window.left, window.top, self.size[1], self.size[0])
 
+    def image_camera(self, view: Camera, width: int, height: int) -> Camera:
+        """Return the camera of an image of ``width`` x ``height``: the inverse of `camera`.
+
+        Args:
+            view: The camera that sees the network's input.
+            width: Of the image, in pixels.
+            height: Of the image, in pixels.
+        """
+        frame_height, frame_width = self.frame_size(width, height)
+        window = self.center_window((frame_height, frame_width))
+        return view.cropped(-window.left, -window.top, frame_width, frame_height).resized(
+            width, height
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON can hold them; `from_dict` reads them back."""
         return {

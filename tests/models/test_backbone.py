@@ -1,5 +1,6 @@
 """The backbone's maps, and where its weights come from."""
 
+import hashlib
 import logging
 import time
 
@@ -84,6 +85,17 @@ def test_weights_of_a_file(file, tmp_path):
     pickled = tmp_path / "classifier.pth"
     torch.save({"state_dict": safetensors.torch.load_file(file)}, pickled)
     assert same_as(build_backbone(NAME, (16, 8), str(pickled)), file)
+
+
+def test_it_knows_what_it_began_from(hub, monkeypatch, file):
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    expected = {"name": NAME, "source": "classifier.safetensors", "sha256": digest}
+    assert build_backbone(NAME, (16, 8), file).source == expected
+    assert build_backbone(NAME, (16, 8), "none").source == "none"
+    assert build_backbone(NAME, (16, 8), "auto").source == "none"  # the hub does not answer
+    monkeypatch.setattr(hub, "try_to_load_from_cache", lambda *_: str(file))
+    repository = timm.models.get_pretrained_cfg(NAME).hf_hub_id
+    assert build_backbone(NAME, (16, 8), "auto").source == expected | {"source": repository}
 
 
 def test_file_of_another_model(file):

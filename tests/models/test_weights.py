@@ -5,13 +5,15 @@ import json
 import struct
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
 
 import ffpose
 from ffpose import DataError
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
 from ffpose.models.weights import checksum_path, load_weights
 from ffpose.transforms import Preprocessing
 
@@ -75,6 +77,71 @@ def test_metadata(model, path):
     assert metadata.config == model.config
     assert metadata.preprocessing == PREPROCESSING
     assert metadata.version == ffpose.__version__
+
+
+ORIGIN = {
+    "backbone_source": {"name": "test_efficientnet", "source": "file.pt", "sha256": "ab" * 32},
+    "recipe": {"loss": {"s_t": -3.0}, "stages": [{"name": "joint", "epochs": 2}], "seed": 7},
+    "data": {"kind": "urso", "count": 10, "digest": "cd" * 32, "image_size": [640, 480]},
+    "in_view_threshold": 0.25,
+}
+
+
+def test_the_header_tells_where_the_weights_come_from(model, tmp_path):
+    path = tmp_path / "w.safetensors"
+    model.save_pretrained(path, **ORIGIN)
+    metadata = read_metadata(path)
+    assert {name: getattr(metadata, name) for name in ORIGIN} == ORIGIN
+    assert metadata.architecture == "FilterformerPose"
+    with safe_open(path, framework="numpy") as file:
+        assert file.metadata()["format"] == "2"
+        assert file.metadata()["architecture"] == "FilterformerPose"
+        assert json.loads(file.metadata()["recipe"]) == ORIGIN["recipe"]
+
+
+def test_what_is_not_told_is_not_known(path):
+    metadata = read_metadata(path)
+    assert [getattr(metadata, name) for name in ORIGIN] == [None] * 4
+    assert metadata.camera is None
+
+
+@pytest.mark.parametrize(
+    ("fields", "error", "text"),
+    [
+        ({"in_view_threshold": 1.5}, ValueError, "in_view_threshold: expected a probability"),
+        ({"in_view_threshold": float("nan")}, ValueError, "expected a probability, got nan"),
+        ({"data": {"image_size": [640]}}, ValueError, r"image_size \[width, height\], got \[640\]"),
+        ({"data": {"image_size": [0, 480]}}, ValueError, r"got \[0, 480\]"),
+        ({"recipe": {"rate": float("inf")}}, ValueError, "not JSON compliant"),
+        ({"recipe": {"seed": torch.ones(1)}}, TypeError, "not JSON serializable"),
+    ],
+)
+def test_an_origin_that_cannot_be_is_not_written(model, tmp_path, fields, error, text):
+    with pytest.raises(error, match=text):
+        model.save_pretrained(tmp_path / "w.safetensors", **fields)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("mode", ["resize", "center_crop"])
+def test_the_camera_is_that_of_the_images_trained_on(model, tmp_path, mode):
+    """64 x 96 pixels of URSO's 1280x960, worked out by hand."""
+    preprocessing = Preprocessing(size=(64, 96), mode=mode)
+    view = preprocessing.camera(URSO_CAMERA)
+    seen = (96 / 1280 if mode == "resize" else 96 * 256 / 224 / 1280) * 640
+    assert view.fx == pytest.approx(seen, rel=0.01)
+    config = replace(model.config, camera=(view.fx, view.fy, view.cx, view.cy))
+    data = {"image_size": [640, 480]}
+    got = WeightsMetadata(config, preprocessing, data=data).camera
+    assert (got.width, got.height) == (640, 480)
+    np.testing.assert_allclose(
+        [got.fx, got.fy, got.cx, got.cy], [320.0, 320.2315, 320.0, 240.0], rtol=1e-12
+    )
+
+
+def test_images_of_unknown_size_have_the_inputs_shape(model):
+    config = replace(model.config, camera=(50.0, 51.0, 48.0, 32.0))
+    metadata = WeightsMetadata(config, Preprocessing(size=(64, 96)))
+    assert metadata.camera == Camera(96, 64, 50.0, 51.0, 48.0, 32.0)
 
 
 def test_checksum_is_that_of_sha256sum(path):
@@ -160,8 +227,35 @@ def test_missing_checksum_is_said(path, caplog):
 
 
 def test_newer_format(path):
-    rewrite_header(path, lambda header: header.update(format="2", ffpose_version="9.0"))
-    with pytest.raises(DataError, match=r"expected weights of format 1.*format 2.*ffpose 9\.0"):
+    rewrite_header(path, lambda header: header.update(format="3", ffpose_version="9.0"))
+    with pytest.raises(DataError, match=r"format 1 to 2.*got format 3.*ffpose 9\.0"):
+        FilterformerPose.from_pretrained(path)
+
+
+def test_format_1_still_loads(model, path):
+    """It held four entries: format, version, config (of fewer fields) and preprocessing."""
+
+    def age(header):
+        config = json.loads(header["config"])
+        del config["camera"], config["orientation_view"]
+        kept = {name: header[name] for name in ("ffpose_version", "preprocessing")}
+        header.clear()
+        header.update(kept, format="1", config=json.dumps(config))
+
+    rewrite_header(path, age)
+    metadata = read_metadata(path)
+    assert metadata.preprocessing == PREPROCESSING
+    assert [getattr(metadata, name) for name in (*ORIGIN, "camera")] == [None] * 5
+    images = torch.randn(2, 3, 64, 96)
+    for got, expected in zip(
+        FilterformerPose.from_pretrained(path)(images), model(images), strict=True
+    ):
+        assert torch.equal(got, expected)
+
+
+def test_weights_of_another_network(path):
+    rewrite_header(path, lambda header: header.update(architecture="PoseNet"))
+    with pytest.raises(DataError, match=r"expected weights of a FilterformerPose, got .* PoseNet"):
         FilterformerPose.from_pretrained(path)
 
 
@@ -178,6 +272,13 @@ def test_safetensors_of_someone_else(path):
         ("config", '{"depht": 1}', "depht"),
         ("config", '{"depth": "many"}', "depth"),
         ("config", '{"backbone": "no_such_model"}', "no_such_model"),
+        ("recipe", "[1]", r"recipe: expected a JSON object, got \[1\]"),
+        ("recipe", "{", "header"),
+        ("data", '{"image_size": "large"}', "image_size"),
+        ("data", '"none"', "data: expected a JSON object, got 'none'"),
+        ("backbone_source", '"timm"', "backbone_source: expected a JSON object"),
+        ("in_view_threshold", "2", "expected a probability"),
+        ("in_view_threshold", '"high"', "header"),
         ("preprocessing", "[]", "header"),
         ("preprocessing", "{}", "header"),
         ("preprocessing", '{"size": "large"}', "header"),
@@ -189,9 +290,10 @@ def test_header_that_makes_no_sense(path, key, value, text):
         FilterformerPose.from_pretrained(path)
 
 
-def test_header_without_config(path):
-    rewrite_header(path, lambda header: header.pop("config"))
-    with pytest.raises(DataError, match="config"):
+@pytest.mark.parametrize("name", ["config", "recipe"])
+def test_header_without_an_entry(path, name):
+    rewrite_header(path, lambda header: header.pop(name))
+    with pytest.raises(DataError, match=name):
         read_metadata(path)
 
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from ffpose.errors import require
 from ffpose.models.compact_resnet import REDUCTIONS, WIDTHS, CompactResNet
-from ffpose.models.pretrained import load_backbone_weights
+from ffpose.models.pretrained import BackboneSource, load_backbone_weights
 
 
 class Backbone(nn.Module):
@@ -26,10 +26,24 @@ class Backbone(nn.Module):
         features: A timm model made with ``features_only``, whose maps are ``channels`` one by one.
         channels: Of each map.
         order: For each map to return, its place among those that ``features`` gives.
+        source: What its weights are, as in `ffpose.models.WeightsMetadata`.
+
+    Attributes:
+        features: As given.
+        channels: As given.
+        order: As given.
+        source: As given.
     """
 
-    def __init__(self, features: nn.Module, channels: Sequence[int], order: Sequence[int]) -> None:
+    def __init__(
+        self,
+        features: nn.Module,
+        channels: Sequence[int],
+        order: Sequence[int],
+        source: BackboneSource | None = None,
+    ) -> None:
         super().__init__()
+        self.source = source
         self.features = features
         self.channels = tuple(channels)
         self.order = tuple(order)
@@ -68,11 +82,11 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     indices = sorted({available.index(reduction) for reduction in reductions})
     features = timm.create_model(name, features_only=True, out_indices=indices)
     _drop_unused_blocks(features)
-    load_backbone_weights(features, name, weights)
+    source = load_backbone_weights(features, name, weights)
     order = [indices.index(available.index(reduction)) for reduction in reductions]
     channels = [features.feature_info.channels()[place] for place in order]
     # Channels-last convolutions are up to twice as fast on CPUs, and their maps lie as tokens do.
-    return Backbone(features.to(memory_format=torch.channels_last), channels, order)
+    return Backbone(features.to(memory_format=torch.channels_last), channels, order, source)
 
 
 def _compact(name: str, reductions: Sequence[int], weights: str | Path) -> Backbone:

@@ -21,7 +21,7 @@ OrientationView = Literal["frame", "object"]
 OrientationHead = Literal["quaternion", "6d", "bins"]
 
 
-FLAT_CHANNELS = 16
+FLAT_CHANNELS = 32
 FLAT_LATENT = 256
 """Of pooling "flatten": channels a token before, and entries of the vector after."""
 
@@ -63,6 +63,7 @@ class FilterformerPoseConfig:
             `ffpose.nn.orientation`.
         bins: Attitudes of the head ``"bins"``.
         bins_degree: Degree of its harmonics.
+        bins_width_deg: Standard deviation of its soft labels, degrees.
         object_backbone: Network of the second look, named as ``backbone`` is.
         object_size: Of the virtual camera's image in pixels.
         object_radius_m: Metres at the object from the middle of that image to its left edge.
@@ -97,8 +98,9 @@ class FilterformerPoseConfig:
     camera: tuple[float, float, float, float] | None = None
     orientation_view: OrientationView = "frame"
     orientation_head: OrientationHead = "quaternion"
-    bins: int = 8000
+    bins: int = 6000
     bins_degree: int = 5
+    bins_width_deg: float = 8.0
     object_backbone: str = "compact_resnet"
     object_size: tuple[int, int] = (64, 64)
     object_radius_m: float = 6.6

@@ -14,6 +14,7 @@ is divided by does not begin near zero.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -40,8 +41,10 @@ from ffpose.models.object_look import (
     points_at,
     split_numbers,
 )
+from ffpose.models.pretrained import BackboneSource
 from ffpose.models.virtual_camera import look, turn_to
 from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
+from ffpose.models.zoo import resolve
 from ffpose.nn import Filterformer, HyperHead, PositionCode
 from ffpose.nn.orientation import (
     BinsHead,
@@ -182,7 +185,7 @@ def build_orientation_head(config: FilterformerPoseConfig) -> OrientationHead:
         case "6d":
             return SixNumbersHead()
         case _:
-            return BinsHead(config.bins, config.bins_degree)
+            return BinsHead(config.bins, config.bins_degree, config.bins_width_deg)
 
 
 class FilterformerPose(nn.Module):
@@ -399,36 +402,57 @@ class FilterformerPose(nn.Module):
         )
 
     def save_pretrained(
-        self, path: str | Path, *, preprocessing: Preprocessing | None = None
+        self,
+        path: str | Path,
+        *,
+        preprocessing: Preprocessing | None = None,
+        backbone_source: BackboneSource | None = None,
+        recipe: Mapping[str, Any] | None = None,
+        data: Mapping[str, Any] | None = None,
+        in_view_threshold: float | None = None,
     ) -> None:
         """Write weights, config, preprocessing and this version to a safetensors file.
 
-        The file appears whole or not at all, and beside it ``path.sha256``.
+        The file appears whole or not at all, and beside it ``path.sha256``. What is None is not
+        known to who reads it.
 
         Args:
             path: Where; its folder must exist.
             preprocessing: What turns an image into the network's input; a plain resize to
                 ``config.image_size`` when None.
+            backbone_source: As in `WeightsMetadata`, and so are the next three.
+            recipe: How the network was trained.
+            data: What it was trained on.
+            in_view_threshold: Below which an image is flagged.
 
         Raises:
-            ValueError: The preprocessing makes images of another size.
+            ValueError: The preprocessing makes images of another size, or a value cannot be.
+            TypeError: A value is none that JSON can hold.
         """
         preprocessing = preprocessing or Preprocessing(size=self.config.image_size)
         if tuple(preprocessing.size) != self.config.image_size:
             raise ValueError(
                 f"preprocessing: expected size {self.config.image_size}, got {preprocessing.size}"
             )
-        write_weights(path, self.state_dict(), WeightsMetadata(self.config, preprocessing))
+        metadata = WeightsMetadata(
+            self.config, preprocessing, backbone_source, recipe, data, in_view_threshold
+        )
+        write_weights(path, self.state_dict(), metadata)
 
     @classmethod
     def from_pretrained(cls, path: str | Path) -> Self:
         """Read a network that `save_pretrained` wrote; it comes in evaluation mode.
 
+        Args:
+            path: The file, or the name of weights that come with the package, such as
+                ``"soyuz-easy"``; `ffpose.models.zoo.names` lists them.
+
         Raises:
-            FileNotFoundError: There is no such file.
+            FileNotFoundError: There is no such file or name.
             ffpose.DataError: The file is truncated, altered, newer than this version, or not of
                 this architecture.
         """
+        path = resolve(path)
         config = read_metadata(path).config
         try:
             model = cls.from_config(config, backbone_weights="none")

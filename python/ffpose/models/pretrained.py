@@ -11,12 +11,13 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
 
 from ffpose.errors import DataError, require
+from ffpose.files import sha256
 
 logger = logging.getLogger(__name__)
 
@@ -25,7 +26,11 @@ DOWNLOAD_SECONDS = 180.0
 HUB_FILE = "model.safetensors"
 
 
-def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -> None:
+BackboneSource = Mapping[str, str] | Literal["none"]
+"""``name``, ``source`` and ``sha256`` of pretrained weights, or ``"none"``: random ones."""
+
+
+def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -> BackboneSource:
     """Fill a feature extractor with weights, in place.
 
     Args:
@@ -33,15 +38,18 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
         name: timm's name of it.
         weights: ``"auto"``, ``"none"`` or a file; see `ffpose.models.build_backbone`.
 
+    Returns:
+        What the weights are now; ``source`` is the file's name, or `hub_name`.
+
     Raises:
         FileNotFoundError: There is no such file.
         ffpose.DataError: The file does not hold this model's weights.
     """
     if weights == "none":
-        return
+        return "none"
     path = find_pretrained(name) if weights == "auto" else Path(weights)
     if path is None:
-        return
+        return "none"
     state = read_state(path)
     wanted = features.state_dict()
     wrong = [
@@ -54,6 +62,14 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
             path,
         )
     features.load_state_dict({key: state[key] for key in wanted})
+    source = hub_name(name) if weights == "auto" else path.name
+    return {"name": name, "source": source, "sha256": sha256(path)}
+
+
+def hub_name(name: str) -> str:
+    """Return what huggingface.co calls the pretrained weights of a model of timm; "" for none."""
+    config = require("timm", "pose").models.get_pretrained_cfg(name)
+    return config.hf_hub_id or "" if config else ""
 
 
 def read_state(path: Path) -> Mapping[str, Tensor]:
@@ -84,20 +100,20 @@ def find_pretrained(name: str) -> Path | None:
     Returns:
         A path in the hub's cache; None, and a line in the log that says why, if it cannot be had.
     """
-    config = require("timm", "pose").models.get_pretrained_cfg(name)
-    if config is None or not config.hf_hub_id:
+    repository = hub_name(name)
+    if not repository:
         return _without(name, "timm has none")
     hub = require("huggingface_hub", "pose")
-    cached = hub.try_to_load_from_cache(config.hf_hub_id, HUB_FILE)
+    cached = hub.try_to_load_from_cache(repository, HUB_FILE)
     if isinstance(cached, str):
         return Path(cached)
     if hub.constants.HF_HUB_OFFLINE:
         return _without(name, "HF_HUB_OFFLINE is set and the cache has none")
-    url = hub.hf_hub_url(config.hf_hub_id, HUB_FILE)
+    url = hub.hf_hub_url(repository, HUB_FILE)
     if within(ANSWER_SECONDS, lambda: hub.get_hf_file_metadata(url)) is None:
         return _without(name, f"{hub.constants.ENDPOINT} does not answer")
     logger.info("downloading the weights of %s from %s", name, url)
-    path = within(DOWNLOAD_SECONDS, lambda: hub.hf_hub_download(config.hf_hub_id, HUB_FILE))
+    path = within(DOWNLOAD_SECONDS, lambda: hub.hf_hub_download(repository, HUB_FILE))
     if path is None:
         return _without(name, f"the download took over {DOWNLOAD_SECONDS:.0f} s or failed")
     return Path(path)

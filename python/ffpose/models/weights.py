@@ -1,18 +1,20 @@
 """Weights on disk: a safetensors file that knows what it is, and its SHA-256 beside it.
 
-The header holds the config, the preprocessing, the version of ffpose that wrote it and the version
+The header holds what builds the network (architecture, config with the camera, preprocessing), how
+it was made (backbone, recipe, training data), the version of ffpose that wrote it and the version
 of this format. Reading trusts none of it: a file that is cut short, changed, newer than this code
-or of another architecture is refused with the reason.
+or of another architecture is refused with the reason. Format 1 said nothing of how the network was
+made, and still loads.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
@@ -20,31 +22,78 @@ from torch import Tensor, nn
 
 from ffpose import __version__
 from ffpose.errors import DataError
-from ffpose.files import atomic_write
+from ffpose.files import atomic_write, sha256
+from ffpose.geometry import Camera
 from ffpose.models.config import FilterformerPoseConfig
+from ffpose.models.pretrained import BackboneSource
+from ffpose.models.zoo import resolve
 from ffpose.transforms import Preprocessing
 
 logger = logging.getLogger(__name__)
 
-FORMAT = 1
+FORMAT = 2
 """Version of the header; one more whenever older code could not read it rightly."""
 
+ARCHITECTURE = "FilterformerPose"
+
 NAMES_SHOWN = 4
+
+ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold")
+"""Fields of `WeightsMetadata` that format 2 added, each a JSON value in the header."""
 
 
 @dataclass(frozen=True)
 class WeightsMetadata:
-    """What a weights file says about itself.
+    """What a weights file says about itself; what it does not say is None.
 
     Attributes:
-        config: Builds the network.
+        config: Builds the network; its ``camera`` is that of the network's input.
         preprocessing: Turns an image into its input.
+        backbone_source: What the backbone's training began from: ``name``, ``source`` and
+            ``sha256`` of pretrained weights, or ``"none"``: random ones.
+        recipe: How the network was trained, as JSON can hold it: loss, optimiser, augmentation,
+            stages, seed, steps.
+        data: What it was trained on, as JSON can hold it: name, ``count``, ``digest``, and
+            ``image_size``, the ``[width, height]`` of the images before preprocessing.
+        in_view_threshold: An image whose probability that the object is in view lies below this is
+            flagged.
+        architecture: Name of the network's class.
         version: Of ffpose that wrote the file.
+
+    Raises:
+        ValueError: A threshold that is no probability, or an ``image_size`` that is none.
     """
 
     config: FilterformerPoseConfig
     preprocessing: Preprocessing
+    backbone_source: BackboneSource | None = None
+    recipe: Mapping[str, Any] | None = None
+    data: Mapping[str, Any] | None = None
+    in_view_threshold: float | None = None
+    architecture: str = ARCHITECTURE
     version: str = __version__
+
+    def __post_init__(self) -> None:
+        threshold = self.in_view_threshold
+        if threshold is not None and not 0 <= threshold <= 1:
+            raise ValueError(f"in_view_threshold: expected a probability, got {threshold}")
+        match (self.data or {}).get("image_size", (1, 1)):
+            case [int(width), int(height)] if min(width, height) >= 1:
+                pass
+            case other:
+                raise ValueError(f"data: expected image_size [width, height], got {other!r}")
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera of the images trained on; None where the config does not know it.
+
+        Where ``data`` does not tell their size, they are taken to be of the network's input's.
+        """
+        view = self.config.view_camera
+        if view is None:
+            return None
+        width, height = (self.data or {}).get("image_size", (view.width, view.height))
+        return self.preprocessing.image_camera(view, width, height)
 
 
 def checksum_path(path: str | Path) -> Path:
@@ -59,17 +108,16 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: Weigh
         path: The weights file; its folder must exist.
         state: Names and tensors, on any device.
         metadata: Goes to the header.
+
+    Raises:
+        TypeError: The metadata hold what JSON cannot.
+        ValueError: They hold a number that is not finite.
     """
-    header = {
-        "format": str(FORMAT),
-        "ffpose_version": metadata.version,
-        "config": metadata.config.to_json(),
-        "preprocessing": json.dumps(metadata.preprocessing.to_dict()),
-    }
+    header = _to_header(metadata)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
     with atomic_write(path) as temporary:
         temporary.write_bytes(save(tensors, header))  # save_file would deny others to read it
-        digest = _sha256(temporary)
+        digest = sha256(temporary)
         # Between the two renames a kill leaves weights without a checksum, never with a wrong one.
         checksum_path(path).unlink(missing_ok=True)
     with atomic_write(checksum_path(path)) as temporary:
@@ -79,26 +127,64 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: Weigh
 def read_metadata(path: str | Path) -> WeightsMetadata:
     """Read what a weights file says about itself, without its tensors.
 
+    Args:
+        path: The file, or a name, as `ffpose.models.zoo.resolve` takes it.
+
     Raises:
-        FileNotFoundError: There is no such file.
+        FileNotFoundError: There is no such file or name.
         ffpose.DataError: It is truncated, no weights file of ffpose, or newer than this version.
     """
-    header = _read_header(Path(path))
+    path = resolve(path)
+    header = _read_header(path)
     if "format" not in header:
         raise DataError("expected weights written by ffpose, got a safetensors file without", path)
     version = header.get("ffpose_version", "unknown")
-    if header["format"] != str(FORMAT):
+    if header["format"] not in ("1", str(FORMAT)):
         raise DataError(
-            f"expected weights of format {FORMAT}, which ffpose {__version__} reads;"
+            f"expected weights of format 1 to {FORMAT}, which ffpose {__version__} reads;"
             f" got format {header['format']}, written by ffpose {version}",
             path,
         )
     try:
-        config = FilterformerPoseConfig.from_json(header["config"])
-        preprocessing = Preprocessing.from_dict(json.loads(header["preprocessing"]))
+        metadata = _from_header(header, version)
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"expected a header that ffpose {version} wrote: {error}", path) from error
-    return WeightsMetadata(config, preprocessing, version)
+    if metadata.architecture != ARCHITECTURE:
+        raise DataError(
+            f"expected weights of a {ARCHITECTURE}, got those of a {metadata.architecture}", path
+        )
+    return metadata
+
+
+def _to_header(metadata: WeightsMetadata) -> dict[str, str]:
+    """Return the header of format `FORMAT`, a string each, as safetensors wants it."""
+    origin = {name: getattr(metadata, name) for name in ORIGIN}
+    return {
+        "format": str(FORMAT),
+        "ffpose_version": metadata.version,
+        "architecture": metadata.architecture,
+        "config": metadata.config.to_json(),
+        "preprocessing": json.dumps(metadata.preprocessing.to_dict()),
+        **{name: json.dumps(value, allow_nan=False) for name, value in origin.items()},
+    }
+
+
+def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
+    """Return what a header of a known format says; format 1 knows no origin."""
+    origin: dict[str, Any] = {}
+    if header["format"] != "1":
+        origin = {name: json.loads(header[name]) for name in ORIGIN}
+        for name in ("backbone_source", "recipe", "data"):
+            value = origin[name]
+            if not isinstance(value, dict | None) and (name, value) != ("backbone_source", "none"):
+                raise ValueError(f"{name}: expected a JSON object, got {value!r}")
+    return WeightsMetadata(
+        FilterformerPoseConfig.from_json(header["config"]),
+        Preprocessing.from_dict(json.loads(header["preprocessing"])),
+        **origin,
+        architecture=header.get("architecture", ARCHITECTURE),
+        version=version,
+    )
 
 
 def load_weights(path: str | Path, model: nn.Module) -> None:
@@ -108,10 +194,11 @@ def load_weights(path: str | Path, model: nn.Module) -> None:
         FileNotFoundError: There is no such file.
         ffpose.DataError: It is truncated or altered, or its tensors are not those of ``model``.
     """
-    _read_header(Path(path))
-    _check_bytes(Path(path))
+    path = Path(path)
+    _read_header(path)
+    _check_bytes(path)
     state = load_file(path)
-    _check_architecture(Path(path), state, model.state_dict())
+    _check_architecture(path, state, model.state_dict())
     model.load_state_dict(state)
 
 
@@ -135,18 +222,13 @@ def _check_bytes(path: Path) -> None:
         logger.warning("%s: not verified, there is no %s", path, sidecar.name)
         return
     expected = sidecar.read_bytes().decode("ascii", "replace").split()[:1]
-    got = _sha256(path)
+    got = sha256(path)
     if expected != [got]:
         raise DataError(
             f"the file was altered: expected SHA-256 {' '.join(expected)}, as {sidecar.name} says,"
             f" got {got}",
             path,
         )
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _check_architecture(

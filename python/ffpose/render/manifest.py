@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -79,12 +78,6 @@ def difference(old: Manifest, new: Manifest) -> str | None:
         if mine.get(key) != theirs.get(key)
     ]
     return "; ".join(changed[:4]) + ("; …" if len(changed) > 4 else "") if changed else None
-
-
-def sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ffpose.errors import require
-from ffpose.files import atomic_write
+from ffpose.files import atomic_write, sha256
 from ffpose.render.layers import render_layers, write_layers
-from ffpose.render.manifest import sha256
 from ffpose.render.renderer import render
 from ffpose.render.scene import Scene
 from ffpose.render.tables import image_name

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ffpose.errors import require
-from ffpose.files import remove_leftovers
+from ffpose.files import remove_leftovers, sha256
 from ffpose.geometry import Camera
 from ffpose.render.layers import layer_names
-from ffpose.render.manifest import Manifest, difference, sha256
+from ffpose.render.manifest import Manifest, difference
 from ffpose.render.pool import Job, prepare, render_all
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene

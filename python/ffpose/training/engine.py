@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,9 +21,11 @@ from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.metrics import PoseError
+from ffpose.models import read_metadata
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.progress import Reporter
+from ffpose.training.provenance import describe_data, recipe
 from ffpose.training.run import Run, build_optimizer, build_run
 from ffpose.training.schedule import learning_rate
 from ffpose.training.stages import Epoch, enter_stage, plan
@@ -76,6 +79,7 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
     epochs = plan(config.resolved_stages)
     if state.history:
         _restore(run, state, epochs)
+        run.model.backbone.source = read_metadata(folder.last).backbone_source
     done, steps = len(state.history), len(_loader(run, run.train_set, seed=0))
     with Reporter(len(epochs), done, steps, quiet=quiet) as reporter:
         for epoch in epochs[done:]:
@@ -113,12 +117,17 @@ def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
 
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``; its own comes last, and makes it count."""
-    preprocessing = run.train_set.preprocessing
+    header: dict[str, Any] = {
+        "preprocessing": run.train_set.preprocessing,
+        "backbone_source": run.model.backbone.source,
+        "recipe": recipe(run.config),
+        "data": describe_data(run.train_set, run.config.data.kind),
+    }
     best = min(state.history, key=lambda row: float(row[SELECTED_BY]))
     if best is state.history[-1]:
         state.best_epoch = len(state.history)
-        run.model.save_pretrained(folder.best, preprocessing=preprocessing)
-    run.model.save_pretrained(folder.last, preprocessing=preprocessing)
+        run.model.save_pretrained(folder.best, **header)
+    run.model.save_pretrained(folder.last, **header)
     folder.save_results(state.history)
     state.model = run.model.state_dict()
     state.loss = run.loss.state_dict()

@@ -1,0 +1,154 @@
+"""An image of one pinhole camera as another one in its place, of the same attitude, sees it.
+
+There is no rotation between the two, so the homography of their pixels, ``K_view K_source^-1``, is
+a scale and a shift of each axis: a crop, antialiased as it is resized. Directions are kept, and the
+pose in the camera frame stays as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ffpose.geometry import Camera
+from ffpose.transforms import Preprocessing
+
+SNAP = 1e-6
+"""An edge this close to one between two pixels, in pixels, is taken to be that: it is rounding."""
+
+
+class Axis(NamedTuple):
+    """Along one axis: pixels ``first`` to ``last`` of the view show ``start`` to ``end``.
+
+    The other pixels of the view are black. ``start`` and ``end`` are pixels of the image, and may
+    lie outside it.
+    """
+
+    first: int
+    last: int
+    start: float
+    end: float
+
+
+def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
+    """Return the image that ``view`` takes, made of one that ``source`` took.
+
+    Args:
+        image: RGB, of the source's size.
+        source: The camera of the image.
+        view: The camera that looks from the same place in the same direction.
+
+    Returns:
+        An image of the view's size, black where the view shows what the source did not see. Of a
+        view that is the source resized, it is Pillow's bilinear resize.
+
+    Raises:
+        ValueError: The image has not the source's size, or less than a pixel of the view shows it.
+    """
+    if image.size != (source.width, source.height):
+        raise ValueError(
+            f"image: expected {source.width}x{source.height}, the size of its camera, "
+            f"got {image.size[0]}x{image.size[1]}"
+        )
+    across = _axis(source.width, source.fx, source.cx, view.width, view.fx, view.cx)
+    down = _axis(source.height, source.fy, source.cy, view.height, view.fy, view.cy)
+    if across is None or down is None:
+        raise ValueError(f"view: expected one that {source} covers in part, got {view}")
+    left, right = math.floor(min(across.start, 0)), math.ceil(max(across.end, source.width))
+    top, bottom = math.floor(min(down.start, 0)), math.ceil(max(down.end, source.height))
+    canvas = image
+    if (left, top, right, bottom) != (0, 0, *image.size):
+        canvas = Image.new("RGB", (right - left, bottom - top))
+        canvas.paste(image, (-left, -top))
+    seen = canvas.resize(
+        (across.last - across.first, down.last - down.first),
+        Image.Resampling.BILINEAR,
+        box=(across.start - left, down.start - top, across.end - left, down.end - top),
+    )
+    result = Image.new("RGB", (view.width, view.height))
+    result.paste(seen, (across.first, down.first))
+    return result
+
+
+def _axis(
+    size: int, focal: float, centre: float, view_size: int, view_focal: float, view_centre: float
+) -> Axis | None:
+    """Return which pixels of the view's axis can show the image; None where none can.
+
+    Those farther from the image than the filter reaches stay out, so that the canvas is never more
+    than a few times as large as the image, however wide the view is.
+    """
+    scale = focal / view_focal  # pixels of the image a pixel of the view
+    origin = centre - view_centre * scale
+    reach = math.ceil(max(1.0, 1 / scale)) + 1
+    first = max(0, math.floor(-origin / scale) - reach)
+    last = min(view_size, math.ceil((size - origin) / scale) + reach)
+    if scale > size or origin + view_size * scale <= 0 or origin >= size:
+        return None
+    return Axis(first, last, _snap(origin + first * scale), _snap(origin + last * scale))
+
+
+def _snap(edge: float) -> float:
+    return float(round(edge)) if abs(edge - round(edge)) < SNAP else edge
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reprojection(Preprocessing):
+    """Preprocessing that turns the images of one camera into the network's view by geometry.
+
+    Attributes:
+        source: The camera of the images; one that is of another size is this camera's, resized.
+        view: The camera of the network's input, of ``size``.
+
+    Raises:
+        ValueError: As `Preprocessing`, or a view of another size.
+    """
+
+    source: Camera
+    view: Camera
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.view.height, self.view.width) != tuple(self.size):
+            raise ValueError(f"view: expected (height, width) {tuple(self.size)}, got {self.view}")
+
+    @classmethod
+    def of(cls, preprocessing: Preprocessing, source: Camera, view: Camera) -> Reprojection:
+        """Return what brings images of ``source`` to the input of ``preprocessing``."""
+        size, mean, std = preprocessing.size, preprocessing.mean, preprocessing.std
+        return cls(size=size, mean=mean, std=std, source=source, view=view)
+
+    def frame_size(self, width: int, height: int) -> tuple[int, int]:
+        """Return ``(height, width)`` of the network's input, whatever the image."""
+        return self.size
+
+    def frame(self, image: Image.Image) -> NDArray[np.uint8]:
+        """Return the view ``(height, width, 3)`` of an RGB image.
+
+        Raises:
+            ValueError: The image has not the aspect ratio of its camera.
+        """
+        if not self.source.has_aspect(*image.size):
+            raise ValueError(
+                f"image: expected the aspect ratio of its camera, {self.source}, "
+                f"got {image.size[0]}x{image.size[1]}"
+            )
+        return np.asarray(reproject(image, self.source.resized(*image.size), self.view))
+
+    def camera(self, camera: Camera) -> Camera:
+        """Return the view."""
+        return self.view
+
+    def image_camera(self, view: Camera, width: int, height: int) -> Camera:
+        """Return the source, resized to an image of ``width`` x ``height``."""
+        return self.source.resized(width, height)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON can hold them."""
+        cameras = {"source": asdict(self.source), "view": asdict(self.view)}
+        return super().to_dict() | cameras

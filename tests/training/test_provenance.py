@@ -1,0 +1,76 @@
+"""What the weights of a run say of it."""
+
+import hashlib
+import json
+import struct
+
+import pytest
+
+from ffpose.models import read_metadata
+from ffpose.training import train
+from ffpose.training.provenance import describe_data, recipe
+from ffpose.training.run import build_run
+from tiny_runs import MODEL_FIELDS, train_config, write_set
+
+
+@pytest.fixture(scope="module")
+def image_set(tmp_path_factory):
+    return write_set(tmp_path_factory.mktemp("provenance") / "set")
+
+
+def test_the_weights_of_a_run_tell_how_they_were_made(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    folder = train(config, quiet=True).folder
+    for path in (folder.best, folder.last):
+        metadata = read_metadata(path)
+        assert metadata.backbone_source == "none"
+        assert metadata.recipe["optimizer"]["learning_rate"] == 1e-3
+        assert metadata.recipe["loss"] == {"s_t": -3.0, "s_q": -6.5, "antipodal": False}
+        assert metadata.recipe["stages"][0]["name"] == "joint"
+        assert metadata.data["count"] == 10
+        assert metadata.data["image_size"] == [64, 48]
+
+
+def test_the_weights_of_a_run_know_its_camera(image_set, tmp_path):
+    """URSO's, 640 and 640.463 pixels of 1280x960, at 64x48 and squeezed to 64x64."""
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    metadata = read_metadata(train(config, quiet=True).folder.best)
+    assert metadata.config.camera == pytest.approx((32.0, 640.463 / 15, 32.0, 32.0))
+    assert metadata.camera.fy == pytest.approx(640.463 / 20)
+
+
+def test_a_camera_that_is_given_stays(image_set, tmp_path):
+    fields = MODEL_FIELDS | {"camera": [30.0, 31.0, 32.0, 33.0]}
+    run = build_run(train_config(image_set, tmp_path / "run", model_fields=fields))
+    assert run.model.config.camera == (30.0, 31.0, 32.0, 33.0)
+
+
+def test_what_the_backbone_began_from_outlives_an_interruption(image_set, tmp_path, monkeypatch):
+    """Random weights are what a resumed run starts with; they are replaced, and not recorded."""
+    source = {"name": "a", "source": "b", "sha256": "c"}
+    monkeypatch.setattr("ffpose.models.backbone.load_backbone_weights", lambda *_: source)
+    train(train_config(image_set, tmp_path / "run", epochs=1), quiet=True)
+    monkeypatch.undo()
+    run = train(train_config(image_set, tmp_path / "run", epochs=2), resume=True, quiet=True)
+    assert read_metadata(run.folder.last).backbone_source == source
+
+
+def test_the_recipe_names_nothing_of_this_machine(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run")
+    text = json.dumps(recipe(config))
+    assert str(image_set) not in text
+    assert str(tmp_path) not in text
+    assert not {"out", "device"} & set(json.loads(text))
+    assert json.loads(text)["data"]["kind"] == "urso"
+    assert json.loads(text)["seed"] == config.seed
+
+
+def test_the_digest_is_that_of_names_and_labels(image_set, tmp_path):
+    run = build_run(train_config(image_set, tmp_path / "run"))
+    content = b"".join(
+        f"{name}\n".encode() + struct.pack("<7d", *pose)
+        for name, pose in zip(run.train_set.names, run.train_set.poses, strict=True)
+    )
+    described = describe_data(run.train_set, "urso")
+    assert described["digest"] == hashlib.sha256(content).hexdigest()
+    assert described["digest"] != describe_data(run.val_set, "urso")["digest"]
