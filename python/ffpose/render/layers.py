@@ -149,7 +149,7 @@ def write_layers(folder: Path, index: int, layers: Layers, labels: Sequence[str]
         "coordinates": lambda path: _write_image(path, layers.coordinates),
     }
     for name, file in zip(labels, label_files(index, labels), strict=True):
-        with atomic_write(folder / file) as path:
+        with atomic_write(folder / file, durable=False) as path:
             writers[name](path)
 
 

@@ -90,7 +90,7 @@ def render_one(job: Job, index: int) -> str:
         layers = render_layers(job.scene, job.seed, index, job.size)
         write_layers(job.folder, index, layers, job.labels)
     target = job.folder / image_name(index)
-    with atomic_write(target) as path:
+    with atomic_write(target, durable=False) as path:  # a later run makes again what is damaged
         Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
         return sha256(path)
 
@@ -186,7 +186,7 @@ def _rendered_files(job: Job, index: int) -> dict[str, bytes]:
 def _write_files(folder: Path, files: dict[str, bytes]) -> str:
     """Write files in order; returns the SHA-256 of the last."""
     for name, content in files.items():
-        with atomic_write(folder / name) as path:
+        with atomic_write(folder / name, durable=False) as path:
             path.write_bytes(content)
             digest = sha256(path)
     return digest

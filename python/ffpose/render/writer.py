@@ -9,9 +9,7 @@ its own.
 
 from __future__ import annotations
 
-import errno
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ffpose.errors import require
-from ffpose.files import remove_leftovers
+from ffpose.files import expect_room, remove_leftovers
 from ffpose.geometry import Camera
 from ffpose.render.layers import check_labels, label_files
 from ffpose.render.manifest import FILE_NAME, Manifest, difference, part_name, parts, sha256
@@ -108,7 +106,8 @@ def write_dataset(
     wanted = range(start, start + count)
     hashes = dict(_valid_images(job, wanted, begun.files)) if begun else {}
     missing = [index for index in wanted if index not in hashes]
-    _check_room(job, len(missing))
+    least = int(LEAST_BYTES_PER_PIXEL * camera.width * camera.height * len(missing))
+    expect_room(job.folder, least, f"{len(missing)} images")
     if begun is None:  # last, as a folder with a manifest takes no other set
         job.folder.mkdir(parents=True, exist_ok=True)
         manifest.write(job.folder / FILE_NAME)
@@ -151,16 +150,6 @@ def _begun(job: Job, manifest: Manifest) -> Manifest | None:
     if changed:
         raise ValueError(f"{job.folder}: expected the same set as before, got {changed}")
     return old
-
-
-def _check_room(job: Job, images: int) -> None:
-    """Refuse what cannot fit, before hours of work meet a full disk."""
-    least = int(LEAST_BYTES_PER_PIXEL * job.size[0] * job.size[1] * images)
-    disk = next(place for place in (job.folder, *job.folder.absolute().parents) if place.exists())
-    free = shutil.disk_usage(disk).free
-    if free < least:
-        need = f"{images} images need at least {least / 1e9:.1f} GB, got {free / 1e9:.1f} GB free"
-        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {need}", str(job.folder))
 
 
 def _fingerprints(job: Job, hashes: dict[int, str]) -> dict[str, str]:
