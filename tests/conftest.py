@@ -1,6 +1,16 @@
-"""One thread for matrix products: the tests' are small, and on a busy machine threads wait."""
+"""One thread for matrix products, as the tests' are small; and a cache of the tests' own."""
 
 import os
 
+import pytest
+
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory):
+    """Frames of data sets go into a folder that pytest removes, not into the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FFPOSE_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield

@@ -199,16 +199,25 @@ def test_render_takes_a_mesh_a_camera_and_a_shard(tmp_path, capsys):
         "v 0 0 0\nv 900 0 0\nv 0 700 0\nv 0 0 500\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
     )
     words = ["render", "soyuz_easy", "--out", str(tmp_path / "set"), "--count", "2", "--start", "4"]
-    words += ["--camera", str(tmp_path / "camera.json"), "--layers"]
+    words += ["--camera", str(tmp_path / "camera.json"), "--layers", "--labels", "coordinates"]
     words += ["--mesh", str(tmp_path / "wedge.obj"), "--mesh-scale", "0.001"]
     words += ["--motion", "4", "--jpeg", "80", "--randomize", "0.3", "--eclipse-rate", "0.34"]
     assert main(words) == 0, capsys.readouterr().err
     names = {path.name for path in (tmp_path / "set").iterdir()}
-    assert {"4_rgb.png", "5_rgb.png", "5_mask.png", "5_depth.png"} <= names
+    assert {"4_rgb.png", "5_rgb.png", "5_mask.png", "5_depth.png", "5_coordinates.png"} <= names
     manifest = json.loads((tmp_path / "set/manifest.json").read_text())
     assert manifest["parameters"]["scene"]["camera"]["fx"] == 90
     assert manifest["parameters"]["scene"]["craft"].startswith("wedge.obj sha256:")
     assert manifest["parameters"]["scene"]["sensor"]["jpeg_quality"] == 80
+    assert manifest["parameters"]["coordinates_limit_m"] == 0.9
+
+
+def test_render_says_when_a_shard_leaves_the_set_open(tmp_path, capsys):
+    words = ["render", "soyuz_easy", "--out", str(tmp_path), "--count", "1", "--size", "64x48"]
+    assert main(words) == 0
+    assert "other runs" not in capsys.readouterr().err
+    assert main([*words, "--start", "1"]) == 0
+    assert "images of other runs too: one run over all" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,36 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from ffpose.files import atomic_write, expect_folder, remove_leftovers, sha256
+
+
+def test_contents_are_on_the_disk_before_the_name_and_the_name_at_the_end(tmp_path, monkeypatch):
+    """The calls in order: a file that is renamed before it is synced may come back empty."""
+    target, calls = tmp_path / "report.json", []
+    sync, replace = os.fsync, Path.replace
+
+    def recorded_sync(descriptor):
+        calls.append(("sync", Path(f"/proc/self/fd/{descriptor}").readlink().name))
+        sync(descriptor)
+
+    def recorded_replace(path, other):
+        calls.append(("rename", path.name))
+        return replace(path, other)
+
+    monkeypatch.setattr(os, "fsync", recorded_sync)
+    monkeypatch.setattr(Path, "replace", recorded_replace)
+    with atomic_write(target, durable=False) as temporary:
+        temporary.write_text("new")
+    assert calls == [("rename", "report.json")]
+    calls.clear()
+    with atomic_write(target) as temporary:
+        temporary.write_text("new")
+    names = [("sync", "report.json"), ("rename", "report.json"), ("sync", tmp_path.name)]
+    assert calls == names
 
 
 def write_and_fail(path):

@@ -68,6 +68,8 @@ def demo(options: Namespace) -> None:
 
 def render_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `render`."""
+    from ffpose.render.layers import LABELS
+
     parser.add_argument("scene", help="soyuz_easy, soyuz_hard or dragon_hard")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument("--count", type=int, required=True, help="how many images")
@@ -78,6 +80,9 @@ def render_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--ray", action="store_true", help="render on a Ray cluster")
     parser.add_argument("--layers", action="store_true", help="write mask, depth and keypoints too")
+    parser.add_argument(
+        "--labels", nargs="+", choices=list(LABELS), default=[], help="write these layers too"
+    )
     parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
     parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply or .glb")
     parser.add_argument("--mesh-scale", type=float, default=1.0, help="metres a unit of the mesh")
@@ -95,6 +100,7 @@ def render(options: Namespace) -> None:
     """Render images with exact labels, in URSO's layout."""
     from ffpose.geometry import Camera
     from ffpose.render import Randomization, get_scene, load_craft
+    from ffpose.render.layers import LAYERS
     from ffpose.render.writer import write_dataset
 
     scene = get_scene(options.scene)
@@ -115,11 +121,13 @@ def render(options: Namespace) -> None:
         start=options.start,
         size=None if options.size is None else image_size(options.size),
         workers=options.workers,
-        layers=options.layers,
+        labels=[*options.labels, *(LAYERS if options.layers else ())],
         progress=True,
         ray=options.ray,
     )
     say(f"{written.folder}: {written.rendered} images in {written.seconds:.1f} s")
+    if not written.closed:
+        say("the folder has images of other runs too: one run over all writes the label files")
 
 
 def train_arguments(parser: ArgumentParser) -> None:

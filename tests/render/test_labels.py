@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from beacons import LAMPS, RADIUS, beacon_scene
 from ffpose.render import SCENES, label, render, render_layers, write_dataset
+from ffpose.render.layers import LAYERS
 
 SIZE = (640, 480)
 FX, FY, CX, CY = 320.0, 640.463 / 2, 320.0, 240.0
@@ -168,7 +169,7 @@ def solve_pose(points, pixels):
 @pytest.mark.parametrize("name", SCENES)
 def test_pnp_on_the_written_keypoints_gives_the_label_back(tmp_path, name):
     craft = SCENES[name].build()
-    write_dataset(name, tmp_path, 6, seed=3, size=SIZE, layers=True)
+    write_dataset(name, tmp_path, 6, seed=3, size=SIZE, labels=LAYERS)
     for index in range(6):
         with (tmp_path / f"{index}_keypoints.csv").open() as file:
             rows = list(csv.DictReader(file))

@@ -6,10 +6,19 @@ import numpy as np
 import pytest
 
 from beacons import beacon_scene
-from ffpose.render import SCENES, label, render, render_layers
+from ffpose.render import (
+    SCENES,
+    Randomization,
+    label,
+    render,
+    render_empty,
+    render_layers,
+    renderer,
+)
 from ffpose.render.earth import Earth, shade_earth
 from ffpose.render.sensor import Sensor, expose
 from ffpose.render.vectors import unit
+from ffpose.render.view import find_window
 
 SIZE = (128, 96)
 
@@ -40,9 +49,48 @@ def test_default_size_is_that_of_the_camera():
 
 
 @pytest.mark.parametrize(("seed", "index"), [(-1, 0), (0, -1)])
-def test_negative_seed_or_index_is_refused(seed, index):
+@pytest.mark.parametrize("draw", [render, render_empty])
+def test_negative_seed_or_index_is_refused(draw, seed, index):
     with pytest.raises(ValueError, match="seed and index"):
-        render("soyuz_easy", seed, index, SIZE)
+        draw("soyuz_easy", seed, index, SIZE)
+
+
+@pytest.mark.parametrize("clouds", [0.0, 1.0])
+def test_an_empty_frame_lacks_the_spacecraft_and_nothing_else(monkeypatch, clouds):
+    """With one exposure, and a sensor that mixes no pixels, all beside the spacecraft is equal."""
+    choose = renderer.choose_gain
+
+    def fixed_gain(*arguments):
+        choose(*arguments)  # its random draw is taken
+        return 1.0
+
+    monkeypatch.setattr(renderer, "choose_gain", fixed_gain)
+    scene = replace(
+        SCENES["soyuz_easy"],
+        sensor=Sensor(blur_px=0, bloom=0),
+        randomization=Randomization(light=0.5, background=clouds, materials=0.5),
+    )
+    for index in range(3):
+        frame, empty = render(scene, 3, index, SIZE), render_empty(scene, 3, index, SIZE)
+        window = find_window(scene.build().mesh.vertices, frame.pose, frame.camera)
+        inside = np.zeros(empty.shape[:2], dtype=bool)
+        inside[window.top : window.bottom, window.left : window.right] = True
+        assert 0.01 < inside.mean() < 0.9
+        np.testing.assert_array_equal(empty[~inside], frame.image[~inside])
+        mask = render_layers(scene, 3, index, SIZE).mask
+        assert np.abs(empty[mask].astype(int) - frame.image[mask]).mean() > 5
+
+
+def test_an_empty_frame_is_pure_and_exposed_for_itself():
+    """Another spacecraft, brighter or darker, changes nothing."""
+    scene = SCENES["soyuz_easy"]
+    for index in range(3):
+        empty = render_empty(scene, 3, index, SIZE)
+        assert empty.shape == (96, 128, 3)
+        assert empty.dtype == np.uint8
+        np.testing.assert_array_equal(render_empty(scene, 3, index, SIZE), empty)
+        other = replace(scene, craft="dragon")
+        np.testing.assert_array_equal(render_empty(other, 3, index, SIZE), empty)
 
 
 def test_eclipse_is_lit_by_the_lamp_alone():

@@ -17,7 +17,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ffpose.render import SCENES, get_scene, label, render, render_layers, write_dataset
+from ffpose.geometry import Pose
+from ffpose.render import (
+    SCENES,
+    coordinates_limit,
+    get_scene,
+    label,
+    render,
+    render_layers,
+    tables,
+    write_dataset,
+    writer,
+)
+from ffpose.render.layers import LAYERS
 
 SIZE = (64, 48)
 
@@ -100,22 +112,89 @@ def test_altered_image_is_rendered_again(folder, tmp_path):
 
 
 def test_shards_in_any_order_make_the_set(folder, tmp_path):
+    closed = []
     for start, count in ((8, 4), (0, 4), (4, 4)):
-        write_dataset("soyuz_easy", tmp_path, count, seed=7, start=start, size=SIZE)
+        done = write_dataset("soyuz_easy", tmp_path, count, seed=7, start=start, size=SIZE)
+        closed.append(done.closed)
+    assert closed == [True, False, False]  # the first was alone
+    done = write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
+    assert (done.rendered, done.kept, done.closed) == (0, 12, True)
     assert contents(tmp_path) == contents(folder)
 
 
 def test_shard_alone_keeps_rows_and_names_together(tmp_path):
-    write_dataset("soyuz_easy", tmp_path, 2, seed=7, start=3, size=SIZE)
-    with (tmp_path / "gt.csv").open() as file:
+    assert write_dataset("soyuz_easy", tmp_path, 2, seed=7, start=3, size=SIZE).closed
+    assert not (tmp_path / "gt.csv").exists()  # its row 0 would be that of image 0
+    with (tmp_path / "train_poses_gt.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert float(rows[4]["x"]) == label("soyuz_easy", 7, 4).t[0]
+    assert [float(row["x"]) for row in rows] == [label("soyuz_easy", 7, i).t[0] for i in (3, 4)]
     assert (tmp_path / "train_images.csv").read_text() == "3_rgb.png\n4_rgb.png\n"
     assert not (tmp_path / "val_images.csv").exists()
 
 
+def test_a_shard_costs_what_its_own_images_cost(tmp_path, monkeypatch):
+    """Far from the first index, and beside others: labels drawn and files read are its own."""
+    write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, labels=["mask"])
+    labelled, hashed = set(), set()
+    draw, read = writer.label, writer.sha256
+    monkeypatch.setattr(writer, "label", lambda s, seed, i: labelled.add(i) or draw(s, seed, i))
+    monkeypatch.setattr(writer, "sha256", lambda path: hashed.add(path.name) or read(path))
+    far = 5_000_000
+    done = write_dataset("soyuz_easy", tmp_path, 2, seed=7, start=far, size=SIZE, labels=["mask"])
+    assert done.rendered == 2
+    assert labelled <= {far, far + 1}
+    assert hashed == {f"{far}_mask.png", f"{far + 1}_mask.png"}
+    alone = write_dataset("soyuz_easy", tmp_path / "alone", 2, seed=7, start=far, size=SIZE)
+    assert alone.closed
+    assert labelled == {far, far + 1}
+
+
+def test_a_shard_of_a_closed_set_leaves_it_closed(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "set")
+    (tmp_path / "set" / "4_rgb.png").unlink()
+    done = write_dataset("soyuz_easy", tmp_path / "set", 4, seed=7, start=3, size=SIZE)
+    assert (done.rendered, done.kept, done.closed) == (1, 3, True)
+    assert contents(tmp_path / "set") == contents(folder)
+
+
+def test_what_a_part_says_of_an_image_is_held_against_it(folder, tmp_path):
+    for start in (0, 6):
+        write_dataset("soyuz_easy", tmp_path, 6, seed=7, start=start, size=SIZE)
+    Image.new("RGB", SIZE).save(tmp_path / "7_rgb.png")  # whole, but not the image
+    done = write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE)
+    assert (done.rendered, done.kept) == (1, 11)
+    assert contents(tmp_path) == contents(folder)
+
+
+def rows_by_name(folder, split):
+    """The label of each image that a split lists, as text."""
+    names = (folder / f"{split}_images.csv").read_text().split()
+    with (folder / f"{split}_poses_gt.csv").open() as file:
+        return dict(zip(names, csv.DictReader(file), strict=True))
+
+
+def test_shards_that_close_at_once_do_not_mix_names_and_poses(tmp_path, monkeypatch):
+    """A second shard runs whole while the first is between its names and its poses."""
+    write_poses, began = tables._write_poses, []
+
+    def interrupted(target, poses):
+        if target.name == "train_poses_gt.csv" and not began:
+            began.append(True)
+            write_dataset("soyuz_easy", tmp_path, 4, seed=7, start=4, size=SIZE)
+        write_poses(target, poses)
+
+    monkeypatch.setattr(tables, "_write_poses", interrupted)
+    write_dataset("soyuz_easy", tmp_path, 4, seed=7, size=SIZE)
+    assert (tmp_path / "7_rgb.png").exists()
+    for name, row in rows_by_name(tmp_path, "train").items():
+        pose = Pose.from_urso(**{key: float(value) for key, value in row.items()})
+        expected = label("soyuz_easy", 7, int(name.split("_")[0]))
+        np.testing.assert_array_equal(pose.t, expected.t)
+
+
 def test_layers_are_written_beside_the_images(tmp_path):
-    write_dataset("soyuz_easy", tmp_path, 2, seed=7, size=SIZE, layers=True)
+    labels = [*LAYERS, "coordinates"]
+    write_dataset("soyuz_easy", tmp_path, 2, seed=7, size=SIZE, labels=labels)
     truth = render_layers("soyuz_easy", 7, 1, SIZE)
     mask = np.asarray(Image.open(tmp_path / "1_mask.png"))
     np.testing.assert_array_equal(mask, np.where(truth.mask, 255, 0))
@@ -125,7 +204,21 @@ def test_layers_are_written_beside_the_images(tmp_path):
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows] == [point.name for point in truth.keypoints]
     assert [float(row["u"]) for row in rows] == [point.u for point in truth.keypoints]
-    assert "0_depth.png" in json.loads((tmp_path / "manifest.json").read_text())["files"]
+    with Image.open(tmp_path / "1_coordinates.png") as image:
+        assert image.mode == "RGBA"
+        np.testing.assert_array_equal(np.asarray(image), truth.coordinates)
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert {"0_depth.png", "0_coordinates.png"} <= manifest["files"].keys()
+    assert manifest["parameters"]["labels"] == labels
+    limit = coordinates_limit(SCENES["soyuz_easy"].build())
+    assert manifest["parameters"]["coordinates_limit_m"] == limit
+
+
+def test_only_the_labels_that_were_asked_for_are_written(tmp_path):
+    write_dataset("soyuz_easy", tmp_path, 1, size=SIZE, labels=["coordinates", "mask"])
+    images = {path.name for path in tmp_path.iterdir() if path.suffix == ".png"}
+    assert images == {"0_rgb.png", "0_mask.png", "0_coordinates.png"}
+    assert not (tmp_path / "0_keypoints.csv").exists()
 
 
 def test_what_a_killed_run_left_is_removed(folder, tmp_path):
@@ -139,12 +232,14 @@ def test_what_a_killed_run_left_is_removed(folder, tmp_path):
 
 
 def test_lost_layer_is_written_again(tmp_path):
-    write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, layers=True)
+    labels = [*LAYERS, "coordinates"]
+    write_dataset("soyuz_easy", tmp_path, 4, seed=7, size=SIZE, labels=labels)
     before = contents(tmp_path)
     (tmp_path / "0_mask.png").unlink()
     (tmp_path / "1_keypoints.csv").write_text("altered")
-    done = write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, layers=True)
-    assert (done.rendered, done.kept) == (2, 1)
+    (tmp_path / "2_coordinates.png").write_bytes(b"cut off")
+    done = write_dataset("soyuz_easy", tmp_path, 4, seed=7, size=SIZE, labels=labels)
+    assert (done.rendered, done.kept) == (3, 1)
     assert contents(tmp_path) == before
 
 
@@ -176,6 +271,7 @@ def test_broken_manifest_is_named(tmp_path):
         ({"start": -1}, "start: expected 0"),
         ({"seed": -1}, "seed: expected 0"),
         ({"workers": 0}, "workers: expected 1"),
+        ({"labels": ["masks"]}, "labels: expected some of mask, depth, .*, got 'masks'"),
         ({"size": (8, 8)}, "size: expected width and height"),
         ({"size": (100_000, 100)}, "size: expected width and height"),
     ],
@@ -264,10 +360,10 @@ def test_ray_does_not_change_a_byte(tmp_path):
 
     ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
     try:
-        write_dataset("soyuz_easy", tmp_path / "ray", 3, seed=7, size=SIZE, layers=True, ray=True)
+        write_dataset("soyuz_easy", tmp_path / "ray", 3, seed=7, size=SIZE, labels=LAYERS, ray=True)
     finally:
         ray.shutdown()
-    write_dataset("soyuz_easy", tmp_path / "here", 3, seed=7, size=SIZE, layers=True)
+    write_dataset("soyuz_easy", tmp_path / "here", 3, seed=7, size=SIZE, labels=LAYERS)
     assert contents(tmp_path / "ray") == contents(tmp_path / "here")
 
 

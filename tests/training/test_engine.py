@@ -94,6 +94,16 @@ def test_a_kill_between_weights_and_state_costs_the_epoch_alone(image_set, tmp_p
     assert same_files(whole.out, killed.out)
 
 
+@pytest.mark.parametrize("resume", [False, True])
+def test_what_a_killed_training_left_is_removed_at_the_next_start(image_set, tmp_path, resume):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    left = config.out / ".ffpose-left"
+    left.mkdir(parents=True)
+    (left / "state.pt").write_bytes(b"cut off")
+    run_quietly(config, resume=resume)
+    assert not left.exists()
+
+
 def test_resume_where_no_epoch_was_finished_begins(image_set, tmp_path):
     result = run_quietly(train_config(image_set, tmp_path / "new", epochs=1), resume=True)
     assert len(result.history) == 1

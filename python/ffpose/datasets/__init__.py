@@ -60,7 +60,7 @@ def open_dataset(
         split: ``"train"``, ``"val"`` or ``"test"``.
         preprocessing: From image to network input.
         augmentation: Applied to each sample anew; None for none.
-        cache: Decode and resize every image once, now (see `PoseDataset`).
+        cache: Decode and resize every image now, unless an earlier run did (see `PoseDataset`).
 
     Returns:
         The data set. Images are read when they are asked for, or now with ``cache``.

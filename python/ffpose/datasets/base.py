@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol, get_args
 
@@ -14,6 +13,7 @@ from PIL import Image
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from ffpose.datasets.cache import cached_frames
 from ffpose.datasets.records import Record
 from ffpose.geometry import Camera
 from ffpose.transforms import Augmentation, Preprocessing, Window
@@ -56,9 +56,10 @@ class PoseDataset(Dataset[Sample]):
         camera: The one camera of all images, which have its size.
         preprocessing: From image to network input.
         augmentation: Applied to each sample anew; None for none.
-        cache: Decode and resize every image now, on all cores, and keep the frames as one uint8
-            array (3 bytes a pixel of the frame: 150 kB for 224 x 224), so that an epoch decodes
-            nothing. Forked DataLoader workers share it.
+        cache: Decode and resize every image now, on all cores, into one file of uint8 (3 bytes a
+            pixel of the frame: 150 kB for 224 x 224), so that an epoch decodes nothing. Workers of
+            a DataLoader map it, forked or spawned, and so does the next run
+            (`ffpose.datasets.cache`).
 
     Attributes:
         records: As given.
@@ -71,6 +72,7 @@ class PoseDataset(Dataset[Sample]):
     Raises:
         ValueError: No records, or a random crop without the preprocessing that leaves room for it.
         DataError: With ``cache``, as `load_image`.
+        OSError: With ``cache``, there is no room for it.
     """
 
     def __init__(
@@ -94,7 +96,7 @@ class PoseDataset(Dataset[Sample]):
         self.augmentation = augmentation
         self.names = [record.image.name for record in records]
         self.poses = np.stack([record.pose.vector for record in records])
-        self._frames = self._decode_all() if cache else None
+        self._frames = cached_frames(self.records, camera, preprocessing) if cache else None
 
     def __len__(self) -> int:
         return len(self.records)
@@ -134,15 +136,3 @@ class PoseDataset(Dataset[Sample]):
         if self.augmentation is not None and self.augmentation.random_crop:
             return self.preprocessing.random_window(frame.shape[:2])
         return self.preprocessing.center_window(frame.shape[:2])
-
-    def _decode_all(self) -> NDArray[np.uint8]:
-        size = self.preprocessing.frame_size(self.camera.width, self.camera.height)
-        frames = np.empty((len(self), *size, 3), np.uint8)
-
-        def fill(index: int) -> None:
-            frames[index] = self._frame(index)
-
-        with ThreadPoolExecutor() as pool:  # Pillow decodes and resizes without the GIL
-            for _ in pool.map(fill, range(len(self))):
-                pass
-        return frames

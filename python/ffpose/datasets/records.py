@@ -34,6 +34,18 @@ class Record:
         """Return an error that names the image, and the place that lists it."""
         return DataError(f"{self.image}: {message}", self.source, self.line)
 
+    def fingerprint(self) -> tuple[str, int, int]:
+        """Return the image's path, its size in bytes, and when it was changed, in nanoseconds.
+
+        Raises:
+            DataError: The file is missing.
+        """
+        try:
+            status = self.image.stat()
+        except FileNotFoundError as error:
+            raise self.error("no such file") from error
+        return str(self.image.resolve()), status.st_size, status.st_mtime_ns
+
     def size(self) -> tuple[int, int]:
         """Return the ``(width, height)`` that the image's header declares.
 

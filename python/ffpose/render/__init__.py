@@ -4,10 +4,16 @@ An image is a pure function of (scene, seed, index, size), so sets can be made i
 number of processes, and on any number of machines. Needs the extra `render`.
 """
 
-from ffpose.render.layers import Keypoint, Layers, render_layers
+from ffpose.render.layers import (
+    Keypoint,
+    Layers,
+    coordinates_limit,
+    object_coordinates,
+    render_layers,
+)
 from ffpose.render.meshfile import load_craft
 from ffpose.render.randomization import Randomization
-from ffpose.render.renderer import Frame, label, render
+from ffpose.render.renderer import Frame, label, render, render_empty
 from ffpose.render.scene import SCENES, Scene, get_scene
 from ffpose.render.sensor import Sensor
 from ffpose.render.writer import Written, write_dataset
@@ -21,10 +27,13 @@ __all__ = [
     "Scene",
     "Sensor",
     "Written",
+    "coordinates_limit",
     "get_scene",
     "label",
     "load_craft",
+    "object_coordinates",
     "render",
+    "render_empty",
     "render_layers",
     "write_dataset",
 ]

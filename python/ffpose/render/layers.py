@@ -1,8 +1,10 @@
-"""The exact layers beside an image: mask, depth and keypoints, at the pixels' centres."""
+"""The exact layers beside an image, at the pixels' centres: mask, depth, keypoints, coordinates."""
 
 from __future__ import annotations
 
 import csv
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,13 +17,24 @@ from ffpose.render.craft import Craft
 from ffpose.render.renderer import camera_of, label, prepared
 from ffpose.render.scene import Scene, get_scene
 from ffpose.render.vectors import Floats, dot
-from ffpose.render.view import find_window, look
+from ffpose.render.view import View, Window, find_window, look
+
+LABELS = {
+    "mask": "mask.png",
+    "depth": "depth.png",
+    "keypoints": "keypoints.csv",
+    "coordinates": "coordinates.png",
+}
+"""The layers that can be written, and what follows `N_` in the names of their files."""
+
+LAYERS = ("mask", "depth", "keypoints")
+"""What ``ffpose render --layers`` writes."""
 
 TOUCH_M = 0.02
 """A keypoint counts as seen if nothing lies more than this before it."""
 
-
 DEPTH_LIMIT_M = 65.535
+"""What 16 bits of millimetres hold."""
 
 
 class Keypoint(NamedTuple):
@@ -49,68 +62,149 @@ class Layers(NamedTuple):
         mask: (H, W) bool, True on the spacecraft.
         depth: (H, W) float32, z in the camera frame in metres; 0 off the spacecraft.
         keypoints: the spacecraft's named points.
+        coordinates: (H, W, 4) uint8, where on the spacecraft it is (`object_coordinates`).
     """
 
     mask: NDArray[np.bool_]
     depth: Floats
     keypoints: list[Keypoint]
+    coordinates: NDArray[np.uint8]
 
 
 def render_layers(
     scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None
 ) -> Layers:
-    """Mask, depth and keypoints of the image that `render` makes of the same arguments.
+    """The layers of the image that `render` makes of the same arguments.
 
     Raises:
         ValueError: as for `render`.
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera, pose, craft = camera_of(scene, size), label(scene, seed, index), scene.build()
-    depth = _depth(craft, pose, camera)
-    return Layers(depth > 0, depth, _keypoints(craft, pose, camera))
+    seen = _look(craft, pose, camera)
+    depth = _depth(seen, pose, camera)
+    coordinates = _coordinates(seen, craft, camera)
+    return Layers(depth > 0, depth, _keypoints(craft, pose, camera), coordinates)
 
 
-def layer_names(index: int) -> list[str]:
-    """The files of image `index`'s mask, depth and keypoints."""
-    return [f"{index}_mask.png", f"{index}_depth.png", f"{index}_keypoints.csv"]
+def object_coordinates(craft: Craft, pose: Pose, camera: Camera) -> NDArray[np.uint8]:
+    """Where on the spacecraft each pixel looks, as a picture; for any pose and any camera.
+
+    A target for dense supervision, as in Wang et al., "Normalized Object Coordinate Space" (CVPR
+    2019), with a cube that is centred on the object's origin.
+
+    Args:
+        craft: the spacecraft.
+        pose: where it is.
+        camera: who looks, through the pixels' centres.
+
+    Returns:
+        (H, W, 4) uint8. On the spacecraft red, green and blue are x, y and z of the surface in the
+        object frame, −L…+L metres mapped to 0…255 and rounded, L being `coordinates_limit`, and
+        alpha is 255; elsewhere all four are 0. So the metres are ``(2 · code / 255 − 1) · L``,
+        within L / 255.
+    """
+    return _coordinates(_look(craft, pose, camera), craft, camera)
 
 
-def write_layers(folder: Path, index: int, layers: Layers) -> None:
-    """Write the layers of image `index`.
+def coordinates_limit(craft: Craft) -> float:
+    """L of `object_coordinates`: the largest absolute vertex coordinate, up to the next 0.1 m."""
+    largest = float(np.abs(craft.mesh.vertices).max())
+    return math.ceil(round(10 * largest, 6)) / 10  # 10 · 1.1 is more than 11
+
+
+def check_labels(labels: Sequence[str]) -> tuple[str, ...]:
+    """The names without repetition, in the order of `LABELS`.
+
+    Raises:
+        ValueError: a name is not known; the message lists the known ones.
+    """
+    unknown = [name for name in labels if name not in LABELS]
+    if unknown:
+        raise ValueError(f"labels: expected some of {', '.join(LABELS)}, got {unknown[0]!r}")
+    return tuple(name for name in LABELS if name in labels)
+
+
+def label_files(index: int, labels: Sequence[str]) -> list[str]:
+    """The files of these layers of image `index`."""
+    return [f"{index}_{LABELS[name]}" for name in labels]
+
+
+def write_layers(folder: Path, index: int, layers: Layers, labels: Sequence[str]) -> None:
+    """Write the layers of image `index` that `labels` names.
 
     ``N_mask.png`` is 255 on the spacecraft and 0 elsewhere; ``N_depth.png`` holds millimetres in 16
-    bits, 0 off the spacecraft; ``N_keypoints.csv`` has a row for each named point.
+    bits, 0 off the spacecraft; ``N_keypoints.csv`` has a row for each named point;
+    ``N_coordinates.png`` is what `object_coordinates` gives. Its alpha holds the mask, because any
+    colour, black too, may be a place on the spacecraft: one file cannot lose what tells them apart,
+    and readers that weigh by alpha when they resize (Pillow does) blend nothing across the outline.
 
     Raises:
         ValueError: a depth is beyond the 65.535 m of 16 bits.
     """
+    writers = {
+        "mask": lambda path: _write_image(path, layers.mask.astype(np.uint8) * 255),
+        "depth": lambda path: _write_image(path, _millimetres(layers.depth, index)),
+        "keypoints": lambda path: _write_keypoints(path, layers.keypoints),
+        "coordinates": lambda path: _write_image(path, layers.coordinates),
+    }
+    for name, file in zip(labels, label_files(index, labels), strict=True):
+        with atomic_write(folder / file, durable=False) as path:
+            writers[name](path)
+
+
+def _write_image(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
     from PIL import Image
 
-    if layers.depth.max() > DEPTH_LIMIT_M:
+    Image.fromarray(pixels).save(path)
+
+
+def _millimetres(depth: Floats, index: int) -> NDArray[np.uint16]:
+    if depth.max() > DEPTH_LIMIT_M:
         raise ValueError(
-            f"depth of image {index}: expected at most {DEPTH_LIMIT_M} m, got {layers.depth.max()}"
+            f"depth of image {index}: expected at most {DEPTH_LIMIT_M} m, got {depth.max()}"
         )
-    mask, depth, keypoints = (folder / name for name in layer_names(index))
-    with atomic_write(mask) as path:
-        Image.fromarray(layers.mask.astype(np.uint8) * 255).save(path)
-    with atomic_write(depth) as path:
-        Image.fromarray(np.round(layers.depth * 1000).astype(np.uint16)).save(path)
-    with atomic_write(keypoints) as path, path.open("w", newline="", encoding="utf-8") as file:
+    return np.round(depth * 1000).astype(np.uint16)
+
+
+def _write_keypoints(path: Path, keypoints: list[Keypoint]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["name", "u", "v", "depth", "visible"])
-        writer.writerows((p.name, p.u, p.v, p.depth, int(p.visible)) for p in layers.keypoints)
+        writer.writerows((p.name, p.u, p.v, p.depth, int(p.visible)) for p in keypoints)
 
 
-def _depth(craft: Craft, pose: Pose, camera: Camera) -> Floats:
-    depth = np.zeros((camera.height, camera.width), dtype=np.float32)
+def _look(craft: Craft, pose: Pose, camera: Camera) -> tuple[Window, View] | None:
+    """What one ray through each pixel's centre meets, None if the spacecraft is out of frame."""
     window = find_window(craft.mesh.vertices, pose, camera)
     if window is None:
-        return depth
-    view = look(prepared(craft)[0], window, camera, pose, 1)
-    inside = np.zeros(window.shape, dtype=np.float32)
-    inside.reshape(-1)[view.hits.ray] = dot(pose.rotation[2], view.rays) * view.hits.distance
-    depth[window.top : window.bottom, window.left : window.right] = inside
+        return None
+    return window, look(prepared(craft)[0], window, camera, pose, 1)
+
+
+def _depth(seen: tuple[Window, View] | None, pose: Pose, camera: Camera) -> Floats:
+    depth = np.zeros((camera.height, camera.width), dtype=np.float32)
+    if seen is not None:
+        window, view = seen
+        inside = np.zeros(window.shape, dtype=np.float32)
+        inside.reshape(-1)[view.hits.ray] = dot(pose.rotation[2], view.rays) * view.hits.distance
+        depth[window.top : window.bottom, window.left : window.right] = inside
     return depth
+
+
+def _coordinates(
+    seen: tuple[Window, View] | None, craft: Craft, camera: Camera
+) -> NDArray[np.uint8]:
+    coordinates = np.zeros((camera.height, camera.width, 4), dtype=np.uint8)
+    if seen is not None:
+        window, view = seen
+        scaled = view.place.T / np.float32(2 * coordinates_limit(craft)) + np.float32(0.5)
+        inside = np.zeros((*window.shape, 4), dtype=np.uint8)
+        flat = inside.reshape(-1, 4)
+        flat[view.hits.ray, :3] = np.round(scaled * 255)
+        flat[view.hits.ray, 3] = 255
+        coordinates[window.top : window.bottom, window.left : window.right] = inside
+    return coordinates
 
 
 def _keypoints(craft: Craft, pose: Pose, camera: Camera) -> list[Keypoint]:

@@ -1,8 +1,15 @@
-"""What a folder of images was made from, and the fingerprint of every file in it."""
+"""What a folder of images was made from, and the fingerprint of every file in it.
+
+A run that finds images beside its own in the folder leaves its fingerprints in a part,
+``manifest_FIRST-LAST.json``, until a run over all images writes them into ``manifest.json``: so a
+shard reads and writes no more than its own, and shards never write to one file.
+"""
 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -10,6 +17,7 @@ from typing import Any
 
 from ffpose.errors import DataError
 from ffpose.files import atomic_write
+from ffpose.render.layers import coordinates_limit
 from ffpose.render.scene import Scene
 
 FILE_NAME = "manifest.json"
@@ -22,8 +30,9 @@ class Manifest:
     """The contents of `manifest.json`.
 
     Attributes:
-        parameters: scene, seed, size, and whether layers are written: with the index, all that
-            the files of an image depend on.
+        parameters: scene, seed, size, and which layers are written: with the index, all that the
+            files of an image depend on. With the layer `coordinates`, also the metres that its
+            codes stand for (`ffpose.render.coordinates_limit`).
         versions: of the packages that made the images.
         files: SHA-256 of each file by name; empty until a run has finished.
     """
@@ -33,25 +42,28 @@ class Manifest:
     files: dict[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, scene: Scene, seed: int, size: tuple[int, int], layers: bool) -> Manifest:
+    def of(
+        cls, scene: Scene, seed: int, size: tuple[int, int], labels: tuple[str, ...]
+    ) -> Manifest:
         """The manifest of a set that is about to be made."""
         parameters = {
             "scene": scene.parameters(),
             "seed": seed,
             "size": list(size),
-            "layers": layers,
+            "labels": list(labels),
         }
+        if "coordinates" in labels:
+            parameters["coordinates_limit_m"] = coordinates_limit(scene.build())
         # Through JSON, so that it compares equal to one that was read.
         return cls(json.loads(json.dumps(parameters)), {name: _version(name) for name in PACKAGES})
 
     @classmethod
-    def read(cls, folder: Path) -> Manifest | None:
-        """The manifest of a folder, None if it has none.
+    def read(cls, path: Path) -> Manifest | None:
+        """The manifest that a file holds, None if there is no such file.
 
         Raises:
             DataError: the file is not a manifest.
         """
-        path = folder / FILE_NAME
         if not path.exists():
             return None
         try:
@@ -62,11 +74,24 @@ class Manifest:
                 f"expected a manifest of `ffpose render`, got {error!r}", path
             ) from error
 
-    def write(self, folder: Path) -> None:
-        """Write `manifest.json`, whole or not at all."""
+    def write(self, target: Path) -> None:
+        """Write the manifest into a file, whole or not at all."""
         content = {"parameters": self.parameters, "versions": self.versions, "files": self.files}
-        with atomic_write(folder / FILE_NAME) as path:
+        with atomic_write(target) as path:
             path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def part_name(indices: range) -> str:
+    """The file of the part that a run over these indices leaves."""
+    return f"manifest_{indices[0]}-{indices[-1]}.json"
+
+
+def parts(folder: Path, indices: range) -> Iterator[Path]:
+    """The parts in a folder that hold something of these indices."""
+    for path in folder.glob("manifest_*.json"):
+        match = re.fullmatch(r"manifest_(\d+)-(\d+)\.json", path.name)
+        if match and int(match[1]) <= indices[-1] and indices[0] <= int(match[2]):
+            yield path
 
 
 def difference(old: Manifest, new: Manifest) -> str | None:

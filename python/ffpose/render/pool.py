@@ -32,13 +32,21 @@ RAY_TASKS_PER_CORE = 2
 
 
 class Job(NamedTuple):
-    """What every image of a run has in common."""
+    """What every image of a run has in common.
+
+    Attributes:
+        scene: the set.
+        seed: its seed.
+        size: (width, height) of the images.
+        folder: where they are written.
+        labels: the layers that are written beside them, names of `ffpose.render.layers.LABELS`.
+    """
 
     scene: Scene
     seed: int
     size: tuple[int, int]
     folder: Path
-    layers: bool
+    labels: tuple[str, ...]
 
 
 def prepare(ray: bool) -> None:
@@ -72,15 +80,16 @@ def render_all(
 
 
 def render_one(job: Job, index: int) -> str:
-    """Render and write one image, and its layers if the job has them; returns its SHA-256."""
+    """Render and write one image, and the layers that the job names; returns its SHA-256."""
     from PIL import Image
 
     frame = render(job.scene, job.seed, index, job.size)
-    if job.layers:
+    if job.labels:
         # Before the image, so that where an image is its layers are.
-        write_layers(job.folder, index, render_layers(job.scene, job.seed, index, job.size))
+        layers = render_layers(job.scene, job.seed, index, job.size)
+        write_layers(job.folder, index, layers, job.labels)
     target = job.folder / image_name(index)
-    with atomic_write(target) as path:
+    with atomic_write(target, durable=False) as path:  # a later run makes again what is damaged
         Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
         return sha256(path)
 
@@ -176,7 +185,7 @@ def _rendered_files(job: Job, index: int) -> dict[str, bytes]:
 def _write_files(folder: Path, files: dict[str, bytes]) -> str:
     """Write files in order; returns the SHA-256 of the last."""
     for name, content in files.items():
-        with atomic_write(folder / name) as path:
+        with atomic_write(folder / name, durable=False) as path:
             path.write_bytes(content)
             digest = sha256(path)
     return digest

@@ -69,20 +69,37 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
     craft = scene.build()
     pose = sample_pose(scene, craft, pose_rng)
     around = sample_surroundings(scene, light_rng)
-    odd = scene.randomization
-    if odd_rng.random() < odd.background:
-        radiance = _draw_backdrop(camera, odd_rng)
-    else:
-        radiance = draw_stars(camera, star_rng)
-        _draw_background(radiance, camera, around)
+    radiance = _background(scene, camera, around, star_rng, odd_rng)
     finish = prepared(craft)[1]
-    if odd.materials > 0:
-        finish = finish.varied(odd.materials, odd_rng)
-    light = _object_light(pose, around, odd.light, odd_rng)
+    if scene.randomization.materials > 0:
+        finish = finish.varied(scene.randomization.materials, odd_rng)
+    light = _object_light(pose, around, scene.randomization.light, odd_rng)
     lit = _draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
-    spread = math.hypot(scene.sensor.exposure_spread, odd.exposure)
-    gain = choose_gain(radiance, lit, spread, sensor_rng)
-    return Frame(expose(radiance, gain, scene.sensor, sensor_rng), pose, camera)
+    return Frame(_photograph(scene, radiance, lit, sensor_rng), pose, camera)
+
+
+def render_empty(
+    scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None
+) -> NDArray[np.uint8]:
+    """The picture that `render` makes of the same arguments, but without the spacecraft.
+
+    Earth, stars, sun and the sensor's noise are the same, drawn from the same generators; the
+    exposure is chosen by the background alone. For what has to tell whether the spacecraft is
+    there.
+
+    Returns:
+        (H, W, 3) uint8, RGB.
+
+    Raises:
+        ValueError: as for `render`.
+    """
+    scene = get_scene(scene) if isinstance(scene, str) else scene
+    camera = camera_of(scene, size)
+    _, light_rng, star_rng, sensor_rng, _, odd_rng = _streams(seed, index)
+    around = sample_surroundings(scene, light_rng)
+    radiance = _background(scene, camera, around, star_rng, odd_rng)
+    nothing = np.zeros((3, 0), dtype=np.float32)
+    return _photograph(scene, radiance, nothing, sensor_rng)
 
 
 def label(scene: Scene | str, seed: int, index: int) -> Pose:
@@ -117,6 +134,30 @@ def _streams(seed: int, index: int) -> list[np.random.Generator]:
     if seed < 0 or index < 0:
         raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
     return np.random.default_rng([seed, index]).spawn(6)
+
+
+def _background(
+    scene: Scene,
+    camera: Camera,
+    around: Surroundings,
+    star_rng: np.random.Generator,
+    odd_rng: np.random.Generator,
+) -> Floats:
+    """(H, W, 3) radiance of all that is behind the spacecraft."""
+    if odd_rng.random() < scene.randomization.background:
+        return _draw_backdrop(camera, odd_rng)
+    radiance = draw_stars(camera, star_rng)
+    _draw_background(radiance, camera, around)
+    return radiance
+
+
+def _photograph(
+    scene: Scene, radiance: Floats, craft: Floats, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Expose for `radiance` (H, W, 3), in which the spacecraft's samples have `craft` (3, N)."""
+    spread = math.hypot(scene.sensor.exposure_spread, scene.randomization.exposure)
+    gain = choose_gain(radiance, craft, spread, rng)
+    return expose(radiance, gain, scene.sensor, rng)
 
 
 def _draw_backdrop(camera: Camera, rng: np.random.Generator) -> Floats:

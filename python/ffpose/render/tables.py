@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -31,27 +32,33 @@ def image_name(index: int) -> str:
     return f"{index}_rgb.png"
 
 
-def write_tables(
-    folder: Path, poses: Sequence[Pose], indices: Sequence[int], camera: Camera
-) -> list[str]:
+def index_of(name: str) -> int | None:
+    """The index of the image of this file name, None if it is no image's."""
+    match = re.fullmatch(r"(\d+)_rgb\.png", name)
+    return int(match[1]) if match else None
+
+
+def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> list[str]:
     """Write labels, splits and camera of a set.
+
+    A split without images has no file. Row N of ``gt.csv`` is that of image N, so a set that does
+    not begin with image 0 has none.
 
     Args:
         folder: where the images are.
-        poses: the labels of images 0, 1, 2, …, so that row N of ``gt.csv`` is that of image N.
-        indices: which of these images are there, in order; a split without images has no file.
+        poses: the label of each image by its index, without gaps, in order.
         camera: the camera of the images.
 
     Returns:
         The names of the files.
     """
-    chosen: Mapping[str, list[int]] = {
-        split: [index for index in indices if split_of(index) == split] for split in SPLITS
-    }
-    _write_poses(folder / "gt.csv", poses)
     _write_text(folder / "camera.json", json.dumps(asdict(camera), indent=1) + "\n")
-    names = ["gt.csv", "camera.json"]
-    for split, members in chosen.items():
+    names = ["camera.json"]
+    if 0 in poses:
+        names.append("gt.csv")
+        _write_poses(folder / "gt.csv", poses.values())
+    for split in SPLITS:
+        members = [index for index in poses if split_of(index) == split]
         if members:
             names += [f"{split}_images.csv", f"{split}_poses_gt.csv"]
             _write_text(folder / names[-2], "".join(f"{image_name(index)}\n" for index in members))
@@ -59,7 +66,7 @@ def write_tables(
     return names
 
 
-def _write_poses(target: Path, poses: Sequence[Pose]) -> None:
+def _write_poses(target: Path, poses: Iterable[Pose]) -> None:
     with atomic_write(target) as path, path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()

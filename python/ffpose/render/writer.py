@@ -1,29 +1,31 @@
 """Writes sets of images in URSO's layout, by any number of processes, and carries on after a kill.
 
-A folder holds ``N_rgb.png``, the label files of `ffpose.render.tables` and ``manifest.json``.
+A folder holds ``N_rgb.png``, the label files of `ffpose.render.tables` and ``manifest.json``. Runs
+over parts of a set may share it: each costs what its own images cost, and writes no file that
+another of them writes, so they need no lock. The run whose range holds every image in the folder
+closes the set with the label files of all; of runs that end at once at most one sees no image but
+its own.
 """
 
 from __future__ import annotations
 
-import errno
 import os
-import re
-import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 from ffpose.errors import require
-from ffpose.files import remove_leftovers, sha256
+from ffpose.files import expect_room, remove_leftovers, sha256
 from ffpose.geometry import Camera
-from ffpose.render.layers import layer_names
-from ffpose.render.manifest import Manifest, difference
+from ffpose.render.layers import check_labels, label_files
+from ffpose.render.manifest import FILE_NAME, Manifest, difference, part_name, parts
 from ffpose.render.pool import Job, prepare, render_all
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.tables import image_name, write_tables
+from ffpose.render.tables import image_name, index_of, write_tables
 
 MAX_COUNT = 10_000_000
 LEAST_BYTES_PER_PIXEL = 0.4
@@ -38,12 +40,15 @@ class Written(NamedTuple):
         rendered: images made now.
         kept: valid images of earlier runs that were left as they were.
         seconds: wall time.
+        closed: the label files and the manifest hold the images of this run. False where the folder
+            has images of other runs too: a run over the whole range then closes the set.
     """
 
     folder: Path
     rendered: int
     kept: int
     seconds: float
+    closed: bool
 
 
 def write_dataset(
@@ -55,7 +60,7 @@ def write_dataset(
     start: int = 0,
     size: tuple[int, int] | None = None,
     workers: int = 1,
-    layers: bool = False,
+    labels: Sequence[str] = (),
     progress: bool = False,
     ray: bool = False,
 ) -> Written:
@@ -63,8 +68,9 @@ def write_dataset(
 
     The same arguments give the same bytes, whatever the number of workers and however often the
     run was killed and begun again; images that are already there are checked and kept. Shards of
-    one set may write to one folder; afterwards one run over the whole range (which finds all
-    images there) closes the set.
+    one set may write to one folder, at the same time; afterwards one run over the whole range
+    (which finds all images there) closes the set: it writes the label files and the manifest. A
+    shard in a folder of its own is closed at once.
 
     Args:
         scene: a set, or the name of one (`ffpose.render.SCENES`).
@@ -74,13 +80,13 @@ def write_dataset(
         start: index of the first image.
         size: (width, height) in pixels; default is that of the scene's camera.
         workers: processes; 1 renders in this one.
-        layers: write mask, depth and keypoints of each image too (`ffpose.render.layers`).
+        labels: layers to write beside each image, names of `ffpose.render.layers.LABELS`.
         progress: show images per second and the time left on standard error.
         ray: render on the Ray cluster of this process, which ``RAY_ADDRESS`` names; without it on
             one that is begun on this machine. Every node needs ffpose, none the folder.
 
     Raises:
-        ValueError: unknown set, absurd number, or a folder that holds another set.
+        ValueError: unknown set or label, absurd number, or a folder that holds another set.
         DataError: the folder's manifest cannot be read.
         OSError: the folder cannot be written to, or the disk has no room for the set. What was
             written stays, and the next run carries on with it.
@@ -93,25 +99,32 @@ def write_dataset(
     camera = camera_of(scene, size)
     label(scene, seed, start)  # a scene that allows no pose fails here, before a file is written
     prepare(ray)
-    job = Job(scene, seed, (camera.width, camera.height), Path(out), layers)
-    manifest = Manifest.of(scene, seed, job.size, layers)
+    job = Job(scene, seed, (camera.width, camera.height), Path(out), check_labels(labels))
+    manifest = Manifest.of(scene, seed, job.size, job.labels)
     begun = _begun(job, manifest)
 
     wanted = range(start, start + count)
     hashes = dict(_valid_images(job, wanted, begun.files)) if begun else {}
     missing = [index for index in wanted if index not in hashes]
-    _check_room(job, len(missing))
+    least = int(LEAST_BYTES_PER_PIXEL * camera.width * camera.height * len(missing))
+    expect_room(job.folder, least, f"{len(missing)} images")
     if begun is None:  # last, as a folder with a manifest takes no other set
         job.folder.mkdir(parents=True, exist_ok=True)
-        manifest.write(job.folder)
+        manifest.write(job.folder / FILE_NAME)
     remove_leftovers(job.folder)
     with _bar(count, len(hashes), progress) as advance:
         for index, digest in render_all(job, missing, workers, ray):
             hashes[index] = digest
             advance()
-    _close_folder(job, begun or manifest, hashes, camera)
+    files = _fingerprints(job, hashes)
+    closed = begun is not None and files.items() <= begun.files.items()
+    if not _holds_images(job.folder, but=wanted):
+        _close_set(job, manifest, files, wanted, camera)
+        closed = True
+    elif not closed:
+        replace(manifest, files=files).write(job.folder / part_name(wanted))
     seconds = time.perf_counter() - begin
-    return Written(job.folder, len(missing), count - len(missing), seconds)
+    return Written(job.folder, len(missing), count - len(missing), seconds, closed)
 
 
 def _check_range(**values: tuple[int, int, int]) -> None:
@@ -124,8 +137,8 @@ def _check_range(**values: tuple[int, int, int]) -> None:
 def _begun(job: Job, manifest: Manifest) -> Manifest | None:
     """The manifest in the folder, checked to be of the same set; None where nothing was begun."""
     # Images first: another shard that begins just now writes its manifest before its images.
-    images = _indices(job.folder)
-    old = Manifest.read(job.folder)
+    images = _holds_images(job.folder)
+    old = Manifest.read(job.folder / FILE_NAME)
     if old is None:
         if images:
             raise ValueError(
@@ -139,46 +152,52 @@ def _begun(job: Job, manifest: Manifest) -> Manifest | None:
     return old
 
 
-def _check_room(job: Job, images: int) -> None:
-    """Refuse what cannot fit, before hours of work meet a full disk."""
-    least = int(LEAST_BYTES_PER_PIXEL * job.size[0] * job.size[1] * images)
-    disk = next(place for place in (job.folder, *job.folder.absolute().parents) if place.exists())
-    free = shutil.disk_usage(disk).free
-    if free < least:
-        need = f"{images} images need at least {least / 1e9:.1f} GB, got {free / 1e9:.1f} GB free"
-        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: {need}", str(job.folder))
-
-
-def _close_folder(job: Job, manifest: Manifest, hashes: dict[int, str], camera: Camera) -> None:
-    """Write labels and manifest of all images that are there, those of other shards included."""
-    others = [index for index in _indices(job.folder) if index not in hashes]
-    hashes = hashes | dict(_valid_images(job, others, manifest.files))
+def _fingerprints(job: Job, hashes: dict[int, str]) -> dict[str, str]:
+    """SHA-256 by name of the images of this run, whose `hashes` are known, and of their layers."""
     indices = sorted(hashes)
-    poses = [label(job.scene, job.seed, index) for index in range(indices[-1] + 1)]
-    tables = write_tables(job.folder, poses, indices, camera)
-    files = {image_name(index): hashes[index] for index in indices}
-    layers = [name for index in indices for name in layer_names(index)] if job.layers else []
-    files |= {name: sha256(job.folder / name) for name in [*layers, *tables]}
-    Manifest(manifest.parameters, manifest.versions, files).write(job.folder)
+    layers = [name for index in indices for name in label_files(index, job.labels)]
+    return {image_name(index): hashes[index] for index in indices} | {
+        name: sha256(job.folder / name) for name in layers
+    }
 
 
-def _indices(folder: Path) -> list[int]:
-    """Indices of the images in a folder, in order; none where there is no folder yet."""
+def _close_set(
+    job: Job, manifest: Manifest, files: dict[str, str], indices: range, camera: Camera
+) -> None:
+    """Write the label files and the manifest of a folder that holds these images alone."""
+    poses = {index: label(job.scene, job.seed, index) for index in indices}
+    tables = write_tables(job.folder, poses, camera)
+    files = files | {name: sha256(job.folder / name) for name in tables}
+    replace(manifest, files=files).write(job.folder / FILE_NAME)
+    for path in parts(job.folder, indices):
+        path.unlink(missing_ok=True)
+
+
+def _holds_images(folder: Path, but: range = range(0)) -> bool:
+    """Whether a folder holds images, those of a range aside; looks no farther than the first."""
     if not folder.is_dir():
-        return []
-    matches = (re.fullmatch(r"(\d+)_rgb\.png", path.name) for path in folder.iterdir())
-    return sorted(int(match[1]) for match in matches if match)
+        return False
+    with os.scandir(folder) as entries:
+        indices = (index_of(entry.name) for entry in entries)
+        return any(index is not None and index not in but for index in indices)
 
 
-def _valid_images(
-    job: Job, indices: Sequence[int], known: dict[str, str]
-) -> Iterator[tuple[int, str]]:
+def _known_files(job: Job, indices: range, closed: dict[str, str]) -> dict[str, str]:
+    """SHA-256 by name of the files of these images, as finished runs left them."""
+    known = dict(closed)
+    for path in parts(job.folder, indices):
+        part = Manifest.read(path)
+        known |= part.files if part else {}
+    return known
+
+
+def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> Iterator[tuple[int, str]]:
     """Index and SHA-256 of the images that are there and whole."""
-    present = set(_indices(job.folder))
+    known = _known_files(job, indices, closed)
     for index in indices:
-        if index not in present or not _has_layers(job, index, known):
-            continue
         path = job.folder / image_name(index)
+        if not path.exists() or not _has_layers(job, index, known):
+            continue
         digest = sha256(path)
         expected = known.get(path.name)
         if digest == expected or (expected is None and _readable(path, job.size)):
@@ -187,8 +206,7 @@ def _valid_images(
 
 def _has_layers(job: Job, index: int, known: dict[str, str]) -> bool:
     """Whether the layers of an image are there, and as the manifest says."""
-    names = layer_names(index) if job.layers else []
-    for path in (job.folder / name for name in names):
+    for path in (job.folder / name for name in label_files(index, job.labels)):
         if not path.exists() or (path.name in known and known[path.name] != sha256(path)):
             return False
     return True

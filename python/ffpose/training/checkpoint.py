@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from ffpose.errors import DataError
-from ffpose.files import atomic_write
+from ffpose.files import atomic_write, remove_leftovers
 from ffpose.training.config import TrainConfig
 from ffpose.training.config_file import dump_config, flatten, load_config
 
@@ -113,6 +113,7 @@ class RunFolder:
             self._check_config(config)
             state = self.load_state()
         self.root.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(self.root, older_than=0.0)  # one process alone writes a run's files
         with atomic_write(self.config) as path:
             path.write_text(dump_config(config))
         return state

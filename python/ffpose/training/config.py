@@ -34,7 +34,7 @@ class DataConfig:
             resize and centre crop.
         augment: Whether to vary the training images.
         augmentation: Fields of `ffpose.transforms.Augmentation` to change, such as {"roll": 10}.
-        cache: Whether to keep the decoded and resized images in memory.
+        cache: Whether to decode and resize each image once, into a file that later runs use too.
         workers: Processes that read or render images beside the training process.
         scene: For the kind scenes: the set whose scenes are rendered.
         count: For the kind scenes: images to learn from; 100 more validate.
