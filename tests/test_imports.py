@@ -21,10 +21,13 @@ ALLOWED = {
     "models": {"nn", "transforms", "geometry"},
     "transforms": {"geometry"},
     "reprojection": {"geometry", "transforms"},
-    "datasets": {"geometry", "transforms"},
+    "views": {"geometry"},
+    "datasets": {"geometry", "transforms", "views", "render"},
     "losses": {"ops", "geometry"},
     "metrics": {"arrays", "ops", "geometry"},
-    "training": {"models", "nn", "losses", "metrics", "datasets", "transforms", "geometry"},
+    "training": {
+        *("models", "nn", "losses", "metrics", "datasets", "transforms", "geometry", "views"),
+    },
     "evaluation": {
         *("models", "metrics", "datasets", "geometry", "transforms", "reprojection", "arrays"),
     },
@@ -34,7 +37,7 @@ ALLOWED = {
     "inspection": {"datasets", "geometry", "arrays", "overlay"},
     "report": {"evaluation", "plots", "geometry"},
     "demo_record": set(),
-    "render": {"geometry", "arrays"},
+    "render": {"geometry", "arrays", "views"},
     "bench": {"ops", "arrays"},
     "info": {"arrays"},
 }

@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,13 +83,6 @@ class ViewSpec:
         return camera.cropped(left, top, WINDOW, WINDOW)
 
 
-def halved(image: Bytes, times: int) -> Bytes:
-    """Average blocks of ``2**times`` pixels squared of an image ``(H, W, 3)``."""
-    if times == 0:
-        return image
-    return averaged(image, 1 << times)
-
-
 def averaged(image: Bytes, side: int) -> Bytes:
     """Average blocks of ``side`` pixels squared of an image ``(H, W, 3)``; a rest is dropped."""
     height, width = image.shape[0] // side, image.shape[1] // side
@@ -111,42 +105,90 @@ def cut(image: Bytes, left: int, top: int) -> Bytes:
     return window
 
 
-def write_view(
-    arrays: dict[str, NDArray],
-    index: int,
+def in_frame(window: Camera, whole: Camera) -> NDArray[np.bool_]:
+    """Return which pixels of a window, as `ViewSpec.window_camera` gives it, lie in the image."""
+    left, top = round(whole.cx - window.cx), round(whole.cy - window.cy)
+    columns, rows = np.arange(WINDOW) + left, np.arange(WINDOW) + top
+    inside_columns = (columns >= 0) & (columns < whole.width)
+    inside_rows = (rows >= 0) & (rows < whole.height)
+    return np.asarray(inside_rows[:, None] & inside_columns)
+
+
+class Pieces(NamedTuple):
+    """What is kept of one image.
+
+    Attributes:
+        frame: ``(h, w, 3)`` uint8.
+        window: ``(WINDOW, WINDOW, 3)`` uint8.
+        coordinates: ``(WINDOW / 2, WINDOW / 2, 4)`` uint8, zero where they are not known.
+        pose: Where the object is; without one, what the window was cut around.
+        camera: Of the window.
+        level: Of the pyramid, 0 the finest.
+        present: Whether the image shows the object.
+    """
+
+    frame: Bytes
+    window: Bytes
+    coordinates: Bytes
+    pose: Pose
+    camera: Camera
+    level: int
+    present: bool
+
+    def store(self, arrays: dict[str, NDArray[Any]], row: int) -> None:
+        """Write into a row of the arrays of `ViewSpec.shapes`."""
+        c = self.camera
+        arrays["frames"][row] = self.frame
+        arrays["windows"][row] = self.window
+        arrays["coordinates"][row] = self.coordinates
+        arrays["labels"][row] = (
+            *self.pose.vector,
+            *(c.fx, c.fy, c.cx, c.cy, self.level, float(self.present)),
+        )
+
+
+def cut_pieces(
     image: Bytes,
     pose: Pose,
     spec: ViewSpec,
-    coordinates: Callable[[Pose, Camera], Bytes] | None,
-    present: bool = True,
-) -> None:
-    """Cut an image of the network's camera and store its pieces in row ``index``.
+    coordinates: Callable[[Pose, Camera], Bytes] | None = None,
+) -> Pieces:
+    """Cut an image of the network's camera into what is kept of it.
 
     Args:
-        arrays: The arrays of `ViewSpec.shapes`.
-        index: The row.
-        image: ``(H, W, 3)``, taken by ``spec.camera``.
-        pose: Where the object is; without an object, where to cut.
+        image: ``(H, W, 3)`` uint8, taken by ``spec.camera``.
+        pose: Where the object is.
         spec: How to cut.
         coordinates: Gives the object's coordinates ``(h, w, 4)`` as a camera sees them, as
             `ffpose.render.layers.object_coordinates`; None where they are not known.
-        present: Whether the image shows the object.
     """
     level = spec.level(pose.t)
     camera = spec.window_camera(pose.t, level)
     whole = spec.camera.resized(spec.camera.width >> level, spec.camera.height >> level)
     left, top = round(whole.cx - camera.cx), round(whole.cy - camera.cy)
-    arrays["frames"][index] = averaged(image, spec.first_stride)
-    arrays["windows"][index] = cut(halved(image, level), left, top)
-    if coordinates is not None and present:
-        arrays["coordinates"][index] = coordinates(pose, camera.resized(WINDOW // 2, WINDOW // 2))
-    arrays["labels"][index] = (
-        *pose.vector,
-        *(camera.fx, camera.fy, camera.cx, camera.cy, level, float(present)),
+    half = WINDOW // 2
+    return Pieces(
+        averaged(image, spec.first_stride),
+        cut(averaged(image, 1 << level), left, top),
+        np.zeros((half, half, 4), np.uint8)
+        if coordinates is None
+        else coordinates(pose, camera.resized(half, half)),
+        pose,
+        camera,
+        level,
+        True,
     )
 
 
-def open_arrays(folder: Path, mode: str = "r") -> dict[str, NDArray]:
-    """Map the arrays of a folder of views into memory."""
+def make_arrays(folder: Path, count: int, spec: ViewSpec) -> dict[str, NDArray[Any]]:
+    """Make the arrays of a folder of views, mapped into memory, to be filled."""
+    return {
+        name: np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, shape)
+        for name, (shape, dtype) in spec.shapes(count).items()
+    }
+
+
+def open_arrays(folder: Path) -> dict[str, NDArray[Any]]:
+    """Map the arrays of a folder of views into memory, to be read."""
     names = ("frames", "windows", "coordinates", "labels")
-    return {name: np.load(folder / f"{name}.npy", mmap_mode=mode) for name in names}
+    return {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names}

@@ -196,7 +196,9 @@ def test_training_lowers_the_loss(image_set, tmp_path):
 
 def test_the_head_counts_from_the_training_splits_mean(image_set, tmp_path):
     run = build_run(train_config(image_set, tmp_path / "run"))
-    assert run.model.config.translation_mean == pytest.approx(run.train_set.poses[:, :3].mean(0))
+    assert run.model.config.translation_mean == pytest.approx(
+        run.task.train_set.poses[:, :3].mean(0)
+    )
     raw = build_run(train_config(image_set, tmp_path / "raw", normalize_translation=False))
     assert raw.model.config.translation_mean == (0.0, 0.0, 0.0)
 

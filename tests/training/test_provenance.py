@@ -69,8 +69,8 @@ def test_the_digest_is_that_of_names_and_labels(image_set, tmp_path):
     run = build_run(train_config(image_set, tmp_path / "run"))
     content = b"".join(
         f"{name}\n".encode() + struct.pack("<7d", *pose)
-        for name, pose in zip(run.train_set.names, run.train_set.poses, strict=True)
+        for name, pose in zip(run.task.train_set.names, run.task.train_set.poses, strict=True)
     )
-    described = describe_data(run.train_set, "urso")
+    described = describe_data(run.task.train_set, "urso")
     assert described["digest"] == hashlib.sha256(content).hexdigest()
-    assert described["digest"] != describe_data(run.val_set, "urso")["digest"]
+    assert described["digest"] != describe_data(run.task.val_set, "urso")["digest"]

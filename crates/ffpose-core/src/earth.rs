@@ -178,7 +178,8 @@ impl Planet {
         let (mut along, mut closest, mut disc) = ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
         for n in 0..BLOCK {
             along[n] = dot(self.earth.nadir, lane(rays, n)) * radius;
-            closest[n] = (radius * radius - along[n] * along[n]).max(0.0).sqrt();
+            // Above zero: a ray to the very middle has a direction from it too.
+            closest[n] = (radius * radius - along[n] * along[n]).max(1e-12).sqrt();
             let inside = (0.5 - (closest[n] - 1.0) * rim).clamp(0.0, 1.0);
             disc[n] = if along[n] > 0.0 { inside } else { 0.0 };
         }

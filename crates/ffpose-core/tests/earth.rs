@@ -45,6 +45,13 @@ fn the_limb_is_blue_by_day_and_green_by_night() {
 }
 
 #[test]
+fn a_ray_to_the_middle_is_finite_beside_one_through_the_limb() {
+    let seen = seen(BEHIND, &[0.0, 70.6]);
+    assert!(seen.radiance.iter().all(|light| light.is_finite()), "{}", seen.radiance);
+    assert!(seen.radiance[[1, 0]] > 0.01);
+}
+
+#[test]
 fn places_of_rays_do_not_matter() {
     let degrees: Vec<f32> = (0..100).map(|n| 0.75 * n as f32).collect();
     let together = seen([0.6, 0.0, -0.8], &degrees);

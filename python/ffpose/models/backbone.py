@@ -100,6 +100,7 @@ def _compact(name: str, reductions: Sequence[int], weights: str | Path) -> Backb
         features.to(memory_format=torch.channels_last),
         [features.channels[reduction] for reduction in reductions],
         [REDUCTIONS.index(reduction) for reduction in reductions],
+        "none",
     )
 
 

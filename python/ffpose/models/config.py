@@ -47,8 +47,8 @@ class FilterformerPoseConfig:
         filter_std: Standard deviation of the filter weights at the start.
         position: ``"learned"`` or ``"sinusoidal"`` code of row and column.
         pooling: ``"token"``: a learned token beside the grid's, kept out of the filter, gathers the
-            answer; ``"mean"``: the mean of the tokens does; ``"flatten"``: all tokens, reduced to 16
-            channels each, go through one linear layer.
+            answer; ``"mean"``: the mean of the tokens does; ``"flatten"``: all tokens, reduced to
+            `FLAT_CHANNELS` each, go through one linear layer.
         head_hidden: Width of the heads' static perceptron.
         translation_mlp_dim: Width of the generated perceptron for translation (Table 1).
         orientation_mlp_dim: The same for orientation.
@@ -162,7 +162,8 @@ class FilterformerPoseConfig:
                 raise ValueError("camera: orientation_view 'object' needs it, got None")
             if any(side % self.first_stride for side in self.image_size):
                 raise ValueError(
-                    f"first_stride: expected a divisor of {self.image_size}, got {self.first_stride}"
+                    f"first_stride: expected a divisor of {self.image_size},"
+                    f" got {self.first_stride}"
                 )
 
     @property
@@ -293,7 +294,27 @@ CONFIGS: dict[str, FilterformerPoseConfig] = {
         translation_mlp_dim=64,
         orientation_mlp_dim=64,
     ),
+    "compact": FilterformerPoseConfig(
+        image_size=(384, 512),
+        backbone="compact_resnet_narrow",
+        translation_reduction=8,
+        dim=64,
+        depth=0,
+        heads=4,
+        feed_forward=128,
+        dropout=0.0,
+        filter="grid",
+        pooling="flatten",
+        head_hidden=256,
+        translation_mlp_dim=64,
+        orientation_mlp_dim=64,
+        camera=(256.0, 256.1852, 256.0, 192.0),  # URSO's at this size
+        orientation_view="object",
+        orientation_head="bins",
+        first_stride=8,
+    ),
 }
 """``base`` is the paper's network, with 9.3 million parameters (backbone 0.85, translation 3.5,
 orientation 4.9); ``small`` lies between, with 2.8 million; ``tiny``, with 0.33 million, trains from
-random weights in minutes on two cores, for which both of its branches read the coarser map."""
+random weights in minutes on two cores, for which both of its branches read the coarser map.
+``compact``, with 1.8 million, looks twice, and is what the shipped weights are of."""

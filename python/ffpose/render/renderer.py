@@ -15,7 +15,7 @@ from ffpose.render.earth import Earth, shade_earth
 from ffpose.render.randomization import backdrop, stops
 from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.sensor import choose_gain, expose
+from ffpose.render.sensor import Sensor, choose_gain, expose
 from ffpose.render.shading import Finish, Light, earth_visible, reflected, sun_visible
 from ffpose.render.sky import draw_stars, sun_disc
 from ffpose.render.tracer import Tracer
@@ -65,17 +65,8 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera = camera_of(scene, size)
-    pose_rng, light_rng, star_rng, sensor_rng, surface_rng, odd_rng = _streams(seed, index)
-    craft = scene.build()
-    pose = sample_pose(scene, craft, pose_rng)
-    around = sample_surroundings(scene, light_rng)
-    radiance = _background(scene, camera, around, star_rng, odd_rng)
-    finish = prepared(craft)[1]
-    if scene.randomization.materials > 0:
-        finish = finish.varied(scene.randomization.materials, odd_rng)
-    light = _object_light(pose, around, scene.randomization.light, odd_rng)
-    lit = _draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
-    return Frame(_photograph(scene, radiance, lit, sensor_rng), pose, camera)
+    shot = shoot(scene, seed, index, camera, scene.sensor)
+    return Frame(shot.image, shot.pose, camera)
 
 
 def render_empty(
@@ -95,11 +86,63 @@ def render_empty(
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera = camera_of(scene, size)
-    _, light_rng, star_rng, sensor_rng, _, odd_rng = _streams(seed, index)
+    return shoot(scene, seed, index, camera, scene.sensor, empty=True).image
+
+
+class Shot(NamedTuple):
+    """A picture that a camera took of a scene.
+
+    Attributes:
+        image: (H, W, 3) uint8, RGB.
+        pose: the spacecraft's exact pose.
+        gain: the exposure; a radiance of 1/gain is full scale.
+    """
+
+    image: NDArray[np.uint8]
+    pose: Pose
+    gain: float
+
+
+def shoot(
+    scene: Scene,
+    seed: int,
+    index: int,
+    camera: Camera,
+    sensor: Sensor,
+    *,
+    gain: float | None = None,
+    empty: bool = False,
+) -> Shot:
+    """Take a picture of scene `index` with any camera at the place of the scene's own.
+
+    Args:
+        scene: a set.
+        seed: seed of the whole set, at least 0.
+        index: number of the scene in the set, at least 0.
+        camera: whose view is rendered; pose and lights are those of the scene's own camera.
+        sensor: what turns the light into numbers.
+        gain: the exposure; None chooses it by what the camera sees.
+        empty: leave the spacecraft out.
+
+    Raises:
+        ValueError: negative seed or index.
+    """
+    pose_rng, light_rng, star_rng, sensor_rng, surface_rng, odd_rng = _streams(seed, index)
+    craft = scene.build()
+    pose = sample_pose(scene, craft, pose_rng)
     around = sample_surroundings(scene, light_rng)
     radiance = _background(scene, camera, around, star_rng, odd_rng)
-    nothing = np.zeros((3, 0), dtype=np.float32)
-    return _photograph(scene, radiance, nothing, sensor_rng)
+    lit = np.zeros((3, 0), dtype=np.float32)
+    if not empty:
+        finish = prepared(craft)[1]
+        if scene.randomization.materials > 0:
+            finish = finish.varied(scene.randomization.materials, odd_rng)
+        light = _object_light(pose, around, scene.randomization.light, odd_rng)
+        lit = _draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
+    spread = math.hypot(sensor.exposure_spread, scene.randomization.exposure)
+    chosen = choose_gain(radiance, lit, spread, sensor_rng)
+    gain = chosen if gain is None else gain
+    return Shot(expose(radiance, gain, sensor, sensor_rng), pose, gain)
 
 
 def label(scene: Scene | str, seed: int, index: int) -> Pose:
@@ -149,15 +192,6 @@ def _background(
     radiance = draw_stars(camera, star_rng)
     _draw_background(radiance, camera, around)
     return radiance
-
-
-def _photograph(
-    scene: Scene, radiance: Floats, craft: Floats, rng: np.random.Generator
-) -> NDArray[np.uint8]:
-    """Expose for `radiance` (H, W, 3), in which the spacecraft's samples have `craft` (3, N)."""
-    spread = math.hypot(scene.sensor.exposure_spread, scene.randomization.exposure)
-    gain = choose_gain(radiance, craft, spread, rng)
-    return expose(radiance, gain, scene.sensor, rng)
 
 
 def _draw_backdrop(camera: Camera, rng: np.random.Generator) -> Floats:

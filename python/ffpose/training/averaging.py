@@ -8,6 +8,7 @@ averaged with the weights. The first steps count in full, so that the start is s
 from __future__ import annotations
 
 from copy import deepcopy
+from typing import Any
 
 import torch
 from torch import nn
@@ -51,3 +52,13 @@ class AveragedModel:
             else:
                 average.copy_(value)
         torch._foreach_lerp_(averages, values, weight)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what `load_state_dict` takes: the average and how many steps it holds."""
+        return {"steps": self.steps, "model": self.model.state_dict()} if self.decay > 0 else {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a `state_dict`."""
+        if self.decay > 0:
+            self.steps = state["steps"]
+            self.model.load_state_dict(state["model"])

@@ -36,6 +36,7 @@ class TrainState:
 
     Attributes:
         model: The model's `state_dict`.
+        average: The `state_dict` of the weights' moving average.
         loss: The loss's `state_dict`: the learnable weights.
         optimizer: The optimiser's `state_dict`.
         history: The rows of all finished epochs.
@@ -43,6 +44,7 @@ class TrainState:
     """
 
     model: dict[str, Any] = field(default_factory=dict)
+    average: dict[str, Any] = field(default_factory=dict)
     loss: dict[str, Any] = field(default_factory=dict)
     optimizer: dict[str, Any] = field(default_factory=dict)
     history: list[Row] = field(default_factory=list)

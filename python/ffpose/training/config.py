@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 from ffpose.training.stages import JOINT_STAGE, Stage
 
-
 TEST_SEEDS = 1_000_000
 """From this seed on, scenes are for tests: no training renders them."""
 

@@ -17,18 +17,17 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader
 
-from ffpose.datasets import PoseDataset, Sample
 from ffpose.metrics import PoseError
 from ffpose.models import read_metadata
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.progress import Reporter
-from ffpose.training.provenance import describe_data, recipe
+from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
 from ffpose.training.schedule import learning_rate
 from ffpose.training.stages import Epoch, enter_stage, plan
+from ffpose.training.tasks import trained_together
 
 SELECTED_BY = "val_esa_score"
 """The column whose lowest value makes the best epoch: it weighs both errors without units."""
@@ -79,8 +78,8 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
     epochs = plan(config.resolved_stages)
     if state.history:
         _restore(run, state, epochs)
-        run.model.backbone.source = read_metadata(folder.last).backbone_source
-    done, steps = len(state.history), len(_loader(run, run.train_set, seed=0))
+        run.average.model.backbone.source = read_metadata(folder.last).backbone_source
+    done, steps = len(state.history), run.task.steps
     with Reporter(len(epochs), done, steps, quiet=quiet) as reporter:
         for epoch in epochs[done:]:
             row = _train_and_validate(run, epoch, reporter)
@@ -100,7 +99,8 @@ def _restore(run: Run, state: TrainState, epochs: Sequence[Epoch]) -> None:
             + ", ".join(f"{stage.name} ({stage.epochs})" for stage in run.config.resolved_stages)
         )
     run.model.load_state_dict(state.model)
-    run.loss.load_state_dict(state.loss)
+    run.average.load_state_dict(state.average)
+    run.task.loss.load_state_dict(state.loss)
     run.optimizer.load_state_dict(state.optimizer)
 
 
@@ -110,7 +110,7 @@ def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     reporter.epoch_begins(epoch)
     row: Row = {"epoch": epoch.number, "stage": epoch.stage.name}
     row |= train_epoch(run, epoch, reporter)
-    rate = len(run.train_set) / (time.perf_counter() - began)
+    rate = run.task.images / (time.perf_counter() - began)
     row |= validate(run)
     return row | {"images_per_second": rate, "seconds": time.perf_counter() - began}
 
@@ -118,32 +118,22 @@ def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``; its own comes last, and makes it count."""
     header: dict[str, Any] = {
-        "preprocessing": run.train_set.preprocessing,
-        "backbone_source": run.model.backbone.source,
+        "preprocessing": run.task.preprocessing,
+        "backbone_source": run.average.model.backbone.source,
         "recipe": recipe(run.config),
-        "data": describe_data(run.train_set, run.config.data.kind),
+        "data": run.task.describe(run.config.data.kind),
     }
     best = min(state.history, key=lambda row: float(row[SELECTED_BY]))
     if best is state.history[-1]:
         state.best_epoch = len(state.history)
-        run.model.save_pretrained(folder.best, **header)
-    run.model.save_pretrained(folder.last, **header)
+        run.average.model.save_pretrained(folder.best, **header)
+    run.average.model.save_pretrained(folder.last, **header)
     folder.save_results(state.history)
     state.model = run.model.state_dict()
-    state.loss = run.loss.state_dict()
+    state.average = run.average.state_dict()
+    state.loss = run.task.loss.state_dict()
     state.optimizer = run.optimizer.state_dict()
     folder.save_state(state)
-
-
-def _loader(run: Run, dataset: PoseDataset, seed: int) -> DataLoader[Sample]:
-    """Return batches of ``dataset``; the training split comes in an order drawn from ``seed``."""
-    return DataLoader(
-        dataset,
-        batch_size=run.config.batch_size,
-        shuffle=dataset is run.train_set,
-        num_workers=run.config.data.workers,
-        generator=torch.Generator().manual_seed(seed),
-    )
 
 
 def _epoch_seed(seed: int, epoch: int) -> int:
@@ -164,55 +154,64 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     torch.manual_seed(seed)
     enter_stage(run.model, epoch.stage)
     if epoch.opens_stage:
-        run.optimizer = build_optimizer(run.model, run.loss, run.config.optimizer)
-    loader = _loader(run, run.train_set, seed)
+        run.optimizer = build_optimizer(run.model, run.task.loss, run.config.optimizer)
     sums = torch.zeros(3, dtype=torch.float64)
-    rate = 0.0
-    for step, batch in enumerate(loader, start=1):
-        position = epoch.index + step / len(loader)
+    rate, steps, every = 0.0, run.task.steps, run.config.accumulate
+    for step, batch in enumerate(run.task.batches(seed), start=1):
+        position = epoch.index + step / steps
         rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
-        values = _step(run, batch, rate, epoch)
-        sums += values * len(batch.image)
-        reporter.step(float(values[0]), rate, len(batch.image))
-    means = (sums / len(run.train_set)).tolist()
+        # Of the batches whose gradients make one step; the last ones may be fewer.
+        share = min(every, steps - (step - 1) // every * every)
+        values = _gradients(run, batch, epoch, share)
+        if step % every == 0 or step == steps:
+            _step(run, rate)
+        count = run.task.size(batch)
+        sums += values * count
+        reporter.step(float(values[0]), rate, count)
+    means = (sums / run.task.images).tolist()
     return {
         "learning_rate": rate,
         "train_loss": means[0],
         "train_translation_loss": means[1],
         "train_orientation_loss": means[2],
-        "s_t": run.loss.s_t.item(),
-        "s_q": run.loss.s_q.item(),
+        **run.task.weights(),
     }
 
 
-def _step(run: Run, batch: Sample, rate: float, epoch: Epoch) -> Tensor:
-    """Take one step of the optimiser; return the loss and its two terms ``(3,)``, float64."""
-    for group in run.optimizer.param_groups:
-        group["lr"] = rate
-    run.optimizer.zero_grad(set_to_none=True)
-    pose = run.model(batch.image.to(run.device))
-    truth = batch.translation.to(run.device), batch.orientation.to(run.device)
-    terms = run.loss(pose.translation, pose.orientation, *truth)
+def _gradients(run: Run, batch: Any, epoch: Epoch, share: int) -> Tensor:
+    """Add a batch's gradients, over ``share``; return its loss and two terms ``(3,)``, float64."""
+    with torch.autocast(run.device.type, torch.bfloat16, enabled=run.config.autocast == "bfloat16"):
+        terms = run.task.terms(run.model, batch, run.device)
     values = torch.stack(terms).detach().double().cpu()
     if not bool(values.isfinite().all()):
-        names = ", ".join(run.train_set.names[int(i)] for i in torch.as_tensor(batch.index))
         raise NonFiniteLossError(
-            f"the loss became {float(values[0])} in epoch {epoch.number}; images: {names}"
+            f"the loss became {float(values[0])} in epoch {epoch.number}; "
+            f"images: {run.task.names(batch)}"
         )
-    terms.total.backward()
-    if run.config.optimizer.clip_norm > 0:
-        torch.nn.utils.clip_grad_norm_(run.model.parameters(), run.config.optimizer.clip_norm)
-    run.optimizer.step()
+    (terms.total / share).backward()
     return values
+
+
+def _step(run: Run, rate: float) -> None:
+    """Take one step of the optimizer."""
+    for group in run.optimizer.param_groups:
+        group["lr"] = rate
+    if run.config.optimizer.clip_norm > 0:
+        torch.nn.utils.clip_grad_norm_(
+            trained_together(run.model, run.task.loss), run.config.optimizer.clip_norm
+        )
+    run.optimizer.step()
+    run.optimizer.zero_grad(set_to_none=True)
+    run.average.update()
 
 
 @torch.no_grad()
 def validate(run: Run) -> Row:
     """Return the errors on the validation split, by the names of `PoseError` after ``val_``."""
-    run.model.eval()
+    model = run.average.model.eval()
     metric = PoseError()
-    for batch in _loader(run, run.val_set, seed=0):
-        pose = run.model(batch.image.to(run.device))
+    for batch in run.task.validation():
+        pose = model(batch.image.to(run.device))
         metric.update(
             pose.translation.cpu(), pose.orientation.cpu(), batch.translation, batch.orientation
         )

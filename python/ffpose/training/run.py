@@ -22,6 +22,8 @@ from ffpose.training.tasks import FrameTask, ObjectTask, Task
 from ffpose.training.views import ViewBatches
 from ffpose.transforms import Preprocessing
 
+UNKNOWN_CAMERA = (1.0, 1.0, 0.0, 0.0)
+
 OBJECT_STD = (0.25, 0.25, 0.25)
 """Of the input of a network with a second look, whose mean is zero."""
 
@@ -57,13 +59,17 @@ def build_run(config: TrainConfig) -> Run:
     if config.model not in CONFIGS:
         raise ValueError(f"model: expected one of {', '.join(CONFIGS)}, got {config.model!r}")
     device = _device(config.device)
-    preset = replace(CONFIGS[config.model], **_fields(config))
-    object_view = preset.orientation_view == "object"
-    preprocessing = Preprocessing(size=preset.image_size, mode=config.data.mode)
+    fields = dict(config.model_fields)
+    check_names(fields)
+    # What the data decide is not known yet; the structure is.
+    model_config = replace(CONFIGS[config.model], **{"camera": UNKNOWN_CAMERA, **fields})
+    object_view = model_config.orientation_view == "object"
+    preprocessing = Preprocessing(size=model_config.image_size, mode=config.data.mode)
     if object_view:  # what lies outside an image is zero, and has to be black
-        preprocessing = Preprocessing(preset.image_size, config.data.mode, (0.0,) * 3, OBJECT_STD)
-    data = open_training_data(config.data, preset, preprocessing)
-    fields = _fields(config) | data.fields
+        preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0), std=OBJECT_STD)
+    data = open_training_data(config.data, model_config, preprocessing)
+    c = data.camera
+    fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
     if config.normalize_translation and not object_view:
         fields |= translation_statistics(data.poses)
     torch.manual_seed(config.seed)
@@ -90,12 +96,6 @@ def _task(
     return FrameTask(
         data.train_set, data.val_set, pose_loss, config.batch_size, config.data.workers
     )
-
-
-def _fields(config: TrainConfig) -> dict[str, Any]:
-    """Return the changed fields of the model, those that name a preset's as well."""
-    check_names(config.model_fields)
-    return dict(config.model_fields)
 
 
 def _device(name: str) -> torch.device:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from torch import nn
 
-PARTS = ("backbone", "translation_branch", "orientation_branch")
+PARTS = ("backbone", "object_backbone", "translation_branch", "orientation_branch")
 """The submodules of a model that a stage may freeze."""
 
 

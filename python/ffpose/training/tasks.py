@@ -7,9 +7,11 @@ stored views. Both are judged alike: by the poses of whole images of the validat
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
@@ -18,6 +20,7 @@ from ffpose.datasets import PoseDataset, Sample
 from ffpose.losses import LossTerms, PoseLoss
 from ffpose.models import FilterformerPose
 from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.provenance import describe_data
 from ffpose.training.views import ViewBatch, ViewBatches
 from ffpose.transforms import Preprocessing
 
@@ -59,6 +62,9 @@ class Task(Protocol):
 
     def validation(self) -> Iterator[Sample]:
         """Pass over the validation split."""
+
+    def describe(self, kind: str) -> dict[str, Any]:
+        """Return which images these are, for the header of the weights."""
 
 
 def _loader(dataset: PoseDataset, batch_size: int, workers: int, **options: Any) -> Any:
@@ -130,6 +136,10 @@ class FrameTask:
         """Pass over the validation split."""
         return iter(_loader(self.val_set, self.batch_size, self.workers))
 
+    def describe(self, kind: str) -> dict[str, Any]:
+        """Return kind, number, size and digest of the training images."""
+        return describe_data(self.train_set, kind)
+
 
 class ObjectTask:
     """Pose by a second look, from stored views.
@@ -181,6 +191,19 @@ class ObjectTask:
     def validation(self) -> Iterator[Sample]:
         """Pass over the validation split."""
         return iter(_loader(self.val_set, min(self.batch_size, 32), 0))
+
+    def describe(self, kind: str) -> dict[str, Any]:
+        """Return kind, number, size and digest of the labels of the training views."""
+        digest = hashlib.sha256()
+        for arrays in self.views.sets:
+            digest.update(np.ascontiguousarray(arrays["labels"], "<f8").tobytes())
+        camera = self.val_set.camera
+        return {
+            "kind": kind,
+            "count": len(self.views),
+            "image_size": [camera.width, camera.height],
+            "digest": digest.hexdigest(),
+        }
 
 
 def trained_together(model: nn.Module, loss: nn.Module) -> list[Tensor]:

@@ -149,8 +149,6 @@ class ViewBatches:
     ) -> tuple[Tensor, Tensor]:
         """Turn the first look's camera about its axis, where the object stays in the frame."""
         frames = _images(self._gather("frames", index))
-        rows = self.model.config.image_size[0] // self.model.config.first_stride
-        frames = F.avg_pool2d(frames, frames.shape[-2] // rows)
         height, width = frames.shape[-2:]
         limit = math.radians(self.augmentation.roll_deg)
         angles = limit * (2 * torch.rand(len(t), generator=generator) - 1)
@@ -220,7 +218,6 @@ class ViewBatches:
             sigma = a.noise / self.std * torch.rand(shape, generator=generator).square()
             images = images + sigma * self._normal(images.shape, generator)
         return images.contiguous(memory_format=torch.channels_last)
-
 
     def _normal(self, shape: torch.Size, generator: torch.Generator) -> Tensor:
         """Return normal numbers: a piece of a stored supply, which costs less than drawing them."""
