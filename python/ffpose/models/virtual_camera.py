@@ -4,7 +4,8 @@ A pinhole camera that only turns sees the same scene through the homography ``K_
 rotation, crop and scale in one, exact for every depth. Turned to the object, with a field of view
 that is a fixed number of metres at the object's distance, it shows a craft of one size in the
 middle of the image, whatever its place in the frame: what is left to learn is the attitude, and
-small corrections of the position. Poses go from camera to virtual camera and back by the rotation alone::
+small corrections of the position. Poses go from camera to virtual camera and back by the rotation
+alone::
 
     t_v = R t,   R_v = R R_object
 
