@@ -410,6 +410,7 @@ class FilterformerPose(nn.Module):
         recipe: Mapping[str, Any] | None = None,
         data: Mapping[str, Any] | None = None,
         in_view_threshold: float | None = None,
+        dtype: torch.dtype = torch.float32,
     ) -> None:
         """Write weights, config, preprocessing and this version to a safetensors file.
 
@@ -424,6 +425,8 @@ class FilterformerPose(nn.Module):
             recipe: How the network was trained.
             data: What it was trained on.
             in_view_threshold: Below which an image is flagged.
+            dtype: Of the floating-point tensors in the file; float16 halves it, and costs each
+                weight its digits beyond the third. They are read back as float32.
 
         Raises:
             ValueError: The preprocessing makes images of another size, or a value cannot be.
@@ -437,7 +440,11 @@ class FilterformerPose(nn.Module):
         metadata = WeightsMetadata(
             self.config, preprocessing, backbone_source, recipe, data, in_view_threshold
         )
-        write_weights(path, self.state_dict(), metadata)
+        state = {
+            name: tensor.to(dtype) if tensor.is_floating_point() else tensor
+            for name, tensor in self.state_dict().items()
+        }
+        write_weights(path, state, metadata)
 
     @classmethod
     def from_pretrained(cls, path: str | Path) -> Self:

@@ -35,8 +35,9 @@ class DataConfig:
         augmentation: Fields of `ffpose.transforms.Augmentation` to change, such as {"roll": 10}.
         cache: Whether to decode and resize each image once, into a file that later runs use too.
         workers: Processes that read or render images beside the training process.
-        scene: For the kind scenes: the set whose scenes are rendered.
-        count: For the kind scenes: images to learn from; 100 more validate.
+        scene: For the kind scenes: the set whose scenes are rendered, or several, joined by a plus;
+            the first validates.
+        count: For the kind scenes: images of each set to learn from; 200 more validate.
         empty: For the kind scenes: images without the spacecraft, which a network with a second
             look learns to refuse.
         seed: For the kind scenes: seed of the images, below `TEST_SEEDS`.
@@ -219,6 +220,7 @@ class TrainConfig:
         views: How the views of such a network's samples vary.
         seed: Seed of the weights, the order of the images, augmentation and dropout.
         device: "auto" (a GPU where there is one) or a name that torch knows.
+        weights_dtype: Of the saved weights: "float32", or "float16" for files of half the size.
     """
 
     data: DataConfig
@@ -240,6 +242,7 @@ class TrainConfig:
     views: ViewAugmentation = field(default_factory=ViewAugmentation)
     seed: int = 0
     device: str = "auto"
+    weights_dtype: Literal["float32", "float16"] = "float32"
 
     def __post_init__(self) -> None:
         _expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)
@@ -249,6 +252,10 @@ class TrainConfig:
         _expect(0 <= self.ema < 1, "ema", "0 <= ema < 1", self.ema)
         kinds = ("none", "bfloat16")
         _expect(self.autocast in kinds, "autocast", " or ".join(kinds), self.autocast)
+        kinds = ("float32", "float16")
+        _expect(
+            self.weights_dtype in kinds, "weights_dtype", " or ".join(kinds), self.weights_dtype
+        )
         _expect(self.seed >= 0, "seed", "0 or more", self.seed)
 
     @property

@@ -76,18 +76,32 @@ def _scenes(
             "data.kind: scenes are views for a network with orientation_view 'object'; for one "
             "that looks at the frame alone render a set (ffpose render) and name it as urso"
         )
-    scene = find_scene(config.scene, config.attitude_range_deg)
-    camera = preprocessing.camera(scene.camera)
+    scenes = [find_scene(name, config.attitude_range_deg) for name in config.scene.split("+")]
+    camera = preprocessing.camera(scenes[0].camera)
     spec = view_spec(model, camera)
-    options = {"workers": config.workers}
-    views = open_views(config.root, scene, config.seed, config.count, spec, empty=False, **options)
-    empty = []
-    if config.empty:
-        # Another seed: the scenes behind the spacecraft are not those that show it.
-        seed = EMPTY_SEEDS + config.seed
-        empty = [open_views(config.root, scene, seed, config.empty, spec, empty=True, **options)]
-    val_set = open_validation(config.root, scene, config.seed, preprocessing, **options)
-    return TrainingData(views["labels"][:, :7], val_set, camera, None, [views], empty)
+    views = [
+        open_views(
+            *(config.root, scene, config.seed, config.count, spec),
+            empty=False,
+            workers=config.workers,
+        )
+        for scene in scenes
+    ]
+    # Another seed: the scenes without the spacecraft are not those that show it.
+    empty = [
+        open_views(
+            *(config.root, scenes[0], EMPTY_SEEDS + config.seed, count, spec),
+            empty=True,
+            workers=config.workers,
+        )
+        for count in [config.empty]
+        if count > 0
+    ]
+    val_set = open_validation(
+        config.root, scenes[0], config.seed, preprocessing, workers=config.workers
+    )
+    poses = np.concatenate([arrays["labels"][:, :7] for arrays in views])
+    return TrainingData(poses, val_set, camera, None, views, empty)
 
 
 def cut_views(dataset: PoseDataset, spec: ViewSpec) -> Arrays:

@@ -122,6 +122,7 @@ def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
         "backbone_source": run.average.model.backbone.source,
         "recipe": recipe(run.config),
         "data": run.task.describe(run.config.data.kind),
+        "dtype": getattr(torch, run.config.weights_dtype),
     }
     best = min(state.history, key=lambda row: float(row[SELECTED_BY]))
     if best is state.history[-1]:
