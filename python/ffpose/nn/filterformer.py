@@ -62,6 +62,8 @@ class SelfAttention(nn.Module):
 
     ``attention`` holds the parameters, starts them, and would give the same numbers. What it runs
     in evaluation on CPUs writes all ``N x N`` scores to memory; ours goes through them in blocks.
+    So it does in training, unless it drops weights: torch has no kernel for that on CPUs, and both
+    then write all scores, which makes a step of ``base`` four times as long.
 
     Args:
         dim: Channels.
