@@ -258,7 +258,7 @@ def test_debug_shows_the_traceback(tmp_path):
         ["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "640"],
         ["train", "--out", "x"],
         ["train", "--data.kind", "urso", "--data.root", "x", "--out", "x", "--epochs", "few"],
-        ["bench", "model"],
+        ["bench", "everything"],
     ],
 )
 def test_wrong_usage_is_code_2(words, capsys):

@@ -38,7 +38,7 @@ ALLOWED = {
     "report": {"evaluation", "plots", "geometry"},
     "demo_record": set(),
     "render": {"geometry", "arrays", "views"},
-    "bench": {"ops", "arrays"},
+    "bench": {"ops", "arrays", "models", "nn"},
     "info": {"arrays"},
 }
 COMPOSE = {"cli", "demo"}  # these two put the others together

@@ -280,17 +280,22 @@ def inspect(options: Namespace) -> None:
 
 def bench_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `bench`."""
-    parser.add_argument("subject", choices=["filter"], help="what to measure")
+    parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
     parser.add_argument("--json", type=Path, help="file for every timing")
-    parser.add_argument("--plot", type=Path, help="picture to draw")
+    parser.add_argument("--plot", type=Path, help="picture to draw, of the filter alone")
     parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
 
 
 def bench(options: Namespace) -> None:
-    """Measure the filter against torch.fft."""
-    from ffpose.bench.filter import run
+    """Measure the filter against torch.fft, or the networks against what they were."""
+    from ffpose.bench import filter, model
 
-    run(options.json, options.plot, options.quick)
+    if options.subject == "filter":
+        filter.run(options.json, options.plot, options.quick)
+    elif options.plot is not None:
+        raise ValueError("--plot: expected with filter, the networks have no picture")
+    else:
+        model.run(options.json, options.quick)
 
 
 COMMANDS = {
@@ -302,7 +307,7 @@ COMMANDS = {
     "evaluate": Command("measure a model on labelled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
     "inspect": Command("count, check and draw a set of images", inspect_arguments, inspect),
-    "bench": Command("measure the filter against torch.fft", bench_arguments, bench),
+    "bench": Command("measure the filter, or the networks", bench_arguments, bench),
 }
 
 

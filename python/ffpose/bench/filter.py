@@ -8,23 +8,19 @@ faster.
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
 from ffpose.bench.children import ALLOCATORS, Opening, Setting, run_child
 from ffpose.bench.document import make_document
 from ffpose.bench.measure import Measurement
+from ffpose.bench.output import expect_places, make_progress, write_document
 from ffpose.bench.plan import Plan, make_plan
 from ffpose.bench.plot import draw
 from ffpose.bench.results import bring_together
 from ffpose.bench.tables import print_tables
 from ffpose.bench.worker import Request
-from ffpose.files import atomic_write
 
 
 def run(json_path: Path | None = None, plot: Path | None = None, quick: bool = False) -> None:
@@ -39,17 +35,13 @@ def run(json_path: Path | None = None, plot: Path | None = None, quick: bool = F
         OSError: A file cannot be written; its folder is checked before anything is measured.
         RuntimeError: A measuring process failed, or a rival computes something else.
     """
-    for path in (json_path, plot):
-        if path is not None and not path.parent.is_dir():
-            raise FileNotFoundError(f"expected an existing folder for {path}, got {path.parent}")
+    expect_places(json_path, plot)
     plan = make_plan(quick)
     openings: list[Opening] = []
     comparisons = bring_together(_measured(plan, openings))
     print_tables(openings, comparisons, plan.notes)
     if json_path is not None:
-        document = make_document(openings, comparisons, plan.notes)
-        with atomic_write(json_path) as temporary:
-            temporary.write_text(json.dumps(document, indent=2) + "\n")
+        write_document(make_document(openings, comparisons, plan.notes), json_path)
     if plot is not None:
         about = openings[0].environment
         draw(comparisons, f"{about['processor']}, {openings[0].setting.isa}", plot)
@@ -59,7 +51,7 @@ def _measured(plan: Plan, openings: list[Opening]) -> Iterator[tuple[Setting, Me
     """Run one child after the other, and show how far they are on standard error."""
     settings = [Setting(isa, allocator) for isa in plan.cases for allocator in ALLOCATORS]
     total = sum(len(plan.cases[setting.isa]) for setting in settings)
-    with _progress() as progress, tempfile.TemporaryDirectory(prefix="ffpose-bench-") as caches:
+    with make_progress() as progress, tempfile.TemporaryDirectory(prefix="ffpose-bench-") as caches:
         task = progress.add_task("starting", total=total)
         for setting in settings:
             request = Request(plan.cases[setting.isa], plan.seconds)
@@ -70,14 +62,3 @@ def _measured(plan: Plan, openings: list[Opening]) -> Iterator[tuple[Setting, Me
                     words = f"{setting.isa}, allocator {setting.allocator}: {told.case.label}"
                     progress.update(task, advance=1, description=words)
                     yield setting, told
-
-
-def _progress() -> Progress:
-    return Progress(
-        MofNCompleteColumn(),
-        BarColumn(bar_width=20),
-        TextColumn("{task.description}"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )

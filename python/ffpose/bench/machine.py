@@ -67,8 +67,15 @@ def environment() -> dict[str, Any]:
         "torch_cpu_capability": torch.backends.cpu.get_cpu_capability(),
         "mkl_enable_instructions": os.environ.get("MKL_ENABLE_INSTRUCTIONS", ""),
         "mkl_code": _mkl_code(),
+        "bfloat16_instructions": bfloat16_instructions(),
         "cores": cores(),
     }
+
+
+def bfloat16_instructions() -> list[str]:
+    """Return those of the processor, as Linux names them; none where that cannot be told."""
+    known = {"avx512_bf16", "amx_bf16", "bf16", "svebf16"}
+    return sorted(known & set(_processor_fact("flags", "Features").split()))
 
 
 def cores() -> int:
@@ -89,9 +96,15 @@ def _mkl_code() -> str:
 
 
 def _processor() -> str:
+    return _processor_fact("model name") or platform.processor()
+
+
+def _processor_fact(*names: str) -> str:
+    """Return what Linux says of the first core under the first of these names that it has."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor()
+            name, _, fact = line.partition(":")
+            if name.strip() in names:
+                return fact.strip()
+    return ""

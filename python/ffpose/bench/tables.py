@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
-from rich.console import Console
 from rich.table import Table
 
 from ffpose.bench.cases import COMPILED, MATRICES, OURS, SCIPY, TORCH
 from ffpose.bench.children import Opening
 from ffpose.bench.figures import geometric_mean, operations, traffic
+from ffpose.bench.output import in_threads, make_console, make_table
 from ffpose.bench.results import (
     Comparison,
     GroupMean,
@@ -30,14 +29,13 @@ LEGEND = (
     "GFLOP/s: nominal, 2.5 N log2 N for a real transform of N points; GB/s: inputs and results"
     " once each; peaks: of a matrix product, and of a copy of 64 MiB",
 )
-WIDTH = 132
 
 
 def print_tables(
     openings: Sequence[Opening], comparisons: Sequence[Comparison], notes: Sequence[str]
 ) -> None:
     """Print every case, the other rivals, what is near the limit, and the means of the groups."""
-    console = Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+    console = make_console()
     for isa, threads in dict.fromkeys((each.isa, each.case.threads) for each in comparisons):
         chosen = [one for one in comparisons if (one.isa, one.case.threads) == (isa, threads)]
         console.print(_cases(chosen, _heading(openings, isa, threads)))
@@ -55,14 +53,14 @@ def _heading(openings: Sequence[Opening], isa: str, threads: int) -> str:
     peak = next(each for each in opening.peaks if each.threads == threads)
     mkl = f", MKL's {about['mkl_code']} code" if about["mkl_code"] else ""
     return (
-        f"{isa}, {_threads(threads)}: ffpose {about['ffpose']}, torch {about['torch']}"
+        f"{isa}, {in_threads(threads)}: ffpose {about['ffpose']}, torch {about['torch']}"
         f" ({about['torch_cpu_capability']}{mkl}), {about['processor']}; peaks"
         f" {peak.flops / 1e9:.0f} GFLOP/s, {peak.copy_bytes / 1e9:.1f} GB/s"
     )
 
 
 def _cases(comparisons: Sequence[Comparison], heading: str) -> Table:
-    table = _table(heading, "case", "work")
+    table = make_table(heading, "case", "work")
     for name in ("ffpose µs", "torch.fft µs", "ratio", "GFLOP/s", "GB/s"):
         table.add_column(name, justify="right")
     for one in in_tables(comparisons):
@@ -82,7 +80,7 @@ def _cases(comparisons: Sequence[Comparison], heading: str) -> Table:
 def _rivals(comparisons: Sequence[Comparison]) -> Table:
     """Every rival's time over ours."""
     rivals = (TORCH, COMPILED, SCIPY, MATRICES)
-    table = _table("all rivals: their time over ours", "case")
+    table = make_table("all rivals: their time over ours", "case")
     for name in rivals:
         table.add_column(name, justify="right")
     for one in comparisons:
@@ -93,7 +91,7 @@ def _rivals(comparisons: Sequence[Comparison]) -> Table:
 
 
 def _limits(comparisons: Sequence[Comparison]) -> Table:
-    table = _table("near the limit", "what", "geometric mean", "worst", "of")
+    table = make_table("near the limit", "what", "geometric mean", "worst", "of")
     for what, pairs, worst in (
         ("filter's time over a copy of x, batch 32 grid forward", over_copy(comparisons), max),
         ("bfloat16's time over float32's, batch 32", half_over_single(comparisons), max),
@@ -107,7 +105,7 @@ def _limits(comparisons: Sequence[Comparison]) -> Table:
 
 
 def _overheads(comparisons: Sequence[Comparison]) -> Table:
-    table = _table("one call of grid 7×7×32, µs", "work")
+    table = make_table("one call of grid 7×7×32, µs", "work")
     for name in ("ffpose", "of it arithmetic", "torch.fft", "ratio"):
         table.add_column(name, justify="right")
     for each in overheads(comparisons):
@@ -118,27 +116,16 @@ def _overheads(comparisons: Sequence[Comparison]) -> Table:
 
 
 def _means(means: Sequence[GroupMean]) -> Table:
-    table = _table("ratio to torch.fft", "instructions", "group", "work")
+    table = make_table("ratio to torch.fft", "instructions", "group", "work")
     for name in ("geometric mean", "worst"):
         table.add_column(name, justify="right")
     table.add_column("of")
     for each in means:
-        setting = f"{each.isa}, {_threads(each.threads)}"
+        setting = f"{each.isa}, {in_threads(each.threads)}"
         worst = f"{each.worst.case.size_label}, batch {each.worst.case.batch}"
         figures = f"{each.mean:.2f}", f"{each.worst.ratio():.2f}"
         table.add_row(setting, each.group, each.work, *figures, worst)
     return table
-
-
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for name in columns:
-        table.add_column(name)
-    return table
-
-
-def _threads(count: int) -> str:
-    return f"{count} thread{'s' if count > 1 else ''}"
 
 
 def _microseconds(timing: Timing) -> str:

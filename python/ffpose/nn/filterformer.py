@@ -15,6 +15,7 @@ from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import linear, scaled_dot_product_attention
 
 from ffpose.nn.spectral import INIT_STD, SpectralFilter
 
@@ -59,6 +60,11 @@ def make_filter(
 class SelfAttention(nn.Module):
     """Multi-head attention of tokens to themselves (Eq. 4-6).
 
+    ``attention`` holds the parameters, starts them, and would give the same numbers. What it runs
+    in evaluation on CPUs writes all ``N x N`` scores to memory; ours goes through them in blocks.
+    So it does in training, unless it drops weights: torch has no kernel for that on CPUs, and both
+    then write all scores, which makes a step of ``base`` four times as long.
+
     Args:
         dim: Channels.
         heads: Number of heads; divides ``dim``.
@@ -71,7 +77,13 @@ class SelfAttention(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return ``(B, N, dim)`` for ``x (B, N, dim)``."""
-        result: Tensor = self.attention(x, x, x, need_weights=False)[0]
+        batch, count, _ = x.shape
+        parts = linear(x, self.attention.in_proj_weight, self.attention.in_proj_bias)
+        parts = parts.view(batch, count, 3, self.attention.num_heads, self.attention.head_dim)
+        query, key, value = parts.permute(2, 0, 3, 1, 4)  # each (B, heads, N, dim / heads)
+        dropout = self.attention.dropout if self.training else 0.0
+        mixed = scaled_dot_product_attention(query, key, value, dropout_p=dropout)
+        result: Tensor = self.attention.out_proj(mixed.transpose(1, 2).flatten(2))
         return result
 
 

@@ -1,0 +1,63 @@
+"""What the benchmarks share in what they print and write."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ffpose.files import atomic_write
+
+WIDTH = 132
+
+
+def expect_places(*paths: Path | None) -> None:
+    """Check, before anything is measured, that each file asked for has a folder to lie in.
+
+    Raises:
+        FileNotFoundError: A folder does not exist.
+    """
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            raise FileNotFoundError(f"expected an existing folder for {path}, got {path.parent}")
+
+
+def write_document(document: dict[str, Any], path: Path) -> None:
+    """Write JSON, whole or not at all."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=2) + "\n")
+
+
+def make_progress() -> Progress:
+    """Return a bar on standard error."""
+    return Progress(
+        MofNCompleteColumn(),
+        BarColumn(bar_width=20),
+        TextColumn("{task.description}"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+
+
+def make_console() -> Console:
+    """Return standard output, wide enough for the tables where it is no terminal."""
+    return Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+
+
+def make_table(title: str, *columns: str) -> Table:
+    """Return a table with these columns and no rows."""
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for name in columns:
+        table.add_column(name)
+    return table
+
+
+def in_threads(count: int) -> str:
+    """Return the number of threads in words."""
+    return f"{count} thread{'s' if count > 1 else ''}"
