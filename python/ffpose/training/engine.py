@@ -22,6 +22,7 @@ from ffpose.metrics import PoseError
 from ffpose.models import read_metadata
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
+from ffpose.training.memory import keep_freed_memory
 from ffpose.training.progress import Reporter
 from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
@@ -72,6 +73,7 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
         ffpose.DataError: An image or a label cannot be used.
         NonFiniteLossError: The loss is infinite or not a number.
     """
+    keep_freed_memory()
     folder = RunFolder(config.out)
     state = folder.open(config, resume=resume)
     run = build_run(config)
