@@ -71,8 +71,13 @@ class PoseLoss(nn.Module):
                 raise ValueError(
                     f"{name}: expected shape (B, {size}), one B >= 1, got {tuple(tensor.shape)}"
                 )
-        translation = torch.linalg.vector_norm(t - t_hat, dim=-1).mean()
-        orientation = self._quaternion_distance(q, normalize_quaternion(q_hat)).mean()
+        return self.joined(
+            torch.linalg.vector_norm(t - t_hat, dim=-1).mean(),
+            self._quaternion_distance(q, normalize_quaternion(q_hat)).mean(),
+        )
+
+    def joined(self, translation: Tensor, orientation: Tensor) -> LossTerms:
+        """Return Eq. 11 of two means: for an orientation head with a loss of its own."""
         total = (
             translation * torch.exp(-self.s_t)
             + self.s_t

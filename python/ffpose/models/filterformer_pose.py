@@ -283,13 +283,19 @@ class FilterformerPose(nn.Module):
             raise ValueError(f"images: expected shape (B, {sizes}), got {tuple(images.shape)}")
         if self.config.orientation_view == "object":
             return self._look_twice(images)
+        translation, orientation = self.regress(images)
+        return PosePrediction(translation, self.orientation.decode(orientation))
+
+    def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return translations ``(B, 3)``, metres, and the orientation head's numbers.
+
+        Args:
+            images: As for `forward`, of a network that looks at the frame alone.
+        """
         maps = self.backbone(images.contiguous(memory_format=torch.channels_last))
         translation = self.translation_branch(maps[0])
-        orientation = self.orientation_branch(maps[1])
-        return PosePrediction(
-            translation * self.translation_std + self.translation_mean,
-            self.orientation.decode(orientation),
-        )
+        orientation: Tensor = self.orientation_branch(maps[1])
+        return translation * self.translation_std + self.translation_mean, orientation
 
     def _look_twice(self, images: Tensor) -> UncertainPose:
         """Find the object in the frame, then look at it, `config.looks` times."""

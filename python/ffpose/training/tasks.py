@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -115,10 +116,15 @@ class FrameTask:
 
     def terms(self, model: FilterformerPose, batch: Sample, device: torch.device) -> LossTerms:
         """Return the joint loss of a batch."""
-        pose = model(batch.image.to(device))
-        truth = batch.translation.to(device), batch.orientation.to(device)
-        result: LossTerms = self.loss(pose.translation, pose.orientation, *truth)
-        return result
+        images = batch.image.to(device)
+        t, q = batch.translation.to(device), batch.orientation.to(device)
+        if model.config.orientation_head == "quaternion":
+            pose = model(images)
+            result: LossTerms = self.loss(pose.translation, pose.orientation, t, q)
+            return result
+        t_hat, numbers = model.regress(images)
+        distance = torch.linalg.vector_norm(t - t_hat, dim=-1).mean()
+        return self.loss.joined(distance, model.orientation.loss(numbers, q).mean())
 
     def size(self, batch: Sample) -> int:
         """Images of a batch."""
@@ -169,7 +175,7 @@ class ObjectTask:
 
     def batches(self, seed: int) -> Iterator[ViewBatch]:
         """Pass once over the training split, in an order drawn from ``seed``."""
-        return self.views.epoch(seed, self.batch_size)
+        return prefetched(self.views.epoch(seed, self.batch_size))
 
     def terms(self, model: FilterformerPose, batch: ViewBatch, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
@@ -204,6 +210,15 @@ class ObjectTask:
             "image_size": [camera.width, camera.height],
             "digest": digest.hexdigest(),
         }
+
+
+def prefetched(batches: Iterator[ViewBatch]) -> Iterator[ViewBatch]:
+    """Yield batches, the next one made by a thread while one is trained on."""
+    with ThreadPoolExecutor(1) as pool:
+        upcoming = pool.submit(next, batches, None)
+        while (batch := upcoming.result()) is not None:
+            upcoming = pool.submit(next, batches, None)
+            yield batch
 
 
 def trained_together(model: nn.Module, loss: nn.Module) -> list[Tensor]:
