@@ -9,6 +9,7 @@ from ffpose.losses import PoseLoss
 from ffpose.models import read_metadata
 from ffpose.training import NonFiniteLossError, OptimizerConfig, Stage, train
 from ffpose.training.checkpoint import RunFolder, read_results
+from ffpose.training.progress import Reporter
 from ffpose.training.run import build_optimizer, build_run, translation_statistics
 from tiny_runs import train_config, write_set
 
@@ -182,6 +183,37 @@ def test_training_lowers_the_loss(image_set, tmp_path):
     config = replace(config, data=replace(config.data, augment=False, cache=True))
     losses = [row["train_translation_loss"] for row in run_quietly(config).history]
     assert losses[-1] < 0.8 * losses[0]
+
+
+@pytest.fixture
+def rates(monkeypatch):
+    """The learning rate of every step that is taken, in order."""
+    taken = []
+    monkeypatch.setattr(Reporter, "step", lambda _, loss, rate, images: taken.append(rate))
+    return taken
+
+
+def test_every_step_of_an_epoch_has_the_rate_of_that_epoch(image_set, tmp_path, rates):
+    optimizer = OptimizerConfig(learning_rate=1e-3, step_epochs=1, step_factor=0.5)
+    config = train_config(image_set, tmp_path / "run", epochs=3, optimizer=optimizer)
+    history = run_quietly(config).history
+    assert rates == [1e-3] * 3 + [5e-4] * 3 + [2.5e-4] * 3
+    assert [row["learning_rate"] for row in history] == [1e-3, 5e-4, 2.5e-4]
+
+
+def test_warm_up_and_cosine_average_to_half_and_no_step_has_none(image_set, tmp_path, rates):
+    """Both integrate to half the full rate; for these two the midpoint rule is exact."""
+    half = {"learning_rate": 2e-3, "schedule": "cosine"}
+    config = train_config(image_set, tmp_path / "c", optimizer=OptimizerConfig(**half))
+    run_quietly(config)
+    assert sum(rates) / len(rates) == pytest.approx(1e-3)
+    assert rates == sorted(rates, reverse=True)
+    assert rates[-1] > 0
+    rates.clear()
+    rise = OptimizerConfig(learning_rate=2e-3, warmup_epochs=2.0)
+    run_quietly(train_config(image_set, tmp_path / "w", optimizer=rise))
+    assert sum(rates) / len(rates) == pytest.approx(1e-3)
+    assert rates[0] > 0
 
 
 def test_the_head_counts_from_the_training_splits_mean(image_set, tmp_path):

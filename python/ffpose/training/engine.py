@@ -160,7 +160,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     sums = torch.zeros(3, dtype=torch.float64)
     rate = 0.0
     for step, batch in enumerate(loader, start=1):
-        position = epoch.index + step / len(loader)
+        position = epoch.index + (step - 0.5) / len(loader)  # the step's middle
         rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
         values = _step(run, batch, rate, epoch)
         sums += values * len(batch.image)
