@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -7,11 +8,11 @@ from safetensors.torch import load_file
 from ffpose.errors import DataError
 from ffpose.losses import PoseLoss
 from ffpose.models import read_metadata
-from ffpose.training import NonFiniteLossError, OptimizerConfig, Stage, train
+from ffpose.training import DataConfig, NonFiniteLossError, OptimizerConfig, Stage, train
 from ffpose.training.checkpoint import RunFolder, read_results
 from ffpose.training.progress import Reporter
 from ffpose.training.run import build_optimizer, build_run, translation_statistics
-from tiny_runs import train_config, write_set
+from tiny_runs import MODEL_FIELDS, train_config, write_set
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +123,38 @@ def test_resume_refuses_another_configuration(image_set, tmp_path):
         run_quietly(replace(config, seed=1), resume=True)
     with pytest.raises(ValueError, match="expected stages that begin with the 1 finished"):
         run_quietly(replace(config, stages=(Stage("other", 2),)), resume=True)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seed": 1},
+        {"stages": (Stage("other", 2),)},
+        {"data": DataConfig("urso", Path("no such set"))},
+        {"epochs": 2, "device": "no such device"},
+    ],
+    ids=["seed", "stages", "data", "device"],
+)
+def test_a_resume_that_is_refused_changes_no_file(image_set, tmp_path, change):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    before = {path.name: path.read_bytes() for path in config.out.iterdir()}
+    with pytest.raises((ValueError, OSError, RuntimeError)):
+        run_quietly(replace(config, **change), resume=True)
+    assert {path.name: path.read_bytes() for path in config.out.iterdir()} == before
+
+
+def test_a_run_that_is_refused_leaves_no_folder(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        run_quietly(train_config(tmp_path / "no such set", tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_tuples_among_the_model_fields_resume(image_set, tmp_path):
+    fields = MODEL_FIELDS | {"image_size": (64, 64)}
+    config = train_config(image_set, tmp_path / "run", epochs=1, model_fields=fields)
+    run_quietly(config)
+    assert len(run_quietly(replace(config, epochs=2), resume=True).history) == 2
 
 
 def test_resume_refuses_a_truncated_state(image_set, tmp_path):

@@ -108,7 +108,8 @@ class TrainConfig:
         data: The images.
         out: The folder to write; it must not hold another run.
         model: Name of the model's configuration: base (the paper's), small or tiny.
-        model_fields: Fields of that configuration to change, such as {"depth": 5}.
+        model_fields: Fields of that configuration to change, such as {"depth": 5}; a tuple becomes
+            the list that a YAML file gives back.
         backbone_weights: "auto" (pretrained where they can be had), "none", or a file.
         normalize_translation: Whether the head predicts in units of the training split's spread
             about its mean, in place of raw metres.
@@ -140,6 +141,8 @@ class TrainConfig:
         _expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
         _expect(self.batch_size >= 1, "batch_size", "1 or more", self.batch_size)
         _expect(self.seed >= 0, "seed", "0 or more", self.seed)
+        fields = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_fields.items()}
+        object.__setattr__(self, "model_fields", fields)
 
     @property
     def resolved_stages(self) -> tuple[Stage, ...]:

@@ -76,6 +76,7 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
     epochs = plan(config.resolved_stages)
     if state.history:
         _restore(run, state, epochs)
+    folder.begin(config)
     done, steps = len(state.history), len(_loader(run, run.train_set, seed=0))
     with Reporter(len(epochs), done, steps, quiet=quiet) as reporter:
         for epoch in epochs[done:]:
