@@ -9,7 +9,8 @@ import timm
 import torch
 
 from ffpose import DataError
-from ffpose.models import build_backbone, pretrained
+from ffpose.models import backbone_preprocessing, build_backbone, pretrained
+from ffpose.transforms import Preprocessing
 
 NAME = "test_efficientnet"
 
@@ -66,6 +67,27 @@ def test_unknown_model_and_map():
         build_backbone("efficientnet_b0_5", (16, 8))
     with pytest.raises(ValueError, match=r"gives reductions \[2, 4, 8, 16, 32\], expected \[12\]"):
         build_backbone("efficientnet_b0", (12, 8))
+
+
+# What images the pretrained weights expect: written on their pages at huggingface.co/timm
+
+IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+HALVES = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("name", "statistics", "interpolation"),
+    [
+        ("efficientnet_b0", IMAGENET, "bicubic"),
+        ("efficientnet_lite0", IMAGENET, "bicubic"),
+        ("mobilenetv4_conv_small_050", HALVES, "bicubic"),
+        ("vgg11", IMAGENET, "bilinear"),
+        ("a_network_of_ones_own", IMAGENET, "bilinear"),
+    ],
+)
+def test_images_are_prepared_as_the_weights_expect(name, statistics, interpolation):
+    preprocessing = backbone_preprocessing(name, (96, 128), "center_crop")
+    assert preprocessing == Preprocessing((96, 128), "center_crop", *statistics, interpolation)
 
 
 # Weights

@@ -1,8 +1,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 from safetensors.torch import load_file
 
 from ffpose.errors import DataError
@@ -179,6 +181,22 @@ def test_weights_remember_how_images_are_read(image_set, tmp_path):
     metadata = read_metadata(tmp_path / "run/best.safetensors")
     assert metadata.preprocessing.mode == "center_crop"
     assert metadata.preprocessing.size == (64, 64)
+
+
+def test_images_are_standardized_as_the_backbone_expects(image_set, tmp_path):
+    """By the halves of mobilenetv4_conv_small_050, by which black is -1 and white is 1."""
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    config = replace(config, data=replace(config.data, augment=False))
+    run_quietly(config)
+    saved = read_metadata(tmp_path / "run/best.safetensors").preprocessing
+    assert (saved.mean, saved.std, saved.interpolation) == ((0.5,) * 3, (0.5,) * 3, "bicubic")
+    run = build_run(config)
+    assert run.train_set.preprocessing == run.val_set.preprocessing == saved
+    for dataset in (run.train_set, run.val_set):
+        with Image.open(image_set / dataset.names[0]) as image:
+            pixels = np.asarray(image.resize((64, 64), Image.Resampling.BICUBIC), np.float32)
+        expected = torch.from_numpy(pixels / 127.5 - 1).permute(2, 0, 1)
+        torch.testing.assert_close(dataset[0].image, expected)
 
 
 def test_frozen_parts_do_not_change(image_set, tmp_path):

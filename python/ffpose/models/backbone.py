@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from ffpose.errors import require
 from ffpose.models.pretrained import load_backbone_weights
+from ffpose.transforms import Mode, Preprocessing
 
 
 class Backbone(nn.Module):
@@ -69,6 +70,27 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     channels = [features.feature_info.channels()[place] for place in order]
     # Channels-last convolutions are up to twice as fast on CPUs, and their maps lie as tokens do.
     return Backbone(features.to(memory_format=torch.channels_last), channels, order)
+
+
+def backbone_preprocessing(
+    name: str, size: tuple[int, int], mode: Mode = "resize"
+) -> Preprocessing:
+    """Return the preprocessing that a backbone's pretrained weights expect.
+
+    Mean, standard deviation and interpolation are those that timm's ``pretrained_cfg`` names: the
+    network learned from images so prepared, and ImageNet's are not those of every network. A
+    network that starts from random weights takes the same; one that timm does not have takes
+    ImageNet's.
+
+    Args:
+        name: timm's name of the model.
+        size: ``(height, width)`` of the network's input.
+        mode: As of `ffpose.transforms.Preprocessing`.
+    """
+    expected = require("timm", "pose").models.get_pretrained_cfg(name)
+    if expected is None:
+        return Preprocessing(size, mode)
+    return Preprocessing(size, mode, expected.mean, expected.std, expected.interpolation)
 
 
 def _drop_unused_blocks(features: Any) -> None:

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.utils import _pytree
 
 from ffpose.errors import DataError
-from ffpose.models.backbone import Backbone, build_backbone
+from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
 from ffpose.models.config import CONFIGS, FilterformerPoseConfig, check_names
 from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
 from ffpose.nn import Filterformer, HyperHead, PositionCode, QuaternionActivation
@@ -208,13 +208,14 @@ class FilterformerPose(nn.Module):
 
         Args:
             path: Where; its folder must exist.
-            preprocessing: What turns an image into the network's input; a plain resize to
-                ``config.image_size`` when None.
+            preprocessing: What turns an image into the network's input; a resize to
+                ``config.image_size`` as the backbone expects it when None.
 
         Raises:
             ValueError: The preprocessing makes images of another size.
         """
-        preprocessing = preprocessing or Preprocessing(size=self.config.image_size)
+        if preprocessing is None:
+            preprocessing = backbone_preprocessing(self.config.backbone, self.config.image_size)
         if tuple(preprocessing.size) != self.config.image_size:
             raise ValueError(
                 f"preprocessing: expected size {self.config.image_size}, got {preprocessing.size}"

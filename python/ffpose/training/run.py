@@ -13,7 +13,7 @@ from torch import nn
 
 from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.losses import PoseLoss
-from ffpose.models import CONFIGS, FilterformerPose
+from ffpose.models import CONFIGS, FilterformerPose, backbone_preprocessing
 from ffpose.training.config import OptimizerConfig, TrainConfig
 from ffpose.transforms import Augmentation, Preprocessing
 
@@ -53,7 +53,8 @@ def build_run(config: TrainConfig) -> Run:
     device = _device(config.device)
     fields = dict(config.model_fields)
     height, width = fields.get("image_size", CONFIGS[config.model].image_size)
-    preprocessing = Preprocessing(size=(height, width), mode=config.data.mode)
+    backbone = fields.get("backbone", CONFIGS[config.model].backbone)
+    preprocessing = backbone_preprocessing(backbone, (height, width), config.data.mode)
     train_set, val_set = _open_splits(config, preprocessing)
     if config.normalize_translation:
         fields |= translation_statistics(train_set.poses)
