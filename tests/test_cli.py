@@ -55,6 +55,20 @@ def test_train_again_from_its_own_config_and_resume(trained, image_set, tmp_path
     assert first["train_loss"] == read_results(trained / "results.csv")[0]["train_loss"]
 
 
+def test_pretrained_weights_that_cannot_be_had_are_one_line(
+    image_set, tmp_path, monkeypatch, capsys
+):
+    import huggingface_hub
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    monkeypatch.setattr(huggingface_hub, "try_to_load_from_cache", lambda *_: None)
+    assert main(train_words(image_set, tmp_path / "run", "--backbone-weights", "auto")) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--backbone-weights none starts from random weights" in line
+    assert not (tmp_path / "run").exists()
+
+
 def test_evaluate_prints_one_json_document(trained, image_set, tmp_path, capsys):
     words = ["evaluate", str(trained / "best.safetensors"), *data_words(image_set)]
     assert main([*words, "--out", str(tmp_path), "--json"]) == 0

@@ -131,7 +131,7 @@ def train_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--backbone-weights",
         default="auto",
-        help='"auto" (from huggingface.co if it answers), "none" or a file (default: auto)',
+        help='"auto" (pretrained, from huggingface.co), "none" (random) or a file (default: auto)',
     )
     parser.add_class_arguments(TrainConfig, skip={"backbone_weights"})
 

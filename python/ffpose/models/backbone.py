@@ -7,7 +7,7 @@ after the coarser map would be computed for nothing, and is dropped.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,24 @@ class Backbone(nn.Module):
         features: A timm model made with ``features_only``, whose maps are ``channels`` one by one.
         channels: Of each map.
         order: For each map to return, its place among those that ``features`` gives.
+        source: What its weights were at the start, if known.
+
+    Attributes:
+        channels: As given.
+        source: As given: ``name`` of the model; ``source``, which is ``"none"`` for random weights,
+            else the name of the file or of the hub's repository; ``sha256`` of the file's bytes,
+            unless random.
     """
 
-    def __init__(self, features: nn.Module, channels: Sequence[int], order: Sequence[int]) -> None:
+    def __init__(
+        self,
+        features: nn.Module,
+        channels: Sequence[int],
+        order: Sequence[int],
+        source: Mapping[str, str] | None = None,
+    ) -> None:
         super().__init__()
+        self.source = dict(source or {})
         self.features = features
         self.channels = tuple(channels)
         self.order = tuple(order)
@@ -46,12 +60,12 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     Args:
         name: timm's name of the model, for example ``"efficientnet_b0"``.
         reductions: Pixels per cell of each map to return.
-        weights: ``"auto"``: pretrained ones where they can be had, else random ones and a line in
-            the log; ``"none"``: random; otherwise a safetensors or PyTorch file.
+        weights: ``"auto"``: pretrained ones, from the hub or its cache; ``"none"``: random;
+            otherwise a safetensors or PyTorch file. `Backbone.source` tells what was used.
 
     Raises:
         ValueError: timm has no such model, or the model no such map.
-        FileNotFoundError: There is no such weights file.
+        FileNotFoundError: There is no such weights file, or the pretrained weights cannot be had.
         ffpose.DataError: The file does not hold this model's weights.
     """
     timm = require("timm", "pose")
@@ -65,11 +79,11 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     indices = sorted({available.index(reduction) for reduction in reductions})
     features = timm.create_model(name, features_only=True, out_indices=indices)
     _drop_unused_blocks(features)
-    load_backbone_weights(features, name, weights)
+    source = load_backbone_weights(features, name, weights)
     order = [indices.index(available.index(reduction)) for reduction in reductions]
     channels = [features.feature_info.channels()[place] for place in order]
     # Channels-last convolutions are up to twice as fast on CPUs, and their maps lie as tokens do.
-    return Backbone(features.to(memory_format=torch.channels_last), channels, order)
+    return Backbone(features.to(memory_format=torch.channels_last), channels, order, source)
 
 
 def backbone_preprocessing(

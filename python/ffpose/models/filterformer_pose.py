@@ -181,13 +181,14 @@ class FilterformerPose(nn.Module):
 
         Args:
             config: ``"base"``, ``"small"``, ``"tiny"``, or a config.
-            backbone_weights: ``"auto"``: pretrained where they can be had, else random ones and a
-                line in the log; ``"none"``: random; otherwise a safetensors or PyTorch file.
+            backbone_weights: ``"auto"``: pretrained, from the hub or its cache; ``"none"``: random;
+                otherwise a safetensors or PyTorch file.
             **fields: Fields of the config to change.
 
         Raises:
             ValueError: An unknown preset or field, or values that do not go together.
-            FileNotFoundError: There is no such weights file.
+            FileNotFoundError: There is no such weights file, or the pretrained weights cannot be
+                had.
             ffpose.DataError: The file does not hold the backbone's weights.
         """
         if isinstance(config, str):

@@ -110,7 +110,7 @@ class TrainConfig:
         model: Name of the model's configuration: base (the paper's), small or tiny.
         model_fields: Fields of that configuration to change, such as {"depth": 5}; a tuple becomes
             the list that a YAML file gives back.
-        backbone_weights: "auto" (pretrained where they can be had), "none", or a file.
+        backbone_weights: "auto" (pretrained), "none" (random), or a file.
         normalize_translation: Whether the head predicts in units of the training split's spread
             about its mean, in place of raw metres.
         epochs: Epochs of the first stage, in place of the number that stages gives it.
