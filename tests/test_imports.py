@@ -19,7 +19,7 @@ ALLOWED = {
     "ops": {"_rust"},
     "nn": {"ops", "geometry"},
     "models": {"nn", "transforms", "geometry"},
-    "transforms": {"geometry"},
+    "transforms": {"geometry", "arrays"},
     "datasets": {"geometry", "transforms"},
     "losses": {"ops", "geometry"},
     "metrics": {"arrays", "ops", "geometry"},

@@ -132,6 +132,15 @@ def tensors(pose):
     return torch.from_numpy(pose.vector).float().split([3, 4])
 
 
+def test_a_roll_to_half_a_turn_gives_the_label_of_canonical_sign():
+    """Half a turn about x, and the camera by half a turn about z, are half a turn about y."""
+    camera = URSO_CAMERA.resized(16, 12)
+    for sign in (1.0, -1.0):
+        label = torch.tensor([0.0, 0.0, 5.0]), torch.tensor([0.0, sign, 0.0, 0.0])
+        _, _, q = roll_camera(torch.zeros(3, 12, 16), *label, camera, 180.0)
+        np.testing.assert_allclose(q, [0, 0, 1, 0], atol=1e-7)
+
+
 @pytest.mark.parametrize("degrees", [0.0, 17.0, -90.0, 180.0, 123.4])
 def test_a_roll_moves_pixels_and_label_together(degrees):
     camera = URSO_CAMERA.resized(128, 128)  # squeezed: fx is not fy

@@ -28,6 +28,7 @@ from PIL import Image
 from torch import Tensor
 from torchvision.transforms import v2
 
+from ffpose.arrays import canonical_quaternion
 from ffpose.geometry import Camera, FloatArray, rotation_matrix
 
 Mode = Literal["resize", "center_crop"]
@@ -188,7 +189,7 @@ def roll_camera(
         degrees: Angle of the turn.
 
     Returns:
-        The turned image, translation and orientation (``w >= 0``).
+        The turned image, translation and orientation, of canonical sign.
 
     Raises:
         ValueError: The image has not the camera's size.
@@ -210,7 +211,7 @@ def roll_camera(
     return (
         _warp(image, camera.matrix @ turn @ np.linalg.inv(camera.matrix)),
         (torch.from_numpy(turn) @ translation.double()).to(translation.dtype),
-        torch.where(turned[:1] < 0, -turned, turned).to(orientation.dtype),
+        torch.from_numpy(canonical_quaternion(turned.numpy())).to(orientation.dtype),
     )
 
 
