@@ -175,6 +175,9 @@ def test_render_takes_a_mesh_a_camera_and_a_shard(tmp_path, capsys):
         (["inspect", "--data.kind", "urso", "--data.root", "none", "--out", "x"], "none"),
         (["evaluate", "w", "--data.kind", "urso", "--data.root", "s", "--out", "file"], "the file"),
         (["inspect", "--data.kind", "urso", "--data.root", "file", "--out", "x"], "the file"),
+        (["render", "soyuz_easy", "--out", "file", "--count", "1"], "the file"),
+        (["train", "--data.kind", "urso", "--data.root", "s", "--out", "file"], "the file"),
+        (["demo", "--out", "file/demo"], "the file"),
         (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),
     ],
 )
@@ -211,6 +214,28 @@ def test_wrong_usage_is_code_2(words, capsys):
         main(words)
     assert leaving.value.code == 2
     assert capsys.readouterr().out == ""
+
+
+def test_no_command_shows_all_commands(capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main([])
+    said = capsys.readouterr()
+    assert (leaving.value.code, said.out) == (2, "")
+    assert [name for name in (*COMMANDS, "info") if f"\n    {name} " not in said.err] == []
+
+
+def test_an_unknown_model_is_refused_before_anything_heavy_is_loaded(tmp_path):
+    words = ["train", "--model", "huge", *data_words(tmp_path), "--out", str(tmp_path / "run")]
+    code = (
+        "import sys\n"
+        "from ffpose.cli import main\n"
+        f"try: main({words})\n"
+        "except SystemExit as leaving: print(leaving.code, 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "2 False\n"
+    (line,) = done.stderr.splitlines()
+    assert all(name in line for name in ("base", "small", "tiny", "huge"))
 
 
 @pytest.mark.parametrize(

@@ -299,8 +299,3 @@ def test_unknown_augmentation_lists_the_known(image_set, tmp_path, bad):
     config = replace(config, data=replace(config.data, augmentation=bad))
     with pytest.raises(ValueError, match=r"data\.augmentation: expected .*roll.* got \{'rol"):
         run_quietly(config)
-
-
-def test_unknown_model_lists_the_known(image_set, tmp_path):
-    with pytest.raises(ValueError, match="expected one of base, small, tiny, got 'huge'"):
-        run_quietly(train_config(image_set, tmp_path / "run", model="huge"))

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from ffpose.training.stages import JOINT_STAGE, Stage
+
+ModelName = Literal["base", "small", "tiny"]
+"""The keys of `ffpose.models.CONFIGS`, known here without torch: a wrong one is refused at once."""
 
 
 def _expect(condition: bool, name: str, expected: str, got: object) -> None:
@@ -124,7 +127,7 @@ class TrainConfig:
 
     data: DataConfig
     out: Path
-    model: str = "base"
+    model: ModelName = "base"
     model_fields: dict[str, Any] = field(default_factory=dict)
     backbone_weights: str = "auto"
     normalize_translation: bool = True
@@ -138,6 +141,8 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         _expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)
+        names = get_args(ModelName)
+        _expect(self.model in names, "model", f"one of {', '.join(names)}", self.model)
         _expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
         _expect(self.batch_size >= 1, "batch_size", "1 or more", self.batch_size)
         _expect(self.seed >= 0, "seed", "0 or more", self.seed)

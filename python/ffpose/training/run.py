@@ -45,11 +45,9 @@ def build_run(config: TrainConfig) -> Run:
     """Open the images and build model, loss and optimiser, the weights from the run's seed.
 
     Raises:
-        ValueError: An unknown model or kind of image set, or fields that do not go together.
+        ValueError: An unknown kind of image set, or fields that do not go together.
         ffpose.DataError: A label, or a file of backbone weights, cannot be used.
     """
-    if config.model not in CONFIGS:
-        raise ValueError(f"model: expected one of {', '.join(CONFIGS)}, got {config.model!r}")
     device = _device(config.device)
     fields = dict(config.model_fields)
     height, width = fields.get("image_size", CONFIGS[config.model].image_size)
