@@ -57,6 +57,20 @@ def test_train_again_from_its_own_config_and_resume(trained, image_set, tmp_path
     assert first["train_loss"] == read_results(trained / "results.csv")[0]["train_loss"]
 
 
+def test_pretrained_weights_that_cannot_be_had_are_one_line(
+    image_set, tmp_path, monkeypatch, capsys
+):
+    import huggingface_hub
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
+    monkeypatch.setattr(huggingface_hub, "try_to_load_from_cache", lambda *_: None)
+    assert main(train_words(image_set, tmp_path / "run", "--backbone-weights", "auto")) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--backbone-weights none starts from random weights" in line
+    assert not (tmp_path / "run").exists()
+
+
 def test_evaluate_prints_one_json_document(trained, image_set, tmp_path, capsys):
     words = ["evaluate", str(trained / "best.safetensors"), *data_words(image_set)]
     assert main([*words, "--out", str(tmp_path), "--json"]) == 0
@@ -230,6 +244,9 @@ def test_render_says_when_a_shard_leaves_the_set_open(tmp_path, capsys):
         (["inspect", "--data.kind", "urso", "--data.root", "none", "--out", "x"], "none"),
         (["evaluate", "w", "--data.kind", "urso", "--data.root", "s", "--out", "file"], "the file"),
         (["inspect", "--data.kind", "urso", "--data.root", "file", "--out", "x"], "the file"),
+        (["render", "soyuz_easy", "--out", "file", "--count", "1"], "the file"),
+        (["train", "--data.kind", "urso", "--data.root", "s", "--out", "file"], "the file"),
+        (["demo", "--out", "file/demo"], "the file"),
         (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),
     ],
 )
@@ -266,6 +283,28 @@ def test_wrong_usage_is_code_2(words, capsys):
         main(words)
     assert leaving.value.code == 2
     assert capsys.readouterr().out == ""
+
+
+def test_no_command_shows_all_commands(capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main([])
+    said = capsys.readouterr()
+    assert (leaving.value.code, said.out) == (2, "")
+    assert [name for name in (*COMMANDS, "info") if f"\n    {name} " not in said.err] == []
+
+
+def test_an_unknown_model_is_refused_before_anything_heavy_is_loaded(tmp_path):
+    words = ["train", "--model", "huge", *data_words(tmp_path), "--out", str(tmp_path / "run")]
+    code = (
+        "import sys\n"
+        "from ffpose.cli import main\n"
+        f"try: main({words})\n"
+        "except SystemExit as leaving: print(leaving.code, 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "2 False\n"
+    (line,) = done.stderr.splitlines()
+    assert all(name in line for name in ("base", "small", "tiny", "huge"))
 
 
 @pytest.mark.parametrize(

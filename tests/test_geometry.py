@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ffpose.geometry import URSO_CAMERA, Camera, Pose, rotation_matrix
+from ffpose.geometry import URSO_CAMERA, Camera, Pose, PoseUncertainty, rotation_matrix
 
 ROW = {"x": 2.0, "y": 1.0, "z": 10.0, "q1": 0.0, "q2": 0.0, "q3": 0.0, "q4": 1.0}
 
@@ -54,6 +54,40 @@ def test_both_signs_of_a_quaternion_are_one_pose():
     one, other = Pose([0, 0, 1], q), Pose([0, 0, 1], -q)
     np.testing.assert_array_equal(one.vector, other.vector)
     assert one.q[0] >= 0
+
+
+@pytest.mark.parametrize(
+    "q", [(0, 0, 0, 1), (0, 0, 1, 0), (0, 1, 0, 0), (0, 0, 0.6, -0.8), (0, -0.6, 0, 0.8)]
+)
+def test_half_a_turn_either_way_is_one_pose(q):
+    one, other = Pose([1, 2, 3], q), Pose([1, 2, 3], np.negative(q))
+    assert one == other
+    assert hash(one) == hash(other)
+    assert next(value for value in one.q if value != 0) > 0
+    np.testing.assert_array_equal(one.rotation, other.rotation)
+
+
+def uncertainty(scale=1.0, in_view=0.5):
+    return PoseUncertainty(scale * np.eye(3), np.eye(3), in_view)
+
+
+def test_poses_are_equal_by_value():
+    pose = Pose([1, 2, 3], [0.6, 0.8, 0, 0])
+    assert pose == Pose.from_vector(pose.vector)
+    assert pose == pickle.loads(pickle.dumps(pose))
+    assert Pose([0.0, 2, 3], [1, 0, 0, 0]) == Pose([-0.0, 2, 3], [1, -0.0, 0, 0])
+    assert len({Pose([0.0, 2, 3], [1, 0, 0, 0]), Pose([-0.0, 2, 3], [1, -0.0, 0, 0])}) == 1
+    others = [
+        Pose([1, 2, 3.1], pose.q),
+        Pose(pose.t, [0.8, 0.6, 0, 0]),
+        Pose(pose.t, pose.q, uncertainty()),
+        Pose(pose.t, pose.q, uncertainty(2.0)),
+        Pose(pose.t, pose.q, uncertainty(in_view=0.6)),
+    ]
+    assert len({pose, *others}) == 6
+    assert pose not in others
+    assert Pose(pose.t, pose.q, uncertainty()) == others[2]
+    assert pose != pose.vector.tolist()
 
 
 def test_vector_is_translation_then_quaternion_scalar_first():

@@ -19,7 +19,7 @@ ALLOWED = {
     "ops": {"_rust"},
     "nn": {"ops", "geometry"},
     "models": {"nn", "transforms", "geometry"},
-    "transforms": {"geometry"},
+    "transforms": {"geometry", "arrays"},
     "reprojection": {"geometry", "transforms"},
     "views": {"geometry"},
     "datasets": {"geometry", "transforms", "views", "render"},

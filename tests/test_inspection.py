@@ -59,7 +59,7 @@ def test_counts_and_ranges_are_those_of_the_labels(tmp_path):
     assert train["origin_in_image"] == 1
     assert train["failed"] == {
         "unit_quaternion": [],
-        "scalar_not_negative": [],
+        "scalar_not_negative": ["0_rgb.png"],
         "in_front_of_camera": [],
     }
 
@@ -71,6 +71,21 @@ def test_a_target_behind_the_camera_or_outside_the_image_is_found(tmp_path):
     train = summary["splits"]["train"]
     assert train["failed"]["in_front_of_camera"] == ["0_rgb.png"]
     assert train["origin_in_image"] == 0
+
+
+def test_quaternions_are_checked_as_the_file_has_them(tmp_path):
+    """Norms: sqrt(0.6003² + 0.8²) = 1.00018, and 1.0000018, which is rounding."""
+    root = write_set(tmp_path / "set")
+    long = {"q1": 0, "q2": 0.8, "q3": 0, "q4": 0.6003}
+    rounded = {"q1": 0.8, "q2": 0, "q3": 0, "q4": 0.600003}
+    relabel(root, "train", **{"0_rgb": long, "2_rgb": rounded})
+    failed = inspect_dataset(read(root, ["train"]), tmp_path / "out")["splits"]["train"]["failed"]
+    assert failed["unit_quaternion"] == ["0_rgb.png"]
+    assert failed["scalar_not_negative"] == []
+    relabel(root, "train", **{"2_rgb": {"q3": -0.8, "q4": -0.6}})
+    failed = inspect_dataset(read(root, ["train"]), tmp_path / "out")["splits"]["train"]["failed"]
+    assert failed["unit_quaternion"] == []
+    assert sorted(failed["scalar_not_negative"]) == ["0_rgb.png", "2_rgb.png"]
 
 
 def test_an_image_in_two_splits_is_found(tmp_path):

@@ -49,11 +49,15 @@ def test_the_numbers_are_standardised_pixels():
         np.testing.assert_allclose(plane, value, rtol=1e-6)
 
 
-def test_resize_keeps_the_frame_and_is_antialiased():
+@pytest.mark.parametrize("interpolation", ["bilinear", "bicubic"])
+def test_resize_keeps_the_frame_and_is_antialiased(interpolation):
     image = noise_image(160, 120)
-    preprocessing = Preprocessing((30, 30), mean=(0, 0, 0), std=(1, 1, 1))
+    preprocessing = Preprocessing(
+        (30, 30), mean=(0, 0, 0), std=(1, 1, 1), interpolation=interpolation
+    )
     pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255
-    expected = v2.functional.resize(pixels, [30, 30], antialias=True)
+    mode = v2.InterpolationMode(interpolation)
+    expected = v2.functional.resize(pixels, [30, 30], mode, antialias=True)
     # Pillow rounds to whole grey levels after each axis.
     torch.testing.assert_close(preprocessing(image), expected, rtol=0, atol=1.01 / 255)
 
@@ -91,9 +95,18 @@ def test_windows_lie_in_the_frame_and_reach_its_edges():
 
 
 def test_fields_survive_json():
-    preprocessing = Preprocessing((96, 128), "center_crop", (0.1, 0.2, 0.3), (0.4, 0.5, 0.6))
+    preprocessing = Preprocessing(
+        (96, 128), "center_crop", (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), "bicubic"
+    )
     fields = json.loads(json.dumps(preprocessing.to_dict()))
     assert Preprocessing.from_dict(fields) == preprocessing
+
+
+def test_fields_without_interpolation_are_of_a_bilinear_resize():
+    fields = {"size": [8, 9], "mode": "resize", "mean": [0.1, 0.2, 0.3], "std": [1, 1, 1]}
+    assert Preprocessing.from_dict(fields) == Preprocessing(
+        (8, 9), mean=(0.1, 0.2, 0.3), std=(1,) * 3
+    )
 
 
 @pytest.mark.parametrize(
@@ -104,6 +117,7 @@ def test_fields_survive_json():
         ({"mode": "pad"}, r"mode: expected one of \('resize', 'center_crop'\), got 'pad'"),
         ({"mean": [0.5, 0.5]}, "mean: expected three"),
         ({"std": [0.2, 0.2, 0.0]}, "std: expected three finite numbers above 0"),
+        ({"interpolation": "sharp"}, r"expected one of \('bilinear', 'bicubic'\), got 'sharp'"),
         ({"crop": 1}, "expected size, mode, mean, std"),
     ],
 )
@@ -119,6 +133,15 @@ def test_only_rgb_is_taken():
 
 def tensors(pose):
     return torch.from_numpy(pose.vector).float().split([3, 4])
+
+
+def test_a_roll_to_half_a_turn_gives_the_label_of_canonical_sign():
+    """Half a turn about x, and the camera by half a turn about z, are half a turn about y."""
+    camera = URSO_CAMERA.resized(16, 12)
+    for sign in (1.0, -1.0):
+        label = torch.tensor([0.0, 0.0, 5.0]), torch.tensor([0.0, sign, 0.0, 0.0])
+        _, _, q = roll_camera(torch.zeros(3, 12, 16), *label, camera, 180.0)
+        np.testing.assert_allclose(q, [0, 0, 1, 0], atol=1e-7)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 17.0, -90.0, 180.0, 123.4])

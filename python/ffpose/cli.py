@@ -59,6 +59,7 @@ def demo(options: Namespace) -> None:
     """Run the whole line on rendered scenes."""
     from ffpose.demo import run
 
+    expect_folder(options.out)
     document = run(options.out)
     baseline = document["mean_pose_baseline"]
     for name in ("median_translation_error_m", "median_rotation_error_deg"):
@@ -103,6 +104,7 @@ def render(options: Namespace) -> None:
     from ffpose.render.layers import LAYERS
     from ffpose.render.writer import write_dataset
 
+    expect_folder(options.out)
     scene = get_scene(options.scene)
     sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
     scene = replace(
@@ -139,13 +141,14 @@ def train_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--backbone-weights",
         default="auto",
-        help='"auto" (from huggingface.co if it answers), "none" or a file (default: auto)',
+        help='"auto" (pretrained, from huggingface.co), "none" (random) or a file (default: auto)',
     )
     parser.add_class_arguments(TrainConfig, skip={"backbone_weights"})
 
 
 def train(options: Namespace) -> None:
     """Train a model."""
+    expect_folder(options.out)
     from ffpose.plots import save_figure, training_curves
     from ffpose.training import TrainConfig
     from ffpose.training.engine import train as run
@@ -370,6 +373,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 failed. Wrong usage leaves by SystemExit with code 2.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words:
+        overview().print_help(sys.stderr)
+        raise SystemExit(2)
     name = overview().parse_args(words[:1]).command
     if name == "info":
         from ffpose.info import main as info

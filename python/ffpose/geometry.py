@@ -5,7 +5,9 @@ Every other module uses what is written here, and converts on entry what comes i
 * **Camera frame**: x right, y down, z forward (that of OpenCV), right-handed, in metres.
 * **Pose**: takes a point of the object into the camera frame, ``p_camera = R(q) @ p_object + t``.
 * **Quaternion**: Hamilton's, scalar first ``(w, x, y, z)``, of norm one. ``q`` and ``-q`` are one
-  rotation; a label is canonical, that is ``w >= 0``.
+  rotation; a `Pose` holds the canonical one, whose first component that is not zero is positive:
+  ``w > 0``, or at half a turn ``w = 0`` and ``x > 0``, and so on. That rule is computed in one
+  place, `ffpose.arrays.canonical_quaternion`.
 * **Flat vector**: ``[tx, ty, tz, qw, qx, qy, qz]``.
 * **Pixels**: continuous coordinates ``(u, v)``, u to the right and v downwards. The image covers
   ``[0, width] x [0, height]``, so the centre of the top left pixel is ``(0.5, 0.5)`` and a resize
@@ -29,6 +31,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ffpose.arrays import canonical_quaternion
 from ffpose.errors import DataError
 
 FloatArray = NDArray[np.float64]
@@ -187,6 +190,8 @@ URSO_CAMERA = Camera(width=1280, height=960, fx=640.0, fy=640.463, cx=640.0, cy=
 class PoseUncertainty:
     """How far a predicted pose may be from the truth, as the network itself says.
 
+    Two are equal where all their numbers are.
+
     Attributes:
         translation_covariance: ``(3, 3)`` square metres, camera frame; float64.
         rotation_covariance: ``(3, 3)`` square radians: covariance of the rotation vector ``r``,
@@ -208,19 +213,36 @@ class PoseUncertainty:
         if not 0 <= self.in_view <= 1:
             raise ValueError(f"in_view: expected a probability, got {self.in_view}")
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, PoseUncertainty):
+            return NotImplemented
+        return self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def _values(self) -> tuple[float, ...]:
+        covariances = (self.translation_covariance, self.rotation_covariance)
+        return (*np.ravel(covariances).tolist(), self.in_view)
+
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Pose:
     """Where an object is and how it is turned: ``p_camera = R(q) @ p_object + t``.
 
+    Equality is by value and exact: two poses are equal, and hash alike, where translation, rotation
+    and uncertainty are. ``q`` and ``-q`` make equal poses.
+
     Attributes:
         t: Translation ``(3,)``, metres, camera frame; read-only float64.
-        q: Orientation ``(4,)``, Hamilton quaternion ``(w, x, y, z)`` of norm one with ``w >= 0``;
-            read-only float64.
+        q: Orientation ``(4,)``, Hamilton quaternion ``(w, x, y, z)`` of norm one and of canonical
+            sign (see the module); read-only float64.
         uncertainty: Of a prediction, where the network gives one; None for a label.
 
     Example:
         >>> Pose([1, 2, 10], [-0.6, 0.8, 0, 0]).q.tolist() == [0.6, -0.8, 0, 0]
+        True
+        >>> Pose([1, 2, 10], [0, 0, 0, -1]) == Pose([1, 2, 10], [0, 0, 0, 1])
         True
     """
 
@@ -245,12 +267,18 @@ class Pose:
                 "pose: expected translation (3,) and quaternion (4,), "
                 f"got {translation.shape} and {quaternion.shape}"
             )
-        if quaternion[0] < 0:
-            quaternion = -quaternion
-        for name, array in (("t", translation), ("q", quaternion)):
+        for name, array in (("t", translation), ("q", canonical_quaternion(quaternion))):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         object.__setattr__(self, "uncertainty", uncertainty)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return bool((self.vector == other.vector).all()) and self.uncertainty == other.uncertainty
+
+    def __hash__(self) -> int:
+        return hash((*self.vector.tolist(), self.uncertainty))
 
     @classmethod
     def from_vector(cls, vector: ArrayLike) -> Pose:

@@ -30,6 +30,8 @@ _CAPTION_HEIGHT = 22
 _COLUMNS = 4
 _GAP = 6
 _AXIS_LENGTH = 3.0
+_NORM_TOLERANCE = 1e-5
+"""Of a quaternion's norm: a label of five digits keeps within it."""
 _COLOURS = ("#0072b2", "#e69f00", "#009e73")
 """Of the splits: three that the colour-blind can tell apart."""
 
@@ -70,9 +72,10 @@ def inspect_dataset(
 
     Returns:
         The summary, as in ``summary.json``. Under ``splits``, by name: ``images``, ``camera``,
-        ``failed`` (names of the images whose label fails each check), ``origin_in_image`` (the
-        share of images that hold the object's origin) and ``ranges`` (least, median and greatest
-        value). Beside them ``shared_images`` (files in more than one split) and ``files``.
+        ``failed`` (names of the images whose label, as the file has it, fails each check),
+        ``origin_in_image`` (the share of images that hold the object's origin) and ``ranges``
+        (least, median and greatest value). Beside them ``shared_images`` (files in more than one
+        split) and ``files``.
 
     Raises:
         ValueError: There are no splits, more than three, or no images asked for a sheet.
@@ -151,14 +154,24 @@ def _orientation(poses: FloatArray) -> FloatArray:
     return np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])))
 
 
+def _raw_quaternions(dataset: PoseDataset) -> FloatArray:
+    """Return the quaternions (N, 4) as the files have them: a `Pose` would pass every check."""
+    return np.array(
+        [
+            record.pose.q if record.raw_quaternion is None else record.raw_quaternion
+            for record in dataset.records
+        ]
+    )
+
+
 def _summarize(dataset: PoseDataset) -> dict[str, Any]:
     """Return the figures and checks of one split."""
-    poses, camera = dataset.poses, dataset.camera
+    poses, camera, raw = dataset.poses, dataset.camera, _raw_quaternions(dataset)
     quantities = (*_TRANSLATION, *_ORIENTATION)
     values = np.column_stack([_translation(poses), _orientation(poses)])
     failures = {
-        "unit_quaternion": np.abs(np.linalg.norm(poses[:, 3:], axis=1) - 1) > 1e-9,
-        "scalar_not_negative": poses[:, 3] < 0,
+        "unit_quaternion": np.abs(np.linalg.norm(raw, axis=1) - 1) > _NORM_TOLERANCE,
+        "scalar_not_negative": raw[:, 0] < 0,
         "in_front_of_camera": poses[:, 2] <= 0,
     }
     origins = camera.project(poses[:, :3])

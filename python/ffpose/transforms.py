@@ -28,9 +28,11 @@ from PIL import Image
 from torch import Tensor
 from torchvision.transforms import v2
 
+from ffpose.arrays import canonical_quaternion
 from ffpose.geometry import Camera, FloatArray, rotation_matrix
 
 Mode = Literal["resize", "center_crop"]
+Interpolation = Literal["bilinear", "bicubic"]
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -59,21 +61,27 @@ class Preprocessing:
             exceeds ``size`` by `CROP_MARGIN`, and the centre is cut out.
         mean: Of red, green and blue in [0, 1], subtracted.
         std: Of the same, divided by.
+        interpolation: Of the resize: ``"bilinear"`` or ``"bicubic"``, both antialiased.
 
     Raises:
-        ValueError: A size below one, an unknown mode, or a mean or std that cannot be used.
+        ValueError: A size below one, an unknown mode or interpolation, or a mean or std that cannot
+            be used.
     """
 
     size: tuple[int, int] = (224, 224)
     mode: Mode = "resize"
     mean: tuple[float, float, float] = IMAGENET_MEAN
     std: tuple[float, float, float] = IMAGENET_STD
+    interpolation: Interpolation = "bilinear"
 
     def __post_init__(self) -> None:
         if len(self.size) != 2 or min(self.size) < 1:
             raise ValueError(f"size: expected (height, width), each at least 1, got {self.size}")
         if self.mode not in get_args(Mode):
             raise ValueError(f"mode: expected one of {get_args(Mode)}, got {self.mode!r}")
+        if self.interpolation not in get_args(Interpolation):
+            known = get_args(Interpolation)
+            raise ValueError(f"interpolation: expected one of {known}, got {self.interpolation!r}")
         if len(self.mean) != 3 or not all(map(math.isfinite, self.mean)):
             raise ValueError(f"mean: expected three finite numbers, got {self.mean}")
         if len(self.std) != 3 or not all(math.isfinite(s) and s > 0 for s in self.std):
@@ -92,7 +100,8 @@ class Preprocessing:
         All that follows is cheap and may be random, so the frame is what a data set caches.
         """
         height, width = self.frame_size(*image.size)
-        return np.asarray(image.resize((width, height), Image.Resampling.BILINEAR))
+        filter = Image.Resampling[self.interpolation.upper()]
+        return np.asarray(image.resize((width, height), filter))
 
     def center_window(self, frame_size: tuple[int, int]) -> Window:
         """Return the window in the middle of a frame of ``(height, width)``."""
@@ -157,19 +166,23 @@ class Preprocessing:
             "mode": self.mode,
             "mean": list(self.mean),
             "std": list(self.std),
+            "interpolation": self.interpolation,
         }
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> Preprocessing:
-        """Build from what `to_dict` returned.
+        """Build from what `to_dict` returned; without interpolation, as it once was, bilinear.
 
         Raises:
             ValueError: A field is missing, unknown or not usable.
         """
-        if set(fields) != {"size", "mode", "mean", "std"}:
-            raise ValueError(f"preprocessing: expected size, mode, mean, std, got {sorted(fields)}")
+        if set(fields) - {"interpolation"} != {"size", "mode", "mean", "std"}:
+            raise ValueError(
+                "preprocessing: expected size, mode, mean, std, interpolation, "
+                f"got {sorted(fields)}"
+            )
         size, mean, std = (tuple(fields[name]) for name in ("size", "mean", "std"))
-        return cls(size, fields["mode"], mean, std)
+        return cls(size, fields["mode"], mean, std, fields.get("interpolation", "bilinear"))
 
 
 def roll_camera(
@@ -190,7 +203,7 @@ def roll_camera(
         degrees: Angle of the turn.
 
     Returns:
-        The turned image, translation and orientation (``w >= 0``).
+        The turned image, translation and orientation, of canonical sign.
 
     Raises:
         ValueError: The image has not the camera's size.
@@ -212,7 +225,7 @@ def roll_camera(
     return (
         _warp(image, camera.matrix @ turn @ np.linalg.inv(camera.matrix)),
         (torch.from_numpy(turn) @ translation.double()).to(translation.dtype),
-        torch.where(turned[:1] < 0, -turned, turned).to(orientation.dtype),
+        torch.from_numpy(canonical_quaternion(turned.numpy())).to(orientation.dtype),
     )
 
 

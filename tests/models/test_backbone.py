@@ -10,7 +10,8 @@ import timm
 import torch
 
 from ffpose import DataError
-from ffpose.models import build_backbone, pretrained
+from ffpose.models import backbone_preprocessing, build_backbone, pretrained
+from ffpose.transforms import Preprocessing
 
 NAME = "test_efficientnet"
 
@@ -67,6 +68,27 @@ def test_unknown_model_and_map():
         build_backbone("efficientnet_b0_5", (16, 8))
     with pytest.raises(ValueError, match=r"gives reductions \[2, 4, 8, 16, 32\], expected \[12\]"):
         build_backbone("efficientnet_b0", (12, 8))
+
+
+# What images the pretrained weights expect: written on their pages at huggingface.co/timm
+
+IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+HALVES = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("name", "statistics", "interpolation"),
+    [
+        ("efficientnet_b0", IMAGENET, "bicubic"),
+        ("efficientnet_lite0", IMAGENET, "bicubic"),
+        ("mobilenetv4_conv_small_050", HALVES, "bicubic"),
+        ("vgg11", IMAGENET, "bilinear"),
+        ("a_network_of_ones_own", IMAGENET, "bilinear"),
+    ],
+)
+def test_images_are_prepared_as_the_weights_expect(name, statistics, interpolation):
+    preprocessing = backbone_preprocessing(name, (96, 128), "center_crop")
+    assert preprocessing == Preprocessing((96, 128), "center_crop", *statistics, interpolation)
 
 
 # Weights
@@ -153,36 +175,53 @@ def test_auto_downloads(hub, monkeypatch, file):
     assert same_as(build_backbone(NAME, (16, 8), "auto"), file)
 
 
-def test_auto_goes_without_a_hub_and_says_so(hub, caplog):
-    build_backbone(NAME, (16, 8), "auto")
-    assert "no pretrained weights for test_efficientnet (https://" in caplog.text
-    assert "does not answer" in caplog.text
-    assert len(caplog.records) == 1
+def test_what_was_used_is_told(hub, monkeypatch, file):
+    """The digest is that of ``sha256sum``; of a file no more than the name, not where it lay."""
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    random, of_file = (build_backbone(NAME, (16, 8), weights) for weights in ("none", file))
+    assert random.source == {"name": NAME, "source": "none"}
+    assert of_file.source == {"name": NAME, "source": "classifier.safetensors", "sha256": digest}
+    monkeypatch.setattr(hub, "try_to_load_from_cache", lambda *_: str(file))
+    source = {"name": NAME, "source": "timm/test_efficientnet.r160_in1k", "sha256": digest}
+    assert build_backbone(NAME, (16, 8), "auto").source == source
 
 
-def test_auto_asks_no_one_when_offline(hub, monkeypatch, caplog):
+def test_auto_without_a_hub_is_refused_and_says_what_to_type(hub):
+    with pytest.raises(FileNotFoundError) as refused:
+        build_backbone(NAME, (16, 8), "auto")
+    for words in (
+        "expected the pretrained ones of test_efficientnet, got none (https://",
+        "does not answer",
+        "--backbone-weights none",
+        "--backbone-weights FILE",
+    ):
+        assert words in str(refused.value)
+
+
+def test_auto_asks_no_one_when_offline(hub, monkeypatch):
     monkeypatch.setattr(hub.constants, "HF_HUB_OFFLINE", True)
     monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: pytest.fail("asked"))
-    build_backbone(NAME, (16, 8), "auto")
-    assert "HF_HUB_OFFLINE is set" in caplog.text
+    with pytest.raises(FileNotFoundError, match="HF_HUB_OFFLINE is set"):
+        build_backbone(NAME, (16, 8), "auto")
 
 
-def test_auto_where_timm_has_none(caplog):
-    build_backbone("mobilenetv4_conv_small_035", (16, 8), "auto")
-    assert "(timm has none)" in caplog.text
+def test_auto_where_timm_has_none():
+    with pytest.raises(FileNotFoundError, match=r"\(timm has none\)"):
+        build_backbone("mobilenetv4_conv_small_035", (16, 8), "auto")
 
 
-def test_auto_never_hangs(hub, monkeypatch, caplog):
+def test_auto_never_hangs(hub, monkeypatch):
     monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: time.sleep(60))
     monkeypatch.setattr(pretrained, "ANSWER_SECONDS", 0.05)
     started = time.monotonic()
-    assert pretrained.find_pretrained(NAME) is None
+    with pytest.raises(FileNotFoundError, match="does not answer"):
+        pretrained.find_pretrained(NAME)
     monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: "there")
     monkeypatch.setattr(hub, "hf_hub_download", lambda *_: time.sleep(60))
     monkeypatch.setattr(pretrained, "DOWNLOAD_SECONDS", 0.05)
-    assert pretrained.find_pretrained(NAME) is None
+    with pytest.raises(FileNotFoundError, match="the download took over"):
+        pretrained.find_pretrained(NAME)
     assert time.monotonic() - started < 30
-    assert "the download took over" in caplog.text
 
 
 @pytest.mark.parametrize(("call", "answer"), [(lambda: 3, 3), (refuse, None)])

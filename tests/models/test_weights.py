@@ -159,9 +159,10 @@ def test_any_safetensors_reader_reads_it(model, path):
         assert json.loads(file.metadata()["config"])["backbone"] == "test_efficientnet"
 
 
-def test_plain_resize_is_recorded_by_default(model, tmp_path):
+def test_a_resize_as_the_backbone_expects_is_recorded_by_default(model, tmp_path):
     model.save_pretrained(tmp_path / "w.safetensors")
-    assert read_metadata(tmp_path / "w.safetensors").preprocessing == Preprocessing(size=(64, 96))
+    expected = Preprocessing(size=(64, 96), interpolation="bicubic")  # and ImageNet's statistics
+    assert read_metadata(tmp_path / "w.safetensors").preprocessing == expected
 
 
 def test_preprocessing_of_another_size(model, tmp_path):

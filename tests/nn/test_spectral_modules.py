@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from ffpose.nn import GlobalFilter, SequenceFilter, SpectralFilter
+from ffpose.nn import GlobalFilter, QuaternionActivation, SequenceFilter, SpectralFilter
 
 
 class PlainGlobalFilter(nn.Module):
@@ -155,6 +155,8 @@ def test_copies_are_independent():
     [
         (((8, 6), "rows"), r"'tokens', 'grid'.*'rows'"),
         (((8, 6, 3),), "expected 2 sizes, got 3"),
+        ((196,), "'tokens' expected 2 sizes, got the one number 196"),
+        ((14, "grid"), "'grid' expected 3 sizes, got the one number 14"),
         (((8, 6), "grid"), "expected 3 sizes, got 2"),
         (((8, 0),), r"at least 1, got \(8, 0\)"),
     ],
@@ -187,6 +189,9 @@ def test_wrong_input(x, error, text):
         ((2, 9, 3), None, r"\(B, 16, 3\).*, got \(2, 9, 3\)"),
         ((2, 16, 3), (4, 5), r"\(B, 20, 3\).*, got \(2, 16, 3\)"),
         ((2, 16, 3), (2, 8), r"4 rows, and columns .* = 3, got \(2, 8\)"),
+        ((2, 16, 3), 4, r"spatial_size: expected \(rows, columns\), got 4"),
+        ((2, 16, 3), 0, r"spatial_size: expected \(rows, columns\), got 0"),
+        ((2, 16, 3), (4, 4, 1), r"spatial_size: expected \(rows, columns\), got \(4, 4, 1\)"),
         ((2, 16, 3), (-4, -4), r"4 rows, and columns .* = 3, got \(-4, -4\)"),
     ],
 )
@@ -220,6 +225,50 @@ def test_global_filter_compiles_with_dynamic_shapes():
     module.compile(backend="aot_eager", dynamic=True)
     with pytest.raises(ValueError, match=r"\(B, 196, 4\).*, got \(2, 195, 4\)"):
         module(torch.randn(2, 195, 4))
+
+
+@pytest.mark.parametrize("dtype", [torch.complex64, torch.int32])
+def test_a_dtype_that_is_not_taken_is_refused_when_built(dtype):
+    for build in (
+        lambda: SpectralFilter((8, 6), dtype=dtype),
+        lambda: SequenceFilter(8, 6, dtype=dtype),
+    ):
+        with pytest.raises(TypeError, match=f"dtype: expected one of torch.float32.* got {dtype}"):
+            build()
+
+
+def test_resized_takes_no_single_number():
+    with pytest.raises(ValueError, match=r"size: expected \(rows, columns\).* got \(7,\)"):
+        SpectralFilter((8, 6)).resized(7)
+    with pytest.raises(ValueError, match=r"size: expected \(rows, columns\).* got \(7,\)"):
+        GlobalFilter(3, 4, 3).resized(7)
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit", "ignore::torch.jit.TracerWarning")
+@pytest.mark.parametrize(
+    ("module", "shape"),
+    [
+        (SpectralFilter((8, 6)), (8, 6)),
+        (SpectralFilter((4, 6, 3), "grid"), (4, 6, 3)),
+        (GlobalFilter(3, 4, 3), (16, 3)),
+        (SequenceFilter(9, 2), (9, 2)),
+        (QuaternionActivation(), (4,)),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_a_traced_layer_is_saved_loaded_and_trained_on(module, shape, tmp_path):
+    torch.jit.save(torch.jit.trace(module, torch.randn(2, *shape)), tmp_path / "layer.pt")
+    loaded = torch.jit.load(tmp_path / "layer.pt")
+    x = torch.randn(5, *shape)
+    theirs, ours = (
+        [i.requires_grad_() for i in (x.clone(), *m.parameters())] for m in (loaded, module)
+    )
+    expected, got = module(ours[0]), loaded(theirs[0])
+    torch.testing.assert_close(got, expected)
+    gradients = [
+        torch.autograd.grad(y.pow(3).sum(), i) for y, i in ((got, theirs), (expected, ours))
+    ]
+    torch.testing.assert_close(*gradients)
 
 
 def test_wrong_construction_of_global_filter():

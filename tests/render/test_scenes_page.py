@@ -17,12 +17,24 @@ def test_python_runs():
         exec(compile(code, "scenes.md", "exec"), {"__name__": "page"})
 
 
+def options(page):
+    """The options of ``ffpose render`` that a page names, in its commands or in back-ticks."""
+    commands = re.findall(r"ffpose render [^\n`]+", page)
+    in_commands = re.findall(r"(?<=\s)--[a-z-]+", "\n".join(commands))
+    return {*in_commands, *re.findall(r"`(--[a-z-]+)[^`]*`", page)}
+
+
+def test_options_are_found_in_commands_and_in_back_ticks():
+    page = "`--motion 20` blurs.\nffpose render x --out y\n`--ray`, but not `ffpose predict --json`"
+    assert options(page) == {"--motion", "--out", "--ray"}
+    assert {"--eclipse-rate", "--jpeg", "--mesh-scale", "--count"} <= options(PAGE)
+
+
 def test_every_option_exists(capsys):
     with pytest.raises(SystemExit):
         main(["render", "--help"])
     known = set(re.findall(r"--[a-z-]+", capsys.readouterr().out))
-    words = " ".join(re.findall(r"ffpose render [^\n`]+|`(?:--[^`]+)`", PAGE))
-    assert set(re.findall(r"(?<=\s)--[a-z-]+|^--[a-z-]+", words)) <= known
+    assert options(PAGE) <= known
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from ffpose.render import SCENES, Randomization, Sensor, render, render_layers
 from ffpose.render.sensor import expose
@@ -33,6 +34,36 @@ def test_motion_blur_spreads_light_about_its_place(seed):
     assert (moved > 1e-3).sum() > (still > 1e-3).sum()
     assert moved.sum() == pytest.approx(still.sum(), rel=0.05)
     np.testing.assert_allclose(centroid(moved), (640, 32), atol=0.05)
+
+
+@pytest.mark.parametrize(("blur_px", "width"), [(0.9, 1280), (3.0, 1280), (0.7, 2560)])
+def test_blur_of_any_width_is_scipys_gaussian(blur_px, width):
+    """Of the picture's linear light; the border's pixels go on beyond it."""
+    picture = np.repeat(np.random.default_rng(0).random((8, width // 4, 3), np.float32), 4, axis=0)
+    picture = np.repeat(picture, 4, axis=1)
+    sigma = blur_px * width / 1280
+    bell = ndimage.gaussian_filter(picture, (sigma, sigma, 0), mode="nearest", truncate=6.0)
+    expected, got, sharp = (
+        expose(light, 1.0, sensor, np.random.default_rng(0)).astype(int)
+        for light, sensor in [
+            (bell, SILENT),
+            (picture, replace(SILENT, blur_px=blur_px)),
+            (picture, SILENT),
+        ]
+    )
+    assert np.abs(got - expected).max() <= 1
+    assert np.abs(sharp - expected).max() > 20
+
+
+@pytest.mark.parametrize("blur_px", [0.3, 0.8])
+def test_the_variance_of_a_blur_below_a_pixel_is_its_own(blur_px):
+    point = np.zeros((33, 1280, 3), np.float32)
+    point[16, 640] = 0.6
+    image = linear(expose(point, 1.0, replace(SILENT, blur_px=blur_px), np.random.default_rng(0)))
+    weight = image[..., 0] / image[..., 0].sum()
+    v, u = np.mgrid[:33, :1280]
+    for spread in ((v - 16) ** 2, (u - 640) ** 2):
+        assert (weight * spread).sum() == pytest.approx(blur_px**2, rel=0.06)  # eight bits
 
 
 def test_jpeg_is_close_and_lower_quality_is_farther():
@@ -77,7 +108,16 @@ def test_background_is_replaced_at_the_stated_rate():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"motion_px": -1.0}, {"motion_px": 1e4}, {"jpeg_quality": 101}, {"jpeg_quality": -1}]
+    "wrong",
+    [
+        {"blur_px": -0.1},
+        {"blur_px": 21.0},
+        {"blur_px": np.nan},
+        {"motion_px": -1.0},
+        {"motion_px": 1e4},
+        {"jpeg_quality": 101},
+        {"jpeg_quality": -1},
+    ],
 )
 def test_absurd_options_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

@@ -23,12 +23,15 @@ class Record:
         pose: The label, in the conventions of `ffpose.geometry`.
         source: The file that lists the image.
         line: The line there, counted from one.
+        raw_quaternion: ``(w, x, y, z)`` as the file has it, before `Pose` gives it norm and sign;
+            None for a label that no file holds.
     """
 
     image: Path
     pose: Pose
     source: Path
     line: int
+    raw_quaternion: tuple[float, float, float, float] | None = None
 
     def error(self, message: str) -> DataError:
         """Return an error that names the image, and the place that lists it."""

@@ -78,8 +78,10 @@ def read(root: Path, split: Split) -> tuple[list[Record], Camera]:
     poses = [_pose(row, poses_file) for row in rows]
     _check_alignment(names, rows, poses_file, root / "gt.csv")
     records = [
-        Record(_find_image(root, name, names_file, line), pose, names_file, line)
-        for line, (name, pose) in enumerate(zip(names, poses, strict=True), start=1)
+        Record(
+            _find_image(root, name, names_file, line), pose, names_file, line, _raw_quaternion(row)
+        )
+        for line, (name, row, pose) in enumerate(zip(names, rows, poses, strict=True), start=1)
     ]
     return records, _read_camera(root, records[0])
 
@@ -137,6 +139,12 @@ def _pose(row: _Row, path: Path) -> Pose:
         return Pose.from_urso(**dict(zip(COLUMNS, row.values, strict=True)))
     except ValueError as error:
         raise DataError(str(error), path, row.line) from error
+
+
+def _raw_quaternion(row: _Row) -> tuple[float, float, float, float]:
+    """Return ``(w, x, y, z)`` of a row, converted as `Pose.from_urso` does, and nothing more."""
+    q1, q2, q3, q4 = row.values[3:]
+    return q4, q1, -q2, q3
 
 
 def _check_alignment(names: list[str], rows: list[_Row], path: Path, table: Path) -> None:

@@ -1,6 +1,6 @@
 """FilterformerPose: the network, its configurations, and its weights on disk."""
 
-from ffpose.models.backbone import Backbone, build_backbone
+from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
 from ffpose.models.config import CONFIGS, FilterformerPoseConfig
 from ffpose.models.filterformer_pose import FilterformerPose, PosePrediction
 from ffpose.models.weights import WeightsMetadata, read_metadata
@@ -12,6 +12,7 @@ __all__ = [
     "FilterformerPoseConfig",
     "PosePrediction",
     "WeightsMetadata",
+    "backbone_preprocessing",
     "build_backbone",
     "read_metadata",
 ]

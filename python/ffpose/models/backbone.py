@@ -17,6 +17,10 @@ from torch import Tensor, nn
 from ffpose.errors import require
 from ffpose.models.compact_resnet import REDUCTIONS, WIDTHS, CompactResNet
 from ffpose.models.pretrained import BackboneSource, load_backbone_weights
+from ffpose.transforms import Mode, Preprocessing
+
+COMPACT_STD = (0.25, 0.25, 0.25)
+"""Of the input of `ffpose.models.compact_resnet`, whose mean is zero."""
 
 
 class Backbone(nn.Module):
@@ -61,12 +65,12 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
         name: timm's name of the model, for example ``"efficientnet_b0"``, or one of
             `ffpose.models.compact_resnet.WIDTHS`, which have no pretrained weights.
         reductions: Pixels per cell of each map to return.
-        weights: ``"auto"``: pretrained ones where they can be had, else random ones and a line in
-            the log; ``"none"``: random; otherwise a safetensors or PyTorch file.
+        weights: ``"auto"``: pretrained ones, from the hub or its cache; ``"none"``: random;
+            otherwise a safetensors or PyTorch file. `Backbone.source` tells what was used.
 
     Raises:
         ValueError: timm has no such model, or the model no such map.
-        FileNotFoundError: There is no such weights file.
+        FileNotFoundError: There is no such weights file, or the pretrained weights cannot be had.
         ffpose.DataError: The file does not hold this model's weights.
     """
     if name in WIDTHS:
@@ -87,6 +91,29 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     channels = [features.feature_info.channels()[place] for place in order]
     # Channels-last convolutions are up to twice as fast on CPUs, and their maps lie as tokens do.
     return Backbone(features.to(memory_format=torch.channels_last), channels, order, source)
+
+
+def backbone_preprocessing(
+    name: str, size: tuple[int, int], mode: Mode = "resize"
+) -> Preprocessing:
+    """Return the preprocessing that a backbone's pretrained weights expect.
+
+    Mean, standard deviation and interpolation are those that timm's ``pretrained_cfg`` names: the
+    network learned from images so prepared, and ImageNet's are not those of every network. A
+    network that starts from random weights takes the same; one that timm does not have takes
+    ImageNet's.
+
+    Args:
+        name: timm's name of the model.
+        size: ``(height, width)`` of the network's input.
+        mode: As of `ffpose.transforms.Preprocessing`.
+    """
+    if name in WIDTHS:  # black is zero: what lies outside an image is black
+        return Preprocessing(size, mode, (0.0, 0.0, 0.0), COMPACT_STD)
+    expected = require("timm", "pose").models.get_pretrained_cfg(name)
+    if expected is None:
+        return Preprocessing(size, mode)
+    return Preprocessing(size, mode, expected.mean, expected.std, expected.interpolation)
 
 
 def _compact(name: str, reductions: Sequence[int], weights: str | Path) -> Backbone:

@@ -25,7 +25,7 @@ from torch.nn import functional as F
 from torch.utils import _pytree
 
 from ffpose.errors import DataError
-from ffpose.models.backbone import Backbone, build_backbone
+from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
 from ffpose.models.config import (
     CONFIGS,
     FLAT_CHANNELS,
@@ -383,13 +383,14 @@ class FilterformerPose(nn.Module):
 
         Args:
             config: ``"base"``, ``"small"``, ``"tiny"``, or a config.
-            backbone_weights: ``"auto"``: pretrained where they can be had, else random ones and a
-                line in the log; ``"none"``: random; otherwise a safetensors or PyTorch file.
+            backbone_weights: ``"auto"``: pretrained, from the hub or its cache; ``"none"``: random;
+                otherwise a safetensors or PyTorch file.
             **fields: Fields of the config to change.
 
         Raises:
             ValueError: An unknown preset or field, or values that do not go together.
-            FileNotFoundError: There is no such weights file.
+            FileNotFoundError: There is no such weights file, or the pretrained weights cannot be
+                had.
             ffpose.DataError: The file does not hold the backbone's weights.
         """
         if isinstance(config, str):
@@ -425,8 +426,8 @@ class FilterformerPose(nn.Module):
 
         Args:
             path: Where; its folder must exist.
-            preprocessing: What turns an image into the network's input; a plain resize to
-                ``config.image_size`` when None.
+            preprocessing: What turns an image into the network's input; a resize to
+                ``config.image_size`` as the backbone expects it when None.
             backbone_source: As in `WeightsMetadata`, and so are the next three.
             recipe: How the network was trained.
             data: What it was trained on.
@@ -438,7 +439,8 @@ class FilterformerPose(nn.Module):
             ValueError: The preprocessing makes images of another size, or a value cannot be.
             TypeError: A value is none that JSON can hold.
         """
-        preprocessing = preprocessing or Preprocessing(size=self.config.image_size)
+        if preprocessing is None:
+            preprocessing = backbone_preprocessing(self.config.backbone, self.config.image_size)
         if tuple(preprocessing.size) != self.config.image_size:
             raise ValueError(
                 f"preprocessing: expected size {self.config.image_size}, got {preprocessing.size}"

@@ -1,8 +1,9 @@
-"""Pretrained backbone weights: from timm's hub if it answers soon, from a file, or none.
+"""Pretrained backbone weights: from timm's hub, from a file, or none.
 
-Nothing here waits for long: the cache is looked at first, then the hub is asked for the file's
-header under a limit of seconds, and a download has a limit as well. ``HF_HUB_OFFLINE=1`` keeps to
-the cache.
+Weights that are asked for and cannot be had are an error, never random ones in their place: the
+same seed would give another network. Nothing here waits for long: the cache is looked at first,
+then the hub is asked for the file's header under a limit of seconds, and a download has a limit as
+well. ``HF_HUB_OFFLINE=1`` keeps to the cache.
 """
 
 from __future__ import annotations
@@ -39,17 +40,15 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
         weights: ``"auto"``, ``"none"`` or a file; see `ffpose.models.build_backbone`.
 
     Returns:
-        What the weights are now; ``source`` is the file's name, or `hub_name`.
+        What the weights are now; ``source`` is the file's name, or the hub's of its repository.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        FileNotFoundError: There is no such file, or the pretrained weights cannot be had.
         ffpose.DataError: The file does not hold this model's weights.
     """
     if weights == "none":
         return "none"
-    path = find_pretrained(name) if weights == "auto" else Path(weights)
-    if path is None:
-        return "none"
+    hub_id, path = find_pretrained(name) if weights == "auto" else ("", Path(weights))
     state = read_state(path)
     wanted = features.state_dict()
     wrong = [
@@ -62,14 +61,7 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
             path,
         )
     features.load_state_dict({key: state[key] for key in wanted})
-    source = hub_name(name) if weights == "auto" else path.name
-    return {"name": name, "source": source, "sha256": sha256(path)}
-
-
-def hub_name(name: str) -> str:
-    """Return what huggingface.co calls the pretrained weights of a model of timm; "" for none."""
-    config = require("timm", "pose").models.get_pretrained_cfg(name)
-    return config.hf_hub_id or "" if config else ""
+    return {"name": name, "source": hub_id or path.name, "sha256": sha256(path)}
 
 
 def read_state(path: Path) -> Mapping[str, Tensor]:
@@ -94,39 +86,37 @@ def read_state(path: Path) -> Mapping[str, Tensor]:
     return state
 
 
-def find_pretrained(name: str) -> Path | None:
-    """Return the file with timm's pretrained weights, downloaded if need be.
+def find_pretrained(name: str) -> tuple[str, Path]:
+    """Return the hub's name of timm's pretrained weights and their file, downloaded if need be.
 
-    Returns:
-        A path in the hub's cache; None, and a line in the log that says why, if it cannot be had.
+    Raises:
+        FileNotFoundError: They cannot be had; it says why, and what to type instead.
     """
-    repository = hub_name(name)
-    if not repository:
-        return _without(name, "timm has none")
+    config = require("timm", "pose").models.get_pretrained_cfg(name)
+    if config is None or not config.hf_hub_id:
+        raise _missing(name, "timm has none")
     hub = require("huggingface_hub", "pose")
-    cached = hub.try_to_load_from_cache(repository, HUB_FILE)
+    cached = hub.try_to_load_from_cache(config.hf_hub_id, HUB_FILE)
     if isinstance(cached, str):
-        return Path(cached)
+        return config.hf_hub_id, Path(cached)
     if hub.constants.HF_HUB_OFFLINE:
-        return _without(name, "HF_HUB_OFFLINE is set and the cache has none")
-    url = hub.hf_hub_url(repository, HUB_FILE)
+        raise _missing(name, "HF_HUB_OFFLINE is set and the cache has none")
+    url = hub.hf_hub_url(config.hf_hub_id, HUB_FILE)
     if within(ANSWER_SECONDS, lambda: hub.get_hf_file_metadata(url)) is None:
-        return _without(name, f"{hub.constants.ENDPOINT} does not answer")
+        raise _missing(name, f"{hub.constants.ENDPOINT} does not answer")
     logger.info("downloading the weights of %s from %s", name, url)
-    path = within(DOWNLOAD_SECONDS, lambda: hub.hf_hub_download(repository, HUB_FILE))
+    path = within(DOWNLOAD_SECONDS, lambda: hub.hf_hub_download(config.hf_hub_id, HUB_FILE))
     if path is None:
-        return _without(name, f"the download took over {DOWNLOAD_SECONDS:.0f} s or failed")
-    return Path(path)
+        raise _missing(name, f"the download took over {DOWNLOAD_SECONDS:.0f} s or failed")
+    return config.hf_hub_id, Path(path)
 
 
-def _without(name: str, reason: str) -> Path | None:
-    logger.warning(
-        "no pretrained weights for %s (%s): its backbone starts from random weights;"
-        " --backbone-weights FILE takes a local file",
-        name,
-        reason,
+def _missing(name: str, reason: str) -> FileNotFoundError:
+    return FileNotFoundError(
+        f"backbone weights: expected the pretrained ones of {name}, got none ({reason}):"
+        " --backbone-weights none starts from random weights,"
+        " --backbone-weights FILE from a local file"
     )
-    return None
 
 
 def within(seconds: float, call: Callable[[], Any]) -> Any:

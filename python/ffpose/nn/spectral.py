@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from ffpose.nn.resampling import resample_weight
 from ffpose.ops import Layout, spectral_filter, weight_shape
+from ffpose.ops.bridge import check_tensor
 
 INIT_STD = 0.02
 
@@ -39,6 +40,7 @@ class SpectralFilter(nn.Module):
 
     Raises:
         ValueError: An unknown layout, a wrong number of sizes, or a size below one.
+        TypeError: Another dtype.
 
     Example:
         >>> filter = SpectralFilter((14, 14, 256), layout="grid")
@@ -62,7 +64,7 @@ class SpectralFilter(nn.Module):
         self.size = tuple(size)
         self.layout = layout
         self.std = std
-        self.weight = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
+        self.weight = _new_parameter(shape, device, dtype)
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
@@ -94,7 +96,7 @@ class SpectralFilter(nn.Module):
         Raises:
             ValueError: A wrong number of sizes, a size below one, or other channels.
         """
-        size = tuple(size)
+        size = _as_tuple(size)
         if len(size) != len(self.size) or min(size) < 1 or size[2:] != self.size[2:]:
             wanted = ", ".join(["rows", "columns", *map(str, self.size[2:])])
             raise ValueError(f"size: expected ({wanted}), each at least 1, got {size}")
@@ -119,13 +121,15 @@ class SequenceFilter(nn.Module):
         dim: Channels C.
         std: Standard deviation of real and imaginary part at the start.
         device: Of the parameter.
-        dtype: Of the parameter: float32 or float64. Half precision input takes a float32 weight.
+        dtype: Of the parameter: float32, float64 or half precision. Half precision input takes a
+            float32 weight too.
 
     Attributes:
         weight: Real parameter ``(L//2+1, C, 2)``.
 
     Raises:
         ValueError: A size below one.
+        TypeError: Another dtype.
 
     Example:
         >>> filter = SequenceFilter(50, 64)
@@ -148,7 +152,7 @@ class SequenceFilter(nn.Module):
         self.length, self.dim = length, dim
         self.std = std
         shape = weight_shape((1, length, dim), "grid")[1:]
-        self.weight = nn.Parameter(torch.empty(shape, device=device, dtype=dtype))
+        self.weight = _new_parameter(shape, device, dtype)
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
@@ -263,10 +267,11 @@ class GlobalFilter(nn.Module):
             ValueError: A size below one, or a ``spatial_size`` that does not fit the weight.
         """
         rows, columns = self._grid(spatial_size)
-        if len(size) != 2 or min(size) < 1:
-            raise ValueError(f"size: expected (rows, columns), each at least 1, got {tuple(size)}")
+        size_to_be = _as_tuple(size)
+        if len(size_to_be) != 2 or min(size_to_be) < 1:
+            raise ValueError(f"size: expected (rows, columns), each at least 1, got {size_to_be}")
         grid = (rows, columns, self.dim)
-        weight = resample_weight(self.complex_weight, grid, size, "grid")
+        weight = resample_weight(self.complex_weight, grid, size_to_be, "grid")
         with torch.device("meta"):
             twin = GlobalFilter(self.dim, *weight.shape[:2])
         twin.complex_weight = _parameter_like(self.complex_weight, weight)
@@ -274,7 +279,10 @@ class GlobalFilter(nn.Module):
 
     def _grid(self, spatial_size: tuple[int, int] | None) -> tuple[int, int]:
         """Return rows and columns of the grid, a square when None, if the weight is for it."""
-        rows, columns = spatial_size or (self.h, self.h)
+        size = (self.h, self.h) if spatial_size is None else _as_tuple(spatial_size)
+        if len(size) != 2:
+            raise ValueError(f"spatial_size: expected (rows, columns), got {spatial_size}")
+        rows, columns = size
         if (rows, columns // 2 + 1) != (self.h, self.w):
             raise ValueError(
                 f"spatial_size: expected {self.h} rows, and columns with"
@@ -285,6 +293,20 @@ class GlobalFilter(nn.Module):
     def extra_repr(self) -> str:
         """Return what ``print`` shows between the parentheses."""
         return f"{self.dim}, h={self.h}, w={self.w}"
+
+
+def _as_tuple(size: Sequence[int] | int) -> tuple[int, ...]:
+    """Return ``size`` as a tuple; of one number that of one, so that a wrong count is seen."""
+    return (size,) if isinstance(size, int) else tuple(size)
+
+
+def _new_parameter(
+    shape: Sequence[int], device: torch.device | str | None, dtype: torch.dtype | None
+) -> nn.Parameter:
+    """Return a parameter without values, of a dtype that the filter takes."""
+    data = torch.empty(shape, device=device, dtype=dtype)
+    check_tensor("dtype", data)
+    return nn.Parameter(data)
 
 
 def _parameter_like(parameter: nn.Parameter, data: Tensor) -> nn.Parameter:

@@ -72,6 +72,11 @@ def is_plain(*tensors: Tensor) -> bool:
     return True
 
 
+def is_recording() -> bool:
+    """Whether a graph of operators is recorded: torch.compile, torch.export, torch.jit.trace."""
+    return bool(is_compiling() or _tracing_state())
+
+
 def transforms_at_work() -> bool:
     """Whether `torch.func` is at work, which records by rules of its own."""
     return torch._C._are_functorch_transforms_active()

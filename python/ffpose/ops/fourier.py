@@ -1,6 +1,8 @@
 """The spectral filter by torch.fft: for devices and transforms that Rust does not serve.
 
-Same arguments, same numbers as the Rust core; arguments are checked by the caller.
+Same arguments, same numbers as the Rust core; arguments are checked by the caller. Conjugates are
+computed at once (``conj_physical``): what `Tensor.conj` leaves for later is lost where a dispatch
+mode looks on, such as torch's counter of operations.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ def filter_backward_by_fft(
         return for_x, for_weight
     spectrum = _spectrum(grad, layout)
     if need_x:
-        product = spectrum * _complex_weight(weight, x, layout).conj()
+        product = spectrum * _complex_weight(weight, x, layout).conj_physical()
         for_x = _inverse(product, x, layout)
     if need_weight:
         for_weight = _correlate(spectrum, x, layout).to(weight.dtype)
@@ -66,7 +68,7 @@ def _complex_weight(weight: Tensor, x: Tensor, layout: Layout) -> Tensor:
     spectrum = torch.view_as_complex(weight.contiguous()).clone()
     columns = _lone_columns(x.shape[PLANE[layout][1]])
     chosen = spectrum[:, columns]
-    mirrored = chosen.flip(0).roll(1, 0).conj()
+    mirrored = chosen.flip(0).roll(1, 0).conj_physical()
     spectrum[:, columns] = (chosen + mirrored) / 2
     return spectrum
 
@@ -76,7 +78,8 @@ def _correlate(spectrum: Tensor, x: Tensor, layout: Layout) -> Tensor:
 
     Each column of the half spectrum counts twice, for itself and for its conjugate partner.
     """
-    product = (_spectrum(x, layout).conj() * spectrum).reshape(-1, *spectrum.shape[-RANK[layout] :])
+    product = _spectrum(x, layout).conj_physical() * spectrum
+    product = product.reshape(-1, *spectrum.shape[-RANK[layout] :])
     rows, columns = (x.shape[dim] for dim in PLANE[layout])
     total = product.sum(0) * (2 / (rows * columns))
     total[:, _lone_columns(columns)] /= 2

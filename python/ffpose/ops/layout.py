@@ -41,6 +41,10 @@ def weight_shape(size: Sequence[int], layout: Layout) -> tuple[int, ...]:
         (14, 8, 256, 2)
     """
     check_layout(layout)
+    if isinstance(size, int):
+        raise ValueError(
+            f"size: layout {layout!r} expected {RANK[layout]} sizes, got the one number {size}"
+        )
     if len(size) != RANK[layout]:
         raise ValueError(f"size: layout {layout!r} expected {RANK[layout]} sizes, got {len(size)}")
     rows, columns, *channels = size

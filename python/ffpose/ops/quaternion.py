@@ -21,6 +21,7 @@ from ffpose.ops.bridge import (
     check_alike,
     check_tensor,
     is_plain,
+    is_recording,
     to_array,
     to_tensor,
     transforms_at_work,
@@ -60,7 +61,7 @@ def normalize_quaternion(q: Tensor) -> Tensor:
         if not transforms_at_work():
             recorded: Tensor = _NormalizeQuaternionOnCpu.apply(q)
             return recorded
-    if torch.compiler.is_compiling():
+    if is_recording():
         return _forward_op(q)
     result: Tensor = _NormalizeQuaternion.apply(q)
     return result

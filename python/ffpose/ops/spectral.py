@@ -28,6 +28,7 @@ from ffpose.ops.bridge import (
     add,
     below_autograd,
     is_plain,
+    is_recording,
     rebatch,
     transforms_at_work,
     unbatch,
@@ -76,7 +77,7 @@ def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Ten
                 recorded = _SpectralFilterOnCpu.apply(x.clone(), weight, layout)
             return recorded
     check_filter(x, weight, layout)
-    if torch.compiler.is_compiling():
+    if is_recording():
         return forward_op(x, weight, layout)
     result: Tensor = _SpectralFilter.apply(x, weight, layout)
     return result

@@ -24,6 +24,8 @@ FRAME_LEVEL = 0.9
 BLOOM_LIMIT = 200.0
 BLOOM_CELL = 4
 """Glare is computed on a grid this much coarser than the pixels."""
+BLUR_LIMIT = 20.0
+"""Of `Sensor.blur_px`: no camera that is in use is so far out of focus."""
 MOTION_LIMIT = 200.0
 
 
@@ -32,7 +34,8 @@ class Sensor:
     """How light becomes numbers. A zero switches the effect off.
 
     Attributes:
-        blur_px: standard deviation of the optics' blur, in pixels of an image 1280 wide.
+        blur_px: standard deviation of the optics' blur, in pixels of an image 1280 wide; at most
+            `BLUR_LIMIT`.
         vignette: part of the light that is lost in the corners.
         bloom: part of the light beyond full scale that glare spreads around.
         full_well: electrons at full scale, at least 1; sets the shot noise.
@@ -53,12 +56,14 @@ class Sensor:
     jpeg_quality: int = 0
 
     def __post_init__(self) -> None:
-        numbers = (self.blur_px, self.bloom, self.read_noise, self.exposure_spread)
+        numbers = (self.bloom, self.read_noise, self.exposure_spread)
         if min(numbers) < 0 or self.full_well < 1 or not 0 <= self.vignette < 1:
             raise ValueError(
                 "sensor: expected numbers of at least 0, full_well of at least 1 and vignette "
                 f"below 1, got {self}"
             )
+        if not 0 <= self.blur_px <= BLUR_LIMIT:
+            raise ValueError(f"blur_px: expected 0…{BLUR_LIMIT}, got {self.blur_px}")
         if not 0 <= self.motion_px <= MOTION_LIMIT:
             raise ValueError(f"motion_px: expected 0…{MOTION_LIMIT}, got {self.motion_px}")
         if self.jpeg_quality not in range(101):
@@ -133,17 +138,31 @@ def _add_noise(signal: Floats, sensor: Sensor, rng: np.random.Generator) -> None
 
 
 def _blur(image: Floats, sigma: float) -> Floats:
-    """Three taps along each axis whose variance is sigma², which suits blurs below a pixel."""
-    side = np.float32(min(sigma * sigma / 2, 1 / 3))
+    """Convolve with a bell along each axis; beyond the border stand the border's pixels."""
+    center, *sides = _bell(sigma)
+    reach = len(sides)
     for axis in (0, 1):
-        padded = np.concatenate([image.take([0], axis), image, image.take([-1], axis)], axis=axis)
-        last = padded.shape[axis]
-        before = padded[: last - 2] if axis == 0 else padded[:, : last - 2]
-        after = padded[2:] if axis == 0 else padded[:, 2:]
-        image = image * (1 - 2 * side)
-        image += side * before
-        image += side * after
+        width = [(reach, reach) if each == axis else (0, 0) for each in range(3)]
+        padded = np.pad(image, width, mode="edge")
+        size = image.shape[axis]
+        image = image * center
+        for step, side in enumerate(sides, start=1):
+            for start in (reach - step, reach + step):
+                part = slice(start, start + size)
+                image += side * (padded[part] if axis == 0 else padded[:, part])
     return image
+
+
+def _bell(sigma: float) -> Floats:
+    """Weights at 0, 1, 2, … pixels of a bell whose variance is sigma².
+
+    Three taps where they can be a bell, which suits blurs below a pixel; a sampled Gaussian beyond.
+    """
+    if sigma * sigma / 2 <= 1 / 3:
+        side = np.float32(sigma * sigma / 2)
+        return np.array([1 - 2 * side, side], dtype=np.float32)
+    bell = np.exp(-0.5 * (np.arange(math.ceil(4 * sigma) + 1) / sigma) ** 2)
+    return np.asarray(bell / (2 * bell.sum() - 1), dtype=np.float32)
 
 
 def _smear(image: Floats, longest: float, rng: np.random.Generator) -> Floats:

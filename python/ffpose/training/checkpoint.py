@@ -92,7 +92,7 @@ class RunFolder:
         return self.root / "curves.png"
 
     def open(self, config: TrainConfig, *, resume: bool) -> TrainState:
-        """Make the folder ready and write the configuration.
+        """Read what there is to go on from; nothing is written (`begin` does).
 
         Args:
             config: What the run is asked to do.
@@ -114,11 +114,14 @@ class RunFolder:
                 )
             self._check_config(config)
             state = self.load_state()
+        return state
+
+    def begin(self, config: TrainConfig) -> None:
+        """Make the folder and write the configuration, once nothing speaks against the run."""
         self.root.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.root, older_than=0.0)  # one process alone writes a run's files
         with atomic_write(self.config) as path:
             path.write_text(dump_config(config))
-        return state
 
     def save_state(self, state: TrainState) -> None:
         """Write ``state``; from then on its last epoch is done."""

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from ffpose.training.stages import JOINT_STAGE, Stage
 
 TEST_SEEDS = 1_000_000
 """From this seed on, scenes are for tests: no training renders them."""
+
+ModelName = Literal["base", "small", "tiny", "compact"]
+"""The keys of `ffpose.models.CONFIGS`, known here without torch: a wrong one is refused at once."""
 
 
 def _expect(condition: bool, name: str, expected: str, got: object) -> None:
@@ -202,8 +205,9 @@ class TrainConfig:
         data: The images.
         out: The folder to write; it must not hold another run.
         model: Name of the model's configuration: base (the paper's), small or tiny.
-        model_fields: Fields of that configuration to change, such as {"depth": 5}.
-        backbone_weights: "auto" (pretrained where they can be had), "none", or a file.
+        model_fields: Fields of that configuration to change, such as {"depth": 5}; a tuple becomes
+            the list that a YAML file gives back.
+        backbone_weights: "auto" (pretrained), "none" (random), or a file.
         normalize_translation: Whether the head predicts in units of the training split's spread
             about its mean, in place of raw metres.
         epochs: Epochs of the first stage, in place of the number that stages gives it.
@@ -225,7 +229,7 @@ class TrainConfig:
 
     data: DataConfig
     out: Path
-    model: str = "base"
+    model: ModelName = "base"
     model_fields: dict[str, Any] = field(default_factory=dict)
     backbone_weights: str = "auto"
     normalize_translation: bool = True
@@ -246,6 +250,8 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         _expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)
+        names = get_args(ModelName)
+        _expect(self.model in names, "model", f"one of {', '.join(names)}", self.model)
         _expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
         _expect(self.batch_size >= 1, "batch_size", "1 or more", self.batch_size)
         _expect(self.accumulate >= 1, "accumulate", "1 or more", self.accumulate)
@@ -257,6 +263,8 @@ class TrainConfig:
             self.weights_dtype in kinds, "weights_dtype", " or ".join(kinds), self.weights_dtype
         )
         _expect(self.seed >= 0, "seed", "0 or more", self.seed)
+        fields = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_fields.items()}
+        object.__setattr__(self, "model_fields", fields)
 
     @property
     def resolved_stages(self) -> tuple[Stage, ...]:

@@ -81,6 +81,7 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
     if state.history:
         _restore(run, state, epochs)
         run.average.model.backbone.source = read_metadata(folder.last).backbone_source
+    folder.begin(config)
     done, steps = len(state.history), run.task.steps
     with Reporter(len(epochs), done, steps, quiet=quiet) as reporter:
         for epoch in epochs[done:]:
@@ -161,7 +162,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     sums = torch.zeros(3, dtype=torch.float64)
     rate, steps, every = 0.0, run.task.steps, run.config.accumulate
     for step, batch in enumerate(run.task.batches(seed), start=1):
-        position = epoch.index + step / steps
+        position = epoch.index + (step - 0.5) / steps  # the step's middle
         rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
         # Of the batches whose gradients make one step; the last ones may be fewer.
         share = min(every, steps - (step - 1) // every * every)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from ffpose.losses import PoseLoss
-from ffpose.models import CONFIGS, FilterformerPose
+from ffpose.models import CONFIGS, FilterformerPose, backbone_preprocessing
 from ffpose.models.config import check_names
 from ffpose.models.weights import load_weights
 from ffpose.training.averaging import AveragedModel
@@ -20,12 +20,8 @@ from ffpose.training.data import TrainingData, open_training_data
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.tasks import FrameTask, ObjectTask, Task
 from ffpose.training.views import ViewBatches
-from ffpose.transforms import Preprocessing
 
 UNKNOWN_CAMERA = (1.0, 1.0, 0.0, 0.0)
-
-OBJECT_STD = (0.25, 0.25, 0.25)
-"""Of the input of a network with a second look, whose mean is zero."""
 
 
 @dataclass
@@ -53,20 +49,19 @@ def build_run(config: TrainConfig) -> Run:
     """Open the images and build model, loss and optimizer, the weights from the run's seed.
 
     Raises:
-        ValueError: An unknown model or kind of image set, or fields that do not go together.
+        ValueError: An unknown kind of image set, or fields that do not go together.
         ffpose.DataError: A label, or a file of weights, cannot be used.
     """
-    if config.model not in CONFIGS:
-        raise ValueError(f"model: expected one of {', '.join(CONFIGS)}, got {config.model!r}")
     device = _device(config.device)
     fields = dict(config.model_fields)
     check_names(fields)
     # What the data decide is not known yet; the structure is.
     model_config = replace(CONFIGS[config.model], **{"camera": UNKNOWN_CAMERA, **fields})
     object_view = model_config.orientation_view == "object"
-    preprocessing = Preprocessing(size=model_config.image_size, mode=config.data.mode)
-    if object_view:  # what lies outside an image is zero, and has to be black
-        preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0), std=OBJECT_STD)
+    size, mode = model_config.image_size, config.data.mode
+    preprocessing = backbone_preprocessing(model_config.backbone, size, mode)
+    if object_view:  # what lies outside an image is zero for the virtual camera, and is black
+        preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
     data = open_training_data(config.data, model_config, preprocessing)
     c = data.camera
     fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
@@ -89,7 +84,9 @@ def _task(
     """Return what the network learns from."""
     if model.config.orientation_view == "object":
         loss = ObjectObjective(model, config.object_loss).to(device)
-        views = ViewBatches(model, data.views, data.empty, config.views, OBJECT_STD[0], loss.cells)
+        views = ViewBatches(
+            model, data.views, data.empty, config.views, data.val_set.preprocessing.std, loss.cells
+        )
         return ObjectTask(views, data.val_set, loss, config.batch_size)
     assert data.train_set is not None
     pose_loss = PoseLoss(config.loss.s_t, config.loss.s_q, config.loss.antipodal).to(device)

@@ -14,7 +14,9 @@ def learning_rate(optimizer: OptimizerConfig, position: float, epochs: int) -> f
 
     Args:
         optimizer: The schedule and its figures.
-        position: Epochs since the stage began, with a fraction; ``0 < position <= epochs``.
+        position: Epochs since the stage began, with a fraction; ``0 <= position <= epochs``. The
+            engine takes the middle of a step, where no step has the rate of another epoch, and
+            neither warm-up nor cosine a rate of zero.
         epochs: How many epochs the stage has.
 
     Example:

@@ -77,7 +77,8 @@ class ViewBatches:
         arrays: The views of one or several sets, as `ffpose.views.open_arrays` gives them.
         empty: Views without an object; may be none.
         augmentation: How samples vary.
-        std: Of the input, after division by 255; what lies outside an image is zero.
+        std: Of the input's preprocessing, whose mean is zero, so that what lies outside an image is
+            zero too.
         cells: Rows and columns of the coordinates.
     """
 
@@ -87,12 +88,13 @@ class ViewBatches:
         arrays: Sequence[Arrays],
         empty: Sequence[Arrays],
         augmentation: ViewAugmentation,
-        std: float,
+        std: tuple[float, float, float],
         cells: tuple[int, int],
     ) -> None:
         self.model, self.sets, self.empty = model, tuple(arrays), tuple(empty)
-        self.augmentation, self.std, self.cells = augmentation, std, cells
-        self.scale = 1 / (255 * std)
+        self.augmentation, self.cells = augmentation, cells
+        self.unit = (1 / torch.tensor(std))[:, None, None]  # what white is, standardised
+        self.scale = self.unit / 255
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
         config = model.config
@@ -179,7 +181,7 @@ class ViewBatches:
     def _empty_crops(self, count: int, generator: torch.Generator) -> Tensor:
         """Return views without an object: half of empty scenes, half of no scene at all."""
         size = self.model.config.object_size
-        crops = clutter(count, size, generator) / self.std
+        crops = clutter(count, size, generator) * self.unit
         scenes = count - count // 2 if self.empty else 0
         if scenes:
             index = torch.randint(len(self.empty_places), (scenes,), generator=generator)
@@ -215,7 +217,7 @@ class ViewBatches:
         if a.brightness > 0:
             images = images * torch.exp2(a.brightness * torch.randn(shape, generator=generator))
         if a.noise > 0:
-            sigma = a.noise / self.std * torch.rand(shape, generator=generator).square()
+            sigma = a.noise * self.unit * torch.rand(shape, generator=generator).square()
             images = images + sigma * self._normal(images.shape, generator)
         return images.contiguous(memory_format=torch.channels_last)
 
