@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from ffpose.errors import DataError
+
 _PREFIX = ".ffpose-"
 """Of the folders that files are written in before they are renamed."""
 
@@ -33,6 +35,19 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         temporary = Path(folder) / target.name
         yield temporary
         temporary.replace(target)
+
+
+def read_text(path: Path) -> str:
+    """Read a text file in UTF-8, with or without a byte order mark.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DataError: It is not in UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"expected text in UTF-8: {error}", path) from error
 
 
 def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:

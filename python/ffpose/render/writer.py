@@ -18,12 +18,13 @@ from typing import NamedTuple
 from ffpose.errors import require
 from ffpose.files import remove_leftovers
 from ffpose.geometry import Camera
+from ffpose.render.conditions import conditions_of
 from ffpose.render.layers import layer_names
 from ffpose.render.manifest import Manifest, difference, sha256
 from ffpose.render.pool import Job, prepare, render_all
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.tables import image_name, write_tables
+from ffpose.render.tables import image_name, write_conditions, write_tables
 
 MAX_COUNT = 10_000_000
 LEAST_BYTES_PER_PIXEL = 0.4
@@ -156,6 +157,8 @@ def _close_folder(job: Job, manifest: Manifest, hashes: dict[int, str], camera: 
     indices = sorted(hashes)
     poses = [label(job.scene, job.seed, index) for index in range(indices[-1] + 1)]
     tables = write_tables(job.folder, poses, indices, camera)
+    conditions = {index: conditions_of(job.scene, job.seed, index) for index in indices}
+    tables.append(write_conditions(job.folder, conditions))
     files = {image_name(index): hashes[index] for index in indices}
     layers = [name for index in indices for name in layer_names(index)] if job.layers else []
     files |= {name: sha256(job.folder / name) for name in [*layers, *tables]}
