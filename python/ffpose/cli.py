@@ -167,8 +167,8 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
 def evaluate(options: Namespace) -> None:
     """Measure a model against labels and against the mean pose."""
     from ffpose.evaluation import evaluate as run
-    from ffpose.evaluation import format_table, write_results
     from ffpose.plots import write_evaluation_figures
+    from ffpose.results import format_table, write_results
 
     expect_folder(options.out)
     data = options.data
