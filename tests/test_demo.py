@@ -54,6 +54,10 @@ def test_the_page_stands_alone(folder):
     texts = re.findall(r'<img [^>]*alt="([^"]*)"', page)
     assert len(texts) == page.count("<img ")
     assert sum("error" in text for text in texts) == 4  # the charts; an image shows its figures
+    assert sum("roll, pitch and yaw" in text for text in texts) == 1
+    for heading in ("Attitude, in two parts", "By condition"):
+        assert f"<h2>{heading}</h2>" in page
+    assert "<td>sunlit</td>" in page or "<td>eclipse</td>" in page
 
 
 def test_the_command_runs_without_an_activated_environment(document):

@@ -62,6 +62,17 @@ def test_the_speed_plus_score_drops_each_part_by_itself(offset, degrees, score):
     assert float(errors.speed_plus_score) == pytest.approx(score, abs=1e-12)
 
 
+def test_the_parts_are_those_about_the_true_viewing_ray():
+    """By hand: 90 degrees about y, seen along y, is a turn in the plane of the image."""
+    along, across = torch.tensor([[0.0, 9.0, 0.0]]), torch.tensor([[0.0, 0.0, 9.0]])
+    for t, in_plane, out_of_plane in ((along, 90, 0), (across, 0, 90)):
+        elsewhere = t + torch.tensor([[5.0, 0.0, 0.0]])  # the predicted ray does not count
+        errors = pose_error(elsewhere, turned_by(90), t, IDENTITY)
+        assert float(errors.in_plane_deg) == pytest.approx(in_plane)
+        assert float(errors.out_of_plane_deg) == pytest.approx(out_of_plane)
+        assert float(errors.relative_translation) == pytest.approx(5 / 9)
+
+
 def test_both_signs_are_one_pose():
     t_hat, q_hat, t, q = batch()
     both = pose_error(t_hat, q_hat, t, q), pose_error(t_hat, -q_hat, t, q)
@@ -87,8 +98,14 @@ def test_means_and_medians():
         {
             "mean_translation_error_m": 4,
             "median_translation_error_m": 3,
+            "mean_relative_translation_error": 0.4,
+            "median_relative_translation_error": 0.3,
             "mean_rotation_error_deg": 35,
             "median_rotation_error_deg": 25,
+            "mean_in_plane_error_deg": 0,  # the turns are about y, the viewing ray is z
+            "median_in_plane_error_deg": 0,
+            "mean_out_of_plane_error_deg": 35,
+            "median_out_of_plane_error_deg": 25,
             "esa_score": scores,
             "speed_plus_score": scores,
         }

@@ -1,6 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from ffpose.datasets import open_dataset
 from ffpose.evaluation import Evaluation
@@ -10,6 +14,8 @@ from ffpose.plots import (
     error_cdf,
     error_histograms,
     errors_by_distance,
+    predicted_angles,
+    reliability_diagram,
     save_figure,
     training_curves,
     worst_gallery,
@@ -49,6 +55,29 @@ def test_histograms_hold_every_image(evaluation):
         assert model == baseline == len(OFFSETS)
 
 
+def test_angles_are_drawn_over_the_true_ones(evaluation):
+    truth = Rotation.from_quat(evaluation.dataset.poses[:, 3:], scalar_first=True)
+    for axes, angle in zip(
+        predicted_angles(evaluation).axes, truth.as_euler("ZYX", degrees=True).T[::-1], strict=True
+    ):
+        points = axes.collections[0].get_offsets()
+        np.testing.assert_allclose(points, np.stack([angle, angle], axis=1), atol=1e-9)
+
+
+def test_the_reliability_diagram_shows_the_share_within_each_region(evaluation):
+    with pytest.raises(ValueError, match="expected an evaluation with covariances"):
+        reliability_diagram(evaluation)
+    # Squared distances of 0.5² / 4, 3² / 4, 1 / 4 and 2² / 4 deviations along x.
+    told = replace(evaluation, translation_covariance=np.tile(4 * np.eye(3), (4, 1, 1)))
+    line = next(
+        n for n in reliability_diagram(told).axes[0].lines if n.get_label() == "translation"
+    )
+    within = chi2.cdf(OFFSETS**2 / 4, 3)
+    expected = [(within <= level).mean() for level in line.get_xdata()]
+    np.testing.assert_allclose(line.get_ydata(), expected)
+    assert 0 < np.mean(expected) < 1
+
+
 def test_distances_are_true_distances(evaluation):
     points = errors_by_distance(evaluation).axes[0].collections[0].get_offsets()
     distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
@@ -80,8 +109,12 @@ def test_curves_need_an_epoch():
 
 
 def test_figures_are_written_as_pictures(evaluation, tmp_path):
-    for path in write_evaluation_figures(evaluation, tmp_path):
+    told = replace(evaluation, rotation_covariance=np.tile(np.eye(3), (4, 1, 1)))
+    paths = write_evaluation_figures(told, tmp_path)
+    for path in paths:
         with Image.open(path) as image:
             assert image.width > 300
+    plain = write_evaluation_figures(evaluation, tmp_path)
+    assert {path.name for path in paths} - {path.name for path in plain} == {"reliability.png"}
     save_figure(training_curves(history(2)), tmp_path / "curves.svg")
     assert "<svg" in (tmp_path / "curves.svg").read_text()

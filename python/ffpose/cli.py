@@ -191,8 +191,8 @@ def evaluate(options: Namespace) -> None:
     With --any-camera, images of another camera are turned by geometry into the network's view.
     """
     from ffpose.evaluation import evaluate as run
-    from ffpose.evaluation import format_table, write_results
     from ffpose.plots import write_evaluation_figures
+    from ffpose.results import format_table, write_results
 
     expect_folder(options.out)
     data = options.data

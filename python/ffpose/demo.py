@@ -23,12 +23,13 @@ from typing import Any
 import ffpose
 from ffpose.arrays import instruction_set
 from ffpose.demo_record import DemoRecord
-from ffpose.evaluation import Evaluation, evaluate, write_results
+from ffpose.evaluation import Evaluation, evaluate
 from ffpose.files import atomic_write
 from ffpose.plots import save_figure, training_curves, write_evaluation_figures
 from ffpose.render import Scene, get_scene
 from ffpose.render.writer import write_dataset
 from ffpose.report import Report, write_report
+from ffpose.results import write_results
 from ffpose.training import (
     DataConfig,
     LossConfig,
@@ -230,7 +231,9 @@ def _document(
         "test_images": summary["images"],
         **{name: summary[name] for name in summary if name not in ("images", "mean_pose_baseline")},
         "mean_pose_baseline": baseline,
-        "ratio_to_baseline": {name: summary[name] / baseline[name] for name in ERRORS},
+        "ratio_to_baseline": {
+            name: summary[name] / baseline[name] if baseline[name] > 0 else None for name in ERRORS
+        },
         "attitude_range_deg": _attitudes(config),
         "distance_range_m": list(config.scene.distance_m),
         "images_rendered": record.images_rendered,

@@ -2,16 +2,18 @@
 
 The figures are those of the paper's tables: errors of translation (equation 13) and orientation
 (equation 14), always mean and median, and the scores of the ESA 2019 and SPEED+ 2021 challenges.
-Beside them stands a baseline, the best constant answer: the mean pose of the training split, given
-for every image. A model that does not beat it has not learned to look.
+The rotation error is given in its two parts as well (`ffpose.attitude`), for a network may learn
+one and not the other.
+
+Beside them stand the answers of `ffpose.baseline`: the mean pose of the training split, given for
+every image, and oracles that know one part of the truth.
 """
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,13 +24,25 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
-from ffpose.datasets import PoseDataset, open_dataset
+from ffpose import arrays
+from ffpose.attitude import rotation_vector
+from ffpose.baseline import mean_pose, oracles
+from ffpose.breakdown import breakdown
+from ffpose.calibration import (
+    check_covariance,
+    check_probability,
+    region_probability,
+    squared_mahalanobis,
+    summarize_flag,
+    summarize_regions,
+)
+from ffpose.datasets import Conditions, PoseDataset, open_dataset, read_conditions
 from ffpose.datasets.base import Split
-from ffpose.files import atomic_write
 from ffpose.geometry import Camera, Pose
-from ffpose.metrics import PoseError, PoseErrors, pose_error
-from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
+from ffpose.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
+from ffpose.models import FilterformerPose, PosePrediction, WeightsMetadata, read_metadata
 from ffpose.reprojection import Reprojection
+from ffpose.significance import circular_correlation, correlation, median_interval
 from ffpose.transforms import Preprocessing
 
 FloatArray = NDArray[np.float64]
@@ -36,7 +50,8 @@ FloatArray = NDArray[np.float64]
 CAMERA_TOLERANCE = 1e-3
 """How far intrinsics may lie apart, relatively, and still be those of one camera."""
 
-VECTOR = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
+UNCERTAINTY = ("translation_covariance", "rotation_covariance", "in_view")
+"""What a network may give beside its poses."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +63,38 @@ class Evaluation:
         predicted: Predicted poses ``(N, 7)``, ``[t, q]``.
         baseline: The constant pose ``(7,)`` of the baseline.
         seconds_per_image: From the image's file to the pose, on average.
+        conditions: Under which the images were taken, where the set says so.
+        translation_covariance: ``(N, 3, 3)`` square metres, camera frame, where the network gives
+            it, as the next two.
+        rotation_covariance: ``(N, 3, 3)`` square radians: of the rotation vector ``r``, camera
+            frame, with ``R_true = exp([r]x) R_predicted``.
+        in_view: Probabilities ``(N,)`` that the object is in the image at all.
+        in_view_empty: The same on images ``(M,)`` that do not hold it, where some were given.
+        in_view_threshold: An image of lower probability is flagged as not holding the object.
+
+    Raises:
+        ValueError: A covariance is not symmetric and positive definite, a probability is outside
+            0…1, or the shapes do not go together.
     """
 
     dataset: PoseDataset
     predicted: FloatArray
     baseline: FloatArray
     seconds_per_image: float
+    conditions: Conditions | None = None
+    translation_covariance: FloatArray | None = None
+    rotation_covariance: FloatArray | None = None
+    in_view: FloatArray | None = None
+    in_view_empty: FloatArray | None = None
+    in_view_threshold: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("translation_covariance", "rotation_covariance"):
+            if (covariance := getattr(self, name)) is not None:
+                check_covariance(name, covariance, len(self.dataset))
+        for name, count in (("in_view", len(self.dataset)), ("in_view_empty", None)):
+            if (probability := getattr(self, name)) is not None:
+                check_probability(name, probability, count)
 
     @cached_property
     def errors(self) -> PoseErrors:
@@ -63,8 +104,33 @@ class Evaluation:
     @cached_property
     def baseline_errors(self) -> PoseErrors:
         """Errors of the baseline, image by image."""
-        constant = np.broadcast_to(self.baseline, self.dataset.poses.shape)
-        return _errors(constant, self.dataset.poses)
+        return _errors(self._constant, self.dataset.poses)
+
+    @cached_property
+    def angles(self) -> tuple[FloatArray, FloatArray]:
+        """True and predicted roll, pitch and yaw ``(N, 3)`` each, degrees."""
+        truth, predicted = (
+            np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])), np.float64)
+            for poses in (self.dataset.poses, self.predicted)
+        )
+        return truth, predicted
+
+    @cached_property
+    def region_probabilities(self) -> dict[str, FloatArray]:
+        """Probability ``(N,)`` of the region that just reaches each truth.
+
+        Of ``translation`` and of ``rotation``, where the network gives a covariance of it.
+        """
+        truth, predicted = self.dataset.poses, self.predicted
+        pairs = {
+            "translation": (truth[:, :3] - predicted[:, :3], self.translation_covariance),
+            "rotation": (rotation_vector(truth[:, 3:], predicted[:, 3:]), self.rotation_covariance),
+        }
+        return {
+            name: region_probability(squared_mahalanobis(error, covariance))
+            for name, (error, covariance) in pairs.items()
+            if covariance is not None
+        }
 
     @cached_property
     def ranking(self) -> NDArray[np.intp]:
@@ -82,16 +148,69 @@ class Evaluation:
         return Pose.from_vector(self.predicted[index])
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures of the model and, under ``mean_pose_baseline``, of the baseline."""
+        """Return the figures of the model, beside those of the baseline and the oracles.
+
+        The figures are named as `PoseError` does. ``median_intervals_95`` holds the bootstrap
+        intervals of the medians; ``mean_pose_baseline`` the same of the constant pose; ``oracles``
+        the rotation errors of each of `ffpose.baseline.oracles`; ``correlation`` that of true and
+        predicted roll, pitch and yaw (circular for roll and yaw; None where one is constant);
+        ``groups`` the medians by condition (`ffpose.breakdown`); ``uncertainty``, where the
+        network gives one, how far it can be trusted (`ffpose.calibration`).
+        """
+        distance = np.linalg.norm(self.dataset.poses[:, :3], axis=1)
+        uncertainty = self._uncertainty()
         return {
             "images": len(self.dataset),
             **figures(self.predicted, self.dataset.poses),
+            "median_intervals_95": _intervals(self.errors),
             "seconds_per_image": self.seconds_per_image,
             "mean_pose_baseline": {
                 "pose": self.baseline.tolist(),
-                **figures(np.broadcast_to(self.baseline, self.predicted.shape), self.dataset.poses),
+                **figures(self._constant, self.dataset.poses),
+                "median_intervals_95": _intervals(self.baseline_errors),
             },
+            "oracles": self._oracles(),
+            "correlation": self._correlations(),
+            "groups": breakdown(self.errors, distance, self.conditions),
+            **({"uncertainty": uncertainty} if uncertainty else {}),
         }
+
+    @property
+    def _constant(self) -> FloatArray:
+        return np.broadcast_to(self.baseline, self.dataset.poses.shape)
+
+    def _oracles(self) -> dict[str, dict[str, float]]:
+        truth = self.dataset.poses
+        return {
+            name: {
+                key: value for key, value in figures(answer, truth).items() if key.endswith("_deg")
+            }
+            for name, answer in oracles(truth, self.baseline).items()
+        }
+
+    def _correlations(self) -> dict[str, float | None]:
+        (roll, pitch, yaw), (roll_hat, pitch_hat, yaw_hat) = (angles.T for angles in self.angles)
+        return {
+            "roll": circular_correlation(roll, roll_hat),
+            "pitch": correlation(pitch, pitch_hat),
+            "yaw": circular_correlation(yaw, yaw_hat),
+        }
+
+    def _uncertainty(self) -> dict[str, Any]:
+        """Return how far the covariances and the flag can be trusted; empty without them."""
+        result: dict[str, Any] = {
+            name: summarize_regions(probability)
+            for name, probability in self.region_probabilities.items()
+        }
+        if self.translation_covariance is not None:
+            result["translation"]["median_sigma_m"] = _median_sigma(self.translation_covariance)
+        if self.rotation_covariance is not None:
+            sigma = _median_sigma(self.rotation_covariance)
+            result["rotation"]["median_sigma_deg"] = float(np.degrees(sigma))
+        if self.in_view is not None:
+            flag = summarize_flag(self.in_view, self.in_view_empty, self.in_view_threshold)
+            result["in_view"] = flag
+        return result
 
 
 def evaluate(
@@ -136,8 +255,9 @@ def evaluate(
     with torch.inference_mode():
         poses = [model(batch.image) for batch in loader]
     seconds = (time.perf_counter() - began) / len(dataset)
-    predicted = torch.cat([torch.cat([p.translation, p.orientation], dim=1) for p in poses])
-    return Evaluation(dataset, predicted.double().numpy(), baseline, seconds)
+    predicted = np.concatenate([_joined(poses, name) for name in PosePrediction._fields], axis=1)
+    conditions = read_conditions(root, dataset.names)
+    return Evaluation(dataset, predicted, baseline, seconds, conditions, **_uncertainties(poses))
 
 
 def _preprocessing(metadata: WeightsMetadata, camera: Camera, any_camera: bool) -> Preprocessing:
@@ -160,22 +280,18 @@ def _agree(camera: Camera, other: Camera) -> bool:
     return all(math.isclose(one, two, rel_tol=CAMERA_TOLERANCE) for one, two in pairs)
 
 
-def mean_pose(poses: FloatArray) -> FloatArray:
-    """Return the mean of poses ``(N, 7)``: a pose ``(7,)`` with ``qw >= 0``.
+def _uncertainties(poses: Sequence[PosePrediction]) -> dict[str, Any]:
+    """Return what the network gives beside its poses, by name; nothing of a network without."""
+    return {
+        name: _joined(poses, name)
+        for name in UNCERTAINTY
+        if getattr(poses[0], name, None) is not None
+    }
 
-    The orientation is the quaternion whose squared chordal distances to all others have the least
-    sum, whatever their signs: the principal eigenvector of the sum of ``q qᵀ`` (Markley et al.,
-    "Averaging Quaternions", 2007).
 
-    Raises:
-        ValueError: There are no poses.
-    """
-    if len(poses) == 0:
-        raise ValueError("mean pose: expected at least one pose, got none")
-    q = poses[:, 3:]
-    _, vectors = np.linalg.eigh(q.T @ q)
-    orientation = vectors[:, -1] if vectors[0, -1] >= 0 else -vectors[:, -1]
-    return np.concatenate([poses[:, :3].mean(axis=0), orientation])
+def _joined(poses: Sequence[PosePrediction], name: str) -> FloatArray:
+    """Join one field of the batches, in float64."""
+    return torch.cat([getattr(pose, name) for pose in poses]).double().cpu().numpy()
 
 
 def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:
@@ -185,30 +301,17 @@ def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:
     return {name: float(value) for name, value in metric.compute().items()}
 
 
-def format_table(summary: dict[str, Any]) -> str:
-    """Return the figures of `Evaluation.summary` as lines of text: name, model, baseline."""
-    baseline = summary["mean_pose_baseline"]
-    lines = [f"{summary['images']} images".ljust(28) + "model".rjust(12) + "mean pose".rjust(12)]
-    for name, value in baseline.items():
-        if name != "pose":
-            lines.append(f"{name:28}{summary[name]:12.4f}{value:12.4f}")
-    return "\n".join(lines)
+def _intervals(errors: PoseErrors) -> dict[str, list[float]]:
+    """Return the bootstrap intervals of the medians, by their names in `PoseError`."""
+    return {
+        f"median_{name}": list(median_interval(getattr(errors, field).numpy()))
+        for name, field in SUMMARIZED.items()
+    }
 
 
-def write_results(evaluation: Evaluation, out: Path) -> None:
-    """Write ``results.json``, the figures, and ``predictions.csv``, a row an image, to ``out``."""
-    out.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out / "results.json") as path:
-        path.write_text(json.dumps(evaluation.summary(), indent=2) + "\n")
-    header = ["image", *VECTOR, *(f"predicted_{name}" for name in VECTOR)]
-    header += ["translation_error_m", "rotation_error_deg", "esa_score", "speed_plus_score"]
-    errors = np.stack([error.numpy() for error in evaluation.errors], axis=1)
-    table = np.concatenate([evaluation.dataset.poses, evaluation.predicted, errors], axis=1)
-    with atomic_write(out / "predictions.csv") as path, path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        for name, row in zip(evaluation.dataset.names, table.tolist(), strict=True):
-            writer.writerow([name, *row])
+def _median_sigma(covariance: FloatArray) -> float:
+    """Return the median, over covariances ``(N, 3, 3)``, of the mean standard deviation (rms)."""
+    return float(np.median(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)))
 
 
 def _errors(predicted: FloatArray, truth: FloatArray) -> PoseErrors:

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from ffpose.errors import DataError
+
 _PREFIX = ".ffpose-"
 """Of the folders that files are written in before they are renamed."""
 
@@ -58,6 +60,19 @@ def sha256(path: str | Path) -> str:
     """Return the SHA-256 of a file in hexadecimal, as ``sha256sum`` prints it."""
     with Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_text(path: Path) -> str:
+    """Read a text file in UTF-8, with or without a byte order mark.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DataError: It is not in UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"expected text in UTF-8: {error}", path) from error
 
 
 def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:

@@ -2,7 +2,7 @@
 
 * Translation error: Euclidean distance in metres (Ye et al., Sensors 2023, 23, 8633, Eq. 13).
 * Rotation error: the angle of the rotation from prediction to label, in degrees (Eq. 14); q and -q
-  are one pose.
+  are one pose. Its in-plane and out-of-plane parts: `ffpose.attitude`.
 * ESA score (Kelvins pose estimation challenge, 2019): mean of relative translation error plus
   rotation error in radians.
 * SPEED+ score (2021): the same, where a part below the calibration's accuracy (0.002173 relative,
@@ -21,6 +21,16 @@ from torchmetrics import Metric
 from torchmetrics.utilities import dim_zero_cat
 
 from ffpose import arrays
+from ffpose.attitude import rotation_parts
+
+SUMMARIZED = {
+    "translation_error_m": "translation_m",
+    "relative_translation_error": "relative_translation",
+    "rotation_error_deg": "rotation_deg",
+    "in_plane_error_deg": "in_plane_deg",
+    "out_of_plane_error_deg": "out_of_plane_deg",
+}
+"""What mean and median are given of: name, and field of `PoseErrors`."""
 
 
 class PoseErrors(NamedTuple):
@@ -31,12 +41,18 @@ class PoseErrors(NamedTuple):
         rotation_deg: Rotation error, degrees.
         esa_score: The sample's part of the ESA score.
         speed_plus_score: The sample's part of the SPEED+ score.
+        relative_translation: Translation error divided by the true distance.
+        in_plane_deg: Twist about the true viewing ray, degrees.
+        out_of_plane_deg: Angle between true and predicted viewing direction, degrees.
     """
 
     translation_m: Tensor
     rotation_deg: Tensor
     esa_score: Tensor
     speed_plus_score: Tensor
+    relative_translation: Tensor
+    in_plane_deg: Tensor
+    out_of_plane_deg: Tensor
 
 
 def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
@@ -89,9 +105,10 @@ class PoseError(Metric):
         """Return the figures over all samples so far.
 
         Returns:
-            ``mean_`` and ``median_translation_error_m``, ``mean_`` and
-            ``median_rotation_error_deg``, ``esa_score``, ``speed_plus_score``: tensors without
-            axes. The median of an even number of samples is the mean of the middle two.
+            ``esa_score`` and ``speed_plus_score``, and ``mean_`` and ``median_`` of each of
+            ``translation_error_m``, ``relative_translation_error``, ``rotation_error_deg``,
+            ``in_plane_error_deg`` and ``out_of_plane_error_deg``: tensors without axes. The median
+            of an even number of samples is the mean of the middle two.
 
         Raises:
             ValueError: There are no samples.
@@ -108,11 +125,14 @@ def _update(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
     pairs = {
         name: tensor.detach().cpu().double().contiguous().numpy() for name, tensor in named.items()
     }
+    translation = torch.from_numpy(arrays.translation_error(pairs["t"], pairs["t_hat"]))
+    rotation = torch.from_numpy(arrays.rotation_error(pairs["q"], pairs["q_hat"]))
+    esa_score = torch.from_numpy(arrays.esa_score(**pairs))
+    speed_plus_score = torch.from_numpy(arrays.speed_plus_score(**pairs))
+    distance = torch.linalg.vector_norm(torch.from_numpy(pairs["t"]), dim=1)
+    parts = map(torch.from_numpy, rotation_parts(pairs["t"], pairs["q"], pairs["q_hat"]))
     return PoseErrors(
-        torch.from_numpy(arrays.translation_error(pairs["t"], pairs["t_hat"])),
-        torch.from_numpy(arrays.rotation_error(pairs["q"], pairs["q_hat"])),
-        torch.from_numpy(arrays.esa_score(**pairs)),
-        torch.from_numpy(arrays.speed_plus_score(**pairs)),
+        translation, rotation, esa_score, speed_plus_score, translation / distance, *parts
     )
 
 
@@ -121,10 +141,14 @@ def _compute(errors: PoseErrors) -> dict[str, Tensor]:
     if len(errors.translation_m) == 0:
         raise ValueError("pose error: expected at least one sample, got none")
     return {
-        "mean_translation_error_m": errors.translation_m.mean(),
-        "median_translation_error_m": errors.translation_m.quantile(0.5),
-        "mean_rotation_error_deg": errors.rotation_deg.mean(),
-        "median_rotation_error_deg": errors.rotation_deg.quantile(0.5),
+        **{
+            f"{statistic}_{name}": value
+            for name, field in SUMMARIZED.items()
+            for statistic, value in (
+                ("mean", getattr(errors, field).mean()),
+                ("median", getattr(errors, field).quantile(0.5)),
+            )
+        },
         "esa_score": errors.esa_score.mean(),
         "speed_plus_score": errors.speed_plus_score.mean(),
     }

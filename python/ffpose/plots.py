@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from PIL import Image
 
+from ffpose.calibration import CURVE, coverage
 from ffpose.errors import require
 from ffpose.evaluation import Evaluation
 from ffpose.files import atomic_write
+from ffpose.geometry import FloatArray
 from ffpose.overlay import draw_axes
 
 if TYPE_CHECKING:
@@ -62,53 +64,88 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
 
 def error_cdf(evaluation: Evaluation) -> Figure:
     """Draw, for each error, the part of the images that lie below it; model and baseline."""
-    figure = _figure(9.0, 3.4)
-    for axes, (name, unit, model, baseline) in zip(
-        figure.subplots(1, 2), _error_pairs(evaluation), strict=True
-    ):
+    figure = _figure(9.0, 6.4)
+    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
         for values, label, colour in (
-            (model, "model", MODEL_COLOUR),
-            (baseline, "mean pose", BASELINE_COLOUR),
+            (pair.model, "model", MODEL_COLOUR),
+            (pair.baseline, "mean pose", BASELINE_COLOUR),
         ):
             share = np.arange(1, len(values) + 1) / len(values)
             axes.step(np.sort(values), share, where="post", label=label, color=colour)
             axes.plot(np.median(values), 0.5, "o", color=colour)
-        axes.set_xlabel(f"{name} error, {unit}")
+        axes.set_xlabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylim(0, 1)
         axes.set_xlim(left=0)
-        _title(axes, f"images below a {name} error (dot: median)")
+        _title(axes, f"images below a {pair.name} error (dot: median)")
         axes.legend(frameon=False, loc="lower right")
     return figure
 
 
 def error_histograms(evaluation: Evaluation) -> Figure:
     """Draw how the errors are distributed, as the paper's Figure 8 does."""
-    figure = _figure(9.0, 3.2)
-    for axes, (name, unit, model, baseline) in zip(
-        figure.subplots(1, 2), _error_pairs(evaluation), strict=True
-    ):
-        edges = np.linspace(0.0, max(model.max(), baseline.max()), 41)
-        axes.hist(baseline, edges, color=BASELINE_COLOUR, alpha=0.55, label="mean pose")
-        axes.hist(model, edges, color=MODEL_COLOUR, alpha=0.85, label="model")
-        axes.set_xlabel(f"{name} error, {unit}")
+    figure = _figure(9.0, 6.0)
+    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
+        edges = np.linspace(0.0, max(pair.model.max(), pair.baseline.max()), 41)
+        axes.hist(pair.baseline, edges, color=BASELINE_COLOUR, alpha=0.55, label="mean pose")
+        axes.hist(pair.model, edges, color=MODEL_COLOUR, alpha=0.85, label="model")
+        axes.set_xlabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylabel("images")
-        _title(axes, f"distribution of the {name} error")
+        _title(axes, f"distribution of the {pair.name} error")
         axes.legend(frameon=False)
     return figure
 
 
 def errors_by_distance(evaluation: Evaluation) -> Figure:
     """Draw each image's errors over the distance of the object."""
-    figure = _figure(9.0, 3.2)
+    figure = _figure(9.0, 6.0)
     distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
-    for axes, (name, unit, model, _) in zip(
-        figure.subplots(1, 2), _error_pairs(evaluation), strict=True
-    ):
-        axes.scatter(distance, model, s=9, color=MODEL_COLOUR, alpha=0.6, linewidths=0)
+    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
+        axes.scatter(distance, pair.model, s=9, color=MODEL_COLOUR, alpha=0.6, linewidths=0)
         axes.set_xlabel("true distance, m")
-        axes.set_ylabel(f"{name} error, {unit}")
+        axes.set_ylabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylim(bottom=0)
-        _title(axes, f"{name} error over distance")
+        _title(axes, f"{pair.name} error over distance")
+    return figure
+
+
+def predicted_angles(evaluation: Evaluation) -> Figure:
+    """Draw predicted over true roll, pitch and yaw: a line where they are learned, else a band."""
+    figure = _figure(10.5, 3.6)
+    limits = {"roll": 180, "pitch": 90, "yaw": 180}
+    panels = zip(
+        figure.subplots(1, 3), limits.items(), *(a.T for a in evaluation.angles), strict=True
+    )
+    for axes, (name, limit), truth, predicted in panels:
+        axes.plot([-limit, limit], [-limit, limit], color=BASELINE_COLOUR, linewidth=0.8)
+        axes.scatter(truth, predicted, s=9, color=MODEL_COLOUR, alpha=0.6, linewidths=0)
+        axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+        axes.set_xlabel(f"true {name}, degrees")
+        axes.set_ylabel(f"predicted {name}, degrees")
+        _title(axes, name)
+    return figure
+
+
+def reliability_diagram(evaluation: Evaluation) -> Figure:
+    """Draw the share of the truths within the region of each probability; calibrated: diagonal.
+
+    Raises:
+        ValueError: The evaluation holds no covariance.
+    """
+    if not evaluation.region_probabilities:
+        raise ValueError("reliability diagram: expected an evaluation with covariances, got none")
+    figure = _figure(4.6, 4.2)
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color=BASELINE_COLOUR, linewidth=0.8, label="calibrated")
+    for (name, probability), style in zip(
+        evaluation.region_probabilities.items(), ("-", "--"), strict=False
+    ):
+        empirical = coverage(probability, CURVE)
+        axes.plot(CURVE, empirical, style, color=MODEL_COLOUR, marker=".", label=name)
+    axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
+    axes.set_xlabel("probability of the predicted region")
+    axes.set_ylabel("share of the truths within it")
+    _title(axes, "reliability of the covariances")
+    axes.legend(frameon=False, loc="upper left")
     return figure
 
 
@@ -161,22 +198,38 @@ def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
         "error_cdf.png": error_cdf,
         "error_histograms.png": error_histograms,
         "errors_by_distance.png": errors_by_distance,
+        "predicted_angles.png": predicted_angles,
         "typical.png": typical_gallery,
         "worst.png": worst_gallery,
     }
+    if evaluation.region_probabilities:
+        figures["reliability.png"] = reliability_diagram
     for name, draw in figures.items():
         save_figure(draw(evaluation), out / name)
     return [out / name for name in figures]
 
 
-def _error_pairs(
-    evaluation: Evaluation,
-) -> list[tuple[str, str, np.ndarray[tuple[int], np.dtype[np.float64]], np.ndarray]]:
-    """Return name, unit, and the errors ``(N,)`` of model and baseline, for both errors."""
-    model, baseline = evaluation.errors, evaluation.baseline_errors
+class _ErrorPair(NamedTuple):
+    """One error of model and baseline, ``(N,)`` each."""
+
+    name: str
+    unit: str
+    model: FloatArray
+    baseline: FloatArray
+
+
+def _error_pairs(evaluation: Evaluation) -> list[_ErrorPair]:
+    """Return the errors that every figure of errors shows."""
+    fields = (
+        ("translation", "m", "translation_m"),
+        ("rotation", "degrees", "rotation_deg"),
+        ("in-plane", "degrees", "in_plane_deg"),
+        ("out-of-plane", "degrees", "out_of_plane_deg"),
+    )
+    pair = (evaluation.errors, evaluation.baseline_errors)
     return [
-        ("translation", "m", model.translation_m.numpy(), baseline.translation_m.numpy()),
-        ("rotation", "degrees", model.rotation_deg.numpy(), baseline.rotation_deg.numpy()),
+        _ErrorPair(name, unit, *(getattr(errors, field).numpy() for errors in pair))
+        for name, unit, field in fields
     ]
 
 

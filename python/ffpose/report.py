@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 
@@ -23,26 +23,27 @@ from ffpose.plots import (
     error_cdf,
     error_histograms,
     errors_by_distance,
+    predicted_angles,
+    reliability_diagram,
     training_curves,
+)
+from ffpose.report_tables import (
+    conditions_table,
+    correlation_text,
+    figures_table,
+    headline,
+    parts_table,
+    uncertainty_table,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ROWS = (
-    ("median_translation_error_m", "median translation error", "m"),
-    ("mean_translation_error_m", "mean translation error", "m"),
-    ("median_rotation_error_deg", "median rotation error", "°"),
-    ("mean_rotation_error_deg", "mean rotation error", "°"),
-    ("esa_score", "ESA score", ""),
-    ("speed_plus_score", "SPEED+ score", ""),
-)
-"""Key in the summary, name, and unit of each figure."""
-
 DISTRIBUTIONS = (
     (error_cdf, "share of the images below each error, model and mean pose"),
     (error_histograms, "histograms of the errors, model and mean pose"),
     (errors_by_distance, "each image's errors over the distance of the spacecraft"),
+    (predicted_angles, "predicted roll, pitch and yaw over the true angles"),
 )
 """Drawings of the errors, and what they show in words."""
 
@@ -76,8 +77,12 @@ def write_report(report: Report, path: Path) -> None:
     page = Template(template).substitute(
         title=html.escape(report.title),
         subtitle=html.escape(report.subtitle),
-        headline="".join(_card(summary, *row) for row in (ROWS[0], ROWS[2])),
-        figures=_figures_table(summary),
+        headline=headline(summary),
+        figures=figures_table(summary),
+        parts=parts_table(summary),
+        correlation=html.escape(correlation_text(summary)),
+        conditions=conditions_table(summary),
+        uncertainty=_uncertainty(evaluation, summary),
         galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
         curves=_embed_figure(
             training_curves(report.history), "loss and validation errors over the epochs"
@@ -95,36 +100,18 @@ def write_report(report: Report, path: Path) -> None:
         temporary.write_text(page, encoding="utf-8")
 
 
-def _card(summary: Mapping[str, object], key: str, name: str, unit: str) -> str:
-    model, baseline = _value(summary, key), _baseline_value(summary, key)
-    times = f"{baseline / model:.1f} times less" if model > 0 else "less"
+def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:
+    """Return the section on what the network says of its own errors; empty where it says none."""
+    if "uncertainty" not in summary:
+        return ""
+    diagram = ""
+    if evaluation.region_probabilities:
+        text = "share of the truths in the predicted regions over the regions' probability"
+        diagram = _embed_figure(reliability_diagram(evaluation), text)
     return (
-        f'<div class="card">{name}<b>{model:.2f} {unit}</b>'
-        f'<span class="quiet">{times} than the mean pose, {baseline:.2f} {unit}</span></div>'
+        "<h2>What the network says of its own errors</h2>"
+        f"<table>{uncertainty_table(summary)}</table>{diagram}"
     )
-
-
-def _figures_table(summary: Mapping[str, object]) -> str:
-    rows = ["<tr><th></th><th>model</th><th>mean pose</th><th>ratio</th></tr>"]
-    for key, name, unit in ROWS:
-        model, baseline = _value(summary, key), _baseline_value(summary, key)
-        rows.append(
-            f"<tr><td>{name}</td><td>{model:.3f} {unit}</td><td>{baseline:.3f} {unit}</td>"
-            f"<td>{model / baseline:.2f}</td></tr>"
-        )
-    return "".join(rows)
-
-
-def _value(summary: Mapping[str, object], key: str) -> float:
-    value = summary[key]
-    assert isinstance(value, float)
-    return value
-
-
-def _baseline_value(summary: Mapping[str, object], key: str) -> float:
-    baseline = summary["mean_pose_baseline"]
-    assert isinstance(baseline, dict)
-    return _value(baseline, key)
 
 
 def _groups(evaluation: Evaluation, size: int = 8) -> list[tuple[str, list[int]]]:

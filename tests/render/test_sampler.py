@@ -8,7 +8,7 @@ import pytest
 
 from ffpose.geometry import rotation_matrix
 from ffpose.render import SCENES, Scene, label
-from ffpose.render.sampler import in_shadow, sample_surroundings
+from ffpose.render.sampler import meets_earth, sample_surroundings
 
 
 def angles(pose):
@@ -62,7 +62,7 @@ def test_eclipse_comes_at_the_stated_rate(rate):
     around = [sample_surroundings(scene, rng) for _ in range(200)]
     assert abs(np.mean([a.eclipsed for a in around]) - rate) <= 0.1
     for a in around:
-        assert a.eclipsed == in_shadow(a.sun, a.nadir, a.altitude)
+        assert a.eclipsed == meets_earth(a.sun, a.nadir, a.altitude)
 
 
 def test_shadow_is_a_matter_of_the_horizon():
@@ -70,7 +70,7 @@ def test_shadow_is_a_matter_of_the_horizon():
     altitude = 0.0628  # 400 km: the horizon lies asin(1/1.0628) = 70.2° from nadir
     for degrees, dark in ((0, True), (69, True), (71, False), (180, False)):
         sun = np.array([np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))])
-        assert in_shadow(sun, nadir, altitude) is dark
+        assert meets_earth(sun, nadir, altitude) is dark
 
 
 @pytest.mark.parametrize(

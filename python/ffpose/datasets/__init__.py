@@ -6,18 +6,21 @@ from pathlib import Path
 
 from ffpose.datasets import urso
 from ffpose.datasets.base import SPLITS, PoseDataset, Reader, Sample, Split
+from ffpose.datasets.conditions import Conditions, read_conditions
 from ffpose.datasets.records import Record
 from ffpose.transforms import Augmentation, Preprocessing
 
 __all__ = [
     "KINDS",
     "SPLITS",
+    "Conditions",
     "PoseDataset",
     "Record",
     "Sample",
     "Split",
     "list_splits",
     "open_dataset",
+    "read_conditions",
 ]
 
 KINDS: dict[str, Reader] = {"urso": urso}

@@ -22,7 +22,7 @@ import numpy as np
 from ffpose.datasets.base import SPLITS, Split
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
-from ffpose.files import expect_folder
+from ffpose.files import expect_folder, read_text
 from ffpose.geometry import URSO_CAMERA, Camera, Pose
 
 COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
@@ -91,17 +91,10 @@ def _expect_exists(path: Path) -> None:
         raise FileNotFoundError(f"URSO set: expected {path}, got no such file or folder")
 
 
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DataError(f"expected text in UTF-8: {error}", path) from error
-
-
 def _read_names(path: Path) -> list[str]:
     """Return the file names, line by line."""
     first_line: dict[str, int] = {}
-    for line, text in enumerate(_read_text(path).splitlines(), start=1):
+    for line, text in enumerate(read_text(path).splitlines(), start=1):
         name = text.strip()
         if not name or Path(name).name != name:
             raise DataError(f"expected the name of an image, got {text!r}", path, line)
@@ -115,7 +108,7 @@ def _read_names(path: Path) -> list[str]:
 
 def _read_rows(path: Path) -> list[_Row]:
     """Return the rows of a file of labels."""
-    table = csv.reader(_read_text(path).splitlines())
+    table = csv.reader(read_text(path).splitlines())
     header = [name.strip() for name in next(table, [])]
     if any(header.count(name) != 1 for name in COLUMNS):
         raise DataError(f"expected the columns {', '.join(COLUMNS)} once, got {header}", path, 1)

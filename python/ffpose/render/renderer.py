@@ -151,6 +151,29 @@ def label(scene: Scene | str, seed: int, index: int) -> Pose:
     return sample_pose(scene, scene.build(), _streams(seed, index)[0])
 
 
+class Situation(NamedTuple):
+    """What is where in one image.
+
+    Attributes:
+        pose: the spacecraft's, as in `Frame`.
+        around: sun and Earth.
+        backdrop: whether a wall of coloured clouds stands in place of stars and Earth.
+    """
+
+    pose: Pose
+    around: Surroundings
+    backdrop: bool
+
+
+def situation(scene: Scene | str, seed: int, index: int) -> Situation:
+    """What is where in image `index`, without rendering it."""
+    scene = get_scene(scene) if isinstance(scene, str) else scene
+    pose_rng, light_rng, _, _, _, odd_rng = _streams(seed, index)
+    pose = sample_pose(scene, scene.build(), pose_rng)
+    around = sample_surroundings(scene, light_rng)
+    return Situation(pose, around, bool(odd_rng.random() < scene.randomization.background))
+
+
 def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
     """The scene's camera at `size` (width, height).
 

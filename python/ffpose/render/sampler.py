@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.geometry import Pose
+from ffpose.geometry import Camera, Pose
 from ffpose.render.craft import Craft
 from ffpose.render.scene import Scene
 
@@ -69,13 +69,13 @@ def sample_surroundings(scene: Scene, rng: np.random.Generator) -> Surroundings:
     ground = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     while True:
         sun = _unit(rng)
-        if in_shadow(sun, nadir, altitude) == eclipsed:
+        if meets_earth(sun, nadir, altitude) == eclipsed:
             return Surroundings(sun, nadir, altitude, ground, eclipsed)
 
 
-def in_shadow(sun: Floats, nadir: Floats, altitude: float) -> bool:
-    """Whether the Earth hides the sun from a place `altitude` Earth radii above the ground."""
-    down = float(sun @ nadir)
+def meets_earth(ray: Floats, nadir: Floats, altitude: float) -> bool:
+    """Whether a ray from a place `altitude` Earth radii above the ground meets the Earth."""
+    down = float(ray @ nadir)
     horizon = np.sqrt(1.0 - 1.0 / (1.0 + altitude) ** 2)  # cosine of the horizon's angle from nadir
     return bool(down > horizon)
 
@@ -109,12 +109,17 @@ def _direction(scene: Scene, rng: np.random.Generator) -> Floats:
     return np.asarray(ray / np.linalg.norm(ray))
 
 
+def visible_share(points: Floats, camera: Camera) -> float:
+    """Share of points (N, 3) of the camera frame that lie in the frame."""
+    u, v = camera.project(points).T
+    inside = (u >= 0) & (u <= camera.width) & (v >= 0) & (v <= camera.height)
+    return float(inside.mean())
+
+
 def _acceptable(pose: Pose, scene: Scene, craft: Craft) -> bool:
     if np.hypot(pose.t[0], pose.t[1]) > scene.lateral_m:
         return False
     points = craft.outline @ pose.rotation.T + pose.t
     if points[:, 2].min() < 0.5:
         return False
-    u, v = scene.camera.project(points).T
-    inside = (u >= 0) & (u <= scene.camera.width) & (v >= 0) & (v <= scene.camera.height)
-    return bool(inside.mean() >= scene.min_visible)
+    return visible_share(points, scene.camera) >= scene.min_visible

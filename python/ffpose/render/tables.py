@@ -1,6 +1,7 @@
 """The label files of URSO's layout: one table of all poses, names and poses of each split.
 
-Labels are in URSO's own frame (`ffpose.geometry`), with every digit of the numbers.
+Labels are in URSO's own frame (`ffpose.geometry`), with every digit of the numbers. Beside them
+stand the conditions of each image, which URSO's layout does not have.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 
 from ffpose.files import atomic_write
 from ffpose.geometry import Camera, Pose
+from ffpose.render.conditions import Conditions
 
 SPLITS = ("train", "val", "test")
 COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
@@ -64,6 +66,18 @@ def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> lis
             _write_text(folder / names[-2], "".join(f"{image_name(index)}\n" for index in members))
             _write_poses(folder / names[-1], [poses[index] for index in members])
     return names
+
+
+def write_conditions(folder: Path, conditions: Mapping[int, Conditions]) -> str:
+    """Write the conditions of images, by their indices, and return the name of the file."""
+    target = folder / "conditions.csv"
+    with atomic_write(target) as path, path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["image", *Conditions._fields])
+        for index, row in conditions.items():
+            values = (int(value) if isinstance(value, bool) else value for value in row)
+            writer.writerow([image_name(index), *values])
+    return target.name
 
 
 def _write_poses(target: Path, poses: Iterable[Pose]) -> None:

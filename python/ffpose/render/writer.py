@@ -20,12 +20,13 @@ from typing import NamedTuple
 from ffpose.errors import require
 from ffpose.files import expect_room, remove_leftovers, sha256
 from ffpose.geometry import Camera
+from ffpose.render.conditions import conditions_of
 from ffpose.render.layers import check_labels, label_files
 from ffpose.render.manifest import FILE_NAME, Manifest, difference, part_name, parts
 from ffpose.render.pool import Job, prepare, render_all
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.tables import image_name, index_of, write_tables
+from ffpose.render.tables import image_name, index_of, write_conditions, write_tables
 
 MAX_COUNT = 10_000_000
 LEAST_BYTES_PER_PIXEL = 0.4
@@ -166,7 +167,11 @@ def _close_set(
 ) -> None:
     """Write the label files and the manifest of a folder that holds these images alone."""
     poses = {index: label(job.scene, job.seed, index) for index in indices}
-    tables = write_tables(job.folder, poses, camera)
+    conditions = {index: conditions_of(job.scene, job.seed, index) for index in indices}
+    tables = [
+        *write_tables(job.folder, poses, camera),
+        write_conditions(job.folder, conditions),
+    ]
     files = files | {name: sha256(job.folder / name) for name in tables}
     replace(manifest, files=files).write(job.folder / FILE_NAME)
     for path in parts(job.folder, indices):

@@ -140,9 +140,9 @@ class RunFolder:
             raise DataError(f"not a training state: {error}", self.state) from error
 
     def save_results(self, history: list[Row]) -> None:
-        """Write the table of results."""
+        """Write the table of results; NaN where a run of an older version has no such column."""
         with atomic_write(self.results) as path, path.open("w", newline="") as file:
-            writer = csv.DictWriter(file, fieldnames=list(history[0]))
+            writer = csv.DictWriter(file, fieldnames=list(history[-1]), restval="nan")
             writer.writeheader()
             writer.writerows(history)
 

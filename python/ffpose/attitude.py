@@ -1,0 +1,189 @@
+"""The two parts of a rotation error: how the object is turned in the image, and which side is seen.
+
+Let ``r = t / |t|`` be the true viewing ray in the camera frame, ``R`` the true and ``R_hat`` the
+predicted rotation, and ``E = R_hat Rᵀ`` the error. Its swing-twist decomposition about the ray,
+``E = S T`` (Dobrowolski, "Swing-twist decomposition in Clifford algebra", arXiv:1506.05481), has
+
+* the *in-plane* part: the angle of the twist ``T``, a turn about the ray;
+* the *out-of-plane* part: the angle of the swing ``S``, the smallest turn that takes ``r`` to
+  ``E r``. It is the angle between true and predicted viewing direction in the object's frame,
+  ``Rᵀ r`` and ``R_hatᵀ r``.
+
+``cos(E / 2) = cos(S / 2) cos(T / 2)``: neither part exceeds the whole, and a turn of the camera
+changes neither. All here is NumPy in float64; quaternions are scalar first ``(w, x, y, z)``, of any
+norm above zero and either sign.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class RotationParts(NamedTuple):
+    """The parts of rotation errors, ``(N,)`` each, degrees from 0 to 180.
+
+    Attributes:
+        in_plane_deg: Twist about the true viewing ray; 0 where the viewing direction is opposite
+            to the true one, for which there is no twist.
+        out_of_plane_deg: Angle between true and predicted viewing direction.
+    """
+
+    in_plane_deg: FloatArray
+    out_of_plane_deg: FloatArray
+
+
+def rotation_parts(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> RotationParts:
+    """Return in-plane and out-of-plane part of rotation errors.
+
+    The half angles come from arctangents of the quaternion's parts, so that neither tiny angles
+    nor those near 180 degrees lose digits.
+
+    Args:
+        t: True translations ``(N, 3)``; their length does not matter.
+        q: True orientations ``(N, 4)``.
+        q_hat: Predicted orientations ``(N, 4)``.
+
+    Raises:
+        TypeError: An argument is not of floating dtype.
+        ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
+
+    Example:
+        >>> half = np.sqrt(0.5)
+        >>> parts = rotation_parts([[0.0, 0, 9]], [[1.0, 0, 0, 0]], [[half, 0, 0, half]])
+        >>> float(parts.in_plane_deg[0].round(6)), float(parts.out_of_plane_deg[0].round(6))
+        (90.0, 0.0)
+    """
+    ray, q, q_hat = _checked(t, q, q_hat)
+    w, v = _error(q_hat, q)
+    along = (v * ray).sum(axis=1)
+    across = np.linalg.norm(np.cross(v, ray), axis=1)
+    in_plane = 2 * np.arctan2(np.abs(along), np.abs(w))
+    out_of_plane = 2 * np.arctan2(across, np.hypot(w, along))
+    return RotationParts(np.degrees(in_plane), np.degrees(out_of_plane))
+
+
+def remove_in_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
+    """Return the predictions turned about the true viewing ray until no in-plane error is left.
+
+    The answer ``T⁻¹ R_hat`` has the prediction's viewing direction, and with it its out-of-plane
+    error, which is all of its rotation error.
+
+    Args:
+        t: True translations ``(N, 3)``.
+        q: True orientations ``(N, 4)``.
+        q_hat: Predicted orientations ``(N, 4)``.
+
+    Returns:
+        Unit quaternions ``(N, 4)``.
+
+    Raises:
+        TypeError: As `rotation_parts`.
+        ValueError: As `rotation_parts`.
+    """
+    ray, q, q_hat = _checked(t, q, q_hat)
+    return _multiply(_conjugate(_twist(ray, q, q_hat)), q_hat)
+
+
+def remove_out_of_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
+    """Return the truth turned about its viewing ray by the in-plane error of the predictions.
+
+    The answer ``T R`` has the true viewing direction; its rotation error is the prediction's
+    in-plane error.
+
+    Args:
+        t: True translations ``(N, 3)``.
+        q: True orientations ``(N, 4)``.
+        q_hat: Predicted orientations ``(N, 4)``.
+
+    Returns:
+        Unit quaternions ``(N, 4)``.
+
+    Raises:
+        TypeError: As `rotation_parts`.
+        ValueError: As `rotation_parts`.
+    """
+    ray, q, q_hat = _checked(t, q, q_hat)
+    return _multiply(_twist(ray, q, q_hat), q)
+
+
+def rotation_vector(q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
+    """Return the vectors ``r`` with ``R = exp([r]x) R_hat``, in the camera frame.
+
+    Args:
+        q: True orientations ``(N, 4)``.
+        q_hat: Predicted orientations ``(N, 4)``.
+
+    Returns:
+        ``(N, 3)`` radians, of length 0 to pi.
+
+    Raises:
+        TypeError: As `rotation_parts`.
+        ValueError: As `rotation_parts`.
+    """
+    ahead = np.tile([0.0, 0.0, 1.0], (len(np.asarray(q)), 1))
+    _, q, q_hat = _checked(ahead, q, q_hat)
+    w, v = _error(q, q_hat)
+    length = np.linalg.norm(v, axis=1)
+    angle = 2 * np.arctan2(length, np.abs(w))
+    scale = np.divide(angle, length, out=np.full(len(w), 2.0), where=length > 0)
+    return np.asarray(v * np.copysign(scale, w)[:, None])
+
+
+def _checked(
+    t: ArrayLike, q: ArrayLike, q_hat: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return viewing rays and quaternions, of norm one in float64."""
+    rows = len(np.asarray(t)) if np.ndim(t) else 0
+    named = (("t", t, 3), ("q", q, 4), ("q_hat", q_hat, 4))
+    ray, truth, prediction = (
+        _unit_rows(name, values, (rows, size)) for name, values, size in named
+    )
+    return ray, truth, prediction
+
+
+def _unit_rows(name: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+    array = np.asarray(values)
+    if array.dtype.kind != "f":
+        raise TypeError(f"{name}: expected a floating dtype, got {array.dtype}")
+    if array.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
+    norm = np.linalg.norm(array.astype(np.float64), axis=1, keepdims=True)
+    bad = np.flatnonzero(~(np.isfinite(norm) & (norm > 0)))
+    if len(bad):
+        row = array[bad[0]].tolist()
+        raise ValueError(
+            f"{name}: expected finite numbers, not all zero, got {row} in row {bad[0]}"
+        )
+    return np.asarray(array / norm)
+
+
+def _error(q: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return scalar ``(N,)`` and vector part ``(N, 3)`` of ``q other⁻¹``."""
+    product = _multiply(q, _conjugate(other))
+    return product[:, 0], product[:, 1:]
+
+
+def _twist(ray: FloatArray, q: FloatArray, q_hat: FloatArray) -> FloatArray:
+    """Return the twists ``(N, 4)`` of the errors about the rays; the identity where none is."""
+    w, v = _error(q_hat, q)
+    along = (v * ray).sum(axis=1)
+    norm = np.hypot(w, along)
+    twist = np.concatenate([w[:, None], along[:, None] * ray], axis=1)
+    identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(w), 1))
+    return np.asarray(np.divide(twist, norm[:, None], out=identity, where=norm[:, None] > 0))
+
+
+def _conjugate(q: FloatArray) -> FloatArray:
+    return np.asarray(q * (1.0, -1.0, -1.0, -1.0))
+
+
+def _multiply(p: FloatArray, q: FloatArray) -> FloatArray:
+    """Return Hamilton's products ``(N, 4)``."""
+    scalar = p[:, :1] * q[:, :1] - (p[:, 1:] * q[:, 1:]).sum(axis=1, keepdims=True)
+    vector = p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + np.cross(p[:, 1:], q[:, 1:])
+    return np.concatenate([scalar, vector], axis=1)

@@ -1,0 +1,238 @@
+"""Whether a network's own word on its errors can be trusted.
+
+A pose comes with covariances of translation and rotation, and with the probability that the object
+is in view at all. Errors that were drawn from a covariance C lie in the ellipsoid
+``eᵀ C⁻¹ e <= x`` with the probability of chi-square with three degrees of freedom, so that the
+region of 90 % holds 90 % of the truths (coverage; at every level: reliability). The probability of
+being in view is judged by what it is for: to flag images that do not hold the object.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+LEVELS = (0.5, 0.9, 0.99)
+"""Of the regions whose coverage is given."""
+
+CURVE = np.linspace(0.0, 1.0, 21)
+"""Levels of a reliability curve."""
+
+ASYMMETRY = 1e-5
+"""How far a covariance may be from symmetric, relative to its largest entry: float32 rounding."""
+
+
+def squared_mahalanobis(error: ArrayLike, covariance: ArrayLike) -> FloatArray:
+    """Return the squared Mahalanobis distances ``eᵀ C⁻¹ e``.
+
+    Args:
+        error: Errors ``(N, 3)``.
+        covariance: Their covariances ``(N, 3, 3)``, of the squared unit of the errors.
+
+    Returns:
+        ``(N,)``, no unit.
+
+    Raises:
+        ValueError: A shape is wrong, a value is not finite, or a covariance is not symmetric and
+            positive definite; its row is named.
+    """
+    e, c = np.asarray(error, np.float64), np.asarray(covariance, np.float64)
+    if e.ndim != 2 or e.shape[1] != 3:
+        raise ValueError(f"error: expected shape (N, 3), got {e.shape}")
+    if not np.isfinite(e).all():
+        raise ValueError("error: expected finite numbers")
+    check_covariance("covariance", c, len(e))
+    return np.asarray((e * np.linalg.solve(c, e[..., None])[..., 0]).sum(axis=1))
+
+
+def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
+    """Check ``count`` covariances ``(count, 3, 3)``.
+
+    Raises:
+        ValueError: As `squared_mahalanobis`.
+    """
+    if covariance.shape != (count, 3, 3):
+        raise ValueError(f"{name}: expected shape ({count}, 3, 3), got {covariance.shape}")
+    if not np.isfinite(covariance).all():
+        raise ValueError(f"{name}: expected finite numbers")
+    largest = np.abs(covariance).max(axis=(1, 2))
+    asymmetry = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
+    least = np.linalg.eigvalsh(covariance)[:, 0]
+    bad = np.flatnonzero((asymmetry > ASYMMETRY * largest) | (least <= 0))
+    if len(bad):
+        matrix = covariance[bad[0]].tolist()
+        raise ValueError(
+            f"{name}: expected symmetric, positive definite matrices, got {matrix} in row {bad[0]}"
+        )
+
+
+def region_probability(squared_distance: ArrayLike) -> FloatArray:
+    """Return the probability of the ellipsoid that just reaches each truth.
+
+    The cumulative distribution of chi-square with three degrees of freedom, ``erf(sqrt(x / 2)) -
+    sqrt(2 x / pi) exp(-x / 2)``. Where a network is calibrated its values are uniform in 0…1.
+
+    Args:
+        squared_distance: Squared Mahalanobis distances ``(N,)``.
+
+    Returns:
+        ``(N,)`` from 0 to 1.
+
+    Raises:
+        ValueError: A value is negative or not finite.
+    """
+    x = np.asarray(squared_distance, np.float64)
+    if not (np.isfinite(x) & (x >= 0)).all():
+        raise ValueError("squared distance: expected finite numbers of at least 0")
+    erf = np.array([math.erf(value) for value in np.sqrt(x / 2).ravel()]).reshape(x.shape)
+    return np.asarray(erf - np.sqrt(2 * x / math.pi) * np.exp(-x / 2))
+
+
+def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
+    """Return the share of the truths in the region of each level: the levels, if calibrated.
+
+    Args:
+        probability: `region_probability` of each truth ``(N,)``.
+        levels: ``(K,)``; those of `CURVE` give a reliability curve.
+
+    Returns:
+        Shares ``(K,)``.
+
+    Raises:
+        ValueError: There are no truths.
+    """
+    p = np.asarray(probability, np.float64)
+    if p.size == 0:
+        raise ValueError("coverage: expected at least one truth, got none")
+    return np.asarray((p[:, None] <= np.asarray(levels)).mean(axis=0))
+
+
+def summarize_regions(probability: ArrayLike) -> dict[str, Any]:
+    """Return ``coverage_50``, ``_90`` and ``_99``, and the curve under ``reliability``.
+
+    Args:
+        probability: `region_probability` of each truth ``(N,)``.
+
+    Raises:
+        ValueError: There are no truths.
+    """
+    shares = zip(LEVELS, coverage(probability).tolist(), strict=True)
+    return {
+        **{f"coverage_{100 * level:.0f}": share for level, share in shares},
+        "reliability": {
+            "nominal": CURVE.tolist(),
+            "empirical": coverage(probability, CURVE).tolist(),
+        },
+    }
+
+
+class FlagRates(NamedTuple):
+    """What flagging images as not holding the object, by a threshold, comes to.
+
+    Attributes:
+        threshold: An image whose probability of being in view is below it is flagged.
+        false_alarm_rate: Share of the images with the object that are flagged.
+        miss_rate: Share of the images without the object that are not flagged.
+    """
+
+    threshold: float
+    false_alarm_rate: float
+    miss_rate: float
+
+
+def auroc(with_object: ArrayLike, without: ArrayLike) -> float:
+    """Return the area under the ROC curve: how well a score tells images with the object apart.
+
+    It is the chance that an image with the object scores higher than one without, ties counting
+    half: the statistic of Mann and Whitney (1947) divided by the number of pairs.
+
+    Args:
+        with_object: Scores ``(N,)`` of images that hold the object.
+        without: Scores ``(M,)`` of images that do not.
+
+    Raises:
+        ValueError: A score is not finite, or one of the two has none.
+    """
+    positive, negative = _scores(with_object, without)
+    ordered = np.sort(negative)
+    below = np.searchsorted(ordered, positive, "left")
+    not_above = np.searchsorted(ordered, positive, "right")
+    return float((below + not_above).mean() / (2 * len(ordered)))
+
+
+def flag_rates(with_object: ArrayLike, without: ArrayLike, threshold: float) -> FlagRates:
+    """Return false-alarm and miss rate of a threshold; arguments are those of `auroc`."""
+    positive, negative = _scores(with_object, without)
+    return FlagRates(
+        threshold, float((positive < threshold).mean()), float((negative >= threshold).mean())
+    )
+
+
+def choose_threshold(with_object: ArrayLike, without: ArrayLike) -> FlagRates:
+    """Return the threshold with the least sum of false-alarm and miss rate (Youden, 1950).
+
+    Choose it on other images than those it is judged on. It lies in the middle of the gap between
+    the scores that it parts; of several as good the lowest is taken.
+
+    Args:
+        with_object: Scores ``(N,)`` of images that hold the object.
+        without: Scores ``(M,)`` of images that do not.
+
+    Raises:
+        ValueError: A score is not finite, or one of the two has none.
+    """
+    positive, negative = _scores(with_object, without)
+    edges = np.unique(np.concatenate([positive, negative]))
+    alarms = np.searchsorted(np.sort(positive), edges, "left") / len(positive)
+    misses = 1 - np.searchsorted(np.sort(negative), edges, "left") / len(negative)
+    best = int(np.argmin(alarms + misses))
+    middle = edges[max(best - 1, 0)] / 2 + edges[best] / 2
+    above = middle > edges[best - 1] if best else False  # or rounding has left no number between
+    return flag_rates(positive, negative, float(middle if above else edges[best]))
+
+
+def summarize_flag(
+    with_object: ArrayLike, without: ArrayLike | None, threshold: float
+) -> dict[str, float]:
+    """Return `FlagRates` and ``auroc``; without empty images what images of the object tell.
+
+    Args:
+        with_object: Scores ``(N,)`` of images that hold the object.
+        without: Scores ``(M,)`` of images that do not, where there are some.
+        threshold: As in `FlagRates`.
+
+    Raises:
+        ValueError: A score is not finite, or there are none.
+    """
+    rates = flag_rates(with_object, with_object if without is None else without, threshold)
+    if without is None:
+        return {"threshold": threshold, "false_alarm_rate": rates.false_alarm_rate}
+    return {**rates._asdict(), "auroc": auroc(with_object, without)}
+
+
+def check_probability(name: str, values: FloatArray, count: int | None = None) -> None:
+    """Check probabilities ``(count,)``, or ``(M,)`` for any M above zero.
+
+    Raises:
+        ValueError: Another shape, or a value outside 0…1.
+    """
+    if values.ndim != 1 or len(values) == 0 or len(values) != (count or len(values)):
+        raise ValueError(f"{name}: expected shape ({count or 'M'},), got {values.shape}")
+    outside = values[~((values >= 0) & (values <= 1))]
+    if len(outside):
+        raise ValueError(f"{name}: expected probabilities, got {outside[0]}")
+
+
+def _scores(with_object: ArrayLike, without: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    positive, negative = (np.asarray(s, np.float64) for s in (with_object, without))
+    for name, scores in (("with the object", positive), ("without the object", negative)):
+        if scores.ndim != 1 or len(scores) == 0 or not np.isfinite(scores).all():
+            raise ValueError(
+                f"scores {name}: expected finite numbers (N,), N > 0, got shape {scores.shape}"
+            )
+    return positive, negative

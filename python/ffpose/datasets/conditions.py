@@ -1,0 +1,97 @@
+"""``conditions.csv``: under what light, and before what, each image of a rendered set was taken."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.errors import DataError
+from ffpose.files import read_text
+
+FILE_NAME = "conditions.csv"
+LIMITS = {
+    "eclipsed": 1.0,
+    "sun_angle_deg": 180.0,
+    "earth_behind": 1.0,
+    "visible_share": 1.0,
+}
+"""Columns that are read, and their greatest values; the least are zero."""
+
+FLAGS = ("eclipsed", "earth_behind")
+"""Columns that hold 0 or 1."""
+
+
+class Conditions(NamedTuple):
+    """Conditions of N images, ``(N,)`` each.
+
+    Attributes:
+        eclipsed: Whether the Earth hides the sun; a lamp at the camera then gives light.
+        sun_angle_deg: Angle between the viewing ray and the direction to the sun; below 90 degrees
+            a sunlit object is back-lit.
+        earth_behind: Whether the ray to the object's origin goes on to the Earth.
+        visible_share: Share of the object's extent that lies in the frame.
+    """
+
+    eclipsed: NDArray[np.bool_]
+    sun_angle_deg: NDArray[np.float64]
+    earth_behind: NDArray[np.bool_]
+    visible_share: NDArray[np.float64]
+
+
+def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None:
+    """Read the conditions of images, or None where the set does not say them.
+
+    Args:
+        root: The data set's folder; its ``conditions.csv`` has one row for each image, by name.
+        names: The images' file names.
+
+    Raises:
+        DataError: A column, or the row of an image, is missing or stands there twice, or a value
+            cannot be used; the error names file and line.
+    """
+    path = Path(root) / FILE_NAME
+    if not path.exists():
+        return None
+    rows = _read_rows(path)
+    for name in names:
+        if name not in rows:
+            raise DataError(f"expected a row for {name}, got none", path)
+    columns = {
+        column: np.array([rows[name][place] for name in names])
+        for place, column in enumerate(LIMITS)
+    }
+    return Conditions(**{k: v.astype(bool) if k in FLAGS else v for k, v in columns.items()})
+
+
+def _read_rows(path: Path) -> dict[str, list[float]]:
+    """Return the values of `LIMITS` by the image's name."""
+    table = csv.DictReader(read_text(path).splitlines())
+    header = list(table.fieldnames or [])
+    if any(header.count(name) != 1 for name in ("image", *LIMITS)):
+        raise DataError(f"expected the columns image, {', '.join(LIMITS)} once, got {header}", path)
+    rows: dict[str, list[float]] = {}
+    for row in table:
+        name = row["image"]
+        if name in rows:
+            raise DataError(f"{name} has a row already", path, table.line_num)
+        values = [_value(row[column], column, path, table.line_num) for column in LIMITS]
+        rows[name] = values
+    return rows
+
+
+def _value(text: str | None, column: str, path: Path, line: int) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    usable = value in (0.0, 1.0) if column in FLAGS else 0.0 <= value <= LIMITS[column]
+    if not usable:
+        expected = "0 or 1" if column in FLAGS else f"0…{LIMITS[column]:g}"
+        raise DataError(f"{column}: expected {expected}, got {text!r}", path, line)
+    return value

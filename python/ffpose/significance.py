@@ -1,0 +1,99 @@
+"""Whether a result is more than chance: intervals of medians, and correlations of angles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+RESAMPLES = 5000
+CONSTANT_RAD = 1e-6
+"""Angles that differ by no more than this, root mean square, are one: they correlate with none."""
+
+
+def median_interval(values: ArrayLike, level: float = 0.95, seed: int = 0) -> tuple[float, float]:
+    """Return the percentile bootstrap interval of a median (Efron and Tibshirani, 1993, ch. 13).
+
+    No sample is drawn again value by value: the k-th smallest of N draws with replacement is the
+    sorted value number ``floor(N u)``, ``u`` being the k-th smallest of N uniform numbers, which
+    is distributed as Beta(k, N + 1 - k).
+
+    Args:
+        values: ``(N,)`` finite numbers.
+        level: Share of the resampled medians between the two ends.
+        seed: Of the draws; one seed gives one interval.
+
+    Raises:
+        ValueError: Another shape, no values, a value that is not finite, or a level outside 0…1.
+    """
+    ordered = np.sort(np.asarray(values, np.float64))
+    if ordered.ndim != 1 or len(ordered) == 0 or not np.isfinite(ordered).all():
+        raise ValueError(f"values: expected finite numbers (N,), N > 0, got shape {ordered.shape}")
+    if not 0 < level < 1:
+        raise ValueError(f"level: expected a number between 0 and 1, got {level}")
+    rng, count = np.random.default_rng(seed), len(ordered)
+    k = (count + 1) // 2
+    lower = rng.beta(k, count + 1 - k, RESAMPLES)
+    upper = lower
+    if count % 2 == 0:  # the least of the other N - k, uniform above the k-th
+        upper = lower + (1 - lower) * rng.beta(1, count - k, RESAMPLES)
+    places = np.minimum(count * np.stack([lower, upper]), count - 1).astype(np.intp)
+    medians = ordered[places].mean(axis=0)
+    low, high = np.quantile(medians, [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)
+
+
+def circular_correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
+    """Return the correlation of two angles (Jammalamadaka and SenGupta, 2001, section 8.2).
+
+    ``sum(sin(a - a0) sin(b - b0)) / sqrt(sum(sin²(a - a0)) sum(sin²(b - b0)))`` with the mean
+    directions ``a0`` and ``b0``. For small angles it is Pearson's.
+
+    Args:
+        a_deg: ``(N,)`` degrees.
+        b_deg: ``(N,)`` degrees.
+
+    Returns:
+        From -1 to 1; None where one of them is constant.
+
+    Raises:
+        ValueError: Shapes other than ``(N,)``, or different ones.
+    """
+    return _correlation(*(np.sin(_from_mean(angle)) for angle in _pair(a_deg, b_deg)))
+
+
+def correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
+    """Return Pearson's correlation of two angles that do not wrap, as pitch.
+
+    Args:
+        a_deg: ``(N,)`` degrees.
+        b_deg: ``(N,)`` degrees.
+
+    Returns:
+        From -1 to 1; None where one of them is constant.
+
+    Raises:
+        ValueError: Shapes other than ``(N,)``, or different ones.
+    """
+    return _correlation(*(angle - angle.mean() for angle in _pair(a_deg, b_deg)))
+
+
+def _pair(a_deg: ArrayLike, b_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    a, b = (np.radians(np.asarray(angle, np.float64)) for angle in (a_deg, b_deg))
+    if a.ndim != 1 or a.shape != b.shape or len(a) == 0:
+        raise ValueError(f"angles: expected shapes (N,), N > 0, got {a.shape} and {b.shape}")
+    return a, b
+
+
+def _from_mean(angle: FloatArray) -> FloatArray:
+    """Return angles less their mean direction, radians."""
+    mean = np.arctan2(np.sin(angle).sum(), np.cos(angle).sum())
+    return np.asarray(angle - mean)
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> float | None:
+    spread = [np.sqrt((x * x).mean()) for x in (a, b)]
+    if min(spread) < CONSTANT_RAD:
+        return None
+    return float((a * b).mean() / (spread[0] * spread[1]))
