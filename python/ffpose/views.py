@@ -114,6 +114,28 @@ def in_frame(window: Camera, whole: Camera) -> NDArray[np.bool_]:
     return np.asarray(inside_rows[:, None] & inside_columns)
 
 
+def nearest_pixels(picture: Bytes, camera: Camera, other: Camera) -> Bytes:
+    """Return what another camera of the same direction sees of a picture, by the nearest pixels.
+
+    Args:
+        picture: ``(H, W, C)`` uint8, taken by ``camera``.
+        camera: Of the picture.
+        other: Any camera at the same place that looks the same way.
+
+    Returns:
+        ``(other.height, other.width, C)``; zero outside the picture.
+    """
+    columns = (np.arange(other.width) + 0.5 - other.cx) / other.fx * camera.fx + camera.cx
+    rows = (np.arange(other.height) + 0.5 - other.cy) / other.fy * camera.fy + camera.cy
+    column, row = np.floor(columns).astype(np.intp), np.floor(rows).astype(np.intp)
+    inside_columns = (column >= 0) & (column < camera.width)
+    inside_rows = (row >= 0) & (row < camera.height)
+    seen = np.zeros((other.height, other.width, picture.shape[2]), np.uint8)
+    found = picture[np.ix_(row[inside_rows], column[inside_columns])]
+    seen[np.ix_(inside_rows, inside_columns)] = found
+    return seen
+
+
 class Pieces(NamedTuple):
     """What is kept of one image.
 

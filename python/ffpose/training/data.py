@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.datasets import PoseDataset, open_dataset
+from ffpose.datasets import PoseDataset, Record, open_dataset
 from ffpose.datasets.scenes import find_scene, open_validation, open_views
-from ffpose.geometry import Camera
+from ffpose.errors import DataError
+from ffpose.geometry import Camera, Pose
+from ffpose.images import open_image
 from ffpose.models import FilterformerPoseConfig
 from ffpose.training.config import DataConfig
 from ffpose.transforms import Augmentation, Preprocessing
-from ffpose.views import ViewSpec, cut_pieces
+from ffpose.views import Bytes, ViewSpec, cut_pieces, nearest_pixels
 
 EMPTY_SEEDS = 500_000
 """Added to the seed of scenes without a spacecraft."""
@@ -45,9 +47,15 @@ class TrainingData:
 
 
 def open_training_data(
-    config: DataConfig, model: FilterformerPoseConfig, preprocessing: Preprocessing
+    config: DataConfig, model: FilterformerPoseConfig, preprocessing: Preprocessing, *, dense: bool
 ) -> TrainingData:
     """Open the images that ``config`` names, as the network looks at them.
+
+    Args:
+        config: Which images.
+        model: How the network looks.
+        preprocessing: From image to network input.
+        dense: Whether a network with a second look is to learn the object's coordinates.
 
     Raises:
         ValueError: An unknown kind of image set, or fields that do not go together.
@@ -63,7 +71,7 @@ def open_training_data(
     camera = preprocessing.camera(train_set.camera)
     if model.orientation_view == "frame":
         return TrainingData(train_set.poses, val_set, camera, train_set)
-    views = cut_views(train_set, view_spec(model, camera))
+    views = cut_views(train_set, view_spec(model, camera), dense=dense)
     return TrainingData(train_set.poses, val_set, camera, train_set, [views])
 
 
@@ -104,15 +112,45 @@ def _scenes(
     return TrainingData(poses, val_set, camera, None, views, empty)
 
 
-def cut_views(dataset: PoseDataset, spec: ViewSpec) -> Arrays:
-    """Cut the images of a set on disk into views, in memory; nothing is known of coordinates."""
+def cut_views(dataset: PoseDataset, spec: ViewSpec, *, dense: bool) -> Arrays:
+    """Cut the images of a set on disk into views, in memory.
+
+    Args:
+        dataset: The images.
+        spec: How the network looks.
+        dense: Read the object's coordinates too, ``N_coordinates.png`` beside ``N_rgb.png``.
+
+    Raises:
+        ffpose.DataError: An image cannot be used, or has no coordinates.
+    """
     arrays = {
         name: np.zeros(shape, dtype) for name, (shape, dtype) in spec.shapes(len(dataset)).items()
     }
     for index, record in enumerate(dataset.records):
         frame = dataset.preprocessing.frame(dataset.load_image(index))
-        cut_pieces(frame, record.pose, spec).store(arrays, index)
+        coordinates = read_coordinates(record, dataset.camera) if dense else None
+        cut_pieces(frame, record.pose, spec, coordinates).store(arrays, index)
     return arrays
+
+
+def read_coordinates(record: Record, camera: Camera) -> Callable[[Pose, Camera], Bytes]:
+    """Return the object's coordinates of an image as any camera of the same view sees them.
+
+    Raises:
+        ffpose.DataError: There is no such file, or it is another picture.
+    """
+    path = record.image.with_name(record.image.name.replace("_rgb.", "_coordinates."))
+    if path == record.image or not path.is_file():
+        raise record.error(
+            f"dense supervision expected {path.name}, which ffpose render --labels coordinates "
+            "writes, got none; --object_loss.coordinates 0 --object_loss.mask 0 does without"
+        )
+    with open_image(path) as image:
+        picture = np.asarray(image)
+    expected = (camera.height, camera.width, 4)
+    if picture.shape != expected or picture.dtype != np.uint8:
+        raise DataError(f"expected 8-bit RGBA of {camera.width}x{camera.height} pixels", path)
+    return lambda _, window: nearest_pixels(picture, camera, window)
 
 
 def view_spec(model: FilterformerPoseConfig, camera: Camera) -> ViewSpec:

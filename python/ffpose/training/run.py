@@ -62,7 +62,9 @@ def build_run(config: TrainConfig) -> Run:
     preprocessing = backbone_preprocessing(model_config.backbone, size, mode)
     if object_view:  # what lies outside an image is zero for the virtual camera, and is black
         preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
-    data = open_training_data(config.data, model_config, preprocessing)
+    data = open_training_data(
+        config.data, model_config, preprocessing, dense=config.object_loss.dense
+    )
     c = data.camera
     fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
     if config.normalize_translation and not object_view:
