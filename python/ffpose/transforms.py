@@ -6,8 +6,9 @@ crop that moves the target without its label teaches a wrong position. Ye et al.
 8633, section 4.3) do crop: mode ``"center_crop"``, trained with ``Augmentation(random_crop=True)``.
 
 `Augmentation` changes brightness, contrast, saturation and adds blur and noise, which no pose
-depends on. Its one geometric change is a roll of the camera about its optical axis, under which
-image and label move together exactly. A mirrored image is no view of the same craft: no flips.
+depends on. Its one geometric change is a turn of the camera about its centre (pan, tilt and roll),
+under which image and label move together exactly. A mirrored image is no view of the same craft: no
+flips.
 
 Images here are Pillow's RGB, or tensors ``(3, h, w)``; sizes are ``(height, width)``.
 """
@@ -17,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -29,7 +30,7 @@ from torch import Tensor
 from torchvision.transforms import v2
 
 from ffpose.arrays import canonical_quaternion
-from ffpose.geometry import Camera, FloatArray, rotation_matrix
+from ffpose.geometry import Camera, FloatArray
 
 Mode = Literal["resize", "center_crop"]
 Interpolation = Literal["bilinear", "bicubic"]
@@ -40,7 +41,7 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 CROP_MARGIN = 256 / 224
 """Frame over crop: the usual 256 pixels that a crop of 224 is cut from; the paper names neither."""
 
-ROLL_ATTEMPTS = 10
+TURN_ATTEMPTS = 10
 
 
 class Window(NamedTuple):
@@ -185,59 +186,90 @@ class Preprocessing:
         return cls(size, fields["mode"], mean, std, fields.get("interpolation", "bilinear"))
 
 
-def roll_camera(
-    image: Tensor, translation: Tensor, orientation: Tensor, camera: Camera, degrees: float
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Turn the camera about its optical axis; image and label stay true to each other.
+def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:
+    """Return ``Rz(roll) @ Rx(tilt) @ Ry(pan)``, how the scene turns before a turning camera.
 
-    The camera-frame point p becomes ``Rz(degrees) p``, a rotation of the scene from x (right) to y
-    (down), so ``t' = Rz t``, ``q' = qz q`` and every pixel moves by the homography ``K Rz K^-1``, K
-    being the camera's matrix: exact for unequal focal lengths, as a squeezing resize makes them.
-    What comes from outside the image is black.
+    Args:
+        pan: Angle about the camera's y axis, in degrees; a positive one moves the scene right.
+        tilt: The same about x; a positive one moves the scene up.
+        roll: The same about z, the optical axis; a positive one takes right to down.
+
+    Returns:
+        ``(3, 3)``: a point p of the camera frame becomes ``rotation @ p``.
+    """
+    (cp, sp), (ct, st), (cr, sr) = (
+        (math.cos(angle), math.sin(angle)) for angle in map(math.radians, (pan, tilt, roll))
+    )
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_x = np.array([[1, 0, 0], [0, ct, -st], [0, st, ct]])
+    about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
+    turn: FloatArray = about_z @ about_x @ about_y
+    return turn
+
+
+def turn_camera(
+    image: Tensor, translation: Tensor, orientation: Tensor, camera: Camera, rotation: FloatArray
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Turn the camera about its centre; image and label stay true to each other.
+
+    The camera-frame point p becomes ``R p``, so ``t' = R t``, ``q' = qR q`` and every pixel moves
+    by the homography ``K R K^-1``, K being the camera's matrix (Hartley and Zisserman, "Multiple
+    View Geometry", 2nd ed., section 8.4.2): exact at any distance, as the centre stays, and for
+    unequal focal lengths, as a squeezing resize makes them. What the camera did not see is black.
 
     Args:
         image: ``(3, h, w)``.
         translation: ``(3,)``, metres.
         orientation: ``(4,)``, unit quaternion ``(w, x, y, z)``.
         camera: The camera of this image, of its size.
-        degrees: Angle of the turn.
+        rotation: R ``(3, 3)``, such as `camera_turn` gives.
 
     Returns:
         The turned image, translation and orientation, of canonical sign.
 
     Raises:
-        ValueError: The image has not the camera's size.
+        ValueError: The image has not the camera's size, or R is no rotation.
     """
     if image.shape[-2:] != (camera.height, camera.width):
         raise ValueError(
             f"image: expected the camera's (height, width) {(camera.height, camera.width)}, "
             f"got {tuple(image.shape[-2:])}"
         )
-    half = math.radians(degrees) / 2
-    quaternion = (math.cos(half), 0.0, 0.0, math.sin(half))
-    turn = rotation_matrix(quaternion)
+    if rotation.shape != (3, 3) or not (
+        np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
+    ):
+        raise ValueError(f"rotation: expected a rotation matrix (3, 3), got {rotation.tolist()}")
+    turn = torch.from_numpy(rotation)
     turned = roma.quat_xyzw_to_wxyz(
         roma.quat_product(
-            roma.quat_wxyz_to_xyzw(torch.tensor(quaternion, dtype=torch.float64)),
-            roma.quat_wxyz_to_xyzw(orientation.double()),
+            roma.rotmat_to_unitquat(turn), roma.quat_wxyz_to_xyzw(orientation.double())
         )
     )
     return (
-        _warp(image, camera.matrix @ turn @ np.linalg.inv(camera.matrix)),
-        (torch.from_numpy(turn) @ translation.double()).to(translation.dtype),
+        _warp(image, camera.matrix @ rotation.T @ np.linalg.inv(camera.matrix)),
+        (turn @ translation.double()).to(translation.dtype),
         torch.from_numpy(canonical_quaternion(turned.numpy())).to(orientation.dtype),
     )
 
 
-def _warp(image: Tensor, homography: FloatArray) -> Tensor:
-    """Move the pixels of an image (3, h, w) by an affine homography (3, 3) of pixel coordinates."""
+def _warp(image: Tensor, source: FloatArray) -> Tensor:
+    """Fill each pixel from the place that `source` (3, 3), of homogeneous pixels, takes it to."""
     height, width = image.shape[-2:]
-    # affine_grid counts from -1 to 1 between the image's edges, and asks where a pixel comes from.
+    # grid_sample counts from -1 to 1 between the image's edges.
     to_unit = np.array([[2 / width, 0, -1], [0, 2 / height, -1], [0, 0, 1]])
-    source = to_unit @ np.linalg.inv(to_unit @ homography)
-    theta = torch.from_numpy(source[None, :2]).to(image.dtype)
-    grid = torch.nn.functional.affine_grid(theta, [1, 3, height, width], align_corners=False)
-    return torch.nn.functional.grid_sample(image[None], grid, align_corners=False)[0]
+    places = torch.from_numpy(to_unit @ source).float() @ _pixel_centers(height, width)
+    grid, depth = places[:2], places[2]
+    # Behind the camera, as far outside, there is nothing: 2 lies beyond the edge's last half pixel.
+    grid.div_(depth).clamp_(-2, 2).masked_fill_(depth <= 0, 2)
+    grid = grid.view(2, height, width).permute(1, 2, 0).to(image.dtype)
+    return torch.nn.functional.grid_sample(image[None], grid[None], align_corners=False)[0]
+
+
+@lru_cache(maxsize=8)
+def _pixel_centers(height: int, width: int) -> Tensor:
+    """Return ``(u, v, 1)`` of each pixel's center, row by row ``(3, height * width)``."""
+    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    return torch.stack([u, v, torch.ones_like(u)]).view(3, -1)
 
 
 @dataclass(frozen=True)
@@ -252,10 +284,16 @@ class Augmentation:
         contrast: The same for contrast.
         saturation: The same for saturation.
         noise: Greatest standard deviation of Gaussian noise, of the range [0, 1].
+        shot_noise: Greatest standard deviation that a sensor's shot noise has at full scale: one by
+            the root of the full well, 0.0105 for the 9,000 electrons of the rendered scenes. Its
+            variance is proportional to the light, which the values encode as sRGB does.
+        read_noise: The same for what a sensor adds to any light; 0.0013 in the rendered scenes.
         blur: Greatest standard deviation of a Gaussian blur, in pixels.
-        roll: Greatest turn of the camera about its axis, in degrees (`roll_camera`). An angle that
-            would take the object's origin out of the image is drawn again, ten times at most; then
-            the image is left as it is.
+        pan: Greatest turn of the camera to the side, in degrees (`turn_camera`). Angles that would
+            take the object's origin out of the image are drawn again, ten times at most; then the
+            image is left as it is.
+        tilt: The same up and down.
+        roll: The same about the optical axis.
         random_crop: The paper's crop, at a random place of the frame. The label does *not* follow,
             so the position that it teaches is wrong by up to the crop's play; it needs
             ``Preprocessing(mode="center_crop")``, whose frame has the room for it.
@@ -268,13 +306,19 @@ class Augmentation:
     contrast: float = 0.2
     saturation: float = 0.2
     noise: float = 0.02
+    shot_noise: float = 0.0
+    read_noise: float = 0.0
     blur: float = 0.5
+    pan: float = 0.0
+    tilt: float = 0.0
     roll: float = 0.0
     random_crop: bool = False
 
     def __post_init__(self) -> None:
-        limits = {"brightness": 1, "contrast": 1, "saturation": 1, "noise": 1, "roll": 180}
-        for name, limit in (limits | {"blur": math.inf}).items():
+        shares = ("brightness", "contrast", "saturation", "noise", "shot_noise", "read_noise")
+        limits = dict.fromkeys(shares, 1.0)
+        limits |= {"blur": math.inf, "pan": 90.0, "tilt": 90.0, "roll": 180.0}
+        for name, limit in limits.items():
             if not 0 <= getattr(self, name) <= limit:
                 raise ValueError(
                     f"{name}: expected a number from 0 to {limit}, got {getattr(self, name)}"
@@ -298,35 +342,57 @@ class Augmentation:
         Returns:
             Image in [0, 1], translation and orientation, shaped as they came.
         """
-        if self.roll > 0:
-            degrees = self._draw_roll(translation, camera)
-            image, translation, orientation = roll_camera(
-                image, translation, orientation, camera, degrees
+        rotation = self._draw_turn(translation, camera)
+        if rotation is not None:
+            image, translation, orientation = turn_camera(
+                image, translation, orientation, camera, rotation
             )
         image = self._colour(image)
         if self.blur > 0:
             image = _blur(image, sigma=self.blur * float(torch.rand(())))
+        if self.shot_noise > 0 or self.read_noise > 0:
+            strength = float(torch.rand(()))
+            image = _sensor_noise(image, strength * self.shot_noise, strength * self.read_noise)
         if self.noise > 0:
             sigma = self.noise * torch.rand(())
             image = (image + sigma * torch.randn_like(image)).clamp(0, 1)
         return image, translation, orientation
 
-    def _draw_roll(self, translation: Tensor, camera: Camera) -> float:
-        """Return an angle in degrees that leaves the object's origin in the image, else 0."""
-        x, y, z = translation.tolist()
-        for draw in torch.rand(ROLL_ATTEMPTS).tolist():
-            angle = math.radians(self.roll * (2 * draw - 1))
-            cos, sin = math.cos(angle), math.sin(angle)
-            u, v = camera.project([cos * x - sin * y, sin * x + cos * y, z])
+    def _draw_turn(self, translation: Tensor, camera: Camera) -> FloatArray | None:
+        """Return a turn (3, 3) that leaves the object's origin in the image; None to stay."""
+        greatest = np.array([self.pan, self.tilt, self.roll])
+        if not greatest.any():
+            return None
+        origin = translation.double().numpy()
+        for draws in torch.rand(TURN_ATTEMPTS, 3).double().numpy():
+            rotation = camera_turn(*(greatest * (2 * draws - 1)))
+            u, v = camera.project(rotation @ origin)
             if 0 <= u <= camera.width and 0 <= v <= camera.height:
-                return math.degrees(angle)
-        return 0.0
+                return rotation
+        return None
+
+
+def _sensor_noise(image: Tensor, shot: float, read: float) -> Tensor:
+    """Add noise of variance ``shot² · light + read²`` to the light that sRGB values stand for."""
+    light = torch.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
+    light = light + (light * shot**2 + read**2).sqrt_() * torch.randn_like(light)
+    light.clamp_(0, 1)
+    return torch.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def _blur(image: Tensor, sigma: float) -> Tensor:
-    """Blur an image (3, h, w); a sigma below a tenth of a pixel would change nothing."""
+    """Blur an image (3, h, w); a sigma below a tenth of a pixel would change nothing.
+
+    Row by row and column by column: torchvision's ``gaussian_blur`` takes several times as long.
+    """
     if sigma < 0.1:
         return image
-    size = 2 * math.ceil(3 * sigma) + 1
-    blurred: Tensor = v2.functional.gaussian_blur(image, [size, size], [sigma, sigma])
-    return blurred
+    reach = math.ceil(3 * sigma)
+    taps = [math.exp(-0.5 * (step / sigma) ** 2) for step in range(-reach, reach + 1)]
+    for axis, margins in ((1, (0, 0, reach, reach)), (2, (reach, reach, 0, 0))):
+        padded = torch.nn.functional.pad(image, margins, mode="reflect")
+        blurred = torch.zeros_like(image)
+        for start, tap in enumerate(taps):
+            blurred.add_(padded.narrow(axis, start, image.shape[axis]), alpha=tap / sum(taps))
+        image = blurred
+    return image
