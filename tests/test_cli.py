@@ -78,6 +78,7 @@ def test_evaluate_prints_one_json_document(trained, image_set, tmp_path, capsys)
     assert document["images"] == 6
     assert document == json.loads((tmp_path / "results.json").read_text())
     assert (tmp_path / "worst.png").exists()
+    assert not (tmp_path / "reliability.png").exists()  # this network does not give a covariance
 
 
 def test_evaluate_prints_a_table(trained, image_set, tmp_path, capsys):
