@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from ffpose.geometry import Camera, Pose
 
 Bytes = NDArray[np.uint8]
+Arrays = dict[str, NDArray[Any]]
 
 WINDOW = 144
 """Side of the window: the virtual camera's 64 pixels, twice finer at most, turned and displaced."""
@@ -93,7 +95,7 @@ def averaged(image: Bytes, side: int) -> Bytes:
     """Average blocks of ``side`` pixels squared of an image ``(H, W, 3)``; a rest is dropped."""
     height, width = image.shape[0] // side, image.shape[1] // side
     blocks = image[: height * side, : width * side].reshape(height, side, width, side, 3)
-    sums = blocks.sum(axis=(1, 3), dtype=np.uint32)
+    sums: NDArray[np.uint32] = blocks.sum(axis=(1, 3), dtype=np.uint32)
     area = side * side
     return ((sums + area // 2) // area).astype(np.uint8)
 
@@ -112,7 +114,7 @@ def cut(image: Bytes, left: int, top: int) -> Bytes:
 
 
 def write_view(
-    arrays: dict[str, NDArray],
+    arrays: Arrays,
     index: int,
     image: Bytes,
     pose: Pose,
@@ -146,7 +148,7 @@ def write_view(
     )
 
 
-def open_arrays(folder: Path, mode: str = "r") -> dict[str, NDArray]:
+def open_arrays(folder: Path, mode: Literal["r", "r+"] = "r") -> Arrays:
     """Map the arrays of a folder of views into memory."""
     names = ("frames", "windows", "coordinates", "labels")
     return {name: np.load(folder / f"{name}.npy", mmap_mode=mode) for name in names}

@@ -47,8 +47,8 @@ class FilterformerPoseConfig:
         filter_std: Standard deviation of the filter weights at the start.
         position: ``"learned"`` or ``"sinusoidal"`` code of row and column.
         pooling: ``"token"``: a learned token beside the grid's, kept out of the filter, gathers the
-            answer; ``"mean"``: the mean of the tokens does; ``"flatten"``: all tokens, reduced to 16
-            channels each, go through one linear layer.
+            answer; ``"mean"``: the mean of the tokens does; ``"flatten"``: all tokens, reduced to
+            `FLAT_CHANNELS` each, go through one linear layer.
         head_hidden: Width of the heads' static perceptron.
         translation_mlp_dim: Width of the generated perceptron for translation (Table 1).
         orientation_mlp_dim: The same for orientation.
@@ -160,7 +160,8 @@ class FilterformerPoseConfig:
                 raise ValueError("camera: orientation_view 'object' needs it, got None")
             if any(side % self.first_stride for side in self.image_size):
                 raise ValueError(
-                    f"first_stride: expected a divisor of {self.image_size}, got {self.first_stride}"
+                    f"first_stride: expected a divisor of image_size {self.image_size},"
+                    f" got {self.first_stride}"
                 )
 
     @property

@@ -247,8 +247,8 @@ class FilterformerPose(nn.Module):
 
     def _orientation_output(self) -> nn.Module:
         """Return what takes the orientation branch's latent vector to its numbers."""
-        config, features = self.config, self.orientation.features
-        if config.orientation_head == "bins":
+        config, features, start = self.config, self.orientation.features, self.orientation.start
+        if start is None:
             head: nn.Module = nn.Linear(config.latent, features)
             if config.pooling != "flatten":  # after flattening a hidden layer has been there
                 head = nn.Sequential(
@@ -259,7 +259,7 @@ class FilterformerPose(nn.Module):
         else:
             head = hyper_head(config, features, config.orientation_mlp_dim)
             with torch.no_grad():
-                head.bias.copy_(torch.tensor(self.orientation.start))
+                head.bias.copy_(torch.tensor(start))
         if config.orientation_view == "frame":
             return head
         return LookHead(head, hyper_head(config, SMALL_NUMBERS, config.translation_mlp_dim))

@@ -75,7 +75,7 @@ def split_numbers(numbers: Tensor) -> LookNumbers:
 
 
 def offset_of(points: Tensor, view: VirtualCamera) -> Tensor:
-    """Return the offsets ``(B, 3)`` of points ``(B, 3)`` in front of a virtual camera, its frame."""
+    """Return the offsets ``(B, 3)`` of points ``(B, 3)`` in a virtual camera's frame, before it."""
     x, y, z = points.unbind(-1)
     pixels = view.focal * OFFSET_SCALE
     ratio = points.norm(dim=-1) / view.distance

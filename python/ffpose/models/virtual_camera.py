@@ -1,10 +1,11 @@
 """The second look: a virtual camera at the same place, turned to the object.
 
-A pinhole camera that only turns sees the same scene through the homography ``K_v R K^-1``: rotation,
-crop and scale in one, exact for every depth. Turned to the object, with a field of view that is a
-fixed number of metres at the object's distance, it shows a craft of one size in the middle of the
-image, whatever its place in the frame: what is left to learn is the attitude, and small corrections
-of the position. Poses go from camera to virtual camera and back by the rotation alone::
+A pinhole camera that only turns sees the same scene through the homography ``K_v R K^-1``:
+rotation, crop and scale in one, exact for every depth. Turned to the object, with a field of
+view that is a fixed number of metres at the object's distance, it shows a craft of one size in the
+middle of the image, whatever its place in the frame: what is left to learn is the attitude, and
+small corrections of the position. Poses go from camera to virtual camera and back by the rotation
+alone::
 
     t_v = R t,   R_v = R R_object
 
@@ -16,7 +17,7 @@ differentiable, and consist of operators that export.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -63,14 +64,14 @@ def toward(directions: Tensor) -> Tensor:
     x, y, z = F.normalize(directions, dim=-1).unbind(-1)
     k = 1 / (1 + z)
     rows = [1 - k * x * x, -k * x * y, x, -k * x * y, 1 - k * y * y, y, -x, -y, z]
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
 
 
 def turned_about_axis(angles: Tensor) -> Tensor:
     """Return rotations ``(B, 3, 3)`` about the z axis by ``angles (B,)``, radians."""
     c, s, zero, one = angles.cos(), angles.sin(), torch.zeros_like(angles), torch.ones_like(angles)
     rows = [c, -s, zero, s, c, zero, zero, zero, one]
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
 
 
 def turn_to(
@@ -104,7 +105,7 @@ def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
         camera cannot see.
     """
     height, width = view.size
-    like = {"dtype": view.focal.dtype, "device": view.focal.device}
+    like: dict[str, Any] = {"dtype": view.focal.dtype, "device": view.focal.device}
     focal = view.focal[:, None]
     x = ((torch.arange(width, **like) + 0.5) - width / 2)[None] / focal  # (B, w)
     y = ((torch.arange(height, **like) + 0.5) - height / 2)[None] / focal  # (B, h)

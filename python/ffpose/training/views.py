@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -35,7 +35,7 @@ from ffpose.models.virtual_camera import (
 from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
 
-Arrays = Mapping[str, NDArray]
+Arrays = Mapping[str, NDArray[Any]]
 
 FRAME_MARGIN = 0.02
 """Part of the frame that the object's origin keeps from the border when the camera is turned."""
@@ -99,7 +99,7 @@ class ViewBatch(NamedTuple):
     offset: Tensor
     coordinates: Tensor
     present: Tensor
-    index: Tensor
+    index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
 
 
 class ViewBatches:
@@ -172,7 +172,7 @@ class ViewBatches:
             index,
         )
 
-    def _gather(self, name: str, index: Tensor) -> NDArray:
+    def _gather(self, name: str, index: Tensor) -> NDArray[Any]:
         return _rows(self.sets, self.places, name, index)
 
     def _turned_frames(
@@ -223,7 +223,7 @@ class ViewBatches:
             shift = (1 - zoom)[:, None] * (2 * torch.rand(scenes, 2, generator=generator) - 1)
             y = (torch.arange(size[0]) + 0.5) / size[0] * 2 - 1
             x = (torch.arange(size[1]) + 0.5) / size[1] * 2 - 1
-            grid = torch.stack(torch.broadcast_tensors(x[None, :], y[:, None]), dim=-1)
+            grid = torch.stack([x.expand(size), y[:, None].expand(size)], dim=-1)
             grid = grid * zoom[:, None, None, None] + shift[:, None, None, :]
             crops[:scenes] = sample(windows, (grid + 1) * side / 2)
         return crops
@@ -266,7 +266,9 @@ def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
     )
 
 
-def _rows(sets: Sequence[Arrays], places: NDArray[np.intp], name: str, index: Tensor) -> NDArray:
+def _rows(
+    sets: Sequence[Arrays], places: NDArray[np.intp], name: str, index: Tensor
+) -> NDArray[Any]:
     return np.stack([sets[n][name][row] for n, row in places[index.numpy()]])
 
 
