@@ -115,7 +115,7 @@ def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
         + back[:, None, None, :, 1] * y[:, :, None, None]
         + back[:, None, None, :, 2]
     )  # (B, h, w, 3)
-    fx, fy, cx, cy = intrinsics.expand(len(view.focal), 4)[:, :, None, None].unbind(1)
+    fx, fy, cx, cy = intrinsics.expand(view.focal.shape[0], 4)[:, :, None, None].unbind(1)
     depth = rays[..., 2]
     seen = depth > LEAST_DEPTH
     depth = depth.clamp_min(LEAST_DEPTH)
