@@ -192,11 +192,8 @@ class ViewBatches:
         room = FRAME_MARGIN * width
         inside = (u > room) & (u < width - room) & (v > room) & (v < height - room)
         turn = torch.where(inside[:, None, None], turn, torch.eye(3))
-        view = VirtualCamera(turn, fx.expand(len(t)), t.norm(dim=-1), (height, width))
-        return (
-            sample(frames, source_pixels(view, self.frame_camera)),
-            torch.where(inside[:, None], moved, t),
-        )
+        pixels = _rolled_pixels(turn, self.frame_camera, (height, width))
+        return sample(frames, pixels), torch.where(inside[:, None], moved, t)
 
     def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
         """Return where a first look might have found objects at ``t (B, 3)``."""
@@ -251,6 +248,24 @@ class ViewBatches:
             sigma = a.noise / self.std * torch.rand(shape, generator=generator).square()
             images = images + sigma * torch.randn(images.shape, generator=generator)
         return images.contiguous(memory_format=torch.channels_last)
+
+
+def _rolled_pixels(turn: Tensor, camera: Tensor, size: tuple[int, int]) -> Tensor:
+    """Return where the pixels of a camera that was turned about its axis lie in its old image.
+
+    Args:
+        turn: ``(B, 3, 3)``, rotations about the z axis from the old frame to the new.
+        camera: ``(4,)``: fx, fy, cx, cy, before and after.
+        size: ``(height, width)`` of the image.
+
+    Returns:
+        ``(B, h, w, 2)`` continuous pixel coordinates (u, v).
+    """
+    focal, middle = camera[:2], camera[2:]
+    u = (torch.arange(size[1]) + 0.5).expand(size)
+    v = (torch.arange(size[0]) + 0.5)[:, None].expand(size)
+    rays = (torch.stack([u, v], dim=-1) - middle) / focal  # (h, w, 2), of depth one
+    return rays @ turn[:, None, :2, :2] * focal + middle
 
 
 def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
