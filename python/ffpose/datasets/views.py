@@ -76,9 +76,15 @@ class ViewSpec:
         ratio = self.camera.fx / focal * distance / float(translation[2])
         return min(LEVELS - 1, max(0, math.floor(math.log2(ratio / SHARPNESS))))
 
+    def level_camera(self, level: int) -> Camera:
+        """Return the camera of a level, whose means leave out a rest of columns and rows."""
+        width, height = self.camera.width >> level, self.camera.height >> level
+        covered = self.camera.cropped(0, 0, width << level, height << level)
+        return covered.resized(width, height)
+
     def window_camera(self, translation: NDArray[np.float64], level: int) -> Camera:
         """Return the camera of the window around an object at ``translation``, on a level."""
-        camera = self.camera.resized(self.camera.width >> level, self.camera.height >> level)
+        camera = self.level_camera(level)
         u, v = camera.project(translation)
         left, top = round(u - WINDOW / 2), round(v - WINDOW / 2)
         return camera.cropped(left, top, WINDOW, WINDOW)
@@ -136,7 +142,7 @@ def write_view(
     """
     level = spec.level(pose.t)
     camera = spec.window_camera(pose.t, level)
-    whole = spec.camera.resized(spec.camera.width >> level, spec.camera.height >> level)
+    whole = spec.level_camera(level)
     left, top = round(whole.cx - camera.cx), round(whole.cy - camera.cy)
     arrays["frames"][index] = averaged(image, spec.first_stride)
     arrays["windows"][index] = cut(halved(image, level), left, top)
