@@ -70,7 +70,13 @@ class ViewSpec:
         }
 
     def level(self, translation: NDArray[np.float64]) -> int:
-        """Return the pyramid level for an object at ``translation (3,)``, metres."""
+        """Return the pyramid level for an object at ``translation (3,)``, metres.
+
+        Raises:
+            ValueError: The object is not before the camera.
+        """
+        if not translation[2] > 0:
+            raise ValueError(f"translation: expected z > 0, before the camera, got {translation}")
         distance = float(np.linalg.norm(translation))
         focal = self.object_width / 2 * distance / self.object_radius_m
         ratio = self.camera.fx / focal * distance / float(translation[2])
@@ -139,7 +145,13 @@ def write_view(
         coordinates: Gives the object's coordinates ``(h, w, 4)`` as a camera sees them, as
             `ffpose.render.layers.object_coordinates`; None where they are not known.
         present: Whether the image shows the object.
+
+    Raises:
+        ValueError: The image has another size than its camera, or the object is not before it.
     """
+    expected = (spec.camera.height, spec.camera.width, 3)
+    if image.shape != expected:
+        raise ValueError(f"image: expected shape {expected}, got {image.shape}")
     level = spec.level(pose.t)
     camera = spec.window_camera(pose.t, level)
     whole = spec.level_camera(level)

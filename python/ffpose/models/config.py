@@ -150,6 +150,12 @@ class FilterformerPoseConfig:
 
         if self.camera is not None and not all(map(math.isfinite, self.camera)):
             raise ValueError(f"camera: expected finite numbers, got {self.camera}")
+        if self.camera is not None and min(self.camera[:2]) <= 0:
+            raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.camera}")
+        if not all(_is_whole(side) and side >= 1 for side in self.object_size):
+            raise ValueError(
+                f"object_size: expected whole numbers, at least 1, got {self.object_size}"
+            )
         near, far = self.distance_m
         if not 0 < near < far < math.inf:
             raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")

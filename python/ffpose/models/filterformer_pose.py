@@ -203,6 +203,9 @@ class FilterformerPose(nn.Module):
         object_backbone: Gives the map of ``config.orientation_reduction`` of the object's view; for
             the view ``"object"`` alone.
 
+    Raises:
+        ValueError: A second backbone is missing, or given to a network that looks once.
+
     Attributes:
         config: As given.
         backbone: As given; stages 2 and 3 of training freeze it.
@@ -225,6 +228,12 @@ class FilterformerPose(nn.Module):
         object_backbone: Backbone | None = None,
     ) -> None:
         super().__init__()
+        if (object_backbone is None) == (config.orientation_view == "object"):
+            wanted, given = ("one", "none") if object_backbone is None else ("none", "one")
+            raise ValueError(
+                f"object_backbone: expected {wanted} for orientation_view"
+                f" {config.orientation_view!r}, got {given}"
+            )
         self.config = config
         self.backbone = backbone
         self.object_backbone = object_backbone

@@ -100,6 +100,9 @@ class BinsHead(nn.Module):
         bins: How many attitudes; 8,000 are 9 degrees apart.
         degree: Of the harmonics: ``(degree + 1)(2 degree + 1)(2 degree + 3) / 3`` coefficients.
         width_deg: Standard deviation of the soft labels, degrees.
+
+    Raises:
+        ValueError: Fewer attitudes than coefficients.
     """
 
     start = None
@@ -164,6 +167,9 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
 
     Returns:
         ``(N, (degree + 1)(2 degree + 1)(2 degree + 3) / 3)``, float64.
+
+    Raises:
+        ValueError: There are fewer attitudes than functions.
     """
     power = 2 * degree
     powers = q[:, :, None] ** torch.arange(power + 1)  # (N, 4, power + 1)
@@ -172,6 +178,11 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
         for rest in itertools.product(range(power + 1), repeat=3)
         if sum(rest) <= power
     ]
+    if len(q) < len(exponents):
+        raise ValueError(
+            f"bins: expected at least {len(exponents)}, as many as harmonics of degree {degree},"
+            f" got {len(q)}"
+        )
     columns = [
         math.sqrt(math.factorial(power) / math.prod(map(math.factorial, e)))
         * powers[:, 0, e[0]]

@@ -55,7 +55,7 @@ class ViewAugmentation:
         brightness: Standard deviation of the logarithm (base 2) of a factor.
         noise: Greatest standard deviation of Gaussian noise, of the range [0, 1].
         blur: Greatest share of a copy of half the resolution.
-        empty: Part of the samples that show no object.
+        empty: Part of the samples that show no object; one of each batch does.
         frames: Part of the samples whose frame is given to the first look, which learns sooner.
     """
 
@@ -112,6 +112,9 @@ class ViewBatches:
         augmentation: How samples vary.
         std: Of the input, after division by 255; what lies outside an image is zero.
         cells: Rows and columns of the coordinates.
+
+    Raises:
+        ValueError: The network looks once.
     """
 
     def __init__(
@@ -128,15 +131,23 @@ class ViewBatches:
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
         config = model.config
-        assert config.camera is not None
-        fx, fy, cx, cy = config.camera
-        self.frame_camera = torch.tensor([fx, fy, cx, cy]) / config.first_stride
+        if config.orientation_view != "object" or config.camera is None:
+            raise ValueError(
+                f"model: expected orientation_view 'object', got {config.orientation_view!r}"
+            )
+        self.frame_camera = torch.tensor(config.camera) / config.first_stride
 
     def __len__(self) -> int:
         return len(self.places)
 
     def epoch(self, seed: int, batch_size: int) -> Iterator[ViewBatch]:
-        """Pass once over the set, in an order drawn from ``seed``; a rest is left out."""
+        """Pass once over the set, in an order drawn from ``seed``; a rest is left out.
+
+        Raises:
+            ValueError: Less than one sample a batch, or more than there are.
+        """
+        if not 1 <= batch_size <= len(self):
+            raise ValueError(f"batch_size: expected 1 to {len(self)}, got {batch_size}")
         generator = torch.Generator().manual_seed(seed)
         order = torch.randperm(len(self), generator=generator)
         for start in range(0, len(self) - batch_size + 1, batch_size):
@@ -157,7 +168,7 @@ class ViewBatches:
         intrinsics = labels[:, 7:11]
         crops = sample(windows, source_pixels(view, intrinsics))
         present = torch.ones(count, dtype=torch.bool)
-        empty = round(a.empty * count)
+        empty = min(round(a.empty * count), count - 1)
         if empty:
             crops[:empty] = self._empty_crops(empty, generator)
             present[:empty] = False
