@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from ffpose.geometry import Camera, Pose
 
 Bytes = NDArray[np.uint8]
+Arrays = dict[str, NDArray[Any]]
 
 WINDOW = 144
 """Side of the window: the virtual camera's 64 pixels, twice finer at most, turned and displaced."""
@@ -69,15 +70,27 @@ class ViewSpec:
         }
 
     def level(self, translation: NDArray[np.float64]) -> int:
-        """Return the pyramid level for an object at ``translation (3,)``, metres."""
+        """Return the pyramid level for an object at ``translation (3,)``, metres.
+
+        Raises:
+            ValueError: The object is not before the camera.
+        """
+        if not translation[2] > 0:
+            raise ValueError(f"translation: expected z > 0, before the camera, got {translation}")
         distance = float(np.linalg.norm(translation))
         focal = self.object_width / 2 * distance / self.object_radius_m
         ratio = self.camera.fx / focal * distance / float(translation[2])
         return min(LEVELS - 1, max(0, math.floor(math.log2(ratio / SHARPNESS))))
 
+    def level_camera(self, level: int) -> Camera:
+        """Return the camera of a level, whose means leave out a rest of columns and rows."""
+        width, height = self.camera.width >> level, self.camera.height >> level
+        covered = self.camera.cropped(0, 0, width << level, height << level)
+        return covered.resized(width, height)
+
     def window_camera(self, translation: NDArray[np.float64], level: int) -> Camera:
         """Return the camera of the window around an object at ``translation``, on a level."""
-        camera = self.camera.resized(self.camera.width >> level, self.camera.height >> level)
+        camera = self.level_camera(level)
         u, v = camera.project(translation)
         left, top = round(u - WINDOW / 2), round(v - WINDOW / 2)
         return camera.cropped(left, top, WINDOW, WINDOW)
@@ -87,7 +100,7 @@ def averaged(image: Bytes, side: int) -> Bytes:
     """Average blocks of ``side`` pixels squared of an image ``(H, W, 3)``; a rest is dropped."""
     height, width = image.shape[0] // side, image.shape[1] // side
     blocks = image[: height * side, : width * side].reshape(height, side, width, side, 3)
-    sums = blocks.sum(axis=(1, 3), dtype=np.uint32)
+    sums: NDArray[np.uint32] = blocks.sum(axis=(1, 3), dtype=np.uint32)
     area = side * side
     return ((sums + area // 2) // area).astype(np.uint8)
 
@@ -183,10 +196,16 @@ def cut_pieces(
         spec: How to cut.
         coordinates: Gives the object's coordinates ``(h, w, 4)`` as a camera sees them, as
             `ffpose.render.layers.object_coordinates`; None where they are not known.
+
+    Raises:
+        ValueError: The image has another size than its camera, or the object is not before it.
     """
+    expected = (spec.camera.height, spec.camera.width, 3)
+    if image.shape != expected:
+        raise ValueError(f"image: expected shape {expected}, got {image.shape}")
     level = spec.level(pose.t)
     camera = spec.window_camera(pose.t, level)
-    whole = spec.camera.resized(spec.camera.width >> level, spec.camera.height >> level)
+    whole = spec.level_camera(level)
     left, top = round(whole.cx - camera.cx), round(whole.cy - camera.cy)
     half = WINDOW // 2
     return Pieces(

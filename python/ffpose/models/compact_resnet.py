@@ -76,7 +76,7 @@ class CompactResNet(nn.Module):
             nn.ReLU(inplace=True),
         )
         count = REDUCTIONS.index(reduction) + 1
-        stages = [BasicBlock(widths[0], widths[1], 2)]
+        stages: list[nn.Module] = [BasicBlock(widths[0], widths[1], 2)]
         stages += [
             nn.Sequential(BasicBlock(before, after, 2), BasicBlock(after, after))
             for before, after in pairwise(widths[1:])

@@ -152,6 +152,12 @@ class FilterformerPoseConfig:
 
         if self.camera is not None and not all(map(math.isfinite, self.camera)):
             raise ValueError(f"camera: expected finite numbers, got {self.camera}")
+        if self.camera is not None and min(self.camera[:2]) <= 0:
+            raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.camera}")
+        if not all(_is_whole(side) and side >= 1 for side in self.object_size):
+            raise ValueError(
+                f"object_size: expected whole numbers, at least 1, got {self.object_size}"
+            )
         near, far = self.distance_m
         if not 0 < near < far < math.inf:
             raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
@@ -162,7 +168,7 @@ class FilterformerPoseConfig:
                 raise ValueError("camera: orientation_view 'object' needs it, got None")
             if any(side % self.first_stride for side in self.image_size):
                 raise ValueError(
-                    f"first_stride: expected a divisor of {self.image_size},"
+                    f"first_stride: expected a divisor of image_size {self.image_size},"
                     f" got {self.first_stride}"
                 )
 

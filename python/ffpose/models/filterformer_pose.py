@@ -206,6 +206,9 @@ class FilterformerPose(nn.Module):
         object_backbone: Gives the map of ``config.orientation_reduction`` of the object's view; for
             the view ``"object"`` alone.
 
+    Raises:
+        ValueError: A second backbone is missing, or given to a network that looks once.
+
     Attributes:
         config: As given.
         backbone: As given; stages 2 and 3 of training freeze it.
@@ -228,6 +231,12 @@ class FilterformerPose(nn.Module):
         object_backbone: Backbone | None = None,
     ) -> None:
         super().__init__()
+        if (object_backbone is None) == (config.orientation_view == "object"):
+            wanted, given = ("one", "none") if object_backbone is None else ("none", "one")
+            raise ValueError(
+                f"object_backbone: expected {wanted} for orientation_view"
+                f" {config.orientation_view!r}, got {given}"
+            )
         self.config = config
         self.backbone = backbone
         self.object_backbone = object_backbone
@@ -250,8 +259,8 @@ class FilterformerPose(nn.Module):
 
     def _orientation_output(self) -> nn.Module:
         """Return what takes the orientation branch's latent vector to its numbers."""
-        config, features = self.config, self.orientation.features
-        if config.orientation_head == "bins":
+        config, features, start = self.config, self.orientation.features, self.orientation.start
+        if start is None:
             head: nn.Module = nn.Linear(config.latent, features)
             if config.pooling != "flatten":  # after flattening a hidden layer has been there
                 head = nn.Sequential(
@@ -262,7 +271,7 @@ class FilterformerPose(nn.Module):
         else:
             head = hyper_head(config, features, config.orientation_mlp_dim)
             with torch.no_grad():
-                head.bias.copy_(torch.tensor(self.orientation.start))
+                head.bias.copy_(torch.tensor(start))
         if config.orientation_view == "frame":
             return head
         return LookHead(head, hyper_head(config, SMALL_NUMBERS, config.translation_mlp_dim))

@@ -147,8 +147,3 @@ def covariances(numbers: LookNumbers, view: VirtualCamera, scales: Tensor) -> tu
 def sigma_loss(log_sigma: Tensor, residual: Tensor) -> Tensor:
     """Return the Gaussian negative log likelihood of residuals, the mean over the last axis."""
     return (0.5 * (residual * torch.exp(-log_sigma)).square() + log_sigma).mean(-1)
-
-
-def in_camera_frame(matrix: Tensor, view: VirtualCamera) -> Tensor:
-    """Take rotation matrices ``(B, 3, 3)`` from the virtual camera's frame to the camera's."""
-    return view.rotation.transpose(1, 2) @ matrix

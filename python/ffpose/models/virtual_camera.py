@@ -17,7 +17,7 @@ differentiable, and consist of operators that export.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -66,14 +66,14 @@ def toward(directions: Tensor) -> Tensor:
     x, y, z = F.normalize(directions, dim=-1).unbind(-1)
     k = 1 / (1 + z)
     rows = [1 - k * x * x, -k * x * y, x, -k * x * y, 1 - k * y * y, y, -x, -y, z]
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
 
 
 def turned_about_axis(angles: Tensor) -> Tensor:
     """Return rotations ``(B, 3, 3)`` about the z axis by ``angles (B,)``, radians."""
     c, s, zero, one = angles.cos(), angles.sin(), torch.zeros_like(angles), torch.ones_like(angles)
     rows = [c, -s, zero, s, c, zero, zero, zero, one]
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
 
 
 def turn_to(
@@ -107,7 +107,7 @@ def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
         camera cannot see.
     """
     height, width = view.size
-    like = {"dtype": view.focal.dtype, "device": view.focal.device}
+    like: dict[str, Any] = {"dtype": view.focal.dtype, "device": view.focal.device}
     u = (torch.arange(width, **like) + 0.5 - width / 2).expand(height, width)
     v = (torch.arange(height, **like) + 0.5 - height / 2)[:, None].expand(height, width)
     pixels = torch.stack([u, v, torch.ones_like(u)], dim=-1).flatten(0, 1)  # (h w, 3)
@@ -124,7 +124,7 @@ def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
     Virtual pixels count from the middle of the image. The third coordinate of the result is the
     depth of a ray whose depth in the virtual camera is one.
     """
-    fx, fy, cx, cy = intrinsics.expand(len(view.focal), 4).unbind(1)
+    fx, fy, cx, cy = intrinsics.expand(view.focal.shape[0], 4).unbind(1)
     zero, one = torch.zeros_like(fx), torch.ones_like(fx)
     matrix = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], dim=-1)
     scale = torch.stack([1 / view.focal, 1 / view.focal, one], dim=-1)

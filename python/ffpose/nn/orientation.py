@@ -36,9 +36,18 @@ POWER_SQUARINGS = 10
 
 
 class OrientationHead(Protocol):
-    """How the numbers of a head are trained and decoded."""
+    """How the numbers of a head are trained and decoded.
+
+    Attributes:
+        features: How many numbers.
+        start: Numbers that decode to no rotation, about which training begins; None for any.
+    """
 
     features: int
+
+    @property
+    def start(self) -> tuple[float, ...] | None:
+        """As the class says."""
 
     def decode(self, raw: Tensor) -> Tensor:
         """Return unit quaternions ``(B, 4)`` for the head's numbers ``(B, features)``."""
@@ -91,8 +100,12 @@ class BinsHead(nn.Module):
         bins: How many attitudes; 8,000 are 9 degrees apart.
         degree: Of the harmonics: ``(degree + 1)(2 degree + 1)(2 degree + 3) / 3`` coefficients.
         width_deg: Standard deviation of the soft labels, degrees.
+
+    Raises:
+        ValueError: Fewer attitudes than coefficients.
     """
 
+    start = None
     bins: Tensor
     outer: Tensor
     basis: Tensor
@@ -117,7 +130,7 @@ class BinsHead(nn.Module):
         p = self.logits(raw).softmax(-1)
         mode = self.bins[p.argmax(-1)]  # (B, 4)
         near = (mode @ self.bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
-        matrix = ((p * near) @ self.outer).unflatten(1, (4, 4))  # sum of p q qT
+        matrix = torch.unflatten((p * near) @ self.outer, 1, (4, 4))  # sum of p q qT
         matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
         for _ in range(POWER_SQUARINGS):
             matrix = matrix @ matrix
@@ -154,6 +167,9 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
 
     Returns:
         ``(N, (degree + 1)(2 degree + 1)(2 degree + 3) / 3)``, float64.
+
+    Raises:
+        ValueError: There are fewer attitudes than functions.
     """
     power = 2 * degree
     powers = q[:, :, None] ** torch.arange(power + 1)  # (N, 4, power + 1)
@@ -162,6 +178,11 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
         for rest in itertools.product(range(power + 1), repeat=3)
         if sum(rest) <= power
     ]
+    if len(q) < len(exponents):
+        raise ValueError(
+            f"bins: expected at least {len(exponents)}, as many as harmonics of degree {degree},"
+            f" got {len(q)}"
+        )
     columns = [
         math.sqrt(math.factorial(power) / math.prod(map(math.factorial, e)))
         * powers[:, 0, e[0]]
@@ -171,7 +192,8 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
         for e in exponents
     ]
     orthonormal, triangular = torch.linalg.qr(torch.stack(columns, dim=1))
-    return orthonormal * triangular.diagonal().sign() * math.sqrt(len(q))
+    result: Tensor = orthonormal * triangular.diagonal().sign() * math.sqrt(len(q))
+    return result
 
 
 def orthonormalized(raw: Tensor) -> Tensor:
@@ -190,7 +212,7 @@ def quaternion_to_matrix(q: Tensor) -> Tensor:
         *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     ]
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
 
 
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:

@@ -48,7 +48,7 @@ def render_view(
     )
     level = spec.level(frame.pose.t)
     camera = spec.window_camera(frame.pose.t, level)
-    whole = spec.camera.resized(spec.camera.width >> level, spec.camera.height >> level)
+    whole = spec.level_camera(level)
     sensor = in_window(averaging(scene.sensor, 2**level), whole.width)
     window = shoot(scene, seed, index, camera, sensor, gain=frame.gain, empty=empty).image
     coordinates = np.zeros((WINDOW // 2, WINDOW // 2, 4), np.uint8)

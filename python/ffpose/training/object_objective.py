@@ -32,11 +32,16 @@ class ObjectObjective(nn.Module):
     Args:
         model: The network.
         config: Weights of the terms.
+
+    Raises:
+        ValueError: The network looks once.
     """
 
     def __init__(self, model: FilterformerPose, config: ObjectLossConfig) -> None:
         super().__init__()
-        assert model.object_backbone is not None
+        view = model.config.orientation_view
+        if model.object_backbone is None:
+            raise ValueError(f"model: expected orientation_view 'object', got {view!r}")
         self.config = config
         rows, columns = model.config.orientation_grid
         self.cells = (rows * CELLS_PER_SIDE, columns * CELLS_PER_SIDE)

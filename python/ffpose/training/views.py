@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -35,7 +35,7 @@ from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
 from ffpose.training.config import ViewAugmentation
 
-Arrays = Mapping[str, NDArray]
+Arrays = Mapping[str, NDArray[Any]]
 
 SUPPLY = 1 << 21
 """Normal numbers that are drawn once, for the noise."""
@@ -66,7 +66,7 @@ class ViewBatch(NamedTuple):
     offset: Tensor
     coordinates: Tensor
     present: Tensor
-    index: Tensor
+    index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
 
 
 class ViewBatches:
@@ -80,6 +80,9 @@ class ViewBatches:
         std: Of the input's preprocessing, whose mean is zero, so that what lies outside an image is
             zero too.
         cells: Rows and columns of the coordinates.
+
+    Raises:
+        ValueError: The network looks once.
     """
 
     def __init__(
@@ -98,16 +101,24 @@ class ViewBatches:
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
         config = model.config
-        assert config.camera is not None
-        fx, fy, cx, cy = config.camera
+        if config.orientation_view != "object" or config.camera is None:
+            raise ValueError(
+                f"model: expected orientation_view 'object', got {config.orientation_view!r}"
+            )
         self.supply = torch.randn(SUPPLY, generator=torch.Generator().manual_seed(0))
-        self.frame_camera = torch.tensor([fx, fy, cx, cy]) / config.first_stride
+        self.frame_camera = torch.tensor(config.camera) / config.first_stride
 
     def __len__(self) -> int:
         return len(self.places)
 
     def epoch(self, seed: int, batch_size: int) -> Iterator[ViewBatch]:
-        """Pass once over the set, in an order drawn from ``seed``; a rest is left out."""
+        """Pass once over the set, in an order drawn from ``seed``; a rest is left out.
+
+        Raises:
+            ValueError: Less than one sample a batch, or more than there are.
+        """
+        if not 1 <= batch_size <= len(self):
+            raise ValueError(f"batch_size: expected 1 to {len(self)}, got {batch_size}")
         generator = torch.Generator().manual_seed(seed)
         order = torch.randperm(len(self), generator=generator)
         for start in range(0, len(self) - batch_size + 1, batch_size):
@@ -128,7 +139,7 @@ class ViewBatches:
         intrinsics = labels[:, 7:11]
         crops = sample(windows, source_pixels(view, intrinsics)) * self.scale
         present = torch.ones(count, dtype=torch.bool)
-        empty = round(a.empty * count)
+        empty = min(round(a.empty * count), count - 1)
         if empty:
             crops[:empty] = self._empty_crops(empty, generator)
             present[:empty] = False
@@ -143,7 +154,7 @@ class ViewBatches:
             index,
         )
 
-    def _gather(self, name: str, index: Tensor) -> NDArray:
+    def _gather(self, name: str, index: Tensor) -> NDArray[Any]:
         return _rows(self.sets, self.places, name, index)
 
     def _turned_frames(
@@ -161,11 +172,8 @@ class ViewBatches:
         room = FRAME_MARGIN * width
         inside = (u > room) & (u < width - room) & (v > room) & (v < height - room)
         turn = torch.where(inside[:, None, None], turn, torch.eye(3))
-        view = VirtualCamera(turn, fx.expand(len(t)), t.norm(dim=-1), (height, width))
-        return (
-            sample(frames, source_pixels(view, self.frame_camera)) * self.scale,
-            torch.where(inside[:, None], moved, t),
-        )
+        pixels = _rolled_pixels(turn, self.frame_camera, (height, width))
+        return sample(frames, pixels) * self.scale, torch.where(inside[:, None], moved, t)
 
     def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
         """Return where a first look might have found objects at ``t (B, 3)``."""
@@ -192,7 +200,7 @@ class ViewBatches:
             shift = (1 - zoom)[:, None] * (2 * torch.rand(scenes, 2, generator=generator) - 1)
             y = (torch.arange(size[0]) + 0.5) / size[0] * 2 - 1
             x = (torch.arange(size[1]) + 0.5) / size[1] * 2 - 1
-            grid = torch.stack(torch.broadcast_tensors(x[None, :], y[:, None]), dim=-1)
+            grid = torch.stack([x.expand(size), y[:, None].expand(size)], dim=-1)
             grid = grid * zoom[:, None, None, None] + shift[:, None, None, :]
             crops[:scenes] = sample(windows, (grid + 1) * side / 2) * self.scale
         return crops
@@ -230,6 +238,24 @@ class ViewBatches:
         return self.supply[start : start + count].view(shape)
 
 
+def _rolled_pixels(turn: Tensor, camera: Tensor, size: tuple[int, int]) -> Tensor:
+    """Return where the pixels of a camera that was turned about its axis lie in its old image.
+
+    Args:
+        turn: ``(B, 3, 3)``, rotations about the z axis from the old frame to the new.
+        camera: ``(4,)``: fx, fy, cx, cy, before and after.
+        size: ``(height, width)`` of the image.
+
+    Returns:
+        ``(B, h, w, 2)`` continuous pixel coordinates (u, v).
+    """
+    focal, middle = camera[:2], camera[2:]
+    u = (torch.arange(size[1]) + 0.5).expand(size)
+    v = (torch.arange(size[0]) + 0.5)[:, None].expand(size)
+    rays = (torch.stack([u, v], dim=-1) - middle) / focal  # (h, w, 2), of depth one
+    return rays @ turn[:, None, :2, :2] * focal + middle
+
+
 def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
     """Return set and row ``(N, 2)`` of each sample."""
     return np.concatenate(
@@ -243,7 +269,9 @@ def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
     )
 
 
-def _rows(sets: Sequence[Arrays], places: NDArray[np.intp], name: str, index: Tensor) -> NDArray:
+def _rows(
+    sets: Sequence[Arrays], places: NDArray[np.intp], name: str, index: Tensor
+) -> NDArray[Any]:
     return np.stack([sets[n][name][row] for n, row in places[index.numpy()]])
 
 

@@ -1,0 +1,188 @@
+"""What the second look's numbers mean: offsets, derivatives, covariances, rotation vectors."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from ffpose.models.object_look import (
+    LOG_SIGMA_LIMITS,
+    OFFSET_LIMIT,
+    SMALL_NUMBERS,
+    LookHead,
+    LookNumbers,
+    covariances,
+    offset_jacobian,
+    offset_of,
+    points_at,
+    rotation_vector,
+    sigma_loss,
+    split_numbers,
+)
+from ffpose.models.virtual_camera import turn_to
+
+COUNT = 12
+SIZE = (48, 64)
+
+
+@pytest.fixture
+def generator():
+    return np.random.default_rng(1)
+
+
+@pytest.fixture
+def view(generator):
+    points = torch.from_numpy(generator.uniform((-4, -3, 8), (4, 3, 30), (COUNT, 3)))
+    return turn_to(points, 3.0, SIZE, torch.from_numpy(generator.uniform(-3, 3, COUNT)))
+
+
+def offsets(generator, most=3.9):
+    return torch.from_numpy(generator.uniform(-most, most, (COUNT, 3)))
+
+
+def one_view(view, i):
+    return view._replace(
+        rotation=view.rotation[i : i + 1],
+        focal=view.focal[i : i + 1],
+        distance=view.distance[i : i + 1],
+    )
+
+
+def point_seen(view, offset):
+    """The point ``(3,)`` of one view for an offset ``(3,)``."""
+    return points_at(offset[None], view)[0]
+
+
+def test_the_point_that_was_turned_to_has_no_offset(view):
+    middle = torch.zeros(COUNT, 3, dtype=torch.float64)
+    middle[:, 2] = view.distance
+    torch.testing.assert_close(offset_of(middle, view), torch.zeros_like(middle))
+
+
+def test_offsets_by_hand(view):
+    """Two at the right and lower edges, four for a distance e times as large."""
+    half = torch.stack([view.focal / SIZE[1], view.focal / SIZE[0]]) * 2  # of z / x, of z / y
+    edges = torch.stack([1 / half[0], 1 / half[1], torch.ones(COUNT).double()], dim=-1)
+    edges = edges / edges.norm(dim=-1, keepdim=True) * view.distance[:, None] * np.e
+    expected = torch.tensor([2.0, 2.0, 4.0], dtype=torch.float64).expand(COUNT, 3)
+    torch.testing.assert_close(offset_of(edges, view), expected)
+
+
+def test_offsets_and_points_are_inverse(generator, view):
+    offset = offsets(generator)
+    points = points_at(offset, view)
+    torch.testing.assert_close(offset_of(points, view), offset, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(
+        points_at(offset_of(points, view), view), points, rtol=1e-12, atol=1e-12
+    )
+
+
+def test_offsets_out_of_the_view_are_brought_to_the_limit(view):
+    wild = torch.tensor([[1e30, -1e30, 1e30]], dtype=torch.float64).expand(COUNT, 3)
+    points = points_at(wild, view)
+    torch.testing.assert_close(points, points_at(wild.sign() * OFFSET_LIMIT, view))
+    assert points.isfinite().all()
+    assert (points[:, 2] > 0).all()
+
+
+def test_jacobian_is_autograds(generator, view):
+    offset = offsets(generator)
+    got = offset_jacobian(offset, view)
+    for i in range(COUNT):
+        alone = one_view(view, i)
+        expected = torch.autograd.functional.jacobian(partial(point_seen, alone), offset[i])
+        torch.testing.assert_close(got[i], expected, rtol=1e-10, atol=1e-10)
+
+
+def numbers_for(offset, log_sigma):
+    nothing = torch.zeros(len(offset))
+    return LookNumbers(nothing[:, None], offset, log_sigma, nothing)
+
+
+def test_covariances_are_symmetric_and_positive(generator, view):
+    log_sigma = torch.from_numpy(generator.uniform(-3, 1, (COUNT, 6)))
+    scales = torch.tensor([2.0, 3.0], dtype=torch.float64)
+    # Out of the view as well: an uncertainty of zero would be a lie.
+    for offset in (offsets(generator), offsets(generator, 40)):
+        for matrix in covariances(numbers_for(offset, log_sigma), view, scales):
+            torch.testing.assert_close(matrix, matrix.mT, rtol=1e-12, atol=1e-15)
+            assert (torch.linalg.eigvalsh(matrix) > 0).all()
+
+
+def test_translation_covariance_is_carried_by_the_jacobian(generator, view):
+    offset, log_sigma = offsets(generator), torch.from_numpy(generator.uniform(-3, 1, (COUNT, 6)))
+    scales = torch.tensor([2.0, 3.0], dtype=torch.float64)
+    got, _ = covariances(numbers_for(offset, log_sigma), view, scales)
+    for i in range(COUNT):
+        seen = partial(point_seen, one_view(view, i))
+        back = view.rotation[i].numpy().T
+        jacobian = back @ torch.autograd.functional.jacobian(seen, offset[i]).numpy()
+        expected = 2 * jacobian @ np.diag(np.exp(2 * log_sigma[i, :3].numpy())) @ jacobian.T
+        np.testing.assert_allclose(got[i], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_rotation_covariance_is_that_of_sampled_attitudes(generator, view):
+    """Errors drawn in the virtual frame, measured in the camera's, where R_true = exp(r) R."""
+    sigma = np.array([0.002, 0.01, 0.03])
+    log_sigma = torch.zeros(COUNT, 6, dtype=torch.float64)
+    log_sigma[:, 3:] = torch.from_numpy(np.log(sigma))
+    ones = torch.ones(2, dtype=torch.float64)
+    _, got = covariances(numbers_for(offsets(generator), log_sigma), view, ones)
+    for i in range(3):
+        back = Rotation.from_matrix(view.rotation[i].numpy()).inv()
+        seen = Rotation.random(rng=generator)
+        errors = Rotation.from_rotvec(generator.normal(size=(20000, 3)) * sigma)
+        true, estimated = back * errors * seen, back * seen
+        drawn = np.cov((true * estimated.inv()).as_rotvec(), rowvar=False)
+        np.testing.assert_allclose(drawn, got[i], atol=0.05 * sigma.max() ** 2)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rotation_vectors_are_scipys(generator, sign):
+    axes = generator.normal(size=(60, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    angles = [0, 1e-12, 1e-8, 1e-7, 1e-6, 1e-5, 1e-3, *np.linspace(0.1, np.pi - 1e-6, 53)]
+    rotations = Rotation.from_rotvec(axes * np.array(angles)[:, None])
+    q = torch.from_numpy(sign * rotations.as_quat(scalar_first=True))
+    np.testing.assert_allclose(
+        rotation_vector(q).numpy(), rotations.as_rotvec(), rtol=1e-10, atol=1e-15
+    )
+
+
+def test_a_half_turn_is_pi_about_its_axis_either_way():
+    axis = np.array([0.6, 0.0, -0.8])
+    got = rotation_vector(torch.tensor([[0.0, *axis], [0.0, *-axis]])).numpy()
+    np.testing.assert_allclose(got, np.pi * np.array([axis, -axis]), rtol=1e-6)
+
+
+def test_the_heads_numbers_have_their_places():
+    numbers = torch.arange(2.0 * (SMALL_NUMBERS + 5)).unflatten(0, (2, -1)) / 10
+    small, orientation = numbers[:, :SMALL_NUMBERS], numbers[:, SMALL_NUMBERS:]
+    head = LookHead(torch.nn.Identity(), torch.nn.Identity())
+    head.orientation.forward, head.small.forward = lambda z: orientation, lambda z: small
+    split = split_numbers(head(torch.zeros(2, 1)))
+    assert torch.equal(split.offset, numbers[:, :3])
+    assert torch.equal(split.log_sigma, numbers[:, 3:9].clamp(max=LOG_SIGMA_LIMITS[1]))
+    assert torch.equal(split.in_view, numbers[:, 9])
+    assert torch.equal(split.orientation, orientation)
+
+
+def test_log_sigmas_stay_within_their_limits():
+    wild = torch.zeros(2, SMALL_NUMBERS + 1)
+    wild[0, 3:9], wild[1, 3:9] = -1e30, 1e30
+    low, high = LOG_SIGMA_LIMITS
+    expected = torch.tensor([[low] * 6, [high] * 6])
+    assert torch.equal(split_numbers(wild).log_sigma, expected)
+
+
+def test_sigma_loss_is_the_gaussian_likelihood_and_least_at_the_error():
+    residual = torch.tensor([[0.5, -2.0, 1.0]], dtype=torch.float64)
+    log_sigma = torch.tensor([[-1.0, 0.3, 0.0]], dtype=torch.float64)
+    density = torch.distributions.Normal(0, log_sigma.exp()).log_prob(residual)
+    expected = -density.mean(-1) - 0.5 * np.log(2 * np.pi)
+    torch.testing.assert_close(sigma_loss(log_sigma, residual), expected)
+    best = residual.abs().log().requires_grad_()
+    (slope,) = torch.autograd.grad(sigma_loss(best, residual).sum(), best)
+    torch.testing.assert_close(slope, torch.zeros_like(slope), rtol=0, atol=1e-12)

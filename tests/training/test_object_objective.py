@@ -1,0 +1,205 @@
+"""The objective of a second look: each term by hand, and which samples and weights it counts."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from ffpose.models.object_look import LookNumbers
+from ffpose.nn.orientation import QuaternionHead
+from ffpose.training.config import ObjectLossConfig
+from ffpose.training.object_objective import ObjectObjective, _between
+from ffpose.training.views import ViewBatch
+
+COUNT, CHANNELS, GRID = 5, 3, (2, 3)
+NONE = ObjectLossConfig(**dict.fromkeys(vars(ObjectLossConfig()), 0.0))
+
+
+@pytest.fixture(autouse=True)
+def _seed():
+    torch.manual_seed(0)
+
+
+@pytest.fixture
+def batch():
+    """Five samples, of which the first shows nothing; two have a frame."""
+    coordinates = torch.rand(COUNT, 4, 2 * GRID[0], 2 * GRID[1]) * 2 - 1
+    coordinates[:, 3] = (coordinates[:, 3] > 0).float()
+    return ViewBatch(
+        frames=torch.zeros(2, 3, 4, 4),
+        location=torch.randn(2, 3),
+        crops=torch.zeros(COUNT, 3, 4, 4),
+        orientation=torch.nn.functional.normalize(torch.randn(COUNT, 4), dim=1),
+        offset=torch.randn(COUNT, 3),
+        coordinates=coordinates,
+        present=torch.arange(COUNT) > 0,
+        index=torch.arange(COUNT),
+    )
+
+
+class Answers:
+    """Stands for a network: gives what it was told to."""
+
+    def __init__(self, batch):
+        self.object_backbone = SimpleNamespace(channels=(CHANNELS,))
+        self.config = SimpleNamespace(orientation_grid=GRID, orientation_view="object")
+        self.orientation = QuaternionHead()
+        self.location = batch.location.clone()
+        self.feature_map = torch.randn(COUNT, CHANNELS, *GRID)
+        self.numbers = LookNumbers(
+            orientation=batch.orientation.clone().requires_grad_(),
+            offset=batch.offset.clone().requires_grad_(),
+            log_sigma=torch.zeros(COUNT, 6).requires_grad_(),
+            in_view=torch.zeros(COUNT).requires_grad_(),
+        )
+
+    def locate(self, frames):
+        return self.location
+
+    def see(self, crops):
+        return self.feature_map
+
+    def read(self, feature_map):
+        return self.numbers
+
+
+def loss(answers, batch, **weights):
+    return ObjectObjective(answers, replace(NONE, **weights))(answers, batch)
+
+
+def test_the_truth_costs_nothing_but_its_uncertainty(batch):
+    answers = Answers(batch)
+    terms = loss(answers, batch, location=1, offset=1, orientation=1)
+    assert [float(each.detach()) for each in terms] == pytest.approx([0, 0, 0], abs=1e-6)
+    doubt = loss(answers, batch, sigma=1, in_view=1).total  # sigma is one: its log, and coins
+    assert doubt.item() == pytest.approx(math.log(2), abs=1e-6)
+
+
+def huber(error):
+    """By hand, per Huber's formula with the quadratic below 0.05."""
+    error = np.abs(np.asarray(error, np.float64))
+    return np.where(error < 0.05, error**2 / 0.1, error - 0.025).mean()
+
+
+def test_position_terms_by_hand(batch):
+    answers = Answers(batch)
+    answers.location = batch.location + torch.tensor([0.5, -0.01, 0.0])
+    with torch.no_grad():
+        answers.numbers.offset.add_(torch.tensor([0.02, -1.0, 0.3]))
+    assert loss(answers, batch, location=7).total.item() == pytest.approx(
+        7 * huber([0.5, 0.01, 0]), rel=1e-4
+    )
+    assert loss(answers, batch, offset=3).total.item() == pytest.approx(
+        3 * huber([0.02, 1, 0.3]), rel=1e-4
+    )
+
+
+def test_likelihood_by_hand(batch):
+    """Both errors under their sigmas; the rotation's as SciPy's vector in the virtual frame."""
+    answers = Answers(batch)
+    truth = Rotation.from_quat(batch.orientation.numpy().astype(np.float64), scalar_first=True)
+    vectors = np.random.default_rng(0).normal(size=(COUNT, 3))
+    wrong = (Rotation.from_rotvec(-vectors) * truth).as_quat(scalar_first=True)  # true = exp(r) R
+    with torch.no_grad():
+        answers.numbers.orientation.copy_(torch.from_numpy(wrong))
+        answers.numbers.offset.sub_(torch.tensor([0.1, 0.2, 0.3]))
+        answers.numbers.log_sigma.normal_()
+    log_sigma = answers.numbers.log_sigma.detach().numpy().astype(np.float64)
+    residual = np.concatenate([np.tile([0.1, 0.2, 0.3], (COUNT, 1)), vectors], axis=1)
+    expected = (0.5 * (residual / np.exp(log_sigma)) ** 2 + log_sigma)[1:].mean()
+    assert loss(answers, batch, sigma=2).total.item() == pytest.approx(2 * expected, rel=1e-4)
+
+
+def test_likelihood_teaches_the_sigmas_alone(batch):
+    """What is wrong is told by the other terms; a large error must not pull harder for it."""
+    answers = Answers(batch)
+    with torch.no_grad():
+        answers.numbers.offset.add_(2)
+    loss(answers, batch, sigma=1).total.backward()
+    assert answers.numbers.log_sigma.grad[1:].abs().min() > 0
+    for name in ("offset", "orientation"):
+        grad = getattr(answers.numbers, name).grad
+        assert grad is None or not grad.any()
+
+
+def test_presence_counts_every_sample(batch):
+    answers = Answers(batch)
+    with torch.no_grad():
+        answers.numbers.in_view.copy_(torch.tensor([2.0, -1.0, 0.0, 1.0, 3.0]))
+    p = 1 / (1 + np.exp(-np.array([2.0, -1.0, 0.0, 1.0, 3.0])))
+    expected = -np.mean([np.log(1 - p[0]), *np.log(p[1:])])
+    assert loss(answers, batch, in_view=4).total.item() == pytest.approx(4 * expected, rel=1e-5)
+
+
+def test_dense_terms_by_hand(batch):
+    """A convolution of zeros says coordinate 0 and an even chance everywhere."""
+    answers = Answers(batch)
+    truth = batch.coordinates[1:].numpy().astype(np.float64)
+    mask = truth[:, 3]
+    expected = {
+        "coordinates": (np.abs(truth[:, :3]) * mask[:, None]).sum() / (3 * mask.sum() + 1),
+        "mask": math.log(2),
+    }
+    for name, value in expected.items():
+        objective = ObjectObjective(answers, replace(NONE, **{name: 2.0}))
+        torch.nn.init.zeros_(objective.dense.weight)
+        torch.nn.init.zeros_(objective.dense.bias)
+        assert objective(answers, batch).total.item() == pytest.approx(2 * value, rel=1e-5)
+
+
+def test_dense_places_are_quarters_of_their_cell(batch):
+    """The mask's logits are the features of the quarters' own channels, four a cell."""
+    answers = Answers(batch)
+    objective = ObjectObjective(answers, replace(NONE, mask=1.0))
+    assert objective.cells == (2 * GRID[0], 2 * GRID[1])
+    torch.nn.init.zeros_(objective.dense.weight)
+    with torch.no_grad():
+        objective.dense.bias.zero_()
+        objective.dense.bias[12:].copy_(torch.tensor([50.0, -50.0, -50.0, 50.0]))
+    quarters = torch.tensor([[1.0, 0.0], [0.0, 1.0]]).repeat(*GRID)  # rows of each cell
+    coordinates = batch.coordinates.clone()
+    coordinates[:, 3] = quarters
+    right = batch._replace(coordinates=coordinates)
+    assert objective(answers, right).total.item() == pytest.approx(0, abs=1e-6)
+    coordinates = coordinates.clone()
+    coordinates[:, 3] = 1 - quarters
+    wrong = batch._replace(coordinates=coordinates)
+    assert objective(answers, wrong).total.item() == pytest.approx(50)
+
+
+def test_samples_without_the_object_teach_only_that(batch):
+    weights = vars(ObjectLossConfig())
+    answers = Answers(batch)
+    objective = ObjectObjective(answers, ObjectLossConfig(**weights))
+    expected = objective(answers, batch).total
+    other = {
+        name: torch.cat((torch.randn_like(getattr(batch, name)[:1]), getattr(batch, name)[1:]))
+        for name in ("orientation", "offset", "coordinates")
+    }
+    torch.testing.assert_close(objective(answers, batch._replace(**other)).total, expected)
+    other = {name: value.flip(0) for name, value in other.items()}
+    changed = objective(answers, batch._replace(**other)).total
+    assert (changed - expected).abs() > 0.1
+
+
+def test_without_dense_weights_there_is_no_convolution(batch):
+    objective = ObjectObjective(Answers(batch), replace(NONE, offset=1.0))
+    assert not list(objective.parameters())
+
+
+def test_between_is_scipys_difference():
+    generator = np.random.default_rng(0)
+    a, b = Rotation.random(50, rng=generator), Rotation.random(50, rng=generator)
+    q_a, q_b = (torch.from_numpy(r.as_quat(scalar_first=True)) for r in (a, b))
+    got = Rotation.from_quat(_between(q_a, q_b).numpy(), scalar_first=True)
+    assert (got.inv() * (b * a.inv())).magnitude().max() < 1e-12
+
+
+@pytest.mark.parametrize("value", [-1.0, float("nan")])
+def test_refused_weights(value):
+    with pytest.raises(ValueError, match=f"sigma: expected 0 or more, got {value}"):
+        ObjectLossConfig(sigma=value)

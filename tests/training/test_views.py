@@ -1,0 +1,359 @@
+"""Augmented views: wherever the pixels go, the labels go with them."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from ffpose.geometry import Camera, Pose
+from ffpose.models import FilterformerPose
+from ffpose.training.clutter import clutter
+from ffpose.training.config import ViewAugmentation
+from ffpose.training.views import ViewBatches
+from ffpose.views import ViewSpec, cut_pieces
+
+CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)  # neither square pixels nor centered
+RADIUS, SIDE, CELLS, STRIDE, STD = 3.0, 64, 16, 4, 0.5
+DOTS = 1.5 * np.eye(3)
+"""Points of the object, metres, drawn in red, green and blue."""
+
+LIMIT = 2.0
+"""Metres of the object's coordinates that are stored as 1."""
+
+COUNT = 24
+CLEAN = {"brightness": 0.0, "noise": 0.0, "blur": 0.0, "empty": 0.0}
+
+
+@pytest.fixture(scope="module")
+def model():
+    torch.manual_seed(0)
+    return FilterformerPose.from_config(
+        "tiny",
+        backbone_weights="none",
+        image_size=(CAMERA.height, CAMERA.width),
+        camera=(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy),
+        backbone="compact_resnet_narrow",
+        object_backbone="compact_resnet_narrow",
+        dim=16,
+        depth=1,
+        orientation_view="object",
+        orientation_head="6d",
+        object_size=(SIDE, SIDE),
+        object_radius_m=RADIUS,
+        first_stride=STRIDE,
+    )
+
+
+def random_poses(generator, count, most_deg=12):
+    """Any attitude, at distances of two pyramid levels, up to an angle off the axis."""
+    slope = np.tan(np.radians(most_deg)) / np.sqrt(2)
+    rays = np.concatenate(
+        [generator.uniform(-slope, slope, (count, 2)), np.ones((count, 1))], axis=1
+    )
+    t = rays * generator.uniform(9, 14, (count, 1))
+    q = Rotation.random(count, rng=generator).as_quat(scalar_first=True)
+    return [Pose(*each) for each in zip(t, q, strict=True)]
+
+
+def dots(camera, points, sigma):
+    """Draw a round dot of each channel's color at points ``(3, 3)`` of the camera frame."""
+    u, v = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
+    image = np.empty((camera.height, camera.width, 3), np.uint8)
+    for channel, (x, y) in enumerate(camera.project(points)):
+        squared = (u - x) ** 2 + (v - y) ** 2
+        image[..., channel] = np.round(255 * np.exp(-squared / (2 * sigma**2)))
+    return image
+
+
+def disc(pose, camera):
+    """The object's coordinates on a disc in its xy plane, 1.5 m in radius, as they are stored."""
+    u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.matrix).T
+    normal = pose.rotation[:, 2]
+    points = rays * ((normal @ pose.t) / (rays @ normal))[..., None]
+    on_disc = (points - pose.t) @ pose.rotation
+    shown = (np.linalg.norm(on_disc, axis=-1) < 1.5) & (points[..., 2] > 0)
+    codes = np.round((np.clip(on_disc / LIMIT, -1, 1) + 1) * 127.5)
+    return (
+        np.concatenate([codes, np.full((*shown.shape, 1), 255)], axis=-1) * shown[..., None]
+    ).astype(np.uint8)
+
+
+def stored(poses, image_of, coordinates=None):
+    spec = ViewSpec(CAMERA, STRIDE, SIDE, RADIUS)
+    arrays = {
+        name: np.zeros(shape, dtype) for name, (shape, dtype) in spec.shapes(len(poses)).items()
+    }
+    for index, pose in enumerate(poses):
+        cut_pieces(image_of(pose), pose, spec, coordinates).store(arrays, index)
+    return arrays
+
+
+@pytest.fixture(scope="module")
+def poses():
+    return random_poses(np.random.default_rng(0), COUNT)
+
+
+@pytest.fixture(scope="module")
+def dotted(poses):
+    return stored(poses, lambda pose: dots(CAMERA, pose.transform(DOTS), 3.0), disc)
+
+
+@pytest.fixture(scope="module")
+def origins(poses):
+    """Views whose frames show a dot at the object's origin in every channel."""
+    return stored(poses, lambda pose: dots(CAMERA, np.tile(pose.t, (3, 1)), 6.0))
+
+
+def batches(model, arrays, nothing=(), **changes):
+    augmentation = ViewAugmentation(**(CLEAN | changes))
+    return ViewBatches(model, arrays, nothing, augmentation, (STD,) * 3, (CELLS, CELLS))
+
+
+def all_of(views, seed=0):
+    return views.batch(torch.arange(len(views)), torch.Generator().manual_seed(seed))
+
+
+def centroids(images):
+    """Centers ``(B, 3, 2)``, pixels, of the dots in images ``(B, 3, h, w)``."""
+    images = images.double().numpy()
+    u, v = np.arange(images.shape[3]) + 0.5, np.arange(images.shape[2]) + 0.5
+    mass = images.sum(axis=(2, 3))
+    return np.stack([images.sum(2) @ u / mass, images.sum(3) @ v / mass], axis=-1)
+
+
+def labelled_pixels(batch, poses, points):
+    """Where the labels put points of the object ``(B, N, 3)`` in the crops, pixels.
+
+    The distance is that of the stored pose: no turn changes it.
+    """
+    distance = np.array([np.linalg.norm(pose.t) for pose in poses])
+    offset = batch.offset.double().numpy()
+    focal = SIDE / 2 * distance / np.exp(offset[:, 2] / 4) / RADIUS
+    rays = np.concatenate(
+        [offset[:, :2] * SIDE / 4 / focal[:, None], np.ones((len(poses), 1))], axis=1
+    )
+    t = rays * (distance / np.linalg.norm(rays, axis=-1))[:, None]
+    q = batch.orientation.double().numpy()
+    rotation = Rotation.from_quat(q, scalar_first=True).as_matrix()
+    seen = points @ rotation.mT + t[:, None]
+    return SIDE / 2 + focal[:, None, None] * seen[..., :2] / seen[..., 2:]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_dots_of_the_crops_lie_where_the_labels_say(model, poses, dotted, seed):
+    batch = all_of(batches(model, [dotted]), seed)
+    assert {0, 1} == set(dotted["labels"][:, 11])  # two levels of the pyramid
+    expected = labelled_pixels(batch, poses, np.tile(DOTS, (COUNT, 1, 1)))
+    whole = (np.abs(expected - SIDE / 2) < SIDE / 2 - 9).all(axis=(1, 2))  # no dot is cut
+    assert whole.sum() >= COUNT // 2
+    np.testing.assert_allclose(centroids(batch.crops)[whole], expected[whole], atol=0.12)
+
+
+def test_views_are_twisted_displaced_and_scaled(model, poses, dotted):
+    batch = all_of(batches(model, [dotted]))
+    spread = batch.offset.std(dim=0)
+    # Lateral: 0.08 of the radius, which is two; the logarithm of the distance, 0.09, counts four.
+    np.testing.assert_allclose(spread, [0.16, 0.16, 0.36], rtol=0.6)
+    still = all_of(
+        batches(model, [dotted], twist_deg=0, look_lateral=0, look_distance=0, look_outliers=0)
+    )
+    torch.testing.assert_close(still.offset, torch.zeros(COUNT, 3), rtol=0, atol=1e-5)
+    for got, pose in zip(still.orientation.double().numpy(), poses, strict=True):
+        ray = pose.t / np.linalg.norm(pose.t)
+        turn, _ = Rotation.align_vectors([[0, 0, 1]], [ray])  # of all, the least
+        expected = turn * Rotation.from_matrix(pose.rotation)
+        assert (expected.inv() * Rotation.from_quat(got, scalar_first=True)).magnitude() < 1e-5
+    expected = labelled_pixels(batch, poses, np.tile(DOTS, (COUNT, 1, 1)))
+    moved = labelled_pixels(still, poses, np.tile(DOTS, (COUNT, 1, 1)))
+    assert np.median(np.abs(expected - moved)) > 4
+
+
+def test_coordinates_of_a_cell_are_seen_in_it(model, poses, dotted):
+    batch = all_of(batches(model, [dotted]))
+    assert batch.coordinates.shape == (COUNT, 4, CELLS, CELLS)
+    shown = batch.coordinates[:, 3].numpy()
+    assert set(np.unique(shown)) == {0, 1}
+    assert shown.sum() > 20 * COUNT
+    points = batch.coordinates[:, :3].double().numpy().reshape(COUNT, 3, -1).mT * LIMIT
+    cells = labelled_pixels(batch, poses, points) * CELLS / SIDE
+    column, row = np.meshgrid(np.arange(CELLS) + 0.5, np.arange(CELLS) + 0.5)
+    centers = np.stack([column, row], axis=-1).reshape(-1, 2)
+    away = np.abs(cells - centers)[shown.reshape(COUNT, -1) == 1]
+    assert away.max() <= 0.5
+
+
+def test_dots_of_the_frames_lie_where_the_location_says(model, poses, origins):
+    batch = all_of(batches(model, [origins], frames=1.0))
+    assert batch.frames.shape == (COUNT, 3, 48, 64)
+    location = batch.location.double().numpy()
+    scale = np.array([CAMERA.fx, CAMERA.fy]) / STRIDE
+    middle = np.array([CAMERA.cx, CAMERA.cy]) / STRIDE
+    expected = np.tile((location[:, :2] * scale + middle)[:, None], (1, 3, 1))
+    np.testing.assert_allclose(centroids(batch.frames), expected, atol=0.06)
+    distance = [np.linalg.norm(pose.t) for pose in poses]
+    np.testing.assert_allclose(
+        location[:, 2], np.log(np.array(distance) / np.sqrt(8 * 42)), atol=1e-6
+    )
+    unturned = np.array([pose.t[:2] / pose.t[2] for pose in poses])
+    assert np.median(np.linalg.norm(location[:, :2] - unturned, axis=-1)) > 0.05
+    radii = [np.linalg.norm(each, axis=-1) for each in (unturned, location[:, :2])]
+    np.testing.assert_allclose(*radii, rtol=1e-5)  # a roll about the optical axis
+
+
+def test_a_frame_is_not_rolled_where_that_would_lose_the_object(model):
+    """Seen in the corner: a roll of 90 degrees would take it out of the image."""
+    t = np.array([0.6, 0.42, 1.0]) * 10
+    arrays = stored(
+        [Pose(t, (1, 0, 0, 0))] * COUNT, lambda pose: dots(CAMERA, np.tile(t, (3, 1)), 6)
+    )
+    batch = all_of(batches(model, [arrays], frames=1.0))
+    images = torch.from_numpy(arrays["frames"]).permute(0, 3, 1, 2) / (255 * STD)
+    stayed = (batch.location[:, 0] - 0.6).abs() < 1e-5
+    assert stayed.sum() > COUNT // 2
+    torch.testing.assert_close(
+        batch.location[stayed, :2], torch.tensor([0.6, 0.42]).expand(int(stayed.sum()), 2)
+    )
+    torch.testing.assert_close(batch.frames[stayed], images[stayed], rtol=0, atol=1e-3)
+    u = batch.location[:, 0] * CAMERA.fx + CAMERA.cx
+    v = batch.location[:, 1] * CAMERA.fy + CAMERA.cy
+    assert ((u > 0) & (u < CAMERA.width) & (v > 0) & (v < CAMERA.height)).all()
+
+
+def test_finer_frames_are_averaged(model, poses, origins):
+    twice = origins | {"frames": origins["frames"].repeat(2, axis=1).repeat(2, axis=2)}
+    expected, got = (
+        all_of(batches(model, [arrays], frames=1.0)).frames for arrays in (origins, twice)
+    )
+    torch.testing.assert_close(got, expected)
+
+
+def test_part_of_the_samples_have_frames(model, dotted):
+    batch = all_of(batches(model, [dotted], frames=0.25))
+    assert (len(batch.frames), len(batch.location)) == (COUNT // 4, COUNT // 4)
+    assert len(all_of(batches(model, [dotted], frames=0.0)).frames) == 1  # the loss needs one
+
+
+def test_sets_follow_one_another(model, poses, origins):
+    parts = [
+        {name: array[rows] for name, array in origins.items()}
+        for rows in (slice(5), slice(5, COUNT))
+    ]
+    got = all_of(batches(model, parts, frames=1.0))
+    expected = all_of(batches(model, [origins], frames=1.0))
+    for each, wanted in zip(got, expected, strict=True):
+        assert torch.equal(each, wanted)
+
+
+def test_an_epoch_is_an_order_drawn_from_its_seed(model, dotted):
+    views = batches(model, [dotted])
+    first, again, other = (list(views.epoch(seed, 10)) for seed in (3, 3, 4))
+    assert len(first) == COUNT // 10
+    for one, two in zip(first, again, strict=True):
+        assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
+    order = torch.cat([batch.index for batch in first])
+    assert len(set(order.tolist())) == 20  # each once; a rest of four is left out
+    assert not torch.equal(order, torch.cat([batch.index for batch in other]))
+
+
+def test_a_divisor_of_the_set_leaves_no_rest(model, dotted):
+    order = torch.cat([batch.index for batch in batches(model, [dotted]).epoch(0, 8)])
+    assert sorted(order.tolist()) == list(range(COUNT))
+
+
+@pytest.mark.parametrize("size", [0, COUNT + 1])
+def test_an_epoch_of_no_batches_is_refused(model, dotted, size):
+    with pytest.raises(ValueError, match=f"batch_size: expected 1 to {COUNT}, got {size}"):
+        next(batches(model, [dotted]).epoch(0, size))
+
+
+def green(count):
+    return {
+        "windows": np.tile(np.array([0, 200, 0], np.uint8), (count, 144, 144, 1)),
+        "labels": np.zeros((count, 13)),
+    }
+
+
+def test_samples_without_an_object_are_marked(model, dotted):
+    plain = all_of(batches(model, [dotted]))
+    assert plain.present.all()
+    batch = all_of(batches(model, [dotted], [green(2), green(3)], empty=0.5))
+    half, scenes = COUNT // 2, COUNT // 4
+    assert batch.present.tolist() == [False] * half + [True] * half
+    color = torch.tensor([0, 200 / 255 / STD, 0])[:, None, None]
+    empty = batch.crops[:scenes]
+    torch.testing.assert_close(empty, color.expand_as(empty))  # half of them empty scenes
+    for picture in batch.crops[scenes:half]:
+        assert (picture - color).abs().max() > 0.05
+    assert all_of(batches(model, [dotted], empty=0.5)).crops[:half].std(dim=(1, 2, 3)).min() > 1e-3
+
+
+def test_what_shows_no_object_is_not_the_objects_picture(model, dotted):
+    """The dots of the others stay where their labels say, and none is in an empty view."""
+    one = {name: array[:1].repeat(8, axis=0) for name, array in dotted.items()}
+    batch = all_of(batches(model, [one], empty=0.5, look_lateral=0.0, look_outliers=0.0))
+    with_object = batch.crops[batch.present]
+    assert (with_object.amax(dim=(2, 3)) > 0.8 / STD).all()
+    assert not torch.equal(batch.crops[0], batch.crops[1])
+
+
+def test_one_sample_at_least_shows_the_object(model, dotted):
+    assert all_of(batches(model, [dotted], empty=1.0)).present.sum() == 1
+
+
+def test_brightness_and_noise_are_as_large_as_they_say(model, dotted):
+    """The geometry is drawn first: the same seed gives the same views."""
+    plain = all_of(batches(model, [dotted])).crops
+    bright = all_of(batches(model, [dotted], brightness=0.25)).crops
+    factors = bright.sum(dim=(1, 2, 3)) / plain.sum(dim=(1, 2, 3))
+    torch.testing.assert_close(bright, plain * factors[:, None, None, None])
+    assert 0.1 < factors.log2().std() < 0.5
+    noise = all_of(batches(model, [dotted], noise=0.1)).crops - plain
+    sigmas = noise.std(dim=(1, 2, 3))
+    assert sigmas.max() < 0.105 / STD
+    assert sigmas.std() > 0.01 / STD
+    assert abs(noise.mean()) < 0.01 / STD
+
+
+def test_blur_spreads_but_moves_nothing(model, dotted):
+    plain, blurred = (all_of(batches(model, [dotted], blur=b)).crops for b in (0.0, 1.0))
+    assert (blurred - plain).abs().max() > 0.05
+    whole = plain[..., :4].sum(dim=(1, 2, 3)) + plain[..., -4:].sum(dim=(1, 2, 3)) == 0
+    whole &= plain[..., :4, :].sum(dim=(1, 2, 3)) + plain[..., -4:, :].sum(dim=(1, 2, 3)) == 0
+    np.testing.assert_allclose(centroids(blurred[whole]), centroids(plain[whole]), atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("roll_deg", 181.0, "roll_deg: expected a number from 0 to 180, got 181"),
+        ("blur", 1.5, "blur: expected a number from 0 to 1, got 1.5"),
+        ("noise", float("nan"), "noise: expected a number from 0 to 1, got nan"),
+        ("empty", -0.1, "empty: expected a number from 0 to 1, got -0.1"),
+    ],
+)
+def test_refused_augmentations(name, value, text):
+    with pytest.raises(ValueError, match=text):
+        ViewAugmentation(**{name: value})
+
+
+def test_a_network_that_looks_once_is_refused(model, dotted):
+    once = FilterformerPose.from_config(
+        "tiny", backbone_weights="none", backbone="compact_resnet_narrow", dim=16, depth=1,
+        orientation_reduction=16,
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="expected orientation_view 'object', got 'frame'"):
+        batches(once, [dotted])
+
+
+def test_clutter_is_pictures_of_every_kind_drawn_from_the_generator():
+    one, two, other = (
+        clutter(30, (20, 24), torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)
+    )
+    assert one.shape == (30, 3, 20, 24)
+    assert torch.equal(one, two)
+    assert not torch.equal(one, other)
+    assert one.min() >= 0
+    assert one.max() <= 1
+    assert (one.std(dim=(1, 2, 3)) > 0).all()
+    assert one.amax(dim=(1, 2, 3)).std() > 0.1  # dark and bright ones
