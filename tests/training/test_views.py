@@ -220,14 +220,6 @@ def test_a_frame_is_not_rolled_where_that_would_lose_the_object(model):
     assert ((u > 0) & (u < CAMERA.width) & (v > 0) & (v < CAMERA.height)).all()
 
 
-def test_finer_frames_are_averaged(model, poses, origins):
-    twice = origins | {"frames": origins["frames"].repeat(2, axis=1).repeat(2, axis=2)}
-    expected, got = (
-        all_of(batches(model, [arrays], frames=1.0)).frames for arrays in (origins, twice)
-    )
-    torch.testing.assert_close(got, expected)
-
-
 def test_part_of_the_samples_have_frames(model, dotted):
     batch = all_of(batches(model, [dotted], frames=0.25))
     assert (len(batch.frames), len(batch.location)) == (COUNT // 4, COUNT // 4)

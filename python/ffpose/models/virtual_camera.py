@@ -124,7 +124,8 @@ def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
     Virtual pixels count from the middle of the image. The third coordinate of the result is the
     depth of a ray whose depth in the virtual camera is one.
     """
-    fx, fy, cx, cy = intrinsics.expand(view.focal.shape[0], 4).unbind(1)
+    intrinsics = intrinsics.to(view.focal.dtype).expand(view.focal.shape[0], 4)
+    fx, fy, cx, cy = intrinsics.unbind(1)
     zero, one = torch.zeros_like(fx), torch.ones_like(fx)
     matrix = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], dim=-1)
     scale = torch.stack([1 / view.focal, 1 / view.focal, one], dim=-1)
