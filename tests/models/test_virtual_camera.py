@@ -229,7 +229,7 @@ def test_a_batch_of_all_levels_is_its_images_one_by_one(generator):
 
 def test_rays_behind_the_camera_see_nothing():
     """The view is turned 80 degrees to the right, and half of it is behind the image plane."""
-    points = torch.tensor([[np.sin(np.radians(80)), 0.0, np.cos(np.radians(80))]]) * 10
+    points = torch.tensor([[np.sin(np.radians(80)), 0.0, np.cos(np.radians(80))]]).float() * 10
     points.requires_grad_()
     view = turn_to(points, 8.0, (16, 16))
     wide = torch.tensor([4.0, 4.0, 32.0, 32.0])  # sees 83 degrees off its axis
