@@ -16,7 +16,7 @@ so that an epoch decodes and resizes nothing, and any number of processes share 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,7 +60,7 @@ class ViewSpec:
         """``(height, width)`` of a frame."""
         return self.camera.height // self.first_stride, self.camera.width // self.first_stride
 
-    def shapes(self, count: int) -> dict[str, tuple[tuple[int, ...], type]]:
+    def shapes(self, count: int) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
         """Return shape and dtype of each array for ``count`` images."""
         return {
             "frames": ((count, *self.frame_size, 3), np.uint8),
@@ -170,7 +170,7 @@ class Pieces(NamedTuple):
     level: int
     present: bool
 
-    def store(self, arrays: dict[str, NDArray[Any]], row: int) -> None:
+    def store(self, arrays: Mapping[str, NDArray[Any]], row: int) -> None:
         """Write into a row of the arrays of `ViewSpec.shapes`."""
         c = self.camera
         arrays["frames"][row] = self.frame
@@ -221,7 +221,7 @@ def cut_pieces(
     )
 
 
-def make_arrays(folder: Path, count: int, spec: ViewSpec) -> dict[str, NDArray[Any]]:
+def make_arrays(folder: Path, count: int, spec: ViewSpec) -> dict[str, np.memmap[Any, Any]]:
     """Make the arrays of a folder of views, mapped into memory, to be filled."""
     return {
         name: np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, shape)

@@ -115,7 +115,7 @@ def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
     depth = seen[..., 2:]
     found = seen[..., :2] / depth.clamp_min(LEAST_DEPTH)
     found = torch.where(depth > LEAST_DEPTH, found, torch.full_like(found, FAR_OUTSIDE))
-    return found.unflatten(1, view.size)
+    return torch.unflatten(found, 1, view.size)
 
 
 def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
@@ -129,7 +129,8 @@ def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
     zero, one = torch.zeros_like(fx), torch.ones_like(fx)
     matrix = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], dim=-1)
     scale = torch.stack([1 / view.focal, 1 / view.focal, one], dim=-1)
-    return matrix.unflatten(1, (3, 3)) @ view.rotation.transpose(1, 2) * scale[:, None, :]
+    source = torch.unflatten(matrix, 1, (3, 3))
+    return source @ view.rotation.transpose(1, 2) * scale[:, None, :]
 
 
 def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:

@@ -8,15 +8,17 @@ averaged with the weights. The first steps count in full, so that the start is s
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import torch
 from torch import nn
 
 WARM_UP = 10.0
 
+Model = TypeVar("Model", bound=nn.Module)
 
-class AveragedModel:
+
+class AveragedModel(Generic[Model]):
     """A copy of a network whose weights follow it.
 
     Args:
@@ -28,7 +30,7 @@ class AveragedModel:
         steps: How many steps have been averaged.
     """
 
-    def __init__(self, model: nn.Module, decay: float) -> None:
+    def __init__(self, model: Model, decay: float) -> None:
         self.decay = decay
         self.steps = 0
         self.trained = model

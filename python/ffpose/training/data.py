@@ -87,7 +87,7 @@ def _scenes(
     scenes = [find_scene(name, config.attitude_range_deg) for name in config.scene.split("+")]
     camera = preprocessing.camera(scenes[0].camera)
     spec = view_spec(model, camera)
-    views = [
+    views: list[Arrays] = [
         open_views(
             *(config.root, scene, config.seed, config.count, spec),
             empty=False,
@@ -96,7 +96,7 @@ def _scenes(
         for scene in scenes
     ]
     # Another seed: the scenes without the spacecraft are not those that show it.
-    empty = [
+    empty: list[Arrays] = [
         open_views(
             *(config.root, scenes[0], EMPTY_SEEDS + config.seed, count, spec),
             empty=True,

@@ -192,7 +192,7 @@ def _gradients(run: Run, batch: Any, epoch: Epoch, share: int) -> Tensor:
             f"the loss became {float(values[0])} in epoch {epoch.number}; "
             f"images: {run.task.names(batch)}"
         )
-    (terms.total / share).backward()
+    torch.autograd.backward(terms.total / share)
     return values
 
 

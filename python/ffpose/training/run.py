@@ -39,7 +39,7 @@ class Run:
 
     config: TrainConfig
     model: FilterformerPose
-    average: AveragedModel
+    average: AveragedModel[FilterformerPose]
     optimizer: torch.optim.Optimizer
     task: Task
     device: torch.device

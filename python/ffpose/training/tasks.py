@@ -30,13 +30,14 @@ class Task(Protocol):
     """What the loop needs to train a network.
 
     Attributes:
-        loss: Its parameters are trained beside the network's, without weight decay, and are no part
-            of the saved weights.
         preprocessing: From an image to the network's input.
     """
 
-    loss: nn.Module
     preprocessing: Preprocessing
+
+    @property
+    def loss(self) -> nn.Module:
+        """Its parameters are trained beside the network's, without weight decay, and not saved."""
 
     @property
     def images(self) -> int:
