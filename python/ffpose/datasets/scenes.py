@@ -29,6 +29,7 @@ from ffpose.views import Pieces, ViewSpec, make_arrays, open_arrays
 
 if TYPE_CHECKING:
     from ffpose.render import Scene
+    from ffpose.render.views import Content
 
 VALIDATION_START = 10_000_000
 """Index of the first scene that validates; those before it are to learn from."""
@@ -49,7 +50,14 @@ def find_scene(name: str, attitude_range_deg: tuple[float, float, float]) -> Sce
 
 
 def open_views(
-    root: Path, scene: Scene, seed: int, count: int, spec: ViewSpec, *, empty: bool, workers: int
+    root: Path,
+    scene: Scene,
+    seed: int,
+    count: int,
+    spec: ViewSpec,
+    *,
+    content: Content = "object",
+    workers: int,
 ) -> dict[str, NDArray[Any]]:
     """Return the views of the scenes 0 ... ``count - 1``, rendered now where they are not there.
 
@@ -59,7 +67,7 @@ def open_views(
         seed: Of the set.
         count: How many.
         spec: How the network looks.
-        empty: Leave the spacecraft out.
+        content: What is in view, as for `ffpose.render.views.render_view`.
         workers: Processes that render.
 
     Raises:
@@ -67,10 +75,10 @@ def open_views(
     """
     from ffpose.render import views
 
-    described = views.describe(scene, seed, spec, empty=empty)
+    described = views.describe(scene, seed, spec, content)
     folder = root / f"views-{_digest({**described, 'count': count})}"
     if not folder.exists():
-        pieces = views.render_views(scene, seed, range(count), spec, empty=empty, workers=workers)
+        pieces = views.render_views(scene, seed, range(count), spec, content, workers)
         _store(folder, pieces, count, spec)
     try:
         return open_arrays(folder)

@@ -13,14 +13,18 @@ import os
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import partial
+from typing import Literal, get_args
 
 import numpy as np
 
+from ffpose.render.decoys import build_decoy
 from ffpose.render.layers import object_coordinates
 from ffpose.render.renderer import prepared, shoot
 from ffpose.render.scene import Scene
 from ffpose.render.sensor import Sensor
 from ffpose.views import WINDOW, Pieces, ViewSpec, in_frame
+
+Content = Literal["object", "empty", "decoy"]
 
 CHUNK = 8
 """Views that a process renders before it reports."""
@@ -30,7 +34,7 @@ BLUR_LIMIT_PX = 0.8
 
 
 def render_view(
-    scene: Scene, seed: int, index: int, spec: ViewSpec, *, empty: bool = False
+    scene: Scene, seed: int, index: int, spec: ViewSpec, content: Content = "object"
 ) -> Pieces:
     """Render the pieces of one image that a network with a second look reads.
 
@@ -39,8 +43,17 @@ def render_view(
         seed: seed of the whole set.
         index: number of the image in the set.
         spec: how the network looks.
-        empty: leave the spacecraft out; the window is where it would be.
+        content: "object": the set's spacecraft; "empty": none, and the window is where it would be;
+            "decoy": another one in its place (`ffpose.render.decoys`).
+
+    Raises:
+        ValueError: an unknown content.
     """
+    if content not in get_args(Content):
+        raise ValueError(f"content: expected one of {get_args(Content)}, got {content!r}")
+    if content == "decoy":
+        scene = replace(scene, craft=build_decoy(seed, index))
+    empty = content == "empty"
     height, width = spec.frame_size
     small = spec.camera.resized(width, height)
     frame = shoot(
@@ -52,11 +65,11 @@ def render_view(
     sensor = in_window(averaging(scene.sensor, 2**level), whole.width)
     window = shoot(scene, seed, index, camera, sensor, gain=frame.gain, empty=empty).image
     coordinates = np.zeros((WINDOW // 2, WINDOW // 2, 4), np.uint8)
-    if not empty:
+    if content == "object":
         half = camera.resized(WINDOW // 2, WINDOW // 2)
         coordinates = object_coordinates(scene.build(), frame.pose, half)
     window = window * in_frame(camera, whole)[..., None]
-    return Pieces(frame.image, window, coordinates, frame.pose, camera, level, not empty)
+    return Pieces(frame.image, window, coordinates, frame.pose, camera, level, content == "object")
 
 
 def averaging(sensor: Sensor, side: int) -> Sensor:
@@ -72,16 +85,16 @@ def in_window(sensor: Sensor, width: int) -> Sensor:
     return replace(sensor, blur_px=blur, vignette=0.0)
 
 
-def describe(scene: Scene, seed: int, spec: ViewSpec, *, empty: bool) -> dict[str, object]:
+def describe(scene: Scene, seed: int, spec: ViewSpec, content: Content) -> dict[str, object]:
     """All that views depend on, but for their indices, as plain values."""
-    return {"scene": scene.parameters(), "seed": seed, "spec": asdict(spec), "empty": empty}
+    return {"scene": scene.parameters(), "seed": seed, "spec": asdict(spec), "content": content}
 
 
 def render_views(
-    scene: Scene, seed: int, indices: range, spec: ViewSpec, *, empty: bool, workers: int
+    scene: Scene, seed: int, indices: range, spec: ViewSpec, content: Content, workers: int
 ) -> Iterator[Pieces]:
     """Render views in order, by as many processes as are asked for."""
-    make = partial(_render_one, scene, seed, spec, empty)
+    make = partial(_render_one, scene, seed, spec, content)
     if workers <= 1 or len(indices) < 2 * CHUNK:
         yield from map(make, indices)
         return
@@ -91,5 +104,5 @@ def render_views(
         yield from pool.imap(make, indices, CHUNK)
 
 
-def _render_one(scene: Scene, seed: int, spec: ViewSpec, empty: bool, index: int) -> Pieces:
-    return render_view(scene, seed, index, spec, empty=empty)
+def _render_one(scene: Scene, seed: int, spec: ViewSpec, content: Content, index: int) -> Pieces:
+    return render_view(scene, seed, index, spec, content)
