@@ -43,6 +43,7 @@ class DataConfig:
         count: For the kind scenes: images of each set to learn from; 200 more validate.
         empty: For the kind scenes: images without the spacecraft, which a network with a second
             look learns to refuse.
+        decoys: For the kind scenes: images of other spacecraft, which it learns to refuse as well.
         seed: For the kind scenes: seed of the images, below `TEST_SEEDS`.
         attitude_range_deg: For the kind scenes: roll, pitch and yaw lie within plus and minus
             these angles.
@@ -58,6 +59,7 @@ class DataConfig:
     scene: str = "soyuz_hard"
     count: int = 10000
     empty: int = 1000
+    decoys: int = 1000
     seed: int = 0
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
 
@@ -65,6 +67,7 @@ class DataConfig:
         _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
         _expect(self.count >= 1, "data.count", "1 or more", self.count)
         _expect(self.empty >= 0, "data.empty", "0 or more", self.empty)
+        _expect(self.decoys >= 0, "data.decoys", "0 or more", self.decoys)
         expected = f"0 to {TEST_SEEDS - 1}, as later seeds are for tests"
         _expect(0 <= self.seed < TEST_SEEDS, "data.seed", expected, self.seed)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from ffpose.views import Bytes, ViewSpec, cut_pieces, nearest_pixels
 
 EMPTY_SEEDS = 500_000
 """Added to the seed of scenes without a spacecraft."""
+
+if TYPE_CHECKING:
+    from ffpose.render.views import Content
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -87,22 +90,17 @@ def _scenes(
     scenes = [find_scene(name, config.attitude_range_deg) for name in config.scene.split("+")]
     camera = preprocessing.camera(scenes[0].camera)
     spec = view_spec(model, camera)
+    workers = config.workers
     views: list[Arrays] = [
-        open_views(
-            *(config.root, scene, config.seed, config.count, spec),
-            empty=False,
-            workers=config.workers,
-        )
+        open_views(config.root, scene, config.seed, config.count, spec, workers=workers)
         for scene in scenes
     ]
     # Another seed: the scenes without the spacecraft are not those that show it.
+    seed = EMPTY_SEEDS + config.seed
+    others: tuple[tuple[Content, int], ...] = (("empty", config.empty), ("decoy", config.decoys))
     empty: list[Arrays] = [
-        open_views(
-            *(config.root, scenes[0], EMPTY_SEEDS + config.seed, count, spec),
-            empty=True,
-            workers=config.workers,
-        )
-        for count in [config.empty]
+        open_views(config.root, scenes[0], seed, count, spec, content=content, workers=workers)
+        for content, count in others
         if count > 0
     ]
     val_set = open_validation(
