@@ -13,12 +13,12 @@ from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.datasets.scenes import find_scene, open_validation, open_views
 from ffpose.geometry import Camera
 from ffpose.models import FilterformerPoseConfig
-from ffpose.training.config import DataConfig
+from ffpose.training.config import TEST_SEEDS, DataConfig
 from ffpose.transforms import Augmentation, Preprocessing
 from ffpose.views import ViewSpec, cut_pieces
 
 EMPTY_SEEDS = 500_000
-"""Added to the seed of scenes without a spacecraft."""
+"""Added, among the seeds below `TEST_SEEDS`, to the seed of scenes without a spacecraft."""
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -90,7 +90,7 @@ def _scenes(
     # Another seed: the scenes without the spacecraft are not those that show it.
     empty: list[Arrays] = [
         open_views(
-            *(config.root, scenes[0], EMPTY_SEEDS + config.seed, count, spec),
+            *(config.root, scenes[0], (config.seed + EMPTY_SEEDS) % TEST_SEEDS, count, spec),
             empty=True,
             workers=config.workers,
         )
