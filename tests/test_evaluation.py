@@ -11,10 +11,9 @@ from ffpose.baseline import mean_pose, oracles
 from ffpose.datasets import Conditions, read_conditions
 from ffpose.evaluation import Evaluation, evaluate
 from ffpose.geometry import URSO_CAMERA, Camera
-from ffpose.models import FilterformerPose, PosePrediction
+from ffpose.models import FilterformerPose, PosePrediction, read_metadata
 from ffpose.reprojection import reproject
 from ffpose.results import format_table, write_results
-from ffpose.transforms import Preprocessing
 from tiny_runs import SIZE, write_set
 
 
@@ -39,7 +38,7 @@ def evaluation(weights, image_set):
 
 def test_predictions_are_the_models_on_each_image(evaluation, weights):
     model = FilterformerPose.from_pretrained(weights)
-    preprocessing = Preprocessing(size=(64, 64))
+    preprocessing = read_metadata(weights).preprocessing
     for index in range(len(evaluation.dataset)):
         image = evaluation.dataset.load_image(index)
         assert image.size == SIZE
@@ -239,10 +238,11 @@ def test_any_camera_turns_images_into_the_view(image_set, tmp_path):
     model = sighted(tmp_path / "w.safetensors", (40.0, 30.0, 30.0, 35.0))
     found = evaluate(tmp_path / "w.safetensors", "urso", image_set, any_camera=True)
     view = Camera(64, 64, 40.0, 30.0, 30.0, 35.0)
+    preprocessing = read_metadata(tmp_path / "w.safetensors").preprocessing
     for index in range(len(found.dataset)):
         image = reproject(found.dataset.load_image(index), URSO_CAMERA.resized(*SIZE), view)
         with torch.no_grad():
-            pose = model(Preprocessing(size=(64, 64))(image)[None])
+            pose = model(preprocessing(image)[None])
         expected = torch.cat([pose.translation[0], pose.orientation[0]])
         np.testing.assert_allclose(found.predicted[index], expected, rtol=0, atol=1e-5)
 

@@ -119,6 +119,7 @@ def grown(records):
         lambda records: (records[:2], PREPROCESSING),
         lambda records: (records, Preprocessing((32, 24))),
         lambda records: (records, Preprocessing((24, 32), "center_crop")),
+        lambda records: (records, Preprocessing((24, 32), interpolation="bicubic")),
     ],
 )
 def test_another_set_or_frame_is_another_file(records, folder, change):

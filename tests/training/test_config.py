@@ -67,7 +67,7 @@ def test_flat_names_reach_into_groups():
     ("build", "message"),
     [
         (lambda: config(batch_size=0), "batch_size: expected 1 or more, got 0"),
-        (lambda: config(model="huge"), "expected one of base, small, tiny, got 'huge'"),
+        (lambda: config(model="huge"), "expected one of base, small, tiny, compact, got 'huge'"),
         (lambda: config(epochs=0), "epochs: expected 1 or more, got 0"),
         (lambda: config(stages=()), "stages: expected at least one stage"),
         (lambda: DataConfig("urso", Path(), workers=-1), "data.workers: expected 0 or more"),

@@ -201,8 +201,9 @@ def test_images_are_standardized_as_the_backbone_expects(image_set, tmp_path):
     saved = read_metadata(tmp_path / "run/best.safetensors").preprocessing
     assert (saved.mean, saved.std, saved.interpolation) == ((0.5,) * 3, (0.5,) * 3, "bicubic")
     run = build_run(config)
-    assert run.train_set.preprocessing == run.val_set.preprocessing == saved
-    for dataset in (run.train_set, run.val_set):
+    assert run.task.preprocessing == saved
+    for dataset in (run.task.train_set, run.task.val_set):
+        assert dataset.preprocessing == saved
         with Image.open(image_set / dataset.names[0]) as image:
             pixels = np.asarray(image.resize((64, 64), Image.Resampling.BICUBIC), np.float32)
         expected = torch.from_numpy(pixels / 127.5 - 1).permute(2, 0, 1)

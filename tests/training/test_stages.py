@@ -1,7 +1,7 @@
 import pytest
 from torch import nn
 
-from ffpose.training.stages import PAPER_STAGES, Stage, enter_stage, plan
+from ffpose.training.stages import PAPER_STAGES, PARTS, Stage, check_stages, enter_stage, plan
 
 
 class Parts(nn.Module):
@@ -55,16 +55,29 @@ def test_the_next_stage_thaws_what_it_does_not_freeze():
     [
         ({"name": "a", "epochs": 0}, "expected at least 1 epoch, got 0"),
         ({"name": "a", "epochs": 1, "freeze": ("head",)}, "got 'head'"),
-        (
-            {
-                "name": "a",
-                "epochs": 1,
-                "freeze": ("backbone", "translation_branch", "orientation_branch"),
-            },
-            "nothing is left to train",
-        ),
     ],
 )
 def test_bad_stages_are_refused(fields, message):
     with pytest.raises(ValueError, match=message):
         Stage(**fields)
+
+
+ONE_LOOK = tuple(part for part in PARTS if part != "object_backbone")
+
+
+@pytest.mark.parametrize("second_backbone", [None, nn.Linear(4, 4)])
+def test_all_parts_that_a_model_has_cannot_be_frozen(second_backbone):
+    model = Parts()
+    model.object_backbone = second_backbone
+    frozen = ONE_LOOK if second_backbone is None else PARTS
+    check_stages(model, (Stage("a", 1, frozen[1:]), *PAPER_STAGES))
+    with pytest.raises(ValueError, match="stage 'b': nothing is left to train"):
+        check_stages(model, (Stage("a", 1), Stage("b", 1, frozen)))
+
+
+def test_a_part_that_a_model_lacks_cannot_be_frozen():
+    model = Parts()
+    model.object_backbone = None
+    expected = rf"stage 'a': expected parts out of {', '.join(ONE_LOOK)}, got 'object_backbone'"
+    with pytest.raises(ValueError, match=expected):
+        check_stages(model, (Stage("a", 1, ("object_backbone",)),))

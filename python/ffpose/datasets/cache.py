@@ -2,10 +2,11 @@
 
 The file is a `.npy` array in ``$FFPOSE_CACHE``, or in ``~/.cache/ffpose``; whatever lies there may
 be deleted. Its name is the SHA-256 of what its bytes follow from: path, size and time of change of
-each image in order, the size that the images must have, the size of the frames, and the version of
-Pillow, which decodes and resizes. Not of the images' bytes: 6 GB, 5,000 images of 1280x960, would
-be read at each start, a minute from a disk of 100 MB/s, and whoever writes an image changes its
-time, which counts nanoseconds. The price: a set that was moved or copied is decoded again.
+each image in order, the size that the images must have, size and interpolation of the frames, and
+the version of Pillow, which decodes and resizes. Not of the images' bytes: 6 GB, 5,000 images of
+1280x960, would be read at each start, a minute from a disk of 100 MB/s, and whoever writes an image
+changes its time, which counts nanoseconds. The price: a set that was moved or copied is decoded
+again.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ def cached_frames(
         OSError: The folder cannot be written to, or has no room.
     """
     shape = (len(records), *preprocessing.frame_size(camera.width, camera.height), 3)
-    path = cache_folder() / f"{_name(records, camera, shape)}.npy"
+    name = _name(records, camera, shape, preprocessing.interpolation)
+    path = cache_folder() / f"{name}.npy"
     if not _is_whole(path, shape):
         _write(path, shape, lambda index: preprocessing.frame(records[index].decode(camera)))
     return MappedFrames(path)
@@ -94,8 +96,10 @@ def cache_folder() -> Path:
     return Path(named) if named else Path.home() / ".cache" / "ffpose"
 
 
-def _name(records: Sequence[Record], camera: Camera, shape: tuple[int, ...]) -> str:
-    digest = hashlib.sha256(repr((FORMAT, PIL.__version__, shape)).encode())
+def _name(
+    records: Sequence[Record], camera: Camera, shape: tuple[int, ...], interpolation: str
+) -> str:
+    digest = hashlib.sha256(repr((FORMAT, PIL.__version__, shape, interpolation)).encode())
     digest.update(repr((camera.width, camera.height)).encode())
     for record in records:
         digest.update(repr(record.fingerprint()).encode())

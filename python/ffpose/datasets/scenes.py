@@ -2,28 +2,29 @@
 
 A scene is a pure function of set, seed and index (`ffpose.render`), so that what is made once can
 be kept: views (`ffpose.views`) and validation images lie in a folder whose name is the SHA-256 of
-all that they depend on, and any number of runs and processes map one copy. Rendering needs the
-extra `render`; what lies there already does not.
+all that they depend on, and any number of runs and processes map one copy. All of it needs the
+extra `render`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import shutil
+import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ffpose import __version__
 from ffpose.datasets import urso
 from ffpose.datasets.base import PoseDataset
 from ffpose.errors import DataError, require
-from ffpose.files import remove_leftovers
+from ffpose.files import expect_room, remove_leftovers
 from ffpose.transforms import Preprocessing
 from ffpose.views import Pieces, ViewSpec, make_arrays, open_arrays
 
@@ -35,6 +36,9 @@ VALIDATION_START = 10_000_000
 """Index of the first scene that validates; those before it are to learn from."""
 
 VALIDATION_COUNT = 200
+
+RENDER_LIMIT_S = 86_400.0
+"""Views that are older and not finished were left by a process that was killed."""
 
 
 def find_scene(name: str, attitude_range_deg: tuple[float, float, float]) -> Scene:
@@ -72,6 +76,7 @@ def open_views(
 
     Raises:
         ffpose.DataError: A folder of views is damaged.
+        OSError: There is no room for them.
     """
     from ffpose.render import views
 
@@ -82,7 +87,7 @@ def open_views(
         _store(folder, pieces, count, spec)
     try:
         return open_arrays(folder)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError) as error:
         text = f"expected views, remove the folder to make them anew: {error}"
         raise DataError(text, folder) from error
 
@@ -90,7 +95,12 @@ def open_views(
 def _store(folder: Path, pieces: Iterator[Pieces], count: int, spec: ViewSpec) -> None:
     """Fill a folder of another name, and rename it: there are all views or none."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(folder.parent)
+    remove_leftovers(folder.parent, older_than=RENDER_LIMIT_S)
+    # A mapped file on a full disk would kill the process.
+    need = sum(
+        math.prod(shape) * np.dtype(kind).itemsize for shape, kind in spec.shapes(count).values()
+    )
+    expect_room(folder.parent, need, f"{count} views")
     with tempfile.TemporaryDirectory(prefix=".ffpose-", dir=folder.parent) as place:
         unfinished = Path(place) / folder.name
         unfinished.mkdir()
@@ -99,10 +109,11 @@ def _store(folder: Path, pieces: Iterator[Pieces], count: int, spec: ViewSpec) -
             piece.store(arrays, row)
         for array in arrays.values():
             array.flush()
-        if folder.exists():  # another process was faster
-            shutil.rmtree(unfinished)
-        else:
+        try:
             unfinished.rename(folder)
+        except OSError:
+            if not folder.exists():  # else another process was faster
+                raise
 
 
 def open_validation(

@@ -29,9 +29,6 @@ Content = Literal["object", "empty", "decoy"]
 CHUNK = 8
 """Views that a process renders before it reports."""
 
-BLUR_LIMIT_PX = 0.8
-"""Of the blur that a sensor can apply; finer windows keep it below."""
-
 
 def render_view(
     scene: Scene, seed: int, index: int, spec: ViewSpec, content: Content = "object"
@@ -80,9 +77,14 @@ def averaging(sensor: Sensor, side: int) -> Sensor:
 
 
 def in_window(sensor: Sensor, width: int) -> Sensor:
-    """The sensor for a window of an image ``width`` pixels wide, whose corners are not dark."""
-    blur = min(BLUR_LIMIT_PX, sensor.blur_px * width / WINDOW)
-    return replace(sensor, blur_px=blur, vignette=0.0)
+    """The sensor for a window of an image ``width`` pixels wide, whose corners are not dark.
+
+    A sensor counts blur and motion in parts of the picture's width, and the window is a part of it.
+    """
+    scale = width / WINDOW
+    return replace(
+        sensor, blur_px=sensor.blur_px * scale, motion_px=sensor.motion_px * scale, vignette=0.0
+    )
 
 
 def describe(scene: Scene, seed: int, spec: ViewSpec, content: Content) -> dict[str, object]:

@@ -15,12 +15,12 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
 from ffpose.images import open_image
 from ffpose.models import FilterformerPoseConfig
-from ffpose.training.config import DataConfig
+from ffpose.training.config import TEST_SEEDS, DataConfig
 from ffpose.transforms import Augmentation, Preprocessing
 from ffpose.views import Bytes, ViewSpec, cut_pieces, nearest_pixels
 
 EMPTY_SEEDS = 500_000
-"""Added to the seed of scenes without a spacecraft."""
+"""Added, among the seeds below `TEST_SEEDS`, to the seed of scenes without a spacecraft."""
 
 if TYPE_CHECKING:
     from ffpose.render.views import Content
@@ -96,7 +96,7 @@ def _scenes(
         for scene in scenes
     ]
     # Another seed: the scenes without the spacecraft are not those that show it.
-    seed = EMPTY_SEEDS + config.seed
+    seed = (config.seed + EMPTY_SEEDS) % TEST_SEEDS
     others: tuple[tuple[Content, int], ...] = (("empty", config.empty), ("decoy", config.decoys))
     empty: list[Arrays] = [
         open_views(config.root, scenes[0], seed, count, spec, content=content, workers=workers)

@@ -18,6 +18,7 @@ from ffpose.training.averaging import AveragedModel
 from ffpose.training.config import OptimizerConfig, TrainConfig
 from ffpose.training.data import TrainingData, open_training_data
 from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.stages import check_stages
 from ffpose.training.tasks import FrameTask, ObjectTask, Task
 from ffpose.training.views import ViewBatches
 
@@ -73,6 +74,7 @@ def build_run(config: TrainConfig) -> Run:
     model = FilterformerPose.from_config(
         config.model, backbone_weights=config.backbone_weights, **fields
     ).to(device)
+    check_stages(model, config.resolved_stages)
     if config.init is not None:
         load_weights(config.init, model)
     task = _task(config, model, data, device)

@@ -9,6 +9,7 @@ would move under the branch that is frozen, and spoil it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from torch import nn
 
 PARTS = ("backbone", "object_backbone", "translation_branch", "orientation_branch")
-"""The submodules of a model that a stage may freeze."""
+"""The submodules of a model that a stage may freeze; the second is of one that looks twice."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,6 @@ class Stage:
             raise ValueError(
                 f"stage {self.name!r}: expected parts out of {', '.join(PARTS)}, got {unknown[0]!r}"
             )
-        if set(self.freeze) == set(PARTS):
-            raise ValueError(f"stage {self.name!r}: nothing is left to train, all parts are frozen")
 
 
 JOINT_STAGE = Stage("joint", 500)
@@ -85,6 +84,26 @@ def plan(stages: tuple[Stage, ...]) -> list[Epoch]:
     """
     steps = [(stage, index) for stage in stages for index in range(stage.epochs)]
     return [Epoch(number, stage, index) for number, (stage, index) in enumerate(steps, start=1)]
+
+
+def check_stages(model: nn.Module, stages: Sequence[Stage]) -> None:
+    """Check that each stage freezes parts that ``model`` has, and leaves one to train.
+
+    Raises:
+        ValueError: It does not; the message names the stage.
+    """
+    parts = [part for part in PARTS if getattr(model, part, None) is not None]
+    for stage in stages:
+        missing = [part for part in stage.freeze if part not in parts]
+        if missing:
+            raise ValueError(
+                f"stage {stage.name!r}: expected parts out of {', '.join(parts)}, "
+                f"got {missing[0]!r}"
+            )
+        if set(stage.freeze) == set(parts):
+            raise ValueError(
+                f"stage {stage.name!r}: nothing is left to train, all parts are frozen"
+            )
 
 
 def enter_stage(model: nn.Module, stage: Stage) -> None:
