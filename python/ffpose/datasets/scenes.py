@@ -24,7 +24,7 @@ from ffpose import __version__
 from ffpose.datasets import urso
 from ffpose.datasets.base import PoseDataset
 from ffpose.errors import DataError, require
-from ffpose.files import expect_room, remove_leftovers
+from ffpose.files import atomic_write, expect_room, remove_leftovers
 from ffpose.transforms import Preprocessing
 from ffpose.views import Pieces, ViewSpec, make_arrays, open_arrays
 
@@ -137,6 +137,34 @@ def open_validation(
     found = [urso.read(folder, split) for split in urso.splits(folder)]
     records = [record for split, _ in found for record in split]
     return PoseDataset(records, found[0][1], preprocessing, None, cache=False)
+
+
+def open_empty_images(
+    root: Path, scene: Scene, seed: int, preprocessing: Preprocessing
+) -> NDArray[np.uint8]:
+    """Return whole images without the spacecraft ``(N, H, W, 3)``, of the network's input size.
+
+    Half are empty scenes, half show another spacecraft; no training sees any of them.
+    """
+    from ffpose.render.decoys import build_decoy
+    from ffpose.render.renderer import camera_of, shoot
+
+    height, width = preprocessing.size
+    described = {"scene": scene.parameters(), "seed": seed, "empty": (width, height)}
+    path = root / f"empty-{_digest(described)}.npy"
+    if not path.exists():
+        camera = camera_of(scene, (width, height))
+        images = []
+        for index in range(VALIDATION_START, VALIDATION_START + VALIDATION_COUNT // 4):
+            decoy = replace(scene, craft=build_decoy(seed, index))
+            images += [
+                shoot(scene, seed, index, camera, scene.sensor, empty=True).image,
+                shoot(decoy, seed, index, camera, scene.sensor).image,
+            ]
+        root.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as temporary:
+            np.save(temporary, np.stack(images))
+    return np.asarray(np.load(path))
 
 
 def _digest(described: dict[str, Any]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.datasets import PoseDataset, Record, open_dataset
-from ffpose.datasets.scenes import find_scene, open_validation, open_views
+from ffpose.datasets.scenes import find_scene, open_empty_images, open_validation, open_views
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
 from ffpose.images import open_image
@@ -39,6 +39,8 @@ class TrainingData:
         train_set: Whole images of the training split, for a network that looks at the frame.
         views: Stored views, for one with a second look.
         empty: Stored views without an object.
+        empty_images: Whole images without an object ``(N, H, W, 3)``, uint8, to set the threshold
+            that flags; None where there are none.
     """
 
     poses: NDArray[np.float64]
@@ -47,6 +49,7 @@ class TrainingData:
     train_set: PoseDataset | None = None
     views: list[Arrays] = field(default_factory=list)
     empty: list[Arrays] = field(default_factory=list)
+    empty_images: Bytes | None = None
 
 
 def open_training_data(
@@ -107,7 +110,8 @@ def _scenes(
         config.root, scenes[0], config.seed, preprocessing, workers=config.workers
     )
     poses = np.concatenate([arrays["labels"][:, :7] for arrays in views])
-    return TrainingData(poses, val_set, camera, None, views, empty)
+    empty_images = open_empty_images(config.root, scenes[0], config.seed, preprocessing)
+    return TrainingData(poses, val_set, camera, None, views, empty, empty_images)
 
 
 def cut_views(dataset: PoseDataset, spec: ViewSpec, *, dense: bool) -> Arrays:

@@ -19,7 +19,8 @@ import torch
 from torch import Tensor
 
 from ffpose.metrics import PoseError
-from ffpose.models import read_metadata
+from ffpose.models import FilterformerPose, read_metadata
+from ffpose.training.calibrate import calibrate
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.memory import keep_freed_memory
@@ -89,8 +90,32 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
             state.history.append(row)
             _write(run, state, folder)
             reporter.epoch_ends(row)
+    _calibrate(run, folder)
     seconds = sum(float(row["seconds"]) for row in state.history)
     return TrainResult(folder, state.history, state.best_epoch, seconds)
+
+
+def _header(run: Run) -> dict[str, Any]:
+    """Return what the weights say of themselves."""
+    return {
+        "preprocessing": run.task.preprocessing,
+        "backbone_source": run.average.model.backbone.source,
+        "recipe": recipe(run.config),
+        "data": run.task.describe(run.config.data.kind),
+        "dtype": getattr(torch, run.config.weights_dtype),
+    }
+
+
+def _calibrate(run: Run, folder: RunFolder) -> None:
+    """Set the uncertainty of the best weights right, and the threshold that flags empty images."""
+    empty = run.task.empty()
+    if empty is None:
+        return
+    model = FilterformerPose.from_pretrained(folder.best)
+    found = calibrate(model, run.task.validation(), empty)
+    model.variance_scales.copy_(found.variance_scales)
+    header = _header(run) | {"in_view_threshold": found.in_view_threshold}
+    model.save_pretrained(folder.best, **header)
 
 
 def _restore(run: Run, state: TrainState, epochs: Sequence[Epoch]) -> None:
@@ -120,13 +145,7 @@ def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
 
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``; its own comes last, and makes it count."""
-    header: dict[str, Any] = {
-        "preprocessing": run.task.preprocessing,
-        "backbone_source": run.average.model.backbone.source,
-        "recipe": recipe(run.config),
-        "data": run.task.describe(run.config.data.kind),
-        "dtype": getattr(torch, run.config.weights_dtype),
-    }
+    header = _header(run)
     best = min(state.history, key=lambda row: float(row[SELECTED_BY]))
     if best is state.history[-1]:
         state.best_epoch = len(state.history)

@@ -91,7 +91,7 @@ def _task(
         views = ViewBatches(
             model, data.views, data.empty, config.views, data.val_set.preprocessing.std, loss.cells
         )
-        return ObjectTask(views, data.val_set, loss, config.batch_size)
+        return ObjectTask(views, data.val_set, loss, config.batch_size, data.empty_images)
     assert data.train_set is not None
     pose_loss = PoseLoss(config.loss.s_t, config.loss.s_q, config.loss.antipodal).to(device)
     return FrameTask(

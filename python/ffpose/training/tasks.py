@@ -14,6 +14,8 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from PIL import Image
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
@@ -24,6 +26,9 @@ from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.provenance import describe_data
 from ffpose.training.views import ViewBatch, ViewBatches
 from ffpose.transforms import Preprocessing
+
+VALIDATION_BATCH = 20
+"""Whole images of a network with a second look that are validated at once."""
 
 
 class Task(Protocol):
@@ -67,6 +72,9 @@ class Task(Protocol):
 
     def describe(self, kind: str) -> dict[str, Any]:
         """Return which images these are, for the header of the weights."""
+
+    def empty(self) -> Iterator[Tensor] | None:
+        """Pass over images without an object, standardized; None for a network that cannot tell."""
 
 
 def _loader(dataset: PoseDataset, batch_size: int, workers: int, **options: Any) -> Any:
@@ -147,6 +155,9 @@ class FrameTask:
         """Return kind, number, size and digest of the training images."""
         return describe_data(self.train_set, kind)
 
+    def empty(self) -> None:
+        """Return nothing: the network does not tell."""
+
 
 class ObjectTask:
     """Pose by a second look, from stored views.
@@ -156,13 +167,20 @@ class ObjectTask:
         val_set: Whole images that choose the best epoch.
         loss: The terms and their weights.
         batch_size: Images a step.
+        empty_images: Whole images without an object ``(N, H, W, 3)``, uint8; None for none.
     """
 
     def __init__(
-        self, views: ViewBatches, val_set: PoseDataset, loss: ObjectObjective, batch_size: int
+        self,
+        views: ViewBatches,
+        val_set: PoseDataset,
+        loss: ObjectObjective,
+        batch_size: int,
+        empty_images: NDArray[np.uint8] | None = None,
     ) -> None:
         self.views, self.val_set, self.loss, self.batch_size = views, val_set, loss, batch_size
         self.preprocessing = val_set.preprocessing
+        self.empty_images = empty_images
 
     @property
     def images(self) -> int:
@@ -197,7 +215,7 @@ class ObjectTask:
 
     def validation(self) -> Iterator[Sample]:
         """Pass over the validation split."""
-        return iter(_loader(self.val_set, min(self.batch_size, 32), 0))
+        return iter(_loader(self.val_set, VALIDATION_BATCH, 0))
 
     def describe(self, kind: str) -> dict[str, Any]:
         """Return kind, number, size and digest of the labels of the training views."""
@@ -211,6 +229,19 @@ class ObjectTask:
             "image_size": [camera.width, camera.height],
             "digest": digest.hexdigest(),
         }
+
+    def empty(self) -> Iterator[Tensor] | None:
+        """Pass over whole images without an object."""
+        if self.empty_images is None:
+            return None
+        return standardized(self.empty_images, self.preprocessing)
+
+
+def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Iterator[Tensor]:
+    """Yield images ``(N, H, W, 3)`` of the input's size as the network takes them, in batches."""
+    for start in range(0, len(images), VALIDATION_BATCH):
+        part = images[start : start + VALIDATION_BATCH]
+        yield torch.stack([preprocessing(Image.fromarray(image)) for image in part])
 
 
 def prefetched(batches: Iterator[ViewBatch]) -> Iterator[ViewBatch]:
