@@ -65,7 +65,9 @@ def render_view(
     if content == "object":
         half = camera.resized(WINDOW // 2, WINDOW // 2)
         coordinates = object_coordinates(scene.build(), frame.pose, half)
-    window = window * in_frame(camera, whole)[..., None]
+    inside = in_frame(camera, whole)
+    window = window * inside[..., None]
+    coordinates = coordinates * (inside[::2, ::2] & inside[1::2, 1::2])[..., None]
     return Pieces(frame.image, window, coordinates, frame.pose, camera, level, content == "object")
 
 
