@@ -22,8 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
-from ffpose.datasets import PoseDataset, open_dataset
-from ffpose.datasets.base import Split
+from ffpose.datasets import Part, PoseDataset, open_dataset
 from ffpose.files import atomic_write
 from ffpose.geometry import Camera, Pose
 from ffpose.metrics import PoseError, PoseErrors, pose_error
@@ -98,7 +97,7 @@ def evaluate(
     weights: str | Path,
     kind: str,
     root: Path,
-    split: Split = "test",
+    split: Part = "test",
     *,
     batch_size: int = 32,
     workers: int = 0,
@@ -111,7 +110,7 @@ def evaluate(
             become the network's input.
         kind: The layout of the image set.
         root: The folder of the image set. Its training split gives the baseline.
-        split: The images to predict.
+        split: The images to predict, ``"all"`` for those of every split.
         batch_size: Images at a time.
         workers: Processes that read images beside this one.
         any_camera: Turn images of another camera than the weights' into the network's view, by

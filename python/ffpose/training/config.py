@@ -36,7 +36,8 @@ class DataConfig:
         cache: Whether to decode and resize each image once, into a file that later runs use too.
         workers: Processes that read or render images beside the training process.
         scene: For the kind scenes: the set whose scenes are rendered.
-        count: For the kind scenes: images to learn from; 100 more validate.
+        count: For the kind scenes: images to learn from.
+        validation: For the kind scenes: whole images that choose the best epoch.
         empty: For the kind scenes: images without the spacecraft, which a network with a second
             look learns to refuse.
         seed: For the kind scenes: seed of the images, below `TEST_SEEDS`.
@@ -53,6 +54,7 @@ class DataConfig:
     workers: int = 0
     scene: str = "soyuz_hard"
     count: int = 10000
+    validation: int = 200
     empty: int = 1000
     seed: int = 0
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
@@ -60,6 +62,7 @@ class DataConfig:
     def __post_init__(self) -> None:
         _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
         _expect(self.count >= 1, "data.count", "1 or more", self.count)
+        _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
         _expect(self.empty >= 0, "data.empty", "0 or more", self.empty)
         expected = f"0 to {TEST_SEEDS - 1}, as later seeds are for tests"
         _expect(0 <= self.seed < TEST_SEEDS, "data.seed", expected, self.seed)

@@ -86,7 +86,9 @@ def _scenes(
         # Another seed: the scenes behind the spacecraft are not those that show it.
         seed = EMPTY_SEEDS + config.seed
         empty = [open_views(config.root, scene, seed, config.empty, spec, empty=True, **options)]
-    val_set = open_validation(config.root, scene, config.seed, preprocessing, **options)
+    val_set = open_validation(
+        config.root, scene, config.seed, config.validation, preprocessing, **options
+    )
     return TrainingData(views["labels"][:, :7], val_set, camera, None, [views], empty)
 
 
