@@ -55,7 +55,7 @@ class Report:
         title: Its heading.
         subtitle: One sentence below it.
         evaluation: Predictions on images that were not trained on.
-        history: The rows of ``results.csv``.
+        history: The rows of ``results.csv``; empty where nothing was trained.
         facts: Names and values for the table at the end.
         command: The command that makes all of it again.
     """
@@ -79,9 +79,7 @@ def write_report(report: Report, path: Path) -> None:
         headline="".join(_card(summary, *row) for row in (ROWS[0], ROWS[2])),
         figures=_figures_table(summary),
         galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
-        curves=_embed_figure(
-            training_curves(report.history), "loss and validation errors over the epochs"
-        ),
+        training=_training(report.history),
         distributions="".join(
             _embed_figure(draw(evaluation), text) for draw, text in DISTRIBUTIONS
         ),
@@ -93,6 +91,14 @@ def write_report(report: Report, path: Path) -> None:
     )
     with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
+
+
+def _training(history: Sequence[Mapping[str, float | str]]) -> str:
+    """Return the section on the training; empty where there was none."""
+    if not history:
+        return ""
+    text = "loss and validation errors over the epochs"
+    return f"<h2>Training</h2>{_embed_figure(training_curves(history), text)}"
 
 
 def _card(summary: Mapping[str, object], key: str, name: str, unit: str) -> str:
