@@ -13,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
 
-demo: $(VENV)/.user ## install, render, train, evaluate; leaves runs/demo/report.html (10 minutes)
+demo: $(VENV)/.user ## install, render unseen images, pose them; leaves runs/demo/report.html
 	$(BIN)/ffpose demo --out $(DEMO_OUT)
 
 test: test-rust test-python ## install and run every test, Rust's and Python's

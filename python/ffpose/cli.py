@@ -52,19 +52,24 @@ def show(document: dict[str, Any]) -> None:
 
 def demo_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `demo`."""
-    parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder to write")
+    text = "folder to write (default: runs/demo, or runs/demo-train)"
+    parser.add_argument("--out", type=Path, help=text)
+    text = "train from nothing, in minutes, in place of the weights that come with ffpose"
+    parser.add_argument("--train", action="store_true", help=text)
 
 
 def demo(options: Namespace) -> None:
-    """Run the whole line on rendered scenes."""
+    """Pose unseen images, and report."""
     from ffpose.demo import run
+    from ffpose.demo_config import DemoConfig
 
-    expect_folder(options.out)
-    document = run(options.out)
+    out = options.out or Path("runs/demo-train" if options.train else "runs/demo")
+    expect_folder(out)
+    document = run(out, DemoConfig(train=options.train))
     baseline = document["mean_pose_baseline"]
     for name in ("median_translation_error_m", "median_rotation_error_deg"):
         print(f"{name}: {document[name]:.3f} (mean pose: {baseline[name]:.3f})")
-    print(options.out / "report.html")
+    print(out / "report.html")
 
 
 def render_arguments(parser: ArgumentParser) -> None:
@@ -180,7 +185,9 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `evaluate`."""
     weights_argument(parser)
     data_arguments(parser)
-    parser.add_argument("--data.split", default="test", help="train, val or test (default: test)")
+    parser.add_argument(
+        "--data.split", default="test", help="train, val, test or all (default: test)"
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
 
@@ -302,9 +309,7 @@ def bench(options: Namespace) -> None:
 
 
 COMMANDS = {
-    "demo": Command(
-        "render, train, evaluate and report, in minutes", demo_arguments, demo, "pose,render"
-    ),
+    "demo": Command("pose unseen images, and report", demo_arguments, demo, "pose,render"),
     "render": Command("render images with exact labels", render_arguments, render, "render"),
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labelled images", evaluate_arguments, evaluate),

@@ -13,6 +13,9 @@ from ffpose.files import atomic_write
 
 FILE_NAME = "demo.json"
 
+FOLDERS = ("images", "views", "training", "evaluation")
+"""Of a demo: their files are taken up, so they must be its own."""
+
 
 @dataclass
 class DemoRecord:
@@ -22,11 +25,13 @@ class DemoRecord:
         settings: What the demo was asked to do.
         images_rendered: How many images the runs that ended have rendered.
         render_seconds: The time they took for it.
+        views_seconds: The time that the views of a training took; 0 where there are none yet.
     """
 
     settings: dict[str, Any]
     images_rendered: int = 0
     render_seconds: float = 0.0
+    views_seconds: float = 0.0
 
     @classmethod
     def open(cls, out: Path, settings: Mapping[str, Any]) -> DemoRecord:
@@ -44,11 +49,12 @@ class DemoRecord:
         wanted = json.loads(json.dumps(settings))
         path = out / FILE_NAME
         if not path.exists():
-            if (out / "training").exists():
-                raise ValueError(
-                    f"{out}: expected a new folder or a demo begun there, got training/ without "
-                    f"{FILE_NAME}; remove the folder, or write to another with --out"
-                )
+            for name in FOLDERS:
+                if (out / name).exists():
+                    raise ValueError(
+                        f"{out}: expected a new folder or a demo begun there, got {name}/ without "
+                        f"{FILE_NAME}; remove the folder, or write to another with --out"
+                    )
             return cls(wanted)
         try:
             record = cls(**json.loads(path.read_text()))

@@ -36,8 +36,7 @@ from ffpose.calibration import (
     summarize_flag,
     summarize_regions,
 )
-from ffpose.datasets import Conditions, PoseDataset, open_dataset, read_conditions
-from ffpose.datasets.base import Split
+from ffpose.datasets import Conditions, Part, PoseDataset, open_dataset, read_conditions
 from ffpose.geometry import Camera, Pose
 from ffpose.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
 from ffpose.models import FilterformerPose, PosePrediction, WeightsMetadata, read_metadata
@@ -217,7 +216,7 @@ def evaluate(
     weights: str | Path,
     kind: str,
     root: Path,
-    split: Split = "test",
+    split: Part = "test",
     *,
     batch_size: int = 32,
     workers: int = 0,
@@ -230,7 +229,7 @@ def evaluate(
             become the network's input.
         kind: The layout of the image set.
         root: The folder of the image set. Its training split gives the baseline.
-        split: The images to predict.
+        split: The images to predict, ``"all"`` for those of every split.
         batch_size: Images at a time.
         workers: Processes that read images beside this one.
         any_camera: Turn images of another camera than the weights' into the network's view, by

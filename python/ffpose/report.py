@@ -56,7 +56,7 @@ class Report:
         title: Its heading.
         subtitle: One sentence below it.
         evaluation: Predictions on images that were not trained on.
-        history: The rows of ``results.csv``.
+        history: The rows of ``results.csv``; empty where nothing was trained.
         facts: Names and values for the table at the end.
         command: The command that makes all of it again.
     """
@@ -84,9 +84,7 @@ def write_report(report: Report, path: Path) -> None:
         conditions=conditions_table(summary),
         uncertainty=_uncertainty(evaluation, summary),
         galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
-        curves=_embed_figure(
-            training_curves(report.history), "loss and validation errors over the epochs"
-        ),
+        training=_training(report.history),
         distributions="".join(
             _embed_figure(draw(evaluation), text) for draw, text in DISTRIBUTIONS
         ),
@@ -98,6 +96,14 @@ def write_report(report: Report, path: Path) -> None:
     )
     with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
+
+
+def _training(history: Sequence[Mapping[str, float | str]]) -> str:
+    """Return the section on the training; empty where there was none."""
+    if not history:
+        return ""
+    text = "loss and validation errors over the epochs"
+    return f"<h2>Training</h2>{_embed_figure(training_curves(history), text)}"
 
 
 def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:

@@ -97,10 +97,28 @@ def test_the_random_crop_needs_room(root):
     assert dataset[0].image.shape == (3, *SIZE)
 
 
+def test_all_is_every_split_in_order(root):
+    names = [
+        name
+        for split in ("train", "val", "test")
+        for name in open_dataset("urso", root, split, Preprocessing(SIZE)).names
+    ]
+    whole = open_dataset("urso", root, "all", Preprocessing(SIZE))
+    assert whole.names == names
+    assert len(whole) == len(whole.poses) == sum(map(len, SPLITS.values()))
+
+
+def test_all_is_what_there_is(root):
+    for split in ("train", "val"):
+        (root / f"{split}_images.csv").unlink()
+    whole = open_dataset("urso", root, "all", Preprocessing(SIZE))
+    assert whole.names == open_dataset("urso", root, "test", Preprocessing(SIZE)).names
+
+
 def test_unknown_kinds_and_splits_list_the_known(root):
     with pytest.raises(ValueError, match=r"expected one of \['urso'\], got 'speed'"):
         open_dataset("speed", root, "train", Preprocessing())
-    with pytest.raises(ValueError, match=r"expected one of \('train', 'val', 'test'\)"):
+    with pytest.raises(ValueError, match=r"expected one of \('train', 'val', 'test', 'all'\)"):
         open_dataset("urso", root, "validation", Preprocessing())
 
 

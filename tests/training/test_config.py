@@ -71,6 +71,7 @@ def test_flat_names_reach_into_groups():
         (lambda: config(epochs=0), "epochs: expected 1 or more, got 0"),
         (lambda: config(stages=()), "stages: expected at least one stage"),
         (lambda: DataConfig("urso", Path(), workers=-1), "data.workers: expected 0 or more"),
+        (lambda: DataConfig("scenes", Path(), validation=0), "data.validation: expected 1 or"),
         (lambda: OptimizerConfig(learning_rate=0), "learning_rate: expected more than 0, got 0"),
         (lambda: OptimizerConfig(schedule="linear"), "expected step or cosine, got 'linear'"),
     ],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ffpose.datasets import urso
-from ffpose.datasets.base import SPLITS, PoseDataset, Reader, Sample, Split
+from ffpose.datasets.base import SPLITS, Part, PoseDataset, Reader, Sample, Split
 from ffpose.datasets.conditions import Conditions, read_conditions
 from ffpose.datasets.records import Record
 from ffpose.transforms import Augmentation, Preprocessing
@@ -14,6 +14,7 @@ __all__ = [
     "KINDS",
     "SPLITS",
     "Conditions",
+    "Part",
     "PoseDataset",
     "Record",
     "Sample",
@@ -50,17 +51,17 @@ def list_splits(kind: str, root: str | Path) -> list[Split]:
 def open_dataset(
     kind: str,
     root: str | Path,
-    split: Split,
+    split: Part,
     preprocessing: Preprocessing,
     augmentation: Augmentation | None = None,
     cache: bool = False,
 ) -> PoseDataset:
-    """Read the labels of a split and return it as a data set.
+    """Read the labels of a split, or of a whole set, and return it as a data set.
 
     Args:
         kind: One of `KINDS`.
         root: The data set's folder.
-        split: ``"train"``, ``"val"`` or ``"test"``.
+        split: ``"train"``, ``"val"``, ``"test"``, or ``"all"`` for every split that there is.
         preprocessing: From image to network input.
         augmentation: Applied to each sample anew; None for none.
         cache: Decode and resize every image now, unless an earlier run did (see `PoseDataset`).
@@ -73,7 +74,10 @@ def open_dataset(
         FileNotFoundError: The folder, or a file that lists the split, does not exist.
         DataError: A file holds what cannot be used; the error names file and line.
     """
-    if split not in SPLITS:
-        raise ValueError(f"split: expected one of {SPLITS}, got {split!r}")
-    records, camera = _reader(kind).read(Path(root), split)
-    return PoseDataset(records, camera, preprocessing, augmentation, cache)
+    if split not in (*SPLITS, "all"):
+        raise ValueError(f"split: expected one of {(*SPLITS, 'all')}, got {split!r}")
+    reader, folder = _reader(kind), Path(root)
+    splits = reader.splits(folder) if split == "all" else [split]
+    parts = [reader.read(folder, each) for each in splits]
+    records = [record for part, _ in parts for record in part]
+    return PoseDataset(records, parts[0][1], preprocessing, augmentation, cache)

@@ -21,6 +21,9 @@ from ffpose.transforms import Augmentation, Preprocessing, Window
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 
+Part = Split | Literal["all"]
+"""What can be asked of a set: a split, or all that it holds, one after the other."""
+
 
 class Reader(Protocol):
     """What the module of each kind of data set offers."""

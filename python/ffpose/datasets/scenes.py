@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose import __version__
-from ffpose.datasets import urso
-from ffpose.datasets.base import PoseDataset
+from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.errors import DataError, require
 from ffpose.files import atomic_write, expect_room, remove_leftovers
 from ffpose.transforms import Preprocessing
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 VALIDATION_START = 10_000_000
 """Index of the first scene that validates; those before it are to learn from."""
 
-VALIDATION_COUNT = 200
+EMPTY_IMAGES = 100
 
 RENDER_LIMIT_S = 86_400.0
 """Views that are older and not finished were left by a process that was killed."""
@@ -117,26 +116,24 @@ def _store(folder: Path, pieces: Iterator[Pieces], count: int, spec: ViewSpec) -
 
 
 def open_validation(
-    root: Path, scene: Scene, seed: int, preprocessing: Preprocessing, *, workers: int
+    root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing, *, workers: int
 ) -> PoseDataset:
-    """Return whole images that no training sees, of the network's input size."""
+    """Return ``count`` whole images that no training sees, of the network's input size."""
     from ffpose.render.writer import write_dataset
 
     height, width = preprocessing.size
     described = {"scene": scene.parameters(), "seed": seed, "size": (width, height)}
-    folder = root / f"images-{_digest(described)}"
+    folder = root / f"images-{_digest({**described, 'count': count})}"
     write_dataset(
         scene,
         folder,
-        VALIDATION_COUNT,
+        count,
         seed,
         start=VALIDATION_START,
         size=(width, height),
         workers=max(1, workers),
     )
-    found = [urso.read(folder, split) for split in urso.splits(folder)]
-    records = [record for split, _ in found for record in split]
-    return PoseDataset(records, found[0][1], preprocessing, None, cache=False)
+    return open_dataset("urso", folder, "all", preprocessing)
 
 
 def open_empty_images(
@@ -155,7 +152,7 @@ def open_empty_images(
     if not path.exists():
         camera = camera_of(scene, (width, height))
         images = []
-        for index in range(VALIDATION_START, VALIDATION_START + VALIDATION_COUNT // 4):
+        for index in range(VALIDATION_START, VALIDATION_START + EMPTY_IMAGES // 2):
             decoy = replace(scene, craft=build_decoy(seed, index))
             images += [
                 shoot(scene, seed, index, camera, scene.sensor, empty=True).image,

@@ -40,7 +40,8 @@ class DataConfig:
         workers: Processes that read or render images beside the training process.
         scene: For the kind scenes: the set whose scenes are rendered, or several, joined by a plus;
             the first validates.
-        count: For the kind scenes: images of each set to learn from; 200 more validate.
+        count: For the kind scenes: images of each set to learn from.
+        validation: For the kind scenes: whole images that choose the best epoch.
         empty: For the kind scenes: images without the spacecraft, which a network with a second
             look learns to refuse.
         decoys: For the kind scenes: images of other spacecraft, which it learns to refuse as well.
@@ -58,6 +59,7 @@ class DataConfig:
     workers: int = 0
     scene: str = "soyuz_hard"
     count: int = 10000
+    validation: int = 200
     empty: int = 1000
     decoys: int = 1000
     seed: int = 0
@@ -66,6 +68,7 @@ class DataConfig:
     def __post_init__(self) -> None:
         _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
         _expect(self.count >= 1, "data.count", "1 or more", self.count)
+        _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
         _expect(self.empty >= 0, "data.empty", "0 or more", self.empty)
         _expect(self.decoys >= 0, "data.decoys", "0 or more", self.decoys)
         expected = f"0 to {TEST_SEEDS - 1}, as later seeds are for tests"

@@ -107,7 +107,7 @@ def _scenes(
         if count > 0
     ]
     val_set = open_validation(
-        config.root, scenes[0], config.seed, preprocessing, workers=config.workers
+        config.root, scenes[0], config.seed, config.validation, preprocessing, workers=workers
     )
     poses = np.concatenate([arrays["labels"][:, :7] for arrays in views])
     empty_images = open_empty_images(config.root, scenes[0], config.seed, preprocessing)

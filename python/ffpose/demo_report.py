@@ -1,0 +1,166 @@
+"""What a demo leaves to read: ``report.json`` and the page."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import ffpose
+from ffpose.arrays import instruction_set
+from ffpose.demo_config import DemoConfig
+from ffpose.evaluation import Evaluation
+from ffpose.report import Report
+from ffpose.training.checkpoint import Row
+
+SHIPPED = "soyuz-easy"
+"""The weights that come with ffpose, and pose the images."""
+
+ERRORS = ("median_translation_error_m", "median_rotation_error_deg")
+
+
+class Weights(NamedTuple):
+    """What the images are posed with.
+
+    Attributes:
+        file: The network's.
+        history: A row for each epoch that trained it here; none of the weights of the package.
+        best_epoch: Number of the epoch whose weights these are.
+        seconds: Time spent in epochs.
+    """
+
+    file: Path
+    history: Sequence[Row] = ()
+    best_epoch: int = 0
+    seconds: float = 0.0
+
+
+class Outcome(NamedTuple):
+    """What a demo came to.
+
+    Attributes:
+        config: What it was asked to do.
+        out: Its folder.
+        weights: What the images were posed with.
+        evaluation: Their poses and labels.
+        images_rendered: How many images the time to render them is of.
+        seconds: By step: render, views, train and evaluate; 0 for what was not done.
+    """
+
+    config: DemoConfig
+    out: Path
+    weights: Weights
+    evaluation: Evaluation
+    images_rendered: int
+    seconds: dict[str, float]
+
+
+def versions() -> dict[str, str]:
+    """Return the versions and the machine that the figures depend on."""
+    packages = ("torch", "timm", "numpy", "embreex")
+    return {
+        "ffpose": ffpose.__version__,
+        "instruction set": instruction_set(),
+        "python": platform.python_version(),
+        **{name: metadata.version(name) for name in packages},
+        "platform": platform.platform(),
+    }
+
+
+def command(out: Path, *, train: bool) -> str:
+    """Return the command that makes all of it, whether this environment is activated or not."""
+    python = Path(sys.executable)
+    if python.is_relative_to(Path.cwd()):
+        python = python.relative_to(Path.cwd())
+    words = [str(python), "-m", "ffpose.cli", "demo", "--out", str(out)]
+    return shlex.join([*words, "--train"] if train else words)
+
+
+def document(outcome: Outcome) -> dict[str, Any]:
+    """Return what ``report.json`` holds; times and epochs of a training are 0 without one."""
+    config, out, weights = outcome.config, outcome.out, outcome.weights
+    summary = outcome.evaluation.summary()
+    baseline = summary["mean_pose_baseline"]
+    return {
+        "images": config.images,
+        "weights": _weights_in_words(config),
+        "train_seconds": weights.seconds,
+        "test_images": summary["images"],
+        **{name: summary[name] for name in summary if name not in ("images", "mean_pose_baseline")},
+        "mean_pose_baseline": baseline,
+        "ratio_to_baseline": {name: summary[name] / baseline[name] for name in ERRORS},
+        "attitude_range_deg": _attitudes(config),
+        "distance_range_m": list(config.scene.distance_m),
+        "images_rendered": outcome.images_rendered,
+        "seconds_per_step": outcome.seconds,
+        "epochs": len(weights.history),
+        "best_epoch": weights.best_epoch,
+        "command": command(out, train=config.train),
+        "versions": versions(),
+        "files": _files(out),
+    }
+
+
+def _files(out: Path) -> list[str]:
+    """Return the names of what was written, ``report.json`` among them, but for the images."""
+    bulky = (out / "images", out / "views")
+    written = {path for path in out.rglob("*") if path.is_file()} | {out / "report.json"}
+    kept = (path for path in written if not any(map(path.is_relative_to, bulky)))
+    return sorted(str(path.relative_to(out)) for path in kept)
+
+
+def _attitudes(config: DemoConfig) -> dict[str, list[float]]:
+    names = ("roll", "pitch", "yaw")
+    return {n: [-a, a] for n, a in zip(names, config.attitude_range_deg, strict=True)}
+
+
+def _weights_in_words(config: DemoConfig) -> str:
+    return "trained here from random weights" if config.train else f"{SHIPPED}, part of ffpose"
+
+
+def page(outcome: Outcome) -> Report:
+    """Return what ``report.html`` says."""
+    config, weights = outcome.config, outcome.weights
+    ranges = ", ".join(f"{n} ±{high:g}°" for n, (_, high) in _attitudes(config).items())
+    near, far = config.scene.distance_m
+    subject = f"{config.images} rendered images of a Soyuz at {near:g} to {far:g} m ({ranges})"
+    if config.train:
+        how = (
+            f"after a training of {weights.seconds:.0f} s from random weights on {config.views} "
+            "views of other scenes"
+        )
+    else:
+        how = f"with {SHIPPED}, weights that come with ffpose and saw none of them"
+    return Report(
+        title="From an image to a pose",
+        subtitle=f"{subject}, each posed from the image alone, {how}.",
+        evaluation=outcome.evaluation,
+        history=weights.history,
+        facts={
+            "images": f"{config.images} of {config.size[0]} × {config.size[1]} pixels",
+            "attitudes": ranges,
+            "weights": _weights_in_words(config),
+            f"seconds to render {outcome.images_rendered} images": _seconds(outcome, "render"),
+            **(_training_facts(outcome) if config.train else {}),
+            "seconds to evaluate": _seconds(outcome, "evaluate"),
+            **versions(),
+        },
+        command=command(outcome.out, train=config.train),
+    )
+
+
+def _training_facts(outcome: Outcome) -> dict[str, str]:
+    weights = outcome.weights
+    return {
+        f"seconds to render {outcome.config.views} views": _seconds(outcome, "views"),
+        "seconds to train": _seconds(outcome, "train"),
+        "epochs": f"{len(weights.history)}, the best is {weights.best_epoch}",
+    }
+
+
+def _seconds(outcome: Outcome, step: str) -> str:
+    return f"{outcome.seconds[step]:.1f}"
