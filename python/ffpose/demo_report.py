@@ -92,7 +92,9 @@ def document(outcome: Outcome) -> dict[str, Any]:
         "test_images": summary["images"],
         **{name: summary[name] for name in summary if name not in ("images", "mean_pose_baseline")},
         "mean_pose_baseline": baseline,
-        "ratio_to_baseline": {name: summary[name] / baseline[name] for name in ERRORS},
+        "ratio_to_baseline": {
+            name: summary[name] / baseline[name] if baseline[name] > 0 else None for name in ERRORS
+        },
         "attitude_range_deg": _attitudes(config),
         "distance_range_m": list(config.scene.distance_m),
         "images_rendered": outcome.images_rendered,
