@@ -141,6 +141,8 @@ class ObjectLossConfig:
     Attributes:
         location: Of the first look.
         orientation: Of the orientation head's loss.
+        angle: Of the sine of half the angle of the decoded attitude. Soft labels some degrees wide
+            hardly feel the last degrees; this does, once they have found the attitude.
         offset: Of the second look's position.
         sigma: Of the likelihoods.
         in_view: Of the presence.
@@ -150,6 +152,7 @@ class ObjectLossConfig:
 
     location: float = 10.0
     orientation: float = 1.0
+    angle: float = 0.0
     offset: float = 3.0
     sigma: float = 0.1
     in_view: float = 0.5

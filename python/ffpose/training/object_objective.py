@@ -60,8 +60,9 @@ class ObjectObjective(nn.Module):
         first = F.smooth_l1_loss(location, batch.location, beta=SMOOTH)
         offset = F.smooth_l1_loss(numbers.offset[present], batch.offset[present], beta=SMOOTH)
         orientation = model.orientation.loss(numbers.orientation, batch.orientation)[present].mean()
+        q_hat = model.orientation.decode(numbers.orientation)
+        angle = half_angle(q_hat[present], batch.orientation[present]).mean()
         with torch.no_grad():
-            q_hat = model.orientation.decode(numbers.orientation)
             turned = rotation_vector(_between(q_hat, batch.orientation))
             residual = torch.cat((numbers.offset - batch.offset, turned), dim=1)
         sigma = sigma_loss(numbers.log_sigma, residual)[present].mean()
@@ -70,6 +71,7 @@ class ObjectObjective(nn.Module):
             c.location * first
             + c.offset * offset
             + c.orientation * orientation
+            + c.angle * angle
             + c.sigma * sigma
             + c.in_view * in_view
         )
@@ -86,6 +88,11 @@ class ObjectObjective(nn.Module):
         error = ((seen[:, :3] - truth[:, :3]).abs() * mask).sum() / (3 * mask.sum() + 1)
         silhouette = F.binary_cross_entropy_with_logits(seen[:, 3:], mask)
         return self.config.coordinates * error + self.config.mask * silhouette
+
+
+def half_angle(q_hat: Tensor, q: Tensor) -> Tensor:
+    """Return the sine of half the angle between attitudes ``(B, 4)``, which pulls evenly."""
+    return (1 - (q_hat * q).sum(-1).square() + 1e-6).clamp_min(1e-6).sqrt()
 
 
 def _between(q_from: Tensor, q_to: Tensor) -> Tensor:
