@@ -99,7 +99,7 @@ def test_beyond_the_frames_edge_a_view_shows_nothing():
 
 def test_an_empty_view_lacks_the_spacecraft_alone(one_sampling):
     spec = spec_of(128)
-    view, empty = (render_view(SCENE, SEED, 1, spec, empty=empty) for empty in (False, True))
+    view, empty = (render_view(SCENE, SEED, 1, spec, content) for content in ("object", "empty"))
     assert (view.present, empty.present) == (True, False)
     assert not empty.coordinates.any()
     assert view.pose == empty.pose
@@ -155,8 +155,7 @@ def test_the_noise_of_a_mean_of_pixels_is_that_of_its_sensor():
 def test_processes_give_the_views_of_one():
     spec = spec_of(128)
     alone, shared = (
-        list(render_views(SCENE, SEED, range(16), spec, empty=True, workers=workers))
-        for workers in (1, 2)
+        list(render_views(SCENE, SEED, range(16), spec, "empty", workers)) for workers in (1, 2)
     )
     for index, (one, other) in enumerate(zip(alone, shared, strict=True)):
         np.testing.assert_array_equal(one.window, other.window)

@@ -73,6 +73,13 @@ def test_flat_names_reach_into_groups():
         (lambda: DataConfig("urso", Path(), workers=-1), "data.workers: expected 0 or more"),
         (lambda: DataConfig("scenes", Path(), validation=0), "data.validation: expected 1 or"),
         (lambda: OptimizerConfig(learning_rate=0), "learning_rate: expected more than 0, got 0"),
+        (lambda: DataConfig("scenes", Path(), seed=10**6), "0 to 999999, .* got 1000000"),
+        (lambda: DataConfig("scenes", Path(), seed=-1), "data.seed: expected 0 to 999999"),
+        (lambda: config(accumulate=0), "accumulate: expected 1 or more, got 0"),
+        (lambda: config(ema=1.0), "ema: expected 0 <= ema < 1, got 1.0"),
+        (lambda: config(autocast="float16"), "expected none or bfloat16, got 'float16'"),
+        (lambda: config(weights_dtype="int8"), "expected float32 or float16, got 'int8'"),
+        (lambda: OptimizerConfig(kind="sgd"), "expected adam or adamw, got 'sgd'"),
         (lambda: OptimizerConfig(schedule="linear"), "expected step or cosine, got 'linear'"),
     ],
 )

@@ -9,11 +9,12 @@ from safetensors.torch import load_file
 
 from ffpose.errors import DataError
 from ffpose.losses import PoseLoss
-from ffpose.models import read_metadata
+from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training import DataConfig, NonFiniteLossError, OptimizerConfig, Stage, train
 from ffpose.training.checkpoint import RunFolder, read_results
 from ffpose.training.progress import Reporter
 from ffpose.training.run import build_optimizer, build_run, translation_statistics
+from ffpose.training.tasks import trained_together
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
 
@@ -66,9 +67,11 @@ def test_a_run_leaves_its_files_and_nothing_else(image_set, tmp_path):
     assert lowest["epoch"] == result.best_epoch
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(image_set, tmp_path, workers):
-    whole = train_config(image_set, tmp_path / "whole", epochs=3)
+@pytest.mark.parametrize(("workers", "fields"), [(0, {"ema": 0.9, "accumulate": 2}), (2, {})])
+def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
+    image_set, tmp_path, workers, fields
+):
+    whole = train_config(image_set, tmp_path / "whole", epochs=3, **fields)
     whole = replace(whole, data=replace(whole.data, workers=workers))
     run_quietly(whole)
     part = replace(whole, out=tmp_path / "part")
@@ -223,6 +226,80 @@ def test_frozen_parts_do_not_change(image_set, tmp_path):
     assert all(name.startswith("translation_branch") for name in changed)
 
 
+@pytest.fixture
+def gradient_descent(monkeypatch):
+    """Steps that are proportional to the gradients, so that weights tell how large those were."""
+
+    def build(model, loss, config):
+        return torch.optim.SGD(trained_together(model, loss), lr=config.learning_rate)
+
+    monkeypatch.setattr("ffpose.training.engine.build_optimizer", build)
+
+
+def test_accumulated_gradients_are_those_of_the_larger_batch(image_set, tmp_path, gradient_descent):
+    """Where no image sees another: without dropout, batch norm standing still.
+
+    Of 10 images the last two make a step of their own, by fours and by eights.
+    """
+
+    def trained(name, **sizes):
+        config = train_config(
+            image_set,
+            tmp_path / name,
+            epochs=None,
+            stages=(Stage("joint", 1, ("backbone",)),),
+            model_fields=MODEL_FIELDS | {"dropout": 0.0},
+            optimizer=OptimizerConfig(learning_rate=1e-5),
+            **sizes,
+        )
+        config = replace(config, data=replace(config.data, augment=False))
+        begun = build_run(config).model.state_dict()
+        after = load_file(run_quietly(config).folder.last)
+        return torch.cat([(after[key] - begun[key]).flatten().double() for key in sorted(after)])
+
+    large = trained("large", batch_size=8)
+    halves = trained("halves", batch_size=4, accumulate=2)
+    apart = trained("apart", batch_size=4)
+    assert large.norm() > 0
+    assert (halves - large).norm() < 1e-3 * large.norm()
+    assert (apart - large).norm() > 0.1 * large.norm()
+
+
+def test_weights_in_half_precision_take_half_the_room(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1, weights_dtype="float16")
+    folder = run_quietly(config).folder
+    trained = folder.load_state().model
+    stored = load_file(folder.last)
+    for name, value in trained.items():
+        if value.is_floating_point():
+            half = value.numpy().astype(np.float16)
+            assert stored[name].dtype == torch.float16
+            np.testing.assert_array_equal(stored[name].numpy(), half)
+        else:
+            assert torch.equal(stored[name], value)
+    whole = tmp_path / "whole.safetensors"
+    model = FilterformerPose.from_pretrained(folder.last)
+    model.save_pretrained(whole)
+    assert folder.last.stat().st_size < 0.6 * whole.stat().st_size
+    assert {p.dtype for p in model.parameters()} == {torch.float32}
+    for name, value in model.state_dict().items():
+        torch.testing.assert_close(value, trained[name], rtol=2**-11, atol=2**-25)
+
+
+def test_autocast_computes_in_half_and_keeps_whole_weights(image_set, tmp_path):
+    losses = {}
+    for kind in ("none", "bfloat16"):
+        config = train_config(image_set, tmp_path / kind, epochs=1, autocast=kind)
+        result = run_quietly(config)
+        losses[kind] = result.history[0]["train_translation_loss"]
+        assert {p.dtype for p in load_file(result.folder.last).values()} <= {
+            torch.float32,
+            torch.int64,
+        }
+    assert losses["bfloat16"] != losses["none"]
+    assert losses["bfloat16"] == pytest.approx(losses["none"], rel=0.1)
+
+
 def test_a_loss_that_is_no_number_names_the_images(image_set, tmp_path, monkeypatch):
     monkeypatch.setattr(
         PoseLoss, "_quaternion_distance", lambda _, q, q_hat: (q * q_hat).sum(1) * torch.nan
@@ -304,6 +381,25 @@ def test_loss_weights_have_no_decay():
     assert decay[id(loss.s_t)] == decay[id(loss.s_q)] == 0
     assert decay[id(model.weight)] == 1e-4
     assert {group["eps"] for group in groups} == {1e-10}
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"), [("adam", lambda w: w - 0.1 * w.sign()), ("adamw", lambda w: 0.99 * w)]
+)
+def test_weight_decay_is_part_of_the_gradient_or_apart_from_it(kind, expected):
+    """One step of a rate of 0.1 where the loss has no slope.
+
+    Adam's is of one length, whatever the gradient; AdamW shrinks each weight by rate times decay.
+    """
+    model, loss = torch.nn.Linear(2, 2), PoseLoss()
+    config = OptimizerConfig(kind=kind, learning_rate=0.1, weight_decay=0.1)
+    optimizer = build_optimizer(model, loss, config)
+    before = model.weight.detach().clone()
+    for parameter in (*model.parameters(), *loss.parameters()):
+        parameter.grad = torch.zeros_like(parameter)
+    optimizer.step()
+    torch.testing.assert_close(model.weight.detach(), expected(before))
+    assert (loss.s_t.item(), loss.s_q.item()) == (-3.0, -6.5)
 
 
 @pytest.mark.parametrize("bad", [{"rol": 10}, {"roll": "ten"}])

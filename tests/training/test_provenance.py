@@ -5,6 +5,8 @@ import json
 import struct
 
 import pytest
+import torch
+from safetensors.torch import load_file
 
 from ffpose.models import read_metadata
 from ffpose.training import train
@@ -53,6 +55,22 @@ def test_what_the_backbone_began_from_outlives_an_interruption(image_set, tmp_pa
     monkeypatch.undo()
     run = train(train_config(image_set, tmp_path / "run", epochs=2), resume=True, quiet=True)
     assert read_metadata(run.folder.last).backbone_source == source
+
+
+def test_a_run_begins_from_the_weights_that_it_names(image_set, tmp_path):
+    weights = train(train_config(image_set, tmp_path / "a", epochs=1), quiet=True).folder.last
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+    config = train_config(image_set, tmp_path / "b", epochs=1, seed=1, init=weights)
+    begun = build_run(config).model.state_dict()
+    assert all(torch.equal(begun[name], value) for name, value in load_file(weights).items())
+    folder = train(config, quiet=True).folder
+    assert read_metadata(folder.last).recipe["init"] == digest
+
+
+def test_weights_to_begin_from_that_are_not_there_are_named(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", init=tmp_path / "none.safetensors")
+    with pytest.raises(FileNotFoundError, match=r"none\.safetensors"):
+        train(config, quiet=True)
 
 
 def test_the_recipe_names_nothing_of_this_machine(image_set, tmp_path):

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from ffpose.datasets import PoseDataset
+from ffpose.files import sha256
 from ffpose.training.config import TrainConfig
 
 OF_THIS_MACHINE = ("out", "device", "backbone_weights")
@@ -14,8 +15,15 @@ OF_THIS_MACHINE = ("out", "device", "backbone_weights")
 
 
 def recipe(config: TrainConfig) -> dict[str, Any]:
-    """Return the configuration as JSON can hold it, without paths and names of this machine."""
+    """Return the configuration as JSON can hold it, without paths and names of this machine.
+
+    ``init`` is the SHA-256 of the weights that the network began from.
+
+    Raises:
+        FileNotFoundError: There are no such weights.
+    """
     fields = {name: value for name, value in asdict(config).items() if name not in OF_THIS_MACHINE}
+    fields["init"] = None if config.init is None else sha256(config.init)
     fields["data"] = {
         name: value for name, value in fields["data"].items() if name not in ("root", "workers")
     }

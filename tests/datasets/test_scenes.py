@@ -1,0 +1,160 @@
+"""Rendered scenes as a data set: kept, shared, and refused where they are damaged."""
+
+import errno
+import os
+import time
+
+import numpy as np
+import pytest
+
+from ffpose.datasets.scenes import VALIDATION_START, find_scene, open_validation, open_views
+from ffpose.errors import DataError
+from ffpose.render import label, views
+from ffpose.transforms import Preprocessing
+from ffpose.views import LABELS, ViewSpec
+
+ALL = (180.0, 90.0, 180.0)
+COUNT, SEED = 3, 7
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return find_scene("soyuz_easy", ALL)
+
+
+@pytest.fixture(scope="module")
+def spec(scene):
+    return ViewSpec(scene.camera.resized(64, 48), 4, 32, 6.6)
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """The indices of the views that were rendered since."""
+    indices, render = [], views.render_view
+
+    def counted(scene, seed, index, spec, content="object"):
+        indices.append(index)
+        return render(scene, seed, index, spec, content)
+
+    monkeypatch.setattr(views, "render_view", counted)
+    return indices
+
+
+def opened(root, scene, spec, **changes):
+    options = {"seed": SEED, "count": COUNT, "workers": 0} | changes
+    return open_views(root, scene, spec=spec, **options)
+
+
+def test_views_hold_the_scenes_poses(tmp_path, scene, spec):
+    arrays = opened(tmp_path, scene, spec)
+    assert {name: (array.shape, array.dtype) for name, array in arrays.items()} == spec.shapes(
+        COUNT
+    )
+    for index, row in enumerate(arrays["labels"]):
+        np.testing.assert_array_equal(row[:7], label(scene, SEED, index).vector)
+        assert row[LABELS.index("object")] == 1
+    assert not any(array.flags.writeable for array in arrays.values())
+
+
+def test_what_was_rendered_once_is_not_rendered_again(tmp_path, scene, spec, rendered):
+    first = opened(tmp_path, scene, spec)
+    assert rendered == [0, 1, 2]
+    again = opened(tmp_path, scene, spec)
+    assert rendered == [0, 1, 2]
+    for name, array in first.items():
+        np.testing.assert_array_equal(again[name], array)
+    (folder,) = tmp_path.iterdir()  # and nothing unfinished beside it
+    assert folder.name.startswith("views-")
+
+
+@pytest.mark.parametrize(
+    "change", [{"seed": 8}, {"count": 2}, {"content": "empty"}, {"content": "decoy"}]
+)
+def test_other_views_lie_elsewhere(tmp_path, scene, spec, rendered, change):
+    opened(tmp_path, scene, spec)
+    other = opened(tmp_path, scene, spec, **change)
+    assert len(rendered) > COUNT
+    assert len(list(tmp_path.iterdir())) == 2
+    assert (other["labels"][:, LABELS.index("object")] == ("content" not in change)).all()
+
+
+def test_other_attitudes_and_another_look_lie_elsewhere(tmp_path, scene, spec):
+    narrow = find_scene("soyuz_easy", (10.0, 10.0, 10.0))
+    opened(tmp_path, scene, spec, count=1)
+    opened(tmp_path, narrow, spec, count=1)
+    opened(tmp_path, scene, ViewSpec(spec.camera, 4, 32, 7.0), count=1)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.unlink(),
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(path.read_bytes()[:-1]),
+        lambda path: path.write_bytes(b"no array at all"),
+    ],
+)
+def test_a_damaged_folder_is_named_with_what_to_do(tmp_path, scene, spec, damage):
+    opened(tmp_path, scene, spec, count=1)
+    (folder,) = tmp_path.iterdir()
+    damage(folder / "windows.npy")
+    with pytest.raises(DataError, match=r"expected views, remove the folder to make them anew"):
+        opened(tmp_path, scene, spec, count=1)
+
+
+def test_a_rendering_that_is_killed_leaves_no_views(tmp_path, scene, spec, monkeypatch):
+    def kill(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(views, "render_view", kill)
+        with pytest.raises(KeyboardInterrupt):
+            opened(tmp_path, scene, spec)
+    assert list(tmp_path.iterdir()) == []
+    assert len(opened(tmp_path, scene, spec)["labels"]) == COUNT
+
+
+def test_leftovers_are_removed_after_a_day_and_not_before(tmp_path, scene, spec):
+    old, young = tmp_path / ".ffpose-old", tmp_path / ".ffpose-young"
+    for folder, hours in ((old, 25), (young, 23)):
+        folder.mkdir()
+        os.utime(folder, (time.time() - hours * 3600,) * 2)
+    opened(tmp_path, scene, spec, count=1)
+    assert not old.exists()
+    assert young.exists()
+
+
+def test_a_full_disk_is_met_before_anything_is_rendered(tmp_path, scene, spec, rendered):
+    with pytest.raises(OSError, match=r"100000000000 views need at least [\d.]+ GB") as met:
+        opened(tmp_path, scene, spec, count=10**11)
+    assert met.value.errno == errno.ENOSPC
+    assert rendered == []
+
+
+def test_another_process_that_was_faster_is_not_in_the_way(tmp_path, scene, spec, monkeypatch):
+    render = views.render_view
+
+    def slowly(*arguments, **options):
+        with monkeypatch.context() as patch:
+            patch.setattr(views, "render_view", render)
+            opened(tmp_path, scene, spec, count=1)  # the other process
+        return render(*arguments, **options)
+
+    monkeypatch.setattr(views, "render_view", slowly)
+    assert len(opened(tmp_path, scene, spec, count=1)["labels"]) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_validation_images_are_scenes_that_no_view_shows(tmp_path, scene):
+    found = open_validation(tmp_path, scene, SEED, 4, Preprocessing((48, 64)), workers=0)
+    assert len(found) == 4
+    expected = [label(scene, SEED, VALIDATION_START + number).vector for number in range(4)]
+    order = np.argsort([int(name.split("_")[0]) for name in found.names])
+    np.testing.assert_allclose(found.poses[order], expected, atol=1e-6)
+    assert found[0].image.shape == (3, 48, 64)
+
+
+def test_an_unknown_set_lists_the_known():
+    with pytest.raises(ValueError, match="unknown set 'mir'; known: soyuz_easy, soyuz_hard"):
+        find_scene("mir", ALL)

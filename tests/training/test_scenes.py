@@ -1,0 +1,155 @@
+"""A training on rendered scenes: from a name to weights, which a second run makes again."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from ffpose.models import CONFIGS, FilterformerPose, read_metadata
+from ffpose.render import views, writer
+from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, data, train
+from ffpose.training.config import TEST_SEEDS
+from ffpose.transforms import Preprocessing
+
+VALIDATION = 4
+FIELDS = {
+    "image_size": [96, 128],
+    "dim": 16,
+    "head_hidden": 16,
+    "first_stride": 4,
+    "bins": 300,
+    "bins_degree": 2,
+    "distance_m": [8.0, 22.0],
+}
+
+
+def scenes_config(root, out, **fields):
+    """Two epochs of three batches, of all that a run on scenes may use."""
+    values = {
+        "data": DataConfig(
+            *("scenes", root),
+            scene="soyuz_easy",
+            count=12,
+            validation=VALIDATION,
+            empty=2,
+            decoys=1,
+            seed=3,
+        ),
+        "out": out,
+        "model": "compact",
+        "model_fields": FIELDS,
+        "backbone_weights": "none",
+        "epochs": 2,
+        "batch_size": 4,
+        "ema": 0.9,
+        "optimizer": OptimizerConfig(kind="adamw", learning_rate=1e-3),
+        "device": "cpu",
+    }
+    return TrainConfig(**(values | fields))
+
+
+@pytest.fixture(autouse=True)
+def few_empty_images(monkeypatch):
+    monkeypatch.setattr("ffpose.datasets.scenes.EMPTY_IMAGES", 4)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    """The folder of views and images that the first run renders and the others find."""
+    return tmp_path_factory.mktemp("scenes")
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """Views and whole images that were rendered since."""
+    made, view, images = [], views.render_view, writer.render_all
+
+    def counted(scene, seed, index, spec, content="object"):
+        made.append((seed, index, content))
+        return view(scene, seed, index, spec, content)
+
+    def all_counted(job, indices, *rest):
+        made.extend((job.seed, index, "object") for index in indices)
+        return images(job, indices, *rest)
+
+    monkeypatch.setattr(views, "render_view", counted)
+    monkeypatch.setattr(writer, "render_all", all_counted)
+    return made
+
+
+def test_a_run_on_scenes_resumes_bit_for_bit_and_renders_once(root, tmp_path, rendered):
+    whole = scenes_config(root, tmp_path / "whole")
+    train(whole, quiet=True)
+    assert len(rendered) == 12 + 2 + 1 + VALIDATION
+    assert all((seed == 3) == (content == "object") for seed, _, content in rendered)
+    rendered.clear()
+    part = replace(whole, out=tmp_path / "part")
+    train(replace(part, epochs=1), quiet=True)
+    train(part, quiet=True, resume=True)
+    assert rendered == []
+    for name in ("last", "best"):
+        one, other = (load_file(folder / f"{name}.safetensors") for folder in (whole.out, part.out))
+        assert one.keys() == other.keys()
+        assert all(torch.equal(value, other[key]) for key, value in one.items())
+
+
+def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path):
+    config = scenes_config(root, tmp_path / "run", epochs=1)
+    folder = train(config, quiet=True).folder
+    metadata = read_metadata(folder.best)
+    assert metadata.config.view_camera == data.find_scene(
+        "soyuz_easy", (180.0, 90.0, 180.0)
+    ).camera.resized(128, 96)
+    assert metadata.preprocessing.mean == (0.0, 0.0, 0.0)
+    assert (metadata.data["kind"], metadata.data["count"]) == ("scenes", 12)
+    assert metadata.recipe["data"]["scene"] == "soyuz_easy"
+    assert not any("dense" in name for name in load_file(folder.last))
+    pose = FilterformerPose.from_pretrained(folder.last)(torch.zeros(2, 3, 96, 128))
+    assert all(bool(part.isfinite().all()) for part in pose)
+
+
+def test_a_network_that_looks_once_is_told_to_render_a_set(root, tmp_path):
+    config = scenes_config(root, tmp_path / "run", model="tiny", model_fields={})
+    with pytest.raises(ValueError, match=r"data\.kind: scenes are views for a network with"):
+        train(config, quiet=True)
+
+
+def test_a_set_smaller_than_a_batch_is_refused(root, tmp_path):
+    with pytest.raises(ValueError, match="batch_size: expected 1 to 12, got 13"):
+        train(scenes_config(root, tmp_path / "run", batch_size=13), quiet=True)
+    assert not list((tmp_path / "run").glob("*.safetensors"))
+
+
+@pytest.mark.parametrize("seed", [0, 499_999, 500_000, TEST_SEEDS - 1])
+def test_no_training_renders_a_tests_scenes(monkeypatch, seed):
+    asked = []
+
+    def open_views(root, scene, seed, count, spec, *, content="object", workers):
+        asked.append((seed, content))
+        return {"labels": np.zeros((count, 13))}
+
+    monkeypatch.setattr(data, "open_views", open_views)
+    for name in ("open_validation", "open_empty_images"):
+        monkeypatch.setattr(data, name, lambda *_, **__: None)
+    config = DataConfig("scenes", Path("none"), scene="soyuz_hard+soyuz_easy", seed=seed)
+    model = CONFIGS["compact"]
+    data.open_training_data(config, model, Preprocessing(model.image_size), dense=True)
+    assert [content for _, content in asked] == ["object", "object", "empty", "decoy"]
+    assert all(0 <= given < TEST_SEEDS for given, _ in asked)
+    assert all((given == seed) == (content == "object") for given, content in asked)
+
+
+def test_seeds_of_tests_are_refused():
+    with pytest.raises(ValueError, match="0 to 999999, as later seeds are for tests, got 1000000"):
+        DataConfig("scenes", Path("none"), seed=TEST_SEEDS)
