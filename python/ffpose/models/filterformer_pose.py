@@ -42,7 +42,7 @@ from ffpose.models.object_look import (
     split_numbers,
 )
 from ffpose.models.pretrained import BackboneSource
-from ffpose.models.virtual_camera import look, turn_to
+from ffpose.models.virtual_camera import joined, look_into, pyramid, turn_to
 from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
 from ffpose.models.zoo import resolve
 from ffpose.nn import Filterformer, HyperHead, PositionCode
@@ -52,6 +52,7 @@ from ffpose.nn.orientation import (
     QuaternionHead,
     SixNumbersHead,
     matrix_to_quaternion,
+    mean_quaternion,
     quaternion_to_matrix,
 )
 from ffpose.transforms import Preprocessing
@@ -308,23 +309,35 @@ class FilterformerPose(nn.Module):
 
     def _look_twice(self, images: Tensor) -> UncertainPose:
         """Find the object in the frame, then look at it, `config.looks` times."""
-        frames = F.avg_pool2d(images, self.config.first_stride)
-        points = self.located(self.locate(frames))
-        for _ in range(self.config.looks):
-            view = turn_to(points, self.config.object_radius_m, self.config.object_size)
-            numbers = self.look(look(images, view, points, self.intrinsics))
-            points = self.in_front(view.points_back(points_at(numbers.offset, view)))
+        levels = pyramid(images)
+        points = self.located(self.locate(F.avg_pool2d(images, self.config.first_stride)))
+        for _ in range(1, self.config.looks):
+            points = self._look_around(levels, points, turns=1).translation
+        return self._look_around(levels, points, self.config.turns)
+
+    def _look_around(self, levels: list[Tensor], points: Tensor, turns: int) -> UncertainPose:
+        """Look at points ``(B, 3)`` by cameras turned about the ray, and average their answers."""
+        radius, size = self.config.object_radius_m, self.config.object_size
+        views = [
+            turn_to(points, radius, size, torch.full_like(points[:, 0], 2 * math.pi * n / turns))
+            for n in range(turns)
+        ]
+        crops = [look_into(levels, view, points, self.intrinsics) for view in views]
+        numbers = self.look(torch.cat(crops))
+        view = joined(views)
+        t = view.points_back(points_at(numbers.offset, view))
         matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
-        orientation = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
-        translation_covariance, rotation_covariance = covariances(
-            numbers, view, self.variance_scales
-        )
+        q = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
+        variances = covariances(numbers, view, self.variance_scales)
+        t, q, translation_covariance, rotation_covariance, in_view = (
+            values.unflatten(0, (turns, -1)) for values in (t, q, *variances, numbers.in_view)
+        )  # (turns, B, ...)
         return UncertainPose(
-            points,
-            orientation,
-            translation_covariance,
-            rotation_covariance,
-            numbers.in_view.sigmoid(),
+            self.in_front(t.mean(0)),
+            mean_quaternion((q[..., None] * q[..., None, :]).sum(0), q[0]),
+            translation_covariance.mean(0),
+            rotation_covariance.mean(0),
+            in_view.mean(0).sigmoid(),
         )
 
     def locate(self, frames: Tensor) -> Tensor:

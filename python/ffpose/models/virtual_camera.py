@@ -141,6 +141,16 @@ def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:
     return F.grid_sample(image, grid, mode=mode, align_corners=False)
 
 
+def joined(views: list[VirtualCamera]) -> VirtualCamera:
+    """Return the cameras of several batches as one batch, those of the first before the others'."""
+    return VirtualCamera(
+        torch.cat([view.rotation for view in views]),
+        torch.cat([view.focal for view in views]),
+        torch.cat([view.distance for view in views]),
+        views[0].size,
+    )
+
+
 def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:
     """Return what virtual cameras see, ``(B, C, h, w)``.
 
@@ -154,12 +164,26 @@ def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor
         points: ``(B, 3)``, what they are turned to.
         intrinsics: ``(4,)``: fx, fy, cx, cy of the images.
     """
+    return look_into(pyramid(images), view, points, intrinsics)
+
+
+def pyramid(images: Tensor) -> list[Tensor]:
+    """Return the levels of images ``(B, C, H, W)``, the finest first, each half the one before."""
+    levels = [images]
+    for _ in range(1, PYRAMID_LEVELS):
+        levels.append(F.avg_pool2d(levels[-1], 2))
+    return levels
+
+
+def look_into(
+    levels: list[Tensor], view: VirtualCamera, points: Tensor, intrinsics: Tensor
+) -> Tensor:
+    """Return what `look` does, for the levels of a `pyramid`."""
     level = pyramid_level(view, points, intrinsics)
     pixels = source_pixels(view, intrinsics)
-    result = sample(images, pixels)
-    for number in range(1, PYRAMID_LEVELS):
-        images = F.avg_pool2d(images, 2)
-        seen = sample(images, pixels / 2**number)
+    result = sample(levels[0], pixels)
+    for number in range(1, len(levels)):
+        seen = sample(levels[number], pixels / 2**number)
         result = torch.where((level == number)[:, None, None, None], seen, result)
     return result
 

@@ -131,17 +131,30 @@ class BinsHead(nn.Module):
         mode = self.bins[p.argmax(-1)]  # (B, 4)
         near = (mode @ self.bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
         matrix = torch.unflatten((p * near) @ self.outer, 1, (4, 4))  # sum of p q qT
-        matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
-        for _ in range(POWER_SQUARINGS):
-            matrix = matrix @ matrix
-            matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
-        return F.normalize((matrix @ mode[:, :, None])[..., 0], dim=-1)
+        return mean_quaternion(matrix, mode)
 
     def loss(self, raw: Tensor, q: Tensor) -> Tensor:
         """Return the cross-entropy with soft labels for each sample ``(B,)``."""
         angle = 2 * torch.acos((q @ self.bins.T).abs().clamp(max=1.0))
         target = (-(angle / self.width).square() / 2).softmax(-1)
         return -(target * self.logits(raw).log_softmax(-1)).sum(-1)
+
+
+def mean_quaternion(matrix: Tensor, start: Tensor) -> Tensor:
+    """Return the mean ``(B, 4)`` of quaternions whose weighted sum of ``q qT`` is ``matrix``.
+
+    It is the first eigenvector (Markley et al., "Averaging Quaternions", 2007), found by power
+    iteration, which exports.
+
+    Args:
+        matrix: ``(B, 4, 4)``.
+        start: ``(B, 4)``, such as one of the quaternions; not orthogonal to the mean.
+    """
+    matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
+    for _ in range(POWER_SQUARINGS):
+        matrix = matrix @ matrix
+        matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
+    return F.normalize((matrix @ start[:, :, None])[..., 0], dim=-1)
 
 
 def super_fibonacci(count: int) -> Tensor:
