@@ -32,6 +32,7 @@ ALLOWED = {
     "breakdown": {"metrics", "datasets"},
     "training": {
         *("models", "nn", "losses", "metrics", "datasets", "transforms", "geometry", "views"),
+        *("attitude", "calibration"),
     },
     "evaluation": {
         *("models", "metrics", "datasets", "geometry", "transforms", "reprojection", "arrays"),
@@ -42,6 +43,15 @@ ALLOWED = {
     "prediction": {"models", "geometry", "transforms", "reprojection", "arrays", "overlay"},
     "plots": {"evaluation", "calibration", "geometry", "datasets", "overlay"},
     "inspection": {"datasets", "geometry", "arrays", "overlay"},
+    "pictures": set(),
+    "card_tables": set(),
+    "card_figures": {
+        *("geometry", "attitude", "calibration", "significance", "metrics", "prediction"),
+    },
+    "model_card": {
+        *("card_figures", "card_tables", "pictures", "prediction", "models", "geometry"),
+        *("baseline", "evaluation", "render", "training"),
+    },
     "report_tables": set(),
     "report": {"evaluation", "plots", "report_tables", "geometry"},
     "demo_config": {"datasets", "render", "training"},

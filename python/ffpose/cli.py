@@ -40,6 +40,11 @@ def image_size(text: str) -> tuple[int, int]:
     return width, height
 
 
+def size_type() -> Any:
+    """Return the type of a ``WIDTHxHEIGHT`` argument, which `image_size` reads."""
+    return require("jsonargparse.typing", "render").restricted_string_type("Size", r"^\d+x\d+$")
+
+
 def say(text: str) -> None:
     """Tell a person, on standard error."""
     print(text, file=sys.stderr)
@@ -81,8 +86,7 @@ def render_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--count", type=int, required=True, help="how many images")
     parser.add_argument("--start", type=int, default=0, help="index of the first image")
     parser.add_argument("--seed", type=int, default=0, help="seed of the set")
-    size = require("jsonargparse.typing", "render").restricted_string_type("Size", r"^\d+x\d+$")
-    parser.add_argument("--size", type=size, help="WIDTHxHEIGHT in pixels, as 640x480")
+    parser.add_argument("--size", type=size_type(), help="WIDTHxHEIGHT in pixels, as 640x480")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--ray", action="store_true", help="render on a Ray cluster")
     parser.add_argument("--layers", action="store_true", help="write mask, depth and keypoints too")
@@ -288,6 +292,52 @@ def inspect(options: Namespace) -> None:
     print(f"{len(summary['shared_images'])} images stand in more than one split")
 
 
+def card_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `card`."""
+    from ffpose.training.config import TEST_SEEDS
+
+    parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz-easy")
+    parser.add_argument(
+        "--scene", required=True, help="soyuz_easy, soyuz_hard or dragon_hard: what it was made for"
+    )
+    parser.add_argument("--count", type=int, default=500, help="pictures a condition")
+    parser.add_argument("--size", type=size_type(), default="640x480", help="WIDTHxHEIGHT")
+    parser.add_argument(
+        "--seed", type=int, default=TEST_SEEDS, help=f"of the scenes, at least {TEST_SEEDS}"
+    )
+    parser.add_argument("--workers", type=int, default=1, help="processes that render")
+    parser.add_argument("--out", type=Path, help="folder for card.json and card.md")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+
+
+def card(options: Namespace) -> None:
+    """Measure weights for their model card, under conditions that training had and had not.
+
+    Errors, coverage of the uncertainty, and how well pictures without the object are flagged. A
+    picture takes a third of a second and core to render, half of them far less.
+    """
+    from ffpose.card_tables import format_card
+    from ffpose.model_card import measure, write_card
+
+    if options.out is not None:
+        expect_folder(options.out)
+    document = measure(
+        options.weights,
+        options.scene,
+        count=options.count,
+        size=image_size(options.size),
+        seed=options.seed,
+        workers=options.workers,
+        progress=True,
+    )
+    if options.out is not None:
+        write_card(document, options.out)
+    if options.json:
+        show(document)
+    else:
+        print(format_card(document), end="")
+
+
 def bench_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `bench`."""
     parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
@@ -314,6 +364,7 @@ COMMANDS = {
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labelled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
+    "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
     "inspect": Command("count, check and draw a set of images", inspect_arguments, inspect),
     "bench": Command("measure the filter, or the networks", bench_arguments, bench),
 }

@@ -247,7 +247,7 @@ def evaluate(
     model = FilterformerPose.from_pretrained(weights).eval()
     metadata = read_metadata(weights)
     dataset = open_dataset(kind, root, split, metadata.preprocessing)
-    dataset.preprocessing = _preprocessing(metadata, dataset.camera, any_camera)
+    dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, any_camera)
     baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
     loader = DataLoader(dataset, batch_size=batch_size, num_workers=workers)
     began = time.perf_counter()
@@ -259,8 +259,20 @@ def evaluate(
     return Evaluation(dataset, predicted, baseline, seconds, conditions, **_uncertainties(poses))
 
 
-def _preprocessing(metadata: WeightsMetadata, camera: Camera, any_camera: bool) -> Preprocessing:
-    """Return what brings images of ``camera`` to the network's input, or refuse them."""
+def choose_preprocessing(
+    metadata: WeightsMetadata, camera: Camera, any_camera: bool
+) -> Preprocessing:
+    """Return what brings images of a camera to the network's input.
+
+    Args:
+        metadata: Of the weights.
+        camera: Of the images, of their size.
+        any_camera: Turn images of another camera than the weights' into the network's view, by
+            geometry.
+
+    Raises:
+        ValueError: Another camera, and not any is taken.
+    """
     plain, view = metadata.preprocessing, metadata.config.view_camera
     if view is None or _agree(plain.camera(camera), view):
         return plain

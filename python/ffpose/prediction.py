@@ -154,26 +154,42 @@ class Predictor:
         Raises:
             ValueError: The image has not the aspect ratio of its camera.
         """
-        if self.camera is not None and not self.camera.has_aspect(*image.size):
+        return self.batch([image])[0]
+
+    def batch(self, images: Sequence[Image.Image]) -> list[Pose]:
+        """Return the poses of several RGB images, at least one, which the network sees at once.
+
+        Raises:
+            ValueError: As for one image.
+        """
+        for image in images:
+            self._check_aspect(*image.size)
+        with torch.inference_mode():
+            return _poses(self.model(torch.stack([self.preprocessing(i) for i in images])))
+
+    def _check_aspect(self, width: int, height: int) -> None:
+        if self.camera is not None and not self.camera.has_aspect(width, height):
             raise ValueError(
                 f"expected the aspect ratio of the weights' camera, {self.camera}, got an image of "
-                f"{image.size[0]}x{image.size[1]} pixels, which another camera took: name it "
+                f"{width}x{height} pixels, which another camera took: name it "
                 "(--camera FILE), or resize any image to the network's input (--any-camera)"
             )
-        with torch.inference_mode():
-            return _pose(self.model(self.preprocessing(image)[None]))
 
 
-def _pose(prediction: PosePrediction) -> Pose:
-    """Return the pose of a batch of one, with its uncertainty where the network gives one."""
-    uncertainty = None
-    if getattr(prediction, "in_view", None) is not None:
-        fields = ("translation_covariance", "rotation_covariance", "in_view")
-        values = (getattr(prediction, field)[0].double().numpy() for field in fields)
-        translation, rotation, in_view = values
-        uncertainty = PoseUncertainty(translation, rotation, float(in_view))
-    t, q = (value[0].double().numpy() for value in (prediction.translation, prediction.orientation))
-    return Pose(t, q, uncertainty)
+def _poses(prediction: PosePrediction) -> list[Pose]:
+    """Return the poses of a batch, with their uncertainties where the network gives them."""
+    poses = zip(_rows(prediction.translation), _rows(prediction.orientation), strict=True)
+    in_view = getattr(prediction, "in_view", None)
+    if in_view is None:
+        return [Pose(t, q) for t, q in poses]
+    names = ("translation_covariance", "rotation_covariance")
+    covariances = (_rows(getattr(prediction, name)) for name in names)
+    uncertainties = map(PoseUncertainty, *covariances, _rows(in_view).tolist())
+    return [Pose(t, q, u) for (t, q), u in zip(poses, uncertainties, strict=True)]
+
+
+def _rows(values: torch.Tensor) -> FloatArray:
+    return np.asarray(values.double().cpu().numpy())
 
 
 def predict(

@@ -97,7 +97,7 @@ def render_one(job: Job, index: int) -> str:
 def _in_processes(job: Job, indices: Sequence[int], workers: int) -> Iterator[tuple[int, str]]:
     context = multiprocessing.get_context("spawn")
     with (
-        _one_thread_each(),
+        one_thread_each(),
         ProcessPoolExecutor(
             workers,
             mp_context=context,
@@ -192,7 +192,7 @@ def _write_files(folder: Path, files: dict[str, bytes]) -> str:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def one_thread_each() -> Iterator[None]:
     """Workers started inside use one thread; more would only contend."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}

@@ -1,0 +1,216 @@
+"""Sets that differ from one in a single thing: what a network meets that its training had not.
+
+The pictures of a variation are those of the set with the same poses, sun and Earth wherever the
+variation leaves them, so that its errors can be compared picture by picture. Variations that differ
+in the sensor alone are rendered together: the light is computed once.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.render.pool import one_thread_each
+from ffpose.render.randomization import Randomization
+from ffpose.render.renderer import Frame, camera_of, label, shoot_each
+from ffpose.render.sampler import visible_share
+from ffpose.render.scene import Scene
+from ffpose.render.sensor import Sensor
+
+Bytes = NDArray[np.uint8]
+
+CHUNK = 4
+"""Indices that a process renders before it reports."""
+
+ALL_ATTITUDES = (180.0, 90.0, 180.0)
+
+CUT = (0.3, 0.6)
+"""Least and greatest share of the spacecraft that the border leaves."""
+
+BEYOND = 1.3
+"""How many times as far as the farthest distance of training."""
+
+BLUR_PX = 1.5
+JPEG_QUALITY = 50
+RANDOMIZATION = 0.5
+
+TRIES = 1000
+"""Scenes that are drawn for one picture whose spacecraft the border shall cut."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """A set that differs from another in one thing.
+
+    Attributes:
+        name: a word or two.
+        about: what differs, for a reader.
+        scene: the set.
+        most_visible: at most this part of the spacecraft's extent lies in the frame.
+        blur_px: standard deviation of a Gaussian blur of the finished picture, in pixels of an
+            image 640 wide.
+        empty: the spacecraft is left out.
+    """
+
+    name: str
+    about: str
+    scene: Scene
+    most_visible: float = 1.0
+    blur_px: float = 0.0
+    empty: bool = False
+
+    @property
+    def light(self) -> tuple[Scene, float, bool]:
+        """What the light before the sensor depends on: variations that agree are one rendering."""
+        return replace(self.scene, sensor=Sensor()), self.most_visible, self.empty
+
+
+def variations(scene: Scene, farthest_m: float) -> list[Variation]:
+    """The set over all attitudes, as trained, and what training had not.
+
+    Args:
+        scene: a set.
+        farthest_m: the farthest distance of training.
+    """
+    scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
+    least, most = CUT
+    beyond = BEYOND * farthest_m
+    lateral = scene.lateral_m * beyond / scene.distance_m[1]
+    cut = replace(scene, min_visible=least, lateral_m=scene.distance_m[1])
+    far = replace(scene, distance_m=(farthest_m, beyond), lateral_m=lateral)
+    jpeg = replace(scene.sensor, jpeg_quality=JPEG_QUALITY)
+    random = Randomization.of_strength(RANDOMIZATION)
+    return [
+        Variation("as trained", "the set's own scenes, all attitudes", scene),
+        Variation(
+            "noise doubled",
+            "shot noise and read noise of twice the standard deviation",
+            replace(scene, sensor=noisier(scene.sensor)),
+        ),
+        Variation(
+            "blur",
+            f"Gaussian, {BLUR_PX} pixels of an image 640 wide",
+            scene,
+            blur_px=BLUR_PX,
+        ),
+        Variation(f"JPEG {JPEG_QUALITY}", "through a JPEG file", replace(scene, sensor=jpeg)),
+        Variation(
+            f"randomize {RANDOMIZATION}",
+            "light, exposure, materials and backgrounds that are not real",
+            replace(scene, randomization=random),
+        ),
+        Variation(
+            "cut by the border",
+            f"{100 * least:.0f} to {100 * most:.0f} % of the spacecraft in the frame",
+            cut,
+            most_visible=most,
+        ),
+        Variation("beyond range", f"{farthest_m:g} to {beyond:.3g} m", far),
+    ]
+
+
+def without_object(scene: Scene) -> list[Variation]:
+    """The set without the spacecraft, and with another one in its place."""
+    scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
+    other = "soyuz" if scene.build().name == "dragon" else "dragon"
+    return [
+        Variation("empty scenes", "Earth, stars and sun alone", scene, empty=True),
+        Variation("another spacecraft", f"{other} in its place", replace(scene, craft=other)),
+    ]
+
+
+def noisier(sensor: Sensor) -> Sensor:
+    """The sensor whose noise has twice the standard deviation at every brightness.
+
+    A quarter of the electrons doubles the shot noise, the root of their number; the read noise,
+    which counts in electrons, is then halved to be twice as much of full scale.
+    """
+    return replace(sensor, full_well=sensor.full_well / 4, read_noise=sensor.read_noise / 2)
+
+
+def render_variations(
+    chosen: Sequence[Variation], seed: int, count: int, size: tuple[int, int], workers: int
+) -> Iterator[tuple[Variation, Frame]]:
+    """Render `count` pictures of each variation.
+
+    Args:
+        chosen: the variations; those of one `Variation.light` that stand together are rendered
+            together.
+        seed: seed of the sets, at least 0.
+        count: pictures of each.
+        size: (width, height) in pixels.
+        workers: processes; 1 renders in this one.
+
+    Yields:
+        Variation and picture. The pictures of a variation come in order, between those of others.
+
+    Raises:
+        ValueError: negative seed, absurd size, or no picture that fits.
+    """
+    with _mapped(workers, count) as mapped:
+        for _, group in groupby(chosen, key=lambda variation: variation.light):
+            together = tuple(group)
+            make = partial(_render_group, together, seed, count, size)
+            for frames in mapped(make, range(count)):
+                yield from zip(together, frames, strict=True)
+
+
+@contextmanager
+def _mapped(workers: int, count: int) -> Iterator[Callable[..., Iterator[list[Frame]]]]:
+    """Give a `map` whose calls are spread over processes, where there are to be several."""
+    if workers <= 1 or count < 2 * CHUNK:
+        yield map
+        return
+    context = multiprocessing.get_context("spawn")
+    with one_thread_each():  # and the parent alone answers to Ctrl-C
+        pool = context.Pool(min(workers, count), signal.signal, (signal.SIGINT, signal.SIG_IGN))
+    with pool:
+        yield partial(pool.imap, chunksize=CHUNK)
+
+
+def _render_group(
+    together: Sequence[Variation], seed: int, count: int, size: tuple[int, int], number: int
+) -> list[Frame]:
+    """Render picture `number` of variations that share the light."""
+    scene, empty = together[0].scene, together[0].empty
+    camera = camera_of(scene, size)
+    index = _fitting(together[0], seed, range(number, count * TRIES, count))
+    sensors = [variation.scene.sensor for variation in together]
+    shots = shoot_each(scene, seed, index, camera, sensors, empty=empty)
+    return [
+        Frame(blurred(shot.image, variation.blur_px), shot.pose, camera)
+        for variation, shot in zip(together, shots, strict=True)
+    ]
+
+
+def _fitting(variation: Variation, seed: int, indices: range) -> int:
+    """The first of the scenes `indices` of which no more than is asked for lies in the frame."""
+    if variation.most_visible >= 1:
+        return indices[0]
+    scene, outline = variation.scene, variation.scene.build().outline
+    for index in indices:
+        points = label(scene, seed, index).transform(outline)
+        if visible_share(points, scene.camera) <= variation.most_visible:
+            return index
+    raise ValueError(
+        f"{variation.name}: found no scene of {scene.name} with {variation.most_visible:.0%} of "
+        f"the spacecraft in frame, at most, among {len(indices)}"
+    )
+
+
+def blurred(image: Bytes, sigma: float) -> Bytes:
+    """Blur a picture (H, W, 3) by a Gaussian of `sigma` pixels of an image 640 wide."""
+    if sigma == 0:
+        return image
+    from PIL import Image, ImageFilter
+
+    radius = sigma * image.shape[1] / 640
+    return np.asarray(Image.fromarray(image).filter(ImageFilter.GaussianBlur(radius)))

@@ -1,0 +1,112 @@
+"""Calibration of residuals that are drawn from known Gaussians."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from ffpose.calibration import coverage, region_probability, squared_mahalanobis
+from ffpose.datasets import Sample
+from ffpose.training.calibrate import CHI_SQUARE_90, calibrate, variance_scale
+
+COUNT = 2000
+TRUE_VARIANCES = (0.09, 4e-4)
+SAID = (0.03, 16e-4)
+"""Of translation and rotation: the network says a third, and four times, of what it should."""
+
+
+class Drawn(torch.nn.Module):
+    """Answers zero and the identity to pictures that hold one number each: their presence."""
+
+    def __init__(self, view="object"):
+        super().__init__()
+        self.config = SimpleNamespace(orientation_view=view)
+        self.register_buffer("variance_scales", torch.ones(2))
+
+    def forward(self, images):
+        count = len(images)
+        unit = torch.eye(3).expand(count, 3, 3)
+        return (
+            torch.zeros(count, 3),
+            torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
+            unit * SAID[0] * self.variance_scales[0],
+            unit * SAID[1] * self.variance_scales[1],
+            images.flatten(1).mean(1),
+        )
+
+
+def split(seed, count=COUNT):
+    """Batches of a split whose truths lie about the answers as `TRUE_VARIANCES` says."""
+    rng = np.random.default_rng(seed)
+    t = np.sqrt(TRUE_VARIANCES[0]) * rng.standard_normal((count, 3))
+    turn = Rotation.from_rotvec(np.sqrt(TRUE_VARIANCES[1]) * rng.standard_normal((count, 3)))
+    q = np.roll(turn.as_quat(), 1, axis=1)
+    shown = torch.full((count, 3, 2, 2), 0.8)
+    for rows in np.split(np.arange(count), 4):
+        yield Sample(shown[rows], torch.tensor(t[rows]), torch.tensor(q[rows]), rows)
+
+
+def absent(probability=0.2):
+    return [torch.full((5, 3, 2, 2), probability)]
+
+
+def test_the_quantile_is_that_of_chi_square():
+    assert pytest.approx(chi2.ppf(0.9, df=3), rel=1e-12) == CHI_SQUARE_90
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 30.0])
+def test_a_variance_is_scaled_by_what_it_lacks(factor):
+    distances = factor * chi2.rvs(3, size=20000, random_state=1)
+    assert variance_scale(distances) == pytest.approx(factor, rel=0.04)
+
+
+def test_ninety_percent_of_other_truths_lie_in_the_region_of_ninety_percent():
+    model = Drawn()
+    scales, _ = calibrate(model, split(0), absent())
+    expected = [true / said for true, said in zip(TRUE_VARIANCES, SAID, strict=True)]
+    np.testing.assert_allclose(scales, expected, rtol=0.1)
+    noise = 2 * np.sqrt(0.9 * 0.1 / COUNT)  # of the split that chose and of that which judges
+    for batches, axis in ((split(1), 0), (split(2), 1)):
+        d2 = []
+        for batch in batches:
+            error = (
+                batch.translation.numpy()
+                if axis == 0
+                else Rotation.from_quat(np.roll(batch.orientation, -1, axis=1)).as_rotvec()
+            )
+            said = np.tile(SAID[axis] * float(scales[axis]) * np.eye(3), (len(error), 1, 1))
+            d2.append(squared_mahalanobis(error, said))
+        share = coverage(region_probability(np.concatenate(d2)), [0.9])[0]
+        assert abs(share - 0.9) < 3 * noise
+
+
+def test_calibrating_again_changes_nothing():
+    model = Drawn()
+    model.variance_scales.copy_(calibrate(model, split(0), absent()).variance_scales)
+    again = calibrate(model, split(0), absent()).variance_scales
+    torch.testing.assert_close(again, model.variance_scales)
+
+
+def test_the_threshold_parts_what_can_be_parted():
+    threshold = calibrate(Drawn(), split(0), absent(0.2)).in_view_threshold
+    assert 0.2 < threshold < 0.8
+
+
+def test_a_network_that_gives_no_uncertainty_is_refused():
+    with pytest.raises(ValueError, match="expected one with orientation_view 'object'"):
+        calibrate(Drawn("frame"), split(0), absent())
+
+
+@pytest.mark.parametrize(("labelled", "empty"), [([], absent()), (list(split(0)), [])])
+def test_images_of_both_kinds_are_needed(labelled, empty):
+    with pytest.raises(ValueError, match="expected some that show the object and some that do not"):
+        calibrate(Drawn(), labelled, empty)
+
+
+@pytest.mark.parametrize("bad", [[], [1.0, -1.0], [np.nan]])
+def test_bad_distances_are_refused(bad):
+    with pytest.raises(ValueError, match="expected finite numbers"):
+        variance_scale(bad)
