@@ -12,6 +12,7 @@ from ffpose.nn.orientation import (
     SixNumbersHead,
     harmonics,
     matrix_to_quaternion,
+    mean_quaternion,
     quaternion_to_matrix,
     super_fibonacci,
 )
@@ -264,3 +265,17 @@ def test_a_head_starts_at_no_rotation(head):
     assert len(head.start) == head.features
     decoded = head.decode(torch.tensor([head.start]))
     torch.testing.assert_close(decoded.abs(), torch.eye(4)[:1])
+
+
+def test_the_mean_of_quaternions_is_scipys():
+    """Of either sign, some degrees about an attitude."""
+    generator = np.random.default_rng(3)
+    near = Rotation.from_rotvec(generator.normal(scale=0.15, size=(7, 3)))
+    rotations = near * Rotation.random(rng=generator)
+    q = rotations.as_quat(scalar_first=True) * generator.choice([-1, 1], (7, 1))
+    weights = generator.uniform(0.2, 1, 7)
+    matrix = np.einsum("n,ni,nj->ij", weights, q, q)
+    got = mean_quaternion(torch.from_numpy(matrix)[None], torch.from_numpy(q[:1]))
+    expected = rotations.mean(weights)
+    angle = (expected.inv() * Rotation.from_quat(got[0].numpy(), scalar_first=True)).magnitude()
+    assert angle < 1e-9
