@@ -32,6 +32,7 @@ ALLOWED = {
     "breakdown": {"metrics", "datasets"},
     "training": {
         *("models", "nn", "losses", "metrics", "datasets", "transforms", "geometry", "views"),
+        *("attitude", "calibration"),
     },
     "evaluation": {
         *("models", "metrics", "datasets", "geometry", "transforms", "reprojection", "arrays"),
