@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,11 @@ from numpy.typing import NDArray
 from ffpose.geometry import Camera, Pose
 
 Bytes = NDArray[np.uint8]
-Arrays = dict[str, NDArray[Any]]
+Arrays = Mapping[str, NDArray[Any]]
+"""By name, the arrays of `ViewSpec.shapes`."""
+
+Content = Literal["object", "empty", "decoy"]
+"""What is in view: the object, nothing, or another one in its place."""
 
 WINDOW = 144
 """Side of the window: the virtual camera's 64 pixels, twice finer at most, turned and displaced."""
@@ -170,7 +174,7 @@ class Pieces(NamedTuple):
     level: int
     present: bool
 
-    def store(self, arrays: Mapping[str, NDArray[Any]], row: int) -> None:
+    def store(self, arrays: Arrays, row: int) -> None:
         """Write into a row of the arrays of `ViewSpec.shapes`."""
         c = self.camera
         arrays["frames"][row] = self.frame

@@ -25,11 +25,10 @@ from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.errors import DataError, require
 from ffpose.files import atomic_write, expect_room, remove_leftovers
 from ffpose.transforms import Preprocessing
-from ffpose.views import Pieces, ViewSpec, make_arrays, open_arrays
+from ffpose.views import Content, Pieces, ViewSpec, make_arrays, open_arrays
 
 if TYPE_CHECKING:
     from ffpose.render import Scene
-    from ffpose.render.views import Content
 
 VALIDATION_START = 10_000_000
 """Index of the first scene that validates; those before it are to learn from."""

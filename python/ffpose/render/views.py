@@ -13,7 +13,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -22,9 +22,7 @@ from ffpose.render.layers import object_coordinates
 from ffpose.render.renderer import prepared, shoot
 from ffpose.render.scene import Scene
 from ffpose.render.sensor import Sensor
-from ffpose.views import WINDOW, Pieces, ViewSpec, in_frame
-
-Content = Literal["object", "empty", "decoy"]
+from ffpose.views import WINDOW, Content, Pieces, ViewSpec, in_frame
 
 CHUNK = 8
 """Views that a process renders before it reports."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,10 @@ from ffpose.images import open_image
 from ffpose.models import FilterformerPoseConfig
 from ffpose.training.config import TEST_SEEDS, DataConfig
 from ffpose.transforms import Augmentation, Preprocessing
-from ffpose.views import Bytes, ViewSpec, cut_pieces, nearest_pixels
+from ffpose.views import Arrays, Bytes, Content, ViewSpec, cut_pieces, nearest_pixels
 
 EMPTY_SEEDS = 500_000
 """Added, among the seeds below `TEST_SEEDS`, to the seed of scenes without a spacecraft."""
-
-if TYPE_CHECKING:
-    from ffpose.render.views import Content
-
-Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)

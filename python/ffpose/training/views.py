@@ -12,7 +12,7 @@ network learns to say so.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,8 +34,7 @@ from ffpose.models.virtual_camera import (
 from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
 from ffpose.training.config import ViewAugmentation
-
-Arrays = Mapping[str, NDArray[Any]]
+from ffpose.views import Arrays
 
 SUPPLY = 1 << 21
 """Normal numbers that are drawn once, for the noise."""
