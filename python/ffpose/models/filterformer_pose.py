@@ -330,7 +330,8 @@ class FilterformerPose(nn.Module):
         q = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
         variances = covariances(numbers, view, self.variance_scales)
         t, q, translation_covariance, rotation_covariance, in_view = (
-            values.unflatten(0, (turns, -1)) for values in (t, q, *variances, numbers.in_view)
+            torch.unflatten(values, 0, (turns, -1))
+            for values in (t, q, *variances, numbers.in_view)
         )  # (turns, B, ...)
         return UncertainPose(
             self.in_front(t.mean(0)),
