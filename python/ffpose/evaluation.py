@@ -256,7 +256,10 @@ def evaluate(
     seconds = (time.perf_counter() - began) / len(dataset)
     predicted = np.concatenate([_joined(poses, name) for name in PosePrediction._fields], axis=1)
     conditions = read_conditions(root, dataset.names)
-    return Evaluation(dataset, predicted, baseline, seconds, conditions, **_uncertainties(poses))
+    told = _uncertainties(poses)
+    if metadata.in_view_threshold is not None:
+        told["in_view_threshold"] = metadata.in_view_threshold
+    return Evaluation(dataset, predicted, baseline, seconds, conditions, **told)
 
 
 def choose_preprocessing(
