@@ -25,6 +25,7 @@ LOOK_FIELDS = {
     "camera": (32.0, 32.0, 32.0, 24.0),
     "first_stride": 1,
     "bins": 64,
+    "bins_degree": 1,
     "object_size": (32, 32),
     "head_hidden": 16,
     "distance_m": (8.0, 22.0),

@@ -19,10 +19,15 @@ VIEW = Camera(64, 64, 50.0, 60.0, 30.0, 33.0)
 FIELDS = {"image_size": (64, 64), "depth": 1, "dim": 16, "heads": 2}
 
 
+PLAIN = Preprocessing((64, 64))
+
+
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "model.safetensors"
-    FilterformerPose.from_config("tiny", backbone_weights="none", **FIELDS).save_pretrained(path)
+    FilterformerPose.from_config("tiny", backbone_weights="none", **FIELDS).save_pretrained(
+        path, preprocessing=PLAIN
+    )
     return path
 
 
@@ -33,7 +38,9 @@ def sighted(tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "sighted.safetensors"
     camera = (VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
     model = FilterformerPose.from_config("tiny", backbone_weights="none", camera=camera, **FIELDS)
-    model.save_pretrained(path, data={"image_size": [128, 96]}, in_view_threshold=0.5)
+    model.save_pretrained(
+        path, preprocessing=PLAIN, data={"image_size": [128, 96]}, in_view_threshold=0.5
+    )
     return path
 
 
@@ -113,7 +120,7 @@ def answer(weights, image, **options):
 
 def of_the_network(weights, image):
     """What the network says of an image of its input's size."""
-    inputs = Preprocessing((64, 64))(image)[None]
+    inputs = PLAIN(image)[None]
     with torch.inference_mode():
         pose = FilterformerPose.from_pretrained(weights)(inputs)
     return Pose(pose.translation[0].double(), pose.orientation[0].double()).vector
