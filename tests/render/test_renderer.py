@@ -176,7 +176,10 @@ def test_blur_and_bloom_keep_their_place():
     assert image[32, 31].min() > 0
 
 
-@pytest.mark.parametrize("wrong", [{"blur_px": -1}, {"full_well": 0}, {"vignette": 1.0}])
-def test_absurd_sensor_is_refused(wrong):
-    with pytest.raises(ValueError, match="sensor"):
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [({"blur_px": -1}, "blur_px"), ({"full_well": 0}, "sensor"), ({"vignette": 1.0}, "sensor")],
+)
+def test_absurd_sensor_is_refused(wrong, said):
+    with pytest.raises(ValueError, match=f"^{said}: expected"):
         Sensor(**wrong)
