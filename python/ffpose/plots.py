@@ -91,7 +91,7 @@ def error_histograms(evaluation: Evaluation) -> Figure:
         axes.set_xlabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylabel("images")
         _title(axes, f"distribution of the {pair.name} error")
-        axes.legend(frameon=False)
+        axes.legend(frameon=False, loc="upper right")
     return figure
 
 
