@@ -24,7 +24,7 @@ LOOK_FIELDS = {
     "image_size": (48, 64),
     "camera": (32.0, 32.0, 32.0, 24.0),
     "first_stride": 1,
-    "bins": 300,
+    "bins": 64,
     "object_size": (32, 32),
     "head_hidden": 16,
     "distance_m": (8.0, 22.0),
