@@ -94,7 +94,7 @@ def uncertainty_table(rows: Sequence[Row]) -> str:
             _metres(row["median_sigma_distance_m"]),
             _coverage(row["rotation"]),
             _coverage(row["translation"]),
-            f"{row['median_in_view']:.3g}",
+            f"{row['median_in_view']:.4g}",
             _percent(row["flagged"]) if "flagged" in row else NONE,
         ]
         for row in rows
@@ -117,7 +117,7 @@ def refusal_table(document: Mapping[str, Any]) -> str:
             str(row["images"]),
             f"{row['auroc']:.4f}",
             _percent(row["miss_rate"]) if "miss_rate" in row else NONE,
-            f"{row['median_in_view']:.3g}",
+            f"{row['median_in_view']:.4g}",
         ]
         for row in rows
     ]
@@ -126,7 +126,7 @@ def refusal_table(document: Mapping[str, Any]) -> str:
     caption = "The weights hold no threshold to flag by."
     if threshold is not None:
         caption = (
-            f"Flagged below {threshold:.3g}; false alarms on the scenes as trained: "
+            f"Flagged below {threshold:.4g}; false alarms on the scenes as trained: "
             f"{_percent(rows[0]['false_alarm_rate'])}."
         )
     return f"{_table(header, lines)}\n\n{caption}"
