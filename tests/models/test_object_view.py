@@ -253,7 +253,7 @@ def test_numbers_beyond_their_limits_are_clamped(model):
         low = model.read(feature_map)
         small.bias.copy_(bias)
     assert torch.equal(high.log_sigma, torch.full((2, 6), 2.0))
-    assert torch.equal(low.log_sigma, torch.full((2, 6), -7.0))
+    assert torch.equal(low.log_sigma, torch.full((2, 6), -6.0))
 
 
 def random_batch(model, objective, count=4):

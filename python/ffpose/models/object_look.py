@@ -26,7 +26,9 @@ OFFSET_SCALE = 4.0
 OFFSET_LIMIT = 4.0
 """Of the numbers: half of the image's width, and a factor e of the distance, are 2 and 4."""
 
-LOG_SIGMA_LIMITS = (-7.0, 2.0)
+LOG_SIGMA_LIMITS = (-6.0, 1.5)
+"""Of the log standard deviations: beyond, a covariance would lose its digits in float32."""
+
 SMALL_NUMBERS = 3 + 6 + 1
 """Offset, log standard deviations, logit."""
 
