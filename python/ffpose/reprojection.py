@@ -88,7 +88,7 @@ def _axis(
     reach = math.ceil(max(1.0, 1 / scale)) + 1
     first = max(0, math.floor(-origin / scale) - reach)
     last = min(view_size, math.ceil((size - origin) / scale) + reach)
-    if scale > size or origin + view_size * scale <= 0 or origin >= size:
+    if _snap(scale) > size or origin + view_size * scale <= 0 or origin >= size:
         return None
     return Axis(first, last, _snap(origin + first * scale), _snap(origin + last * scale))
 
