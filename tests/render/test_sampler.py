@@ -81,6 +81,7 @@ def test_shadow_is_a_matter_of_the_horizon():
         {"lateral_m": -1.0},
         {"attitude_range_deg": (180.0, 100.0, 180.0)},
         {"min_visible": 1.5},
+        {"max_visible": 0.8},  # less than the least
         {"eclipse_rate": -0.1},
     ],
 )

@@ -20,8 +20,15 @@ WIDTHS = {
     "compact_resnet": (16, 48, 96, 144),
     "compact_resnet_narrow": (16, 32, 64, 96),
     "compact_resnet_wide": (32, 64, 128, 192),
+    "compact_resnet_deep": (16, 48, 96, 144),
 }
 """Channels of the stem and of the maps of `REDUCTIONS`, by name."""
+
+EXTRA_BLOCKS = {"compact_resnet_deep": (1, 2, 0)}
+"""Blocks that deepen the stages of `REDUCTIONS`, by name; none where there is no entry."""
+
+EXTRA_PART = ".extra."
+"""In the names of those blocks' tensors alone."""
 
 
 class BasicBlock(nn.Module):
@@ -61,12 +68,17 @@ class CompactResNet(nn.Module):
     Args:
         widths: Channels of the stem and of the maps of `REDUCTIONS`.
         reduction: Pixels a cell of the coarsest map; what comes after it is not built.
+        extra_blocks: Blocks added after each stage. They begin as their skip connection, so that a
+            network which was trained without them goes on from where it was (Chen et al., "Net2Net:
+            Accelerating Learning via Knowledge Transfer", ICLR 2016).
 
     Raises:
         ValueError: A reduction that is not in `REDUCTIONS`.
     """
 
-    def __init__(self, widths: Sequence[int], reduction: int) -> None:
+    def __init__(
+        self, widths: Sequence[int], reduction: int, extra_blocks: Sequence[int] = (0, 0, 0)
+    ) -> None:
         super().__init__()
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction: expected one of {REDUCTIONS}, got {reduction}")
@@ -82,13 +94,17 @@ class CompactResNet(nn.Module):
             for before, after in pairwise(widths[1:])
         ]
         self.stages = nn.ModuleList(stages[:count])
+        self.extra = nn.ModuleList(
+            nn.Sequential(*(BasicBlock(width, width) for _ in range(blocks)))
+            for width, blocks in zip(widths[1 : count + 1], extra_blocks[:count], strict=True)
+        )
         self.channels = dict(zip(REDUCTIONS, widths[1:], strict=True))
 
     def forward(self, images: Tensor) -> list[Tensor]:
         """Return the maps of ``images (B, 3, H, W)``, the finest first."""
         x = self.stem(images)
         maps = []
-        for stage in self.stages:
-            x = stage(x)
+        for stage, extra in zip(self.stages, self.extra, strict=True):
+            x = extra(stage(x))
             maps.append(x)
         return maps

@@ -24,6 +24,7 @@ from ffpose import __version__
 from ffpose.errors import DataError
 from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Camera
+from ffpose.models.compact_resnet import EXTRA_PART
 from ffpose.models.config import FilterformerPoseConfig
 from ffpose.models.pretrained import BackboneSource
 from ffpose.models.zoo import resolve
@@ -187,8 +188,15 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
     )
 
 
-def load_weights(path: str | Path, model: nn.Module) -> None:
+def load_weights(path: str | Path, model: nn.Module, *, grow: bool = False) -> None:
     """Fill a model with the tensors of a weights file, in place, after every check.
+
+    Args:
+        path: The file.
+        model: The network.
+        grow: Whether the file may lack the extra blocks of a
+            `ffpose.models.compact_resnet.CompactResNet`, which then stay as they are: a new model
+            computes what the file's network computed.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -197,8 +205,10 @@ def load_weights(path: str | Path, model: nn.Module) -> None:
     path = Path(path)
     _read_header(path)
     _check_bytes(path)
-    state = load_file(path)
-    _check_architecture(path, state, model.state_dict())
+    state, expected = load_file(path), model.state_dict()
+    if grow:
+        state = {name: t for name, t in expected.items() if EXTRA_PART in name} | state
+    _check_architecture(path, state, expected)
     model.load_state_dict(state)
 
 

@@ -37,10 +37,11 @@ class Surroundings(NamedTuple):
 
 
 def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
-    """A pose within the set's ranges that leaves the spacecraft wholly or mostly in frame.
+    """A pose within the set's ranges that leaves as much of the spacecraft in frame as they say.
 
     The distance is uniform, the attitude uniform over rotations within `attitude_range_deg`, and
-    the direction uniform over the frame among those that satisfy `lateral_m` and `min_visible`.
+    the direction uniform over the frame among those that satisfy `lateral_m` and
+    the visible part's bounds.
 
     Raises:
         ValueError: no pose was found; the set's ranges contradict each other.
@@ -53,7 +54,8 @@ def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
             if _acceptable(pose, scene, craft):
                 return pose
     raise ValueError(
-        f"{scene.name}: found no pose with {scene.min_visible:.0%} of the spacecraft in frame "
+        f"{scene.name}: found no pose with {scene.min_visible:.0%} to {scene.max_visible:.0%} of the "
+        f"spacecraft in frame "
         f"at {scene.distance_m} m within {scene.lateral_m} m of the axis"
     )
 
@@ -122,4 +124,4 @@ def _acceptable(pose: Pose, scene: Scene, craft: Craft) -> bool:
     points = craft.outline @ pose.rotation.T + pose.t
     if points[:, 2].min() < 0.5:
         return False
-    return visible_share(points, scene.camera) >= scene.min_visible
+    return scene.min_visible <= visible_share(points, scene.camera) <= scene.max_visible

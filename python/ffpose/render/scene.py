@@ -26,7 +26,8 @@ class Scene:
         lateral_m: largest distance of the object's origin from the optical axis.
         attitude_range_deg: (roll, pitch, yaw): each angle of the label lies within plus and minus
             its number; the attitude is uniform over rotations within these bounds.
-        min_visible: at least this part of the spacecraft's extent lies in the frame.
+        min_visible: at least this part of the spacecraft's extent lies in the frame ...
+        max_visible: ... and at most this, so that a set may hold nothing but cut spacecraft.
         eclipse_rate: share of the images taken in the Earth's shadow by the light of a lamp at the
             camera.
         camera: the camera at full size; images of other sizes are this one resized.
@@ -40,6 +41,7 @@ class Scene:
     lateral_m: float
     attitude_range_deg: tuple[float, float, float] = (180.0, 60.0, 180.0)
     min_visible: float = 0.9
+    max_visible: float = 1.0
     eclipse_rate: float = ORBIT_ECLIPSE_RATE
     camera: Camera = URSO_CAMERA
     sensor: Sensor = field(default_factory=Sensor)
@@ -60,13 +62,27 @@ class Scene:
                 "attitude_range_deg: expected (roll, pitch, yaw) within 0…180, 0…90, 0…180, "
                 f"got {self.attitude_range_deg}"
             )
-        for name in ("min_visible", "eclipse_rate"):
+        for name in ("min_visible", "max_visible", "eclipse_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name}: expected 0…1, got {getattr(self, name)}")
+        if self.max_visible < self.min_visible:
+            raise ValueError(
+                f"max_visible: expected min_visible {self.min_visible} or more, "
+                f"got {self.max_visible}"
+            )
 
     def build(self) -> Craft:
         """The spacecraft itself."""
         return build_craft(self.craft) if isinstance(self.craft, str) else self.craft
+
+    def cut(self, least: float, most: float) -> Scene:
+        """The set whose spacecraft the frame's border cuts: a share of least to most is seen."""
+        lateral_m = self.distance_m[1]  # as far off the axis as the frame goes
+        return replace(self, min_visible=least, max_visible=most, lateral_m=lateral_m)
+
+    def randomized(self, strength: float) -> Scene:
+        """The set with `ffpose.render.randomization.Randomization.of_strength`."""
+        return replace(self, randomization=Randomization.of_strength(strength))
 
     def parameters(self) -> dict[str, Any]:
         """All fields as plain values for a manifest; the spacecraft by its name."""

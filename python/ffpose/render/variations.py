@@ -19,9 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.render.pool import one_thread_each
-from ffpose.render.randomization import Randomization
-from ffpose.render.renderer import Frame, camera_of, label, shoot_each
-from ffpose.render.sampler import visible_share
+from ffpose.render.renderer import Frame, camera_of, shoot_each
 from ffpose.render.scene import Scene
 from ffpose.render.sensor import Sensor
 
@@ -42,9 +40,6 @@ BLUR_PX = 1.5
 JPEG_QUALITY = 50
 RANDOMIZATION = 0.5
 
-TRIES = 1000
-"""Scenes that are drawn for one picture whose spacecraft the border shall cut."""
-
 
 @dataclass(frozen=True)
 class Variation:
@@ -54,7 +49,6 @@ class Variation:
         name: a word or two.
         about: what differs, for a reader.
         scene: the set.
-        most_visible: at most this part of the spacecraft's extent lies in the frame.
         blur_px: standard deviation of a Gaussian blur of the finished picture, in pixels of an
             image 640 wide.
         empty: the spacecraft is left out.
@@ -63,14 +57,13 @@ class Variation:
     name: str
     about: str
     scene: Scene
-    most_visible: float = 1.0
     blur_px: float = 0.0
     empty: bool = False
 
     @property
-    def light(self) -> tuple[Scene, float, bool]:
+    def light(self) -> tuple[Scene, bool]:
         """What the light before the sensor depends on: variations that agree are one rendering."""
-        return replace(self.scene, sensor=Sensor()), self.most_visible, self.empty
+        return replace(self.scene, sensor=Sensor()), self.empty
 
 
 def variations(scene: Scene, farthest_m: float) -> list[Variation]:
@@ -84,10 +77,8 @@ def variations(scene: Scene, farthest_m: float) -> list[Variation]:
     least, most = CUT
     beyond = BEYOND * farthest_m
     lateral = scene.lateral_m * beyond / scene.distance_m[1]
-    cut = replace(scene, min_visible=least, lateral_m=scene.distance_m[1])
     far = replace(scene, distance_m=(farthest_m, beyond), lateral_m=lateral)
     jpeg = replace(scene.sensor, jpeg_quality=JPEG_QUALITY)
-    random = Randomization.of_strength(RANDOMIZATION)
     return [
         Variation("as trained", "the set's own scenes, all attitudes", scene),
         Variation(
@@ -105,13 +96,12 @@ def variations(scene: Scene, farthest_m: float) -> list[Variation]:
         Variation(
             f"randomize {RANDOMIZATION}",
             "light, exposure, materials and backgrounds that are not real",
-            replace(scene, randomization=random),
+            scene.randomized(RANDOMIZATION),
         ),
         Variation(
             "cut by the border",
             f"{100 * least:.0f} to {100 * most:.0f} % of the spacecraft in the frame",
-            cut,
-            most_visible=most,
+            scene.cut(least, most),
         ),
         Variation("beyond range", f"{farthest_m:g} to {beyond:.3g} m", far),
     ]
@@ -182,28 +172,12 @@ def _render_group(
     """Render picture `number` of variations that share the light."""
     scene, empty = together[0].scene, together[0].empty
     camera = camera_of(scene, size)
-    index = _fitting(together[0], seed, range(number, count * TRIES, count))
     sensors = [variation.scene.sensor for variation in together]
-    shots = shoot_each(scene, seed, index, camera, sensors, empty=empty)
+    shots = shoot_each(scene, seed, number, camera, sensors, empty=empty)
     return [
         Frame(blurred(shot.image, variation.blur_px), shot.pose, camera)
         for variation, shot in zip(together, shots, strict=True)
     ]
-
-
-def _fitting(variation: Variation, seed: int, indices: range) -> int:
-    """The first of the scenes `indices` of which no more than is asked for lies in the frame."""
-    if variation.most_visible >= 1:
-        return indices[0]
-    scene, outline = variation.scene, variation.scene.build().outline
-    for index in indices:
-        points = label(scene, seed, index).transform(outline)
-        if visible_share(points, scene.camera) <= variation.most_visible:
-            return index
-    raise ValueError(
-        f"{variation.name}: found no scene of {scene.name} with {variation.most_visible:.0%} of "
-        f"the spacecraft in frame, at most, among {len(indices)}"
-    )
 
 
 def blurred(image: Bytes, sigma: float) -> Bytes:

@@ -45,6 +45,9 @@ class DataConfig:
         empty: For the kind scenes: images without the spacecraft, which a network with a second
             look learns to refuse.
         decoys: For the kind scenes: images of other spacecraft, which it learns to refuse as well.
+        cut: For the kind scenes: images of each set whose spacecraft the border cuts.
+        randomized: For the kind scenes: images of each set whose light, materials and backgrounds
+            are not real.
         seed: For the kind scenes: seed of the images, below `TEST_SEEDS`.
         attitude_range_deg: For the kind scenes: roll, pitch and yaw lie within plus and minus
             these angles.
@@ -62,6 +65,8 @@ class DataConfig:
     validation: int = 200
     empty: int = 1000
     decoys: int = 1000
+    cut: int = 0
+    randomized: int = 0
     seed: int = 0
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
 
@@ -69,8 +74,8 @@ class DataConfig:
         _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
         _expect(self.count >= 1, "data.count", "1 or more", self.count)
         _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
-        _expect(self.empty >= 0, "data.empty", "0 or more", self.empty)
-        _expect(self.decoys >= 0, "data.decoys", "0 or more", self.decoys)
+        for name in ("empty", "decoys", "cut", "randomized"):
+            _expect(getattr(self, name) >= 0, f"data.{name}", "0 or more", getattr(self, name))
         expected = f"0 to {TEST_SEEDS - 1}, as later seeds are for tests"
         _expect(0 <= self.seed < TEST_SEEDS, "data.seed", expected, self.seed)
 
@@ -226,7 +231,8 @@ class TrainConfig:
         ema: Share of the moving average of the weights that stays at each step, such as 0.998; the
             average is what is validated and saved. 0 keeps none.
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions.
-        init: Weights of a network of the same architecture to start from.
+        init: Weights to start from: of a network of the same architecture, or of one that lacks
+            extra blocks (`ffpose.models.compact_resnet`), which begin as their skip connection.
         optimizer: Adam and its learning rate.
         loss: The pose loss of a network that looks at the frame alone.
         object_loss: The loss of a network with a second look.

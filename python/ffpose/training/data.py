@@ -19,8 +19,14 @@ from ffpose.training.config import TEST_SEEDS, DataConfig
 from ffpose.transforms import Augmentation, Preprocessing
 from ffpose.views import Arrays, Bytes, Content, ViewSpec, cut_pieces, nearest_pixels
 
-EMPTY_SEEDS = 500_000
-"""Added, among the seeds below `TEST_SEEDS`, to the seed of scenes without a spacecraft."""
+EMPTY_SEEDS, CUT_SEEDS, RANDOMIZED_SEEDS = 500_000, 300_000, 400_000
+"""Added, among the seeds below `TEST_SEEDS`, to the seed: no two kinds show one scene."""
+
+CUT_SHARE = (0.25, 0.9)
+"""Least and greatest share of a spacecraft that the border cuts."""
+
+RANDOMIZATION = 0.5
+"""Strength of the randomized images, as `ffpose render --randomize` has it."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +95,18 @@ def _scenes(
     camera = preprocessing.camera(scenes[0].camera)
     spec = view_spec(model, camera)
     workers = config.workers
-    views: list[Arrays] = [
-        open_views(config.root, scene, config.seed, config.count, spec, workers=workers)
-        for scene in scenes
+    kinds = [
+        *((scene, 0, config.count) for scene in scenes),
+        *((scene.cut(*CUT_SHARE), CUT_SEEDS, config.cut) for scene in scenes),
+        *((s.randomized(RANDOMIZATION), RANDOMIZED_SEEDS, config.randomized) for s in scenes),
     ]
-    # Another seed: the scenes without the spacecraft are not those that show it.
+    views: list[Arrays] = [
+        open_views(
+            config.root, scene, (config.seed + other) % TEST_SEEDS, count, spec, workers=workers
+        )
+        for scene, other, count in kinds
+        if count > 0
+    ]
     seed = (config.seed + EMPTY_SEEDS) % TEST_SEEDS
     others: tuple[tuple[Content, int], ...] = (("empty", config.empty), ("decoy", config.decoys))
     empty: list[Arrays] = [

@@ -76,7 +76,7 @@ def build_run(config: TrainConfig) -> Run:
     ).to(device)
     check_stages(model, config.resolved_stages)
     if config.init is not None:
-        load_weights(config.init, model)
+        load_weights(config.init, model, grow=True)
     task = _task(config, model, data, device)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
     return Run(config, model, AveragedModel(model, config.ema), optimizer, task, device)
