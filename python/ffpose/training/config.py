@@ -228,6 +228,8 @@ class TrainConfig:
         stages: What is trained, in which order; the first stage of the paper alone by default.
         batch_size: Images whose gradients are computed at once.
         accumulate: Batches whose gradients make one step.
+        processes: Processes on this machine that train together, each on batches of its own; under
+            ``torchrun``, which starts them itself, 1.
         ema: Share of the moving average of the weights that stays at each step, such as 0.998; the
             average is what is validated and saved. 0 keeps none.
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions.
@@ -252,6 +254,7 @@ class TrainConfig:
     stages: tuple[Stage, ...] = (JOINT_STAGE,)
     batch_size: int = 8
     accumulate: int = 1
+    processes: int = 1
     ema: float = 0.0
     autocast: Literal["none", "bfloat16"] = "none"
     init: Path | None = None
@@ -270,6 +273,7 @@ class TrainConfig:
         _expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
         _expect(self.batch_size >= 1, "batch_size", "1 or more", self.batch_size)
         _expect(self.accumulate >= 1, "accumulate", "1 or more", self.accumulate)
+        _expect(self.processes >= 1, "processes", "1 or more", self.processes)
         _expect(0 <= self.ema < 1, "ema", "0 <= ema < 1", self.ema)
         kinds = ("none", "bfloat16")
         _expect(self.autocast in kinds, "autocast", " or ".join(kinds), self.autocast)

@@ -24,6 +24,7 @@ from ffpose.training.calibrate import calibrate
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.memory import keep_freed_memory
+from ffpose.training.processes import Processes, joined, started
 from ffpose.training.progress import Reporter
 from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
@@ -74,23 +75,42 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
         ffpose.DataError: An image or a label cannot be used.
         NonFiniteLossError: The loss is infinite or not a number.
     """
+    folder = RunFolder(config.out)
+    folder.open(config, resume=resume)  # what is refused is refused before others are started
+    with started(config.processes, _train, config, resume, True):
+        return _train(config, resume, quiet)
+
+
+def _train(config: TrainConfig, resume: bool, quiet: bool) -> TrainResult:
+    """Do what `train` does, as one of the processes that train together."""
     keep_freed_memory()
+    with joined(config.device) as processes:
+        return _train_in(processes, config, resume=resume, quiet=quiet or not processes.leads)
+
+
+def _train_in(
+    processes: Processes, config: TrainConfig, *, resume: bool, quiet: bool
+) -> TrainResult:
     folder = RunFolder(config.out)
     state = folder.open(config, resume=resume)
-    run = build_run(config)
+    run = build_run(config, processes)
     epochs = plan(config.resolved_stages)
     if state.history:
         _restore(run, state, epochs)
         run.average.model.backbone.source = read_metadata(folder.last).backbone_source
-    folder.begin(config)
+    if processes.leads:
+        folder.begin(config)
     done, steps = len(state.history), run.task.steps
     with Reporter(len(epochs), done, steps, quiet=quiet) as reporter:
         for epoch in epochs[done:]:
             row = _train_and_validate(run, epoch, reporter)
             state.history.append(row)
-            _write(run, state, folder)
+            if processes.leads:
+                _write(run, state, folder)
             reporter.epoch_ends(row)
-    _calibrate(run, folder)
+    if processes.leads:
+        _calibrate(run, folder)
+    processes.wait()
     seconds = sum(float(row["seconds"]) for row in state.history)
     return TrainResult(folder, state.history, state.best_epoch, seconds)
 
@@ -113,7 +133,7 @@ def _calibrate(run: Run, folder: RunFolder) -> None:
         return
     model = FilterformerPose.from_pretrained(folder.best)
     model.variance_scales.fill_(1)  # a run that is taken up finds the same scales again
-    found = calibrate(model, run.task.validation(), empty)
+    found = calibrate(model, run.task.validation(whole=True), empty)
     model.variance_scales.copy_(found.variance_scales)
     header = _header(run) | {"in_view_threshold": found.in_view_threshold}
     model.save_pretrained(folder.best, **header)
@@ -175,7 +195,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         NonFiniteLossError: The loss is infinite or not a number; nothing was written.
     """
     seed = _epoch_seed(run.config.seed, epoch.number)
-    torch.manual_seed(seed)
+    torch.manual_seed(seed + run.processes.rank)
     enter_stage(run.model, epoch.stage)
     if epoch.opens_stage:
         run.optimizer = build_optimizer(run.model, run.task.loss, run.config.optimizer)
@@ -192,7 +212,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         count = run.task.size(batch)
         sums += values * count
         reporter.step(float(values[0]), rate, count)
-    means = (sums / run.task.images).tolist()
+    means = (run.processes.total(sums) / run.task.images).tolist()
     return {
         "learning_rate": rate,
         "train_loss": means[0],
@@ -220,10 +240,10 @@ def _step(run: Run, rate: float) -> None:
     """Take one step of the optimizer."""
     for group in run.optimizer.param_groups:
         group["lr"] = rate
+    parameters = trained_together(run.model, run.task.loss)
+    run.processes.average_gradients(parameters)
     if run.config.optimizer.clip_norm > 0:
-        torch.nn.utils.clip_grad_norm_(
-            trained_together(run.model, run.task.loss), run.config.optimizer.clip_norm
-        )
+        torch.nn.utils.clip_grad_norm_(parameters, run.config.optimizer.clip_norm)
     run.optimizer.step()
     run.optimizer.zero_grad(set_to_none=True)
     run.average.update()
@@ -231,7 +251,11 @@ def _step(run: Run, rate: float) -> None:
 
 @torch.no_grad()
 def validate(run: Run) -> Row:
-    """Return the errors on the validation split, by the names of `PoseError` after ``val_``."""
+    """Return the errors on the validation split, by the names of `PoseError` after ``val_``.
+
+    Each process computes its share; the metric brings them together.
+    """
+    run.processes.agree(run.average.model)
     model = run.average.model.eval()
     metric = PoseError()
     for batch in run.task.validation():

@@ -15,7 +15,7 @@ from torch.nn import functional as F
 
 from ffpose.losses import LossTerms
 from ffpose.models import FilterformerPose
-from ffpose.models.object_look import rotation_vector, sigma_loss
+from ffpose.models.object_look import LookNumbers, rotation_vector, sigma_loss
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.views import ViewBatch
 
@@ -60,7 +60,7 @@ class ObjectObjective(nn.Module):
         first = F.smooth_l1_loss(location, batch.location, beta=SMOOTH)
         offset = F.smooth_l1_loss(numbers.offset[present], batch.offset[present], beta=SMOOTH)
         orientation = model.orientation.loss(numbers.orientation, batch.orientation)[present].mean()
-        q_hat = model.orientation.decode(numbers.orientation)
+        q_hat = self._decoded(model, numbers)
         angle = half_angle(q_hat[present], batch.orientation[present]).mean()
         with torch.no_grad():
             turned = rotation_vector(_between(q_hat, batch.orientation))
@@ -78,6 +78,13 @@ class ObjectObjective(nn.Module):
         if self.dense is not None:
             total = total + self._dense_loss(feature_map, batch)
         return LossTerms(total, first + offset, orientation)
+
+    def _decoded(self, model: FilterformerPose, numbers: LookNumbers) -> Tensor:
+        """Return the attitudes ``(B, 4)``, with gradients where the loss has a term of them."""
+        if self.config.angle > 0:
+            return model.orientation.decode(numbers.orientation)
+        with torch.no_grad():
+            return model.orientation.decode(numbers.orientation)
 
     def _dense_loss(self, feature_map: Tensor, batch: ViewBatch) -> Tensor:
         """Return the loss of coordinates and silhouette."""

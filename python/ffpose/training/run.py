@@ -18,6 +18,7 @@ from ffpose.training.averaging import AveragedModel
 from ffpose.training.config import OptimizerConfig, TrainConfig
 from ffpose.training.data import TrainingData, open_training_data
 from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.processes import ALONE, Processes
 from ffpose.training.stages import check_stages
 from ffpose.training.tasks import FrameTask, ObjectTask, Task
 from ffpose.training.views import ViewBatches
@@ -35,6 +36,7 @@ class Run:
         average: Its moving average, which is validated and saved.
         optimizer: Over network and loss; made anew where a stage begins.
         task: Batches, loss and validation.
+        processes: This process's place among those that train together.
         device: Where the network computes.
     """
 
@@ -44,10 +46,15 @@ class Run:
     optimizer: torch.optim.Optimizer
     task: Task
     device: torch.device
+    processes: Processes = ALONE
 
 
-def build_run(config: TrainConfig) -> Run:
+def build_run(config: TrainConfig, processes: Processes = ALONE) -> Run:
     """Open the images and build model, loss and optimizer, the weights from the run's seed.
+
+    Args:
+        config: What the run is asked to do.
+        processes: This process's place among those that train together.
 
     Raises:
         ValueError: An unknown kind of image set, or fields that do not go together.
@@ -63,9 +70,10 @@ def build_run(config: TrainConfig) -> Run:
     preprocessing = backbone_preprocessing(model_config.backbone, size, mode)
     if object_view:  # what lies outside an image is zero for the virtual camera, and is black
         preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
-    data = open_training_data(
-        config.data, model_config, preprocessing, dense=config.object_loss.dense
-    )
+    with processes.leader_first():  # who renders and fills caches
+        data = open_training_data(
+            config.data, model_config, preprocessing, dense=config.object_loss.dense
+        )
     c = data.camera
     fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
     if config.normalize_translation and not object_view:
@@ -77,13 +85,18 @@ def build_run(config: TrainConfig) -> Run:
     check_stages(model, config.resolved_stages)
     if config.init is not None:
         load_weights(config.init, model, grow=True)
-    task = _task(config, model, data, device)
+    task = _task(config, model, data, device, processes)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
-    return Run(config, model, AveragedModel(model, config.ema), optimizer, task, device)
+    average = AveragedModel(model, config.ema)
+    return Run(config, model, average, optimizer, task, device, processes)
 
 
 def _task(
-    config: TrainConfig, model: FilterformerPose, data: TrainingData, device: torch.device
+    config: TrainConfig,
+    model: FilterformerPose,
+    data: TrainingData,
+    device: torch.device,
+    processes: Processes,
 ) -> Task:
     """Return what the network learns from."""
     if model.config.orientation_view == "object":
@@ -91,11 +104,13 @@ def _task(
         views = ViewBatches(
             model, data.views, data.empty, config.views, data.val_set.preprocessing.std, loss.cells
         )
-        return ObjectTask(views, data.val_set, loss, config.batch_size, data.empty_images)
+        return ObjectTask(
+            views, data.val_set, loss, config.batch_size, data.empty_images, processes
+        )
     assert data.train_set is not None
     pose_loss = PoseLoss(config.loss.s_t, config.loss.s_q, config.loss.antipodal).to(device)
     return FrameTask(
-        data.train_set, data.val_set, pose_loss, config.batch_size, config.data.workers
+        data.train_set, data.val_set, pose_loss, config.batch_size, config.data.workers, processes
     )
 
 

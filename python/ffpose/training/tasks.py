@@ -23,6 +23,7 @@ from ffpose.datasets import PoseDataset, Sample
 from ffpose.losses import LossTerms, PoseLoss
 from ffpose.models import FilterformerPose
 from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.processes import ALONE, Processes
 from ffpose.training.provenance import describe_data
 from ffpose.training.views import ViewBatch, ViewBatches
 from ffpose.transforms import Preprocessing
@@ -46,11 +47,11 @@ class Task(Protocol):
 
     @property
     def images(self) -> int:
-        """Images of the training split."""
+        """Images of the training split that an epoch uses, in all processes."""
 
     @property
     def steps(self) -> int:
-        """Batches an epoch."""
+        """Batches of this process an epoch."""
 
     def batches(self, seed: int) -> Iterator[Any]:
         """Pass once over the training split, in an order drawn from ``seed``."""
@@ -67,8 +68,8 @@ class Task(Protocol):
     def weights(self) -> dict[str, float]:
         """Return the learnable weights of the loss, for the table of results."""
 
-    def validation(self) -> Iterator[Sample]:
-        """Pass over the validation split."""
+    def validation(self, *, whole: bool = False) -> Iterator[Sample]:
+        """Pass over this process's share of the validation split, or the whole."""
 
     def describe(self, kind: str) -> dict[str, Any]:
         """Return which images these are, for the header of the weights."""
@@ -81,6 +82,12 @@ def _loader(dataset: PoseDataset, batch_size: int, workers: int, **options: Any)
     return DataLoader(dataset, batch_size=batch_size, num_workers=workers, **options)
 
 
+def _validation(
+    dataset: PoseDataset, own: Processes, batch_size: int, workers: int
+) -> Iterator[Sample]:
+    return iter(_loader(dataset, batch_size, workers, sampler=own.share(len(dataset))))
+
+
 class FrameTask:
     """Pose from whole images, with the paper's joint loss.
 
@@ -90,6 +97,7 @@ class FrameTask:
         loss: The joint loss.
         batch_size: Images a step.
         workers: Processes that read images beside this one.
+        processes: This process's place among those that train together.
     """
 
     def __init__(
@@ -99,28 +107,31 @@ class FrameTask:
         loss: PoseLoss,
         batch_size: int,
         workers: int,
+        processes: Processes = ALONE,
     ) -> None:
+        self.processes = processes
         self.train_set, self.val_set, self.loss = train_set, val_set, loss
         self.batch_size, self.workers = batch_size, workers
         self.preprocessing = train_set.preprocessing
 
     @property
     def images(self) -> int:
-        """Images of the training split."""
-        return len(self.train_set)
+        """Images of the training split that an epoch uses, in all processes."""
+        world = self.processes.world
+        return len(self.train_set) // world * world
 
     @property
     def steps(self) -> int:
-        """Batches an epoch."""
-        return -(-self.images // self.batch_size)
+        """Batches of this process an epoch."""
+        return -(-(self.images // self.processes.world) // self.batch_size)
 
     def batches(self, seed: int) -> Iterator[Sample]:
         """Pass once over the training split, in an order drawn from ``seed``."""
         generator = torch.Generator().manual_seed(seed)
+        order = torch.randperm(len(self.train_set), generator=generator)
+        own = order[self.processes.share(self.images)].tolist()
         return iter(
-            _loader(
-                self.train_set, self.batch_size, self.workers, shuffle=True, generator=generator
-            )
+            _loader(self.train_set, self.batch_size, self.workers, sampler=own, generator=generator)
         )
 
     def terms(self, model: FilterformerPose, batch: Sample, device: torch.device) -> LossTerms:
@@ -147,9 +158,10 @@ class FrameTask:
         """Return the two learnable weights."""
         return {"s_t": self.loss.s_t.item(), "s_q": self.loss.s_q.item()}
 
-    def validation(self) -> Iterator[Sample]:
-        """Pass over the validation split."""
-        return iter(_loader(self.val_set, self.batch_size, self.workers))
+    def validation(self, *, whole: bool = False) -> Iterator[Sample]:
+        """Pass over this process's share of the validation split, or the whole."""
+        own = ALONE if whole else self.processes
+        return _validation(self.val_set, own, self.batch_size, self.workers)
 
     def describe(self, kind: str) -> dict[str, Any]:
         """Return kind, number, size and digest of the training images."""
@@ -168,6 +180,7 @@ class ObjectTask:
         loss: The terms and their weights.
         batch_size: Images a step.
         empty_images: Whole images without an object ``(N, H, W, 3)``, uint8; None for none.
+        processes: This process's place among those that train together.
     """
 
     def __init__(
@@ -177,24 +190,26 @@ class ObjectTask:
         loss: ObjectObjective,
         batch_size: int,
         empty_images: NDArray[np.uint8] | None = None,
+        processes: Processes = ALONE,
     ) -> None:
+        self.processes = processes
         self.views, self.val_set, self.loss, self.batch_size = views, val_set, loss, batch_size
         self.preprocessing = val_set.preprocessing
         self.empty_images = empty_images
 
     @property
     def images(self) -> int:
-        """Images of the training split that an epoch uses: whole batches."""
-        return self.steps * self.batch_size
+        """Images of the training split that an epoch uses, in all processes: whole batches."""
+        return self.steps * self.batch_size * self.processes.world
 
     @property
     def steps(self) -> int:
-        """Batches an epoch."""
-        return len(self.views) // self.batch_size
+        """Batches of this process an epoch."""
+        return len(self.views) // self.processes.world // self.batch_size
 
     def batches(self, seed: int) -> Iterator[ViewBatch]:
         """Pass once over the training split, in an order drawn from ``seed``."""
-        return prefetched(self.views.epoch(seed, self.batch_size))
+        return prefetched(self.views.epoch(seed, self.batch_size, self.processes))
 
     def terms(self, model: FilterformerPose, batch: ViewBatch, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
@@ -213,9 +228,11 @@ class ObjectTask:
         """Return no weights: they are fixed."""
         return {}
 
-    def validation(self) -> Iterator[Sample]:
-        """Pass over the validation split."""
-        return iter(_loader(self.val_set, VALIDATION_BATCH, 0))
+    def validation(self, *, whole: bool = False) -> Iterator[Sample]:
+        """Pass over this process's share of the validation split, or the whole."""
+        return _validation(
+            self.val_set, ALONE if whole else self.processes, VALIDATION_BATCH, workers=0
+        )
 
     def describe(self, kind: str) -> dict[str, Any]:
         """Return kind, number, size and digest of the labels of the training views."""

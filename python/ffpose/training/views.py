@@ -34,6 +34,7 @@ from ffpose.models.virtual_camera import (
 from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
 from ffpose.training.config import ViewAugmentation
+from ffpose.training.processes import ALONE, Processes
 from ffpose.views import Arrays
 
 SUPPLY = 1 << 21
@@ -110,18 +111,24 @@ class ViewBatches:
     def __len__(self) -> int:
         return len(self.places)
 
-    def epoch(self, seed: int, batch_size: int) -> Iterator[ViewBatch]:
-        """Pass once over the set, in an order drawn from ``seed``; a rest is left out.
+    def epoch(
+        self, seed: int, batch_size: int, processes: Processes = ALONE
+    ) -> Iterator[ViewBatch]:
+        """Pass once over a process's share, in an order drawn from ``seed``; a rest is left out.
 
         Raises:
             ValueError: Less than one sample a batch, or more than there are.
         """
-        if not 1 <= batch_size <= len(self):
-            raise ValueError(f"batch_size: expected 1 to {len(self)}, got {batch_size}")
+        most = len(self) // processes.world
+        if not 1 <= batch_size <= most:
+            raise ValueError(f"batch_size: expected 1 to {most}, got {batch_size}")
         generator = torch.Generator().manual_seed(seed)
         order = torch.randperm(len(self), generator=generator)
-        for start in range(0, len(self) - batch_size + 1, batch_size):
-            yield self.batch(order[start : start + batch_size], generator)
+        own = order[processes.share(most * processes.world)]
+        if not processes.leads:
+            generator.manual_seed(seed + processes.rank)
+        for start in range(0, most - batch_size + 1, batch_size):
+            yield self.batch(own[start : start + batch_size], generator)
 
     def batch(self, index: Tensor, generator: torch.Generator) -> ViewBatch:
         """Return the samples ``index``, varied by numbers drawn from ``generator``."""

@@ -1,0 +1,177 @@
+"""Several processes that train one network together, each on its share of every epoch.
+
+They come from ``torchrun`` (on any number of machines, so that Slurm, Kubernetes or Ray Train can
+launch it), which describes the group in the environment, or from ``ffpose train --processes N`` on
+this machine. Their gradients are averaged before each step, over gloo on CPUs and NCCL on GPUs.
+`torch.nn.parallel.DistributedDataParallel` would do the same through a network's `forward`; a
+network with a second look is trained through its parts. Process 0 writes the files.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, distributed, nn
+
+ENVIRONMENT = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
+"""The variables of ``torchrun`` that are read."""
+
+
+@dataclass(frozen=True)
+class Processes:
+    """This process's place among those that train together.
+
+    Attributes:
+        rank: Number of this process, from 0.
+        world: How many there are.
+    """
+
+    rank: int = 0
+    world: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this is the process that writes the files."""
+        return self.rank == 0
+
+    def share(self, count: int) -> range:
+        """Return this process's samples out of ``count``, in turns."""
+        return range(self.rank, count, self.world)
+
+    def wait(self) -> None:
+        """Wait until every process is here."""
+        if self.world > 1:
+            distributed.barrier()
+
+    def total(self, values: Tensor) -> Tensor:
+        """Return the sum of all processes' values."""
+        if self.world > 1:
+            distributed.all_reduce(values)
+        return values
+
+    def average_gradients(self, parameters: Sequence[Tensor]) -> None:
+        """Give every process the mean of all processes' gradients."""
+        grads = [p.grad for p in parameters if p.grad is not None]
+        if self.world > 1 and grads:
+            flat = torch.cat([grad.flatten() for grad in grads])
+            distributed.all_reduce(flat)
+            _scatter(flat / self.world, grads)
+
+    @torch.no_grad()
+    def agree(self, module: nn.Module) -> None:
+        """Give every process the buffers of process 0, such as batch norm's running statistics."""
+        buffers = [each for each in module.buffers() if each.is_floating_point()]
+        if self.world > 1 and buffers:
+            flat = torch.cat([buffer.flatten() for buffer in buffers])
+            distributed.broadcast(flat, 0)
+            _scatter(flat, buffers)
+
+    @contextmanager
+    def leader_first(self) -> Iterator[None]:
+        """Let process 0 do something before the others, which find what it left in files."""
+        if not self.leads:
+            self.wait()
+        yield
+        if self.leads:
+            self.wait()
+
+
+ALONE = Processes()
+
+
+@contextmanager
+def joined(device: str) -> Iterator[Processes]:
+    """Join the group of ``torchrun``'s environment, and leave it at the end.
+
+    Args:
+        device: As of `ffpose.training.TrainConfig`.
+    """
+    world = int(os.environ.get("WORLD_SIZE", "1"))
+    if world == 1 or distributed.is_initialized():
+        yield ALONE if world == 1 else current()
+        return
+    gpu = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
+    if gpu:
+        torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
+    distributed.init_process_group("nccl" if gpu else "gloo")
+    try:
+        yield current()
+    finally:
+        distributed.destroy_process_group()
+
+
+def current() -> Processes:
+    """Return this process's place in the group that it has joined."""
+    return Processes(distributed.get_rank(), distributed.get_world_size())
+
+
+def _scatter(flat: Tensor, tensors: Sequence[Tensor]) -> None:
+    """Fill tensors with the consecutive pieces of a flat one."""
+    pieces = torch.split(flat, [each.numel() for each in tensors])
+    for each, piece in zip(tensors, pieces, strict=True):
+        each.copy_(piece.view_as(each))
+
+
+@contextmanager
+def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
+    """Start ``count - 1`` processes beside this one, which leads, for as long as the block runs.
+
+    The environment says of each what ``torchrun`` would, and torch's threads are shared out.
+
+    Args:
+        count: Processes in all.
+        work: What the others call, a function of a module.
+        args: Its arguments.
+    """
+    if count == 1:
+        yield
+        return
+    threads = max(1, torch.get_num_threads() // count)
+    before = {name: os.environ.get(name) for name in ENVIRONMENT}
+    place = {"WORLD_SIZE": str(count), "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(_free_port())}
+    context = multiprocessing.get_context("spawn")
+    others = [
+        context.Process(target=_follow, args=(place, rank, threads, work, args), daemon=True)
+        for rank in range(1, count)
+    ]
+    for process in others:
+        process.start()
+    os.environ.update(place, RANK="0", LOCAL_RANK="0")
+    own = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        yield
+    except BaseException:
+        for process in others:
+            process.terminate()
+        raise
+    finally:
+        for process in others:
+            process.join()
+        torch.set_num_threads(own)
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+
+
+def _follow(
+    place: dict[str, str], rank: int, threads: int, work: Callable[..., Any], args: tuple[Any, ...]
+) -> None:
+    os.environ.update(place, RANK=str(rank), LOCAL_RANK=str(rank))
+    torch.set_num_threads(threads)
+    work(*args)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
