@@ -3,7 +3,7 @@
 Arguments are float32 or float64, all of one dtype within a call, which is that of the result.
 Lists of floats (float64) and arrays of any strides are taken too; nothing is ever cast, so
 integers, half precision and mixed dtypes are a `TypeError`. Quaternions are Hamilton's, scalar
-first ``(w, x, y, z)``; angles are in degrees, translations in metres.
+first ``(w, x, y, z)``; angles are in degrees, translations in meters.
 """
 
 from __future__ import annotations
@@ -151,11 +151,11 @@ def translation_error(t: ArrayLike, t_hat: ArrayLike) -> RealArray:
     """Distance between true and estimated translations.
 
     Args:
-        t: True translations ``(N, 3)`` in metres.
-        t_hat: Estimated translations ``(N, 3)`` in metres.
+        t: True translations ``(N, 3)`` in meters.
+        t_hat: Estimated translations ``(N, 3)`` in meters.
 
     Returns:
-        Euclidean distances ``(N,)`` in metres.
+        Euclidean distances ``(N,)`` in meters.
 
     Raises:
         TypeError: An argument is not of float32 or float64, or the two differ.
@@ -198,9 +198,9 @@ def esa_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) ->
     The translation error divided by the true distance, plus the rotation error in radians.
 
     Args:
-        t: True translations ``(N, 3)`` in metres.
+        t: True translations ``(N, 3)`` in meters.
         q: True orientations ``(N, 4)``.
-        t_hat: Estimated translations ``(N, 3)`` in metres.
+        t_hat: Estimated translations ``(N, 3)`` in meters.
         q_hat: Estimated orientations ``(N, 4)``.
 
     Returns:
@@ -226,9 +226,9 @@ def speed_plus_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayL
     0.169 degrees, the accuracy of the labels, count as zero, each for itself.
 
     Args:
-        t: True translations ``(N, 3)`` in metres.
+        t: True translations ``(N, 3)`` in meters.
         q: True orientations ``(N, 4)``.
-        t_hat: Estimated translations ``(N, 3)`` in metres.
+        t_hat: Estimated translations ``(N, 3)`` in meters.
         q_hat: Estimated orientations ``(N, 4)``.
 
     Returns:
@@ -292,7 +292,7 @@ def shade_earth(
 
     Args:
         rays: Unit vectors ``(3, N)``.
-        nadir: Unit vector to the Earth's centre.
+        nadir: Unit vector to the Earth's center.
         altitude: Height of the camera above the ground.
         sun: Unit vector to the sun.
         ground: Rotation ``(3, 3)`` into the frame of land and clouds.

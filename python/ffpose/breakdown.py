@@ -26,7 +26,7 @@ def breakdown(
 
     Args:
         errors: Of each image.
-        distance: True distances ``(N,)``, metres.
+        distance: True distances ``(N,)``, meters.
         conditions: Of the images, where they are known.
 
     Returns:

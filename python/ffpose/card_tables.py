@@ -52,8 +52,8 @@ def _errors(row: Row) -> list[str]:
         _percent(row["share_over_30_deg"]),
         _degrees(row["median_in_plane_error_deg"]),
         _degrees(row["median_out_of_plane_error_deg"]),
-        _metres(row["median_translation_error_m"]),
-        _metres(row["mean_translation_error_m"]),
+        _meters(row["median_translation_error_m"]),
+        _meters(row["mean_translation_error_m"]),
         _percent(row["median_relative_translation_error"]),
     ]
 
@@ -70,7 +70,7 @@ def _intervals(row: Row) -> list[str]:
         *("", "", between("rotation_error_deg", _degrees), "", "", ""),
         between("in_plane_error_deg", _degrees),
         between("out_of_plane_error_deg", _degrees),
-        between("translation_error_m", _metres),
+        between("translation_error_m", _meters),
         "",
         between("relative_translation_error", _percent),
     ]
@@ -90,8 +90,8 @@ def uncertainty_table(rows: Sequence[Row]) -> str:
             row["name"],
             _degrees(row["median_rotation_error_deg"]),
             _degrees(row["median_sigma_rotation_deg"]),
-            _metres(row["median_translation_error_m"]),
-            _metres(row["median_sigma_distance_m"]),
+            _meters(row["median_translation_error_m"]),
+            _meters(row["median_sigma_distance_m"]),
             _coverage(row["rotation"]),
             _coverage(row["translation"]),
             f"{row['median_in_view']:.4g}",
@@ -145,7 +145,7 @@ def _degrees(value: float) -> str:
     return f"{value:.2f}°"
 
 
-def _metres(value: float) -> str:
+def _meters(value: float) -> str:
     return f"{value:.2f} m"
 
 

@@ -95,7 +95,7 @@ def render_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
     parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply or .glb")
-    parser.add_argument("--mesh-scale", type=float, default=1.0, help="metres a unit of the mesh")
+    parser.add_argument("--mesh-scale", type=float, default=1.0, help="meters a unit of the mesh")
     parser.add_argument(
         "--eclipse-rate", type=float, help="share in the Earth's shadow; as in orbit by default"
     )
@@ -103,7 +103,7 @@ def render_arguments(parser: ArgumentParser) -> None:
         "--motion", type=float, default=0.0, help="longest motion blur, pixels of 1280"
     )
     parser.add_argument("--jpeg", type=int, default=0, help="JPEG quality 1-100; 0 is none")
-    parser.add_argument("--randomize", type=float, default=0.0, help="domain randomisation, 0-1")
+    parser.add_argument("--randomize", type=float, default=0.0, help="domain randomization, 0-1")
 
 
 def render(options: Namespace) -> None:
@@ -362,7 +362,7 @@ COMMANDS = {
     "demo": Command("pose unseen images, and report", demo_arguments, demo, "pose,render"),
     "render": Command("render images with exact labels", render_arguments, render, "render"),
     "train": Command("train a model", train_arguments, train),
-    "evaluate": Command("measure a model on labelled images", evaluate_arguments, evaluate),
+    "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
     "inspect": Command("count, check and draw a set of images", inspect_arguments, inspect),

@@ -63,7 +63,7 @@ class Evaluation:
         baseline: The constant pose ``(7,)`` of the baseline.
         seconds_per_image: From the image's file to the pose, on average.
         conditions: Under which the images were taken, where the set says so.
-        translation_covariance: ``(N, 3, 3)`` square metres, camera frame, where the network gives
+        translation_covariance: ``(N, 3, 3)`` square meters, camera frame, where the network gives
             it, as the next two.
         rotation_covariance: ``(N, 3, 3)`` square radians: of the rotation vector ``r``, camera
             frame, with ``R_true = exp([r]x) R_predicted``.

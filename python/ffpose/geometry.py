@@ -2,15 +2,15 @@
 
 Every other module uses what is written here, and converts on entry what comes in another form.
 
-* **Camera frame**: x right, y down, z forward (that of OpenCV), right-handed, in metres.
+* **Camera frame**: x right, y down, z forward (that of OpenCV), right-handed, in meters.
 * **Pose**: takes a point of the object into the camera frame, ``p_camera = R(q) @ p_object + t``.
 * **Quaternion**: Hamilton's, scalar first ``(w, x, y, z)``, of norm one. ``q`` and ``-q`` are one
   rotation; a `Pose` holds the canonical one, whose first component that is not zero is positive:
   ``w > 0``, or at half a turn ``w = 0`` and ``x > 0``, and so on. That rule is computed in one
   place, `ffpose.arrays.canonical_quaternion`.
 * **Flat vector**: ``[tx, ty, tz, qw, qx, qy, qz]``.
-* **Pixels**: continuous coordinates ``(u, v)``, u to the right and v downwards. The image covers
-  ``[0, width] x [0, height]``, so the centre of the top left pixel is ``(0.5, 0.5)`` and a resize
+* **Pixels**: continuous coordinates ``(u, v)``, u to the right and v downward. The image covers
+  ``[0, width] x [0, height]``, so the center of the top left pixel is ``(0.5, 0.5)`` and a resize
   is a plain scaling.
 
 URSO (Proença and Gao, 2020) labels its images in a left-handed camera frame (x right, y *up*, z
@@ -37,7 +37,7 @@ from ffpose.errors import DataError
 FloatArray = NDArray[np.float64]
 
 QUATERNION_TOLERANCE = 1e-3
-"""How far a quaternion's norm may lie from one (rounding of a printed label) to be normalised."""
+"""How far a quaternion's norm may lie from one (rounding of a printed label) to be normalized."""
 
 
 def _real_array(name: str, values: ArrayLike, size: int) -> FloatArray:
@@ -53,7 +53,7 @@ def _real_array(name: str, values: ArrayLike, size: int) -> FloatArray:
 
 
 def _unit_quaternion(q: ArrayLike) -> FloatArray:
-    """Normalise q ``(..., 4)`` where its norm is one within `QUATERNION_TOLERANCE`."""
+    """Normalize q ``(..., 4)`` where its norm is one within `QUATERNION_TOLERANCE`."""
     array = _real_array("quaternion", q, 4)
     norm = np.linalg.norm(array, axis=-1, keepdims=True)
     worst = float(np.max(np.abs(norm - 1), initial=0.0))
@@ -167,7 +167,7 @@ class Camera:
         """Project points of the camera frame onto the image.
 
         Args:
-            points: ``(..., 3)``, metres.
+            points: ``(..., 3)``, meters.
 
         Returns:
             Pixels ``(..., 2)``, float64, also where they lie outside the image. A point that is not
@@ -193,7 +193,7 @@ class PoseUncertainty:
     Two are equal where all their numbers are.
 
     Attributes:
-        translation_covariance: ``(3, 3)`` square metres, camera frame; float64.
+        translation_covariance: ``(3, 3)`` square meters, camera frame; float64.
         rotation_covariance: ``(3, 3)`` square radians: covariance of the rotation vector ``r``,
             camera frame, with ``R_true = exp([r]x) @ R_predicted``; float64.
         in_view: Probability that the object is in the image at all.
@@ -234,7 +234,7 @@ class Pose:
     and uncertainty are. ``q`` and ``-q`` make equal poses.
 
     Attributes:
-        t: Translation ``(3,)``, metres, camera frame; read-only float64.
+        t: Translation ``(3,)``, meters, camera frame; read-only float64.
         q: Orientation ``(4,)``, Hamilton quaternion ``(w, x, y, z)`` of norm one and of canonical
             sign (see the module); read-only float64.
         uncertainty: Of a prediction, where the network gives one; None for a label.
@@ -258,7 +258,7 @@ class Pose:
         Raises:
             TypeError: The values are not real numbers.
             ValueError: Wrong shape, a value that is not finite, or a quaternion whose norm is
-                farther than `QUATERNION_TOLERANCE` from one; a closer one is normalised.
+                farther than `QUATERNION_TOLERANCE` from one; a closer one is normalized.
         """
         translation = _real_array("translation", t, 3)
         quaternion = _unit_quaternion(q)
@@ -316,7 +316,7 @@ class Pose:
         return rotation_matrix(self.q)
 
     def transform(self, points: ArrayLike) -> FloatArray:
-        """Take points of the object ``(..., 3)`` into the camera frame, metres."""
+        """Take points of the object ``(..., 3)`` into the camera frame, meters."""
         return _real_array("points", points, 3) @ self.rotation.T + self.t
 
     def project(self, points: ArrayLike, camera: Camera) -> FloatArray:

@@ -2,7 +2,7 @@
 
 Counts, checks of labels and images, the distributions that the paper shows (Ye et al.,
 Sensors 2023, 23, 8633: translation in Figure 6, orientation in Figure 7), and a sheet of images on
-which the labelled axes are drawn: a wrong convention shows there at once.
+which the labeled axes are drawn: a wrong convention shows there at once.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ _GAP = 6
 _AXIS_LENGTH = 3.0
 _NORM_TOLERANCE = 1e-5
 """Of a quaternion's norm: a label of five digits keeps within it."""
-_COLOURS = ("#0072b2", "#e69f00", "#009e73")
-"""Of the splits: three that the colour-blind can tell apart."""
+_COLORS = ("#0072b2", "#e69f00", "#009e73")
+"""Of the splits: three that the color-blind can tell apart."""
 
 
 class _Quantity(NamedTuple):
@@ -81,8 +81,8 @@ def inspect_dataset(
         ValueError: There are no splits, more than three, or no images asked for a sheet.
         DataError: An image is not whole, or has not its camera's size; nothing is written.
     """
-    if not 1 <= len(datasets) <= len(_COLOURS):
-        raise ValueError(f"data sets: expected 1 to {len(_COLOURS)} splits, got {len(datasets)}")
+    if not 1 <= len(datasets) <= len(_COLORS):
+        raise ValueError(f"data sets: expected 1 to {len(_COLORS)} splits, got {len(datasets)}")
     if sheet_images < 1:
         raise ValueError(f"sheet_images: expected at least 1, got {sheet_images}")
     for dataset in datasets.values():
@@ -119,7 +119,7 @@ def _decode_all(dataset: PoseDataset) -> None:
 
 
 def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
-    """Return up to ``count`` images, spread evenly over a data set, with their labelled axes."""
+    """Return up to ``count`` images, spread evenly over a data set, with their labeled axes."""
     indices = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(int)).tolist()
     tiles = [_tile(dataset, index) for index in indices]
     width, height = tiles[0].width + _GAP, tiles[0].height + _GAP
@@ -217,7 +217,7 @@ def _write_histograms(
             bins=24 if quantity.edges is None else quantity.edges,
             stacked=True,
             label=[f"{name} ({len(split)})" for name, split in values.items()],
-            color=_COLOURS[: len(values)],
+            color=_COLORS[: len(values)],
         )
         if quantity.edges is not None:
             axes.set_xticks(quantity.edges[::4])

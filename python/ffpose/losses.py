@@ -20,8 +20,8 @@ class LossTerms(NamedTuple):
     """A loss and what it is made of, each a tensor without axes.
 
     Attributes:
-        total: Eq. 11, to be minimised.
-        translation: ``L_t``, Eq. 9, metres.
+        total: Eq. 11, to be minimized.
+        translation: ``L_t``, Eq. 9, meters.
         orientation: ``L_q``, Eq. 10.
     """
 
@@ -33,7 +33,7 @@ class LossTerms(NamedTuple):
 class PoseLoss(nn.Module):
     """The joint loss with its learnable weights.
 
-    An optimiser with weight decay must leave ``s_t`` and ``s_q`` out of it: they are no weights of
+    An optimizer with weight decay must leave ``s_t`` and ``s_q`` out of it: they are no weights of
     the network, and zero is no neutral value for them.
 
     Args:
@@ -54,7 +54,7 @@ class PoseLoss(nn.Module):
         """Compare predictions with labels.
 
         Args:
-            t_hat: Predicted translations ``(B, 3)``, metres.
+            t_hat: Predicted translations ``(B, 3)``, meters.
             q_hat: Predicted quaternions ``(B, 4)``, ``(w, x, y, z)``, of any norm but zero.
             t: True translations ``(B, 3)``.
             q: True quaternions ``(B, 4)``, of norm one.

@@ -1,6 +1,6 @@
 """Errors of poses, over the Rust core, for a batch and accumulated over batches and processes.
 
-* Translation error: Euclidean distance in metres (Ye et al., Sensors 2023, 23, 8633, Eq. 13).
+* Translation error: Euclidean distance in meters (Ye et al., Sensors 2023, 23, 8633, Eq. 13).
 * Rotation error: the angle of the rotation from prediction to label, in degrees (Eq. 14); q and -q
   are one pose. Its in-plane and out-of-plane parts: `ffpose.attitude`.
 * ESA score (Kelvins pose estimation challenge, 2019): mean of relative translation error plus
@@ -37,7 +37,7 @@ class PoseErrors(NamedTuple):
     """Errors of each sample, float64 ``(N,)`` on the CPU.
 
     Attributes:
-        translation_m: Translation error, metres.
+        translation_m: Translation error, meters.
         rotation_deg: Rotation error, degrees.
         esa_score: The sample's part of the ESA score.
         speed_plus_score: The sample's part of the SPEED+ score.
@@ -59,7 +59,7 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
     """Return the errors of each prediction.
 
     Args:
-        t_hat: Predicted translations ``(N, 3)``, metres, any floating dtype and device.
+        t_hat: Predicted translations ``(N, 3)``, meters, any floating dtype and device.
         q_hat: Predicted quaternions ``(N, 4)``, ``(w, x, y, z)``.
         t: True translations ``(N, 3)``.
         q: True quaternions ``(N, 4)``.

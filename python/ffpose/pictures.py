@@ -58,7 +58,7 @@ def chart(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
 
 
 def noise(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
-    """Draw noise without grain about a random colour, of a random strength."""
+    """Draw noise without grain about a random color, of a random strength."""
     width, height = size
     spread = rng.uniform(5, 80)
     return _image(rng.uniform(0, 255, 3) + spread * rng.standard_normal((height, width, 3)))
@@ -67,7 +67,7 @@ def noise(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
 def clutter(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
     """Draw clutter with the statistics of photographs: dead leaves with a texture of all scales.
 
-    Discs that hide each other, their radii r distributed as r^-3, have the edges and the
+    Disks that hide each other, their radii r distributed as r^-3, have the edges and the
     power spectrum of natural images (Lee, Mumford and Huang, "Occlusion Models for Natural
     Images", IJCV 2001); over them lie clouds whose amplitude falls with the frequency.
     """
@@ -85,7 +85,7 @@ def clutter(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
 
 PICTURES: dict[str, tuple[str, Callable[[np.random.Generator, tuple[int, int]], Image.Image]]] = {
     "charts": ("bars and lines with axes and words", chart),
-    "noise": ("without grain, any colour and strength", noise),
+    "noise": ("without grain, any color and strength", noise),
     "clutter": ("dead leaves with clouds, as photographs in their statistics", clutter),
 }
 """What each kind is, for a reader, and what draws it."""
@@ -125,5 +125,5 @@ def _clouds(rng: np.random.Generator, size: tuple[int, int]) -> FloatArray:
 
 
 def _image(values: FloatArray) -> Image.Image:
-    """Round values ``(height, width, 3)`` to pixels; those beyond 0 … 255 are burnt out."""
+    """Round values ``(height, width, 3)`` to pixels; those beyond 0 … 255 are burned out."""
     return Image.fromarray(np.clip(np.round(values), 0, 255).astype(np.uint8))

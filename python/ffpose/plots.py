@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MODEL_COLOUR = "#2f6fdf"
-BASELINE_COLOUR = "#9aa3af"
-TRUTH_COLOURS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
+MODEL_COLOR = "#2f6fdf"
+BASELINE_COLOR = "#9aa3af"
+TRUTH_COLORS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
 """Of the true axes: pale, as the predicted ones are drawn over them."""
 
 GALLERY_TILE = (480, 360)
@@ -54,7 +54,7 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
     )
     for axes, (column, title) in zip(figure.subplots(1, 3), panels, strict=True):
         values = [float(row[column]) for row in history]
-        axes.plot(epochs, values, color=MODEL_COLOUR, marker="." if len(epochs) < 40 else "")
+        axes.plot(epochs, values, color=MODEL_COLOR, marker="." if len(epochs) < 40 else "")
         axes.set_xlabel("epoch")
         _title(axes, title)
         if column.startswith("val"):
@@ -66,13 +66,13 @@ def error_cdf(evaluation: Evaluation) -> Figure:
     """Draw, for each error, the part of the images that lie below it; model and baseline."""
     figure = _figure(9.0, 6.4)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
-        for values, label, colour in (
-            (pair.model, "model", MODEL_COLOUR),
-            (pair.baseline, "mean pose", BASELINE_COLOUR),
+        for values, label, color in (
+            (pair.model, "model", MODEL_COLOR),
+            (pair.baseline, "mean pose", BASELINE_COLOR),
         ):
             share = np.arange(1, len(values) + 1) / len(values)
-            axes.step(np.sort(values), share, where="post", label=label, color=colour)
-            axes.plot(np.median(values), 0.5, "o", color=colour)
+            axes.step(np.sort(values), share, where="post", label=label, color=color)
+            axes.plot(np.median(values), 0.5, "o", color=color)
         axes.set_xlabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylim(0, 1)
         axes.set_xlim(left=0)
@@ -86,8 +86,8 @@ def error_histograms(evaluation: Evaluation) -> Figure:
     figure = _figure(9.0, 6.0)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
         edges = np.linspace(0.0, max(pair.model.max(), pair.baseline.max()), 41)
-        axes.hist(pair.baseline, edges, color=BASELINE_COLOUR, alpha=0.55, label="mean pose")
-        axes.hist(pair.model, edges, color=MODEL_COLOUR, alpha=0.85, label="model")
+        axes.hist(pair.baseline, edges, color=BASELINE_COLOR, alpha=0.55, label="mean pose")
+        axes.hist(pair.model, edges, color=MODEL_COLOR, alpha=0.85, label="model")
         axes.set_xlabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylabel("images")
         _title(axes, f"distribution of the {pair.name} error")
@@ -100,7 +100,7 @@ def errors_by_distance(evaluation: Evaluation) -> Figure:
     figure = _figure(9.0, 6.0)
     distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
-        axes.scatter(distance, pair.model, s=9, color=MODEL_COLOUR, alpha=0.6, linewidths=0)
+        axes.scatter(distance, pair.model, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
         axes.set_xlabel("true distance, m")
         axes.set_ylabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylim(bottom=0)
@@ -116,8 +116,8 @@ def predicted_angles(evaluation: Evaluation) -> Figure:
         figure.subplots(1, 3), limits.items(), *(a.T for a in evaluation.angles), strict=True
     )
     for axes, (name, limit), truth, predicted in panels:
-        axes.plot([-limit, limit], [-limit, limit], color=BASELINE_COLOUR, linewidth=0.8)
-        axes.scatter(truth, predicted, s=9, color=MODEL_COLOUR, alpha=0.6, linewidths=0)
+        axes.plot([-limit, limit], [-limit, limit], color=BASELINE_COLOR, linewidth=0.8)
+        axes.scatter(truth, predicted, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
         axes.set_xlabel(f"true {name}, degrees")
         axes.set_ylabel(f"predicted {name}, degrees")
@@ -135,12 +135,12 @@ def reliability_diagram(evaluation: Evaluation) -> Figure:
         raise ValueError("reliability diagram: expected an evaluation with covariances, got none")
     figure = _figure(4.6, 4.2)
     axes = figure.subplots()
-    axes.plot([0, 1], [0, 1], color=BASELINE_COLOUR, linewidth=0.8, label="calibrated")
+    axes.plot([0, 1], [0, 1], color=BASELINE_COLOR, linewidth=0.8, label="calibrated")
     for (name, probability), style in zip(
         evaluation.region_probabilities.items(), ("-", "--"), strict=False
     ):
         empirical = coverage(probability, CURVE)
-        axes.plot(CURVE, empirical, style, color=MODEL_COLOUR, marker=".", label=name)
+        axes.plot(CURVE, empirical, style, color=MODEL_COLOR, marker=".", label=name)
     axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
     axes.set_xlabel("probability of the predicted region")
     axes.set_ylabel("share of the truths within it")
@@ -158,7 +158,7 @@ def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
         image = image.resize((GALLERY_TILE[0], round(image.height * scale)))
     camera, wide = dataset.camera, max(4, image.width // 80)
     truth = dataset.records[index].pose
-    image = draw_axes(image, truth, camera, colours=TRUTH_COLOURS, width=wide)
+    image = draw_axes(image, truth, camera, colors=TRUTH_COLORS, width=wide)
     return draw_axes(image, evaluation.pose(index), camera, width=max(2, wide // 3))
 
 

@@ -48,7 +48,7 @@ class Prediction:
         return self.pose.uncertainty.in_view < self.in_view_threshold
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the prediction as JSON can hold it: metres, ``(w, x, y, z)``, degrees.
+        """Return the prediction as JSON can hold it: meters, ``(w, x, y, z)``, degrees.
 
         Of a network that knows its uncertainty: covariances in m² and rad², a probability too.
         """
@@ -73,18 +73,18 @@ class Prediction:
             return f"{self.image}: no spacecraft in view (p = {uncertainty.in_view:.2g})"
         x, y, z = self.pose.t
         roll, pitch, yaw = quaternion_to_euler(self.pose.q)
-        metres = degrees = ""
+        meters = degrees = ""
         if uncertainty is not None:
             distance, angle = standard_deviations(self.pose.t, uncertainty)
-            metres, degrees = f" ± {distance:.2f} m along the ray", f" ± {angle:.1f}°"
+            meters, degrees = f" ± {distance:.2f} m along the ray", f" ± {angle:.1f}°"
         return (
-            f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m{metres}, "
+            f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m{meters}, "
             f"roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°{degrees}"
         )
 
 
 def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[float, float]:
-    """Return one sigma of the distance, metres, and of the angle of rotation, degrees.
+    """Return one sigma of the distance, meters, and of the angle of rotation, degrees.
 
     The first is along the viewing ray to ``t``, ``sqrt(uᵀ C u)``; the second is the root mean
     square length of the rotation vector, ``sqrt(trace C)``.

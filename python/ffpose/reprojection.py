@@ -76,7 +76,7 @@ def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
 
 
 def _axis(
-    size: int, focal: float, centre: float, view_size: int, view_focal: float, view_centre: float
+    size: int, focal: float, center: float, view_size: int, view_focal: float, view_center: float
 ) -> Axis | None:
     """Return which pixels of the view's axis can show the image; None where none can.
 
@@ -84,7 +84,7 @@ def _axis(
     than a few times as large as the image, however wide the view is.
     """
     scale = focal / view_focal  # pixels of the image a pixel of the view
-    origin = centre - view_centre * scale
+    origin = center - view_center * scale
     reach = math.ceil(max(1.0, 1 / scale)) + 1
     first = max(0, math.floor(-origin / scale) - reach)
     last = min(view_size, math.ceil((size - origin) / scale) + reach)

@@ -51,7 +51,7 @@ class ViewSpec:
         camera: Of the network's input, whose image is the pyramid's finest level.
         first_stride: Pixels of that image a pixel of the first look.
         object_width: Pixels of the virtual camera's image.
-        object_radius_m: Metres at the object from the middle of that image to its edge.
+        object_radius_m: Meters at the object from the middle of that image to its edge.
     """
 
     camera: Camera
@@ -74,7 +74,7 @@ class ViewSpec:
         }
 
     def level(self, translation: NDArray[np.float64]) -> int:
-        """Return the pyramid level for an object at ``translation (3,)``, metres.
+        """Return the pyramid level for an object at ``translation (3,)``, meters.
 
         Raises:
             ValueError: The object is not before the camera.

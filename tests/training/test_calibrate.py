@@ -100,10 +100,10 @@ def test_a_network_that_gives_no_uncertainty_is_refused():
         calibrate(Drawn("frame"), split(0), absent())
 
 
-@pytest.mark.parametrize(("labelled", "empty"), [([], absent()), (list(split(0)), [])])
-def test_images_of_both_kinds_are_needed(labelled, empty):
+@pytest.mark.parametrize(("labeled", "empty"), [([], absent()), (list(split(0)), [])])
+def test_images_of_both_kinds_are_needed(labeled, empty):
     with pytest.raises(ValueError, match="expected some that show the object and some that do not"):
-        calibrate(Drawn(), labelled, empty)
+        calibrate(Drawn(), labeled, empty)
 
 
 @pytest.mark.parametrize("bad", [[], [1.0, -1.0], [np.nan]])

@@ -84,14 +84,14 @@ def cores() -> int:
 
 
 def _mkl_code() -> str:
-    """Return which code torch's MKL runs: "vectorised", on Intel's processors alone, or "baseline".
+    """Return which code torch's MKL runs: "vectorized", on Intel's processors alone, or "baseline".
 
     The answer is MKL's own, or that of a preloaded library; empty where there is no MKL.
     """
     bundled = Path(torch.__file__).parent / "lib" / "libtorch_cpu.so"
     for library in (None, str(bundled)):
         with suppress(OSError, AttributeError):
-            return "vectorised" if ctypes.CDLL(library).mkl_serv_intel_cpu_true() else "baseline"
+            return "vectorized" if ctypes.CDLL(library).mkl_serv_intel_cpu_true() else "baseline"
     return ""
 
 

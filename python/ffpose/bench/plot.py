@@ -14,7 +14,7 @@ from ffpose.files import atomic_write
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = dict(zip(BATCHES, ("#1b4f9c", "#3fa7d6", "#f08a24"), strict=True))
+COLORS = dict(zip(BATCHES, ("#1b4f9c", "#3fa7d6", "#f08a24"), strict=True))
 WORKS = ("forward", "forward+backward")
 TICKS = (0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 50)
 
@@ -54,7 +54,7 @@ def _draw_panel(axes: Axes, comparisons: Sequence[Comparison], labels: Sequence[
         axes.scatter(
             [one.ratio() for one in points],
             [labels.index(one.case.size_label) for one in points],
-            color=COLOURS[batch],
+            color=COLORS[batch],
             label=f"batch {batch}",
             s=34,
             zorder=3,

@@ -82,7 +82,7 @@ def _contender_of(
         return Contender(lambda: function(x, weight).detach())
     return Contender(
         lambda: torch.autograd.grad(function(x, weight), (x, weight), grad),
-        # As an optimiser's step does between two calls: a weight once prepared is of no use.
+        # As an optimizer's step does between two calls: a weight once prepared is of no use.
         prepare=lambda: weight.data.neg_(),
     )
 

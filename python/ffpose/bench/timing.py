@@ -64,7 +64,7 @@ def interleave(
     finally:
         if collecting:
             gc.enable()
-    return {name: summarise(values, inner[name]) for name, values in samples.items()}
+    return {name: summarize(values, inner[name]) for name, values in samples.items()}
 
 
 def time_calls(contender: Contender, count: int) -> float:
@@ -83,7 +83,7 @@ def time_calls(contender: Contender, count: int) -> float:
     return total / count
 
 
-def summarise(values: Sequence[float], inner: int) -> Timing:
+def summarize(values: Sequence[float], inner: int) -> Timing:
     """Return median and quartiles of at least two samples, by linear interpolation between them."""
     lower, median, upper = statistics.quantiles(values, n=4, method="inclusive")
     return Timing(median, lower, upper, len(values), inner)

@@ -1,4 +1,4 @@
-"""Labelled images as a torch data set; how a folder is read is the business of its own file."""
+"""Labeled images as a torch data set; how a folder is read is the business of its own file."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class Reader(Protocol):
         """Return the splits that the folder holds."""
 
     def read(self, root: Path, split: Split) -> tuple[list[Record], Camera]:
-        """Return the labelled images of a split, labels converted, and their camera."""
+        """Return the labeled images of a split, labels converted, and their camera."""
 
 
 class Sample(NamedTuple):
     """One training sample; a DataLoader stacks them into a Sample of batches.
 
     Attributes:
-        image: float32 ``(3, h, w)``, standardised.
-        translation: float32 ``(3,)``, metres.
+        image: float32 ``(3, h, w)``, standardized.
+        translation: float32 ``(3,)``, meters.
         orientation: float32 ``(4,)``, unit quaternion ``(w, x, y, z)``, ``w >= 0``.
         index: Its place in the data set.
     """
@@ -52,10 +52,10 @@ class Sample(NamedTuple):
 
 
 class PoseDataset(Dataset[Sample]):
-    """Labelled images, preprocessed and augmented.
+    """Labeled images, preprocessed and augmented.
 
     Args:
-        records: The labelled images.
+        records: The labeled images.
         camera: The one camera of all images, which have its size.
         preprocessing: From image to network input.
         augmentation: Applied to each sample anew; None for none.

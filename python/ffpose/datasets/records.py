@@ -1,4 +1,4 @@
-"""One labelled image of a data set, and how its file is opened."""
+"""One labeled image of a data set, and how its file is opened."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ffpose.images import open_image, to_rgb
 
 @dataclass(frozen=True)
 class Record:
-    """A labelled image.
+    """A labeled image.
 
     Attributes:
         image: Path of the image file.

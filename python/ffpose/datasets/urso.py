@@ -55,7 +55,7 @@ def splits(root: Path) -> list[Split]:
 
 
 def read(root: Path, split: Split) -> tuple[list[Record], Camera]:
-    """Read the labelled images of a split, and their camera.
+    """Read the labeled images of a split, and their camera.
 
     Raises:
         FileNotFoundError: The folder, or a file that lists the split, does not exist.

@@ -111,7 +111,7 @@ def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
     point = points_at(offset, view)
     distance = point.norm(dim=-1, keepdim=True)
     ray = point / distance  # (B, 3)
-    slope = distance * ray[:, 2:]  # metres a unit of x / z, before the ray is normalised again
+    slope = distance * ray[:, 2:]  # meters a unit of x / z, before the ray is normalized again
     pixels = (view.focal * OFFSET_SCALE)[:, None]
     columns = []
     for axis, side in enumerate((view.size[1], view.size[0])):

@@ -2,7 +2,7 @@
 
 A pinhole camera that only turns sees the same scene through the homography ``K_v R K^-1``:
 rotation, crop and scale in one, exact for every depth. Turned to the object, with a field of view
-that is a fixed number of metres at the object's distance, it shows a craft of one size in the
+that is a fixed number of meters at the object's distance, it shows a craft of one size in the
 middle of the image, whatever its place in the frame: what is left to learn is the attitude, and
 small corrections of the position. Poses go from camera to virtual camera and back by the rotation
 alone::
@@ -28,7 +28,7 @@ SHARPNESS = 0.8
 """Pixels of the chosen pyramid level a pixel of the virtual camera, at least."""
 
 LEAST_DEPTH = 1e-3
-"""Of a ray in the source camera; rays that point farther backwards see nothing."""
+"""Of a ray in the source camera; rays that point farther backward see nothing."""
 
 FAR_OUTSIDE = -1e6
 
@@ -40,7 +40,7 @@ class VirtualCamera(NamedTuple):
         rotation: ``(B, 3, 3)``, from the camera's frame to the virtual one's.
         focal: ``(B,)`` focal length in pixels of the virtual image, whose center is the principal
             point.
-        distance: ``(B,)`` metres to the point that was turned to.
+        distance: ``(B,)`` meters to the point that was turned to.
         size: ``(height, width)`` of the virtual image.
     """
 
@@ -82,8 +82,8 @@ def turn_to(
     """Turn a virtual camera to points of the camera's frame.
 
     Args:
-        points: ``(B, 3)`` metres, not behind the camera.
-        radius_m: Metres at the point's distance from the middle of the image to its left edge.
+        points: ``(B, 3)`` meters, not behind the camera.
+        radius_m: Meters at the point's distance from the middle of the image to its left edge.
         size: ``(height, width)`` of the image in pixels.
         twist: ``(B,)`` radians by which the scene is then turned about the viewing ray; None for
             not at all.

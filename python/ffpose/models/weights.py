@@ -52,7 +52,7 @@ class WeightsMetadata:
         preprocessing: Turns an image into its input.
         backbone_source: What the backbone's training began from: ``name``, ``source`` and
             ``sha256`` of pretrained weights, or ``"none"``: random ones.
-        recipe: How the network was trained, as JSON can hold it: loss, optimiser, augmentation,
+        recipe: How the network was trained, as JSON can hold it: loss, optimizer, augmentation,
             stages, seed, steps.
         data: What it was trained on, as JSON can hold it: name, ``count``, ``digest``, and
             ``image_size``, the ``[width, height]`` of the images before preprocessing.

@@ -3,7 +3,7 @@
 Ye et al., Sensors 2023, 23, 8633, section 3.1 and Figure 4. A block is three residual sublayers:
 filter, multi-head attention, feed-forward. Two things the paper leaves open are read so:
 
-* Normalisation stands before each sublayer (``norm="pre"``), and once after the last block.
+* Normalization stands before each sublayer (``norm="pre"``), and once after the last block.
   ``"post"`` is the original transformer's order.
 * A pose token, which joins the tokens to gather the answer, is kept out of the filter: it has no
   place in the grid, and the number of tokens with it (197) is prime.
@@ -88,7 +88,7 @@ class SelfAttention(nn.Module):
 
 
 class Residual(nn.Module):
-    """A sublayer with its skip connection, normalisation and dropout.
+    """A sublayer with its skip connection, normalization and dropout.
 
     Args:
         sublayer: Keeps the shape of its input.
@@ -122,7 +122,7 @@ class FilterformerBlock(nn.Module):
         heads: Attention heads.
         hidden: Width of the feed-forward network.
         dropout: Of each sublayer's result, the attention weights and the hidden layer.
-        norm: Where the sublayers normalise.
+        norm: Where the sublayers normalize.
         extra_tokens: How many tokens at the front pass the filter by.
     """
 
@@ -156,7 +156,7 @@ class FilterformerBlock(nn.Module):
 
 
 class Filterformer(nn.Module):
-    """The encoder: blocks of one kind, each with its own filter, and a last normalisation.
+    """The encoder: blocks of one kind, each with its own filter, and a last normalization.
 
     Args:
         grid: ``(rows, columns)`` of the feature map that the tokens come from.

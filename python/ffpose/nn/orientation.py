@@ -1,6 +1,6 @@
 """Orientation heads: what the numbers that a network gives for an attitude mean.
 
-* ``"quaternion"``: four numbers, normalised (Ye et al., Sensors 2023, 23, 8633, Eq. 10).
+* ``"quaternion"``: four numbers, normalized (Ye et al., Sensors 2023, 23, 8633, Eq. 10).
 * ``"6d"``: two columns of the rotation matrix, made orthonormal by Gram and Schmidt; continuous
   over all rotations, which four numbers cannot be (Zhou et al., "On the Continuity of Rotation
   Representations in Neural Networks", CVPR 2019).
@@ -57,7 +57,7 @@ class OrientationHead(Protocol):
 
 
 class QuaternionHead(nn.Module):
-    """Four numbers, normalised; trained on the distance to the nearer of q and -q."""
+    """Four numbers, normalized; trained on the distance to the nearer of q and -q."""
 
     features = 4
     start = (1.0, 0.0, 0.0, 0.0)

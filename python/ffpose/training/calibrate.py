@@ -42,7 +42,7 @@ class Calibration(NamedTuple):
 
 
 def calibrate(
-    model: FilterformerPose, labelled: Iterable[Sample], empty: Iterable[Tensor]
+    model: FilterformerPose, labeled: Iterable[Sample], empty: Iterable[Tensor]
 ) -> Calibration:
     """Find the scales of a network's variances, and the threshold that flags by its presence.
 
@@ -52,8 +52,8 @@ def calibrate(
 
     Args:
         model: A network with a second look.
-        labelled: Batches of the validation split, as a DataLoader of a `PoseDataset` gives them.
-        empty: Batches ``(B, 3, H, W)``, standardised, of images that do not show the object.
+        labeled: Batches of the validation split, as a DataLoader of a `PoseDataset` gives them.
+        empty: Batches ``(B, 3, H, W)``, standardized, of images that do not show the object.
 
     Raises:
         ValueError: A network that gives no uncertainty, no images of one kind, or a covariance that
@@ -63,7 +63,7 @@ def calibrate(
         raise ValueError("model: expected one with orientation_view 'object', got 'frame'")
     model.eval()
     translation, rotation, shown = [], [], []
-    for batch in labelled:
+    for batch in labeled:
         pose = _see(model, batch.image)
         truth_t, truth_q = _array(batch.translation), _array(batch.orientation)
         translation.append(squared_mahalanobis(truth_t - pose[0], pose[2]))

@@ -38,7 +38,7 @@ class TrainState:
         model: The model's `state_dict`.
         average: The `state_dict` of the weights' moving average.
         loss: The loss's `state_dict`: the learnable weights.
-        optimizer: The optimiser's `state_dict`.
+        optimizer: The optimizer's `state_dict`.
         history: The rows of all finished epochs.
         best_epoch: Number of the epoch with the lowest validation score; 0 before the first.
     """

@@ -1,6 +1,6 @@
 """The training loop: a plain one.
 
-The loss is that of equations 9 to 11, the optimiser Adam, the stages those of
+The loss is that of equations 9 to 11, the optimizer Adam, the stages those of
 `ffpose.training.stages`. Every random number of an epoch (the order of the images, augmentation,
 dropout) comes from the run's seed and the number of the epoch alone, so a run that was interrupted
 and taken up gives the weights of one that was not, bit for bit on the same machine and number of

@@ -47,9 +47,9 @@ class ViewBatch(NamedTuple):
     """What both looks see in ``B`` samples, and what they should say.
 
     Attributes:
-        frames: ``(F, 3, h, w)``, standardised: of the first F samples.
+        frames: ``(F, 3, h, w)``, standardized: of the first F samples.
         location: ``(F, 3)``, as `FilterformerPose.location`.
-        crops: ``(B, 3, h, w)``, standardised: the object's view.
+        crops: ``(B, 3, h, w)``, standardized: the object's view.
         orientation: ``(B, 4)`` unit quaternions in the virtual camera's frame.
         offset: ``(B, 3)``, as `ffpose.models.object_look.offset_of`.
         coordinates: ``(B, 4, rows, columns)``: the object's coordinates in [-1, 1], and whether the
@@ -95,7 +95,7 @@ class ViewBatches:
     ) -> None:
         self.model, self.sets, self.empty = model, tuple(arrays), tuple(empty)
         self.augmentation, self.cells = augmentation, cells
-        self.unit = (1 / torch.tensor(std))[:, None, None]  # what white is, standardised
+        self.unit = (1 / torch.tensor(std))[:, None, None]  # what white is, standardized
         self.scale = self.unit / 255
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
@@ -214,7 +214,7 @@ class ViewBatches:
         return values
 
     def _varied(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Vary brightness, sharpness and noise of standardised images whose black is zero."""
+        """Vary brightness, sharpness and noise of standardized images whose black is zero."""
         a, shape = self.augmentation, (len(images), 1, 1, 1)
         if a.blur > 0:
             share = a.blur * torch.rand(shape, generator=generator).square()
