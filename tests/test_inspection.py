@@ -1,4 +1,4 @@
-"""What the inspection of a data set finds and draws."""
+"""What the inspection of a dataset finds and draws."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A pose drawn on its image."""
+"""Drawing a pose on its image."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 from ffpose.geometry import Camera, Pose
 
 AXIS_COLORS = ("#ff4b4b", "#4bff6a", "#5b9dff")
-"""Of x, y and z."""
+"""Colors of the axes x, y and z."""
 
 
 def draw_axes(
@@ -21,15 +21,15 @@ def draw_axes(
     colors: Sequence[str] = AXIS_COLORS,
     width: int | None = None,
 ) -> Image.Image:
-    """Draw the object's axes x, y, z from its origin, the farthest first.
+    """Draw the object's axes from its origin, back to front.
 
     Args:
-        image: An RGB image, of any size.
+        image: RGB image of any size.
         pose: The object's pose.
-        camera: The camera; it is resized with the image, which must show its whole view.
-        length: Of each axis, meters.
-        colors: Of the three axes.
-        width: Of the lines, in pixels; None for one suited to the image.
+        camera: The camera, resized to the image, which must show the camera's whole view.
+        length: Length of each axis, meters.
+        colors: Colors of the three axes.
+        width: Width of the lines in pixels; None for a width suited to the image.
 
     Returns:
         A new image. An axis that reaches behind the camera is left out.

@@ -1,4 +1,4 @@
-"""Figures of training and evaluation. Every function returns a figure; `save_figure` writes it."""
+"""Figures of training and evaluation; each function returns a figure, `save_figure` writes it."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 MODEL_COLOR = "#2f6fdf"
 BASELINE_COLOR = "#9aa3af"
 TRUTH_COLORS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
-"""Of the true axes: pale, as the predicted ones are drawn over them."""
+"""Colors of the true axes, pale because the predicted ones are drawn over them."""
 
 GALLERY_TILE = (480, 360)
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write ``figure``, whole or not at all, in the format of the suffix."""
+    """Write ``figure`` atomically in the format of the suffix."""
     with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=120)
 
 
 def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
-    """Draw the loss and the validation errors over the epochs.
+    """Plot the loss and the validation errors over the epochs.
 
     Args:
-        history: Rows as ``results.csv`` holds them, the last epoch last.
+        history: Rows of ``results.csv``, in order of the epochs.
 
     Raises:
-        ValueError: There is no epoch.
+        ValueError: ``history`` is empty.
     """
     if not history:
         raise ValueError("training curves: expected at least one epoch, got none")
@@ -63,7 +63,7 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
 
 
 def error_cdf(evaluation: Evaluation) -> Figure:
-    """Draw, for each error, the part of the images that lie below it; model and baseline."""
+    """Plot the cumulative distribution of each error, for model and baseline."""
     figure = _figure(9.0, 6.4)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
         for values, label, color in (
@@ -82,7 +82,7 @@ def error_cdf(evaluation: Evaluation) -> Figure:
 
 
 def error_histograms(evaluation: Evaluation) -> Figure:
-    """Draw how the errors are distributed, as the paper's Figure 8 does."""
+    """Plot histograms of the errors, as in the paper's Figure 8."""
     figure = _figure(9.0, 6.0)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
         edges = np.linspace(0.0, max(pair.model.max(), pair.baseline.max()), 41)
@@ -96,7 +96,7 @@ def error_histograms(evaluation: Evaluation) -> Figure:
 
 
 def errors_by_distance(evaluation: Evaluation) -> Figure:
-    """Draw each image's errors over the distance of the object."""
+    """Plot each image's errors over the distance of the object."""
     figure = _figure(9.0, 6.0)
     distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
@@ -109,7 +109,7 @@ def errors_by_distance(evaluation: Evaluation) -> Figure:
 
 
 def predicted_angles(evaluation: Evaluation) -> Figure:
-    """Draw predicted over true roll, pitch and yaw: a line where they are learned, else a band."""
+    """Plot predicted over true roll, pitch and yaw: a line if they are learned, else a band."""
     figure = _figure(10.5, 3.6)
     limits = {"roll": 180, "pitch": 90, "yaw": 180}
     panels = zip(
@@ -126,7 +126,7 @@ def predicted_angles(evaluation: Evaluation) -> Figure:
 
 
 def reliability_diagram(evaluation: Evaluation) -> Figure:
-    """Draw the share of the truths within the region of each probability; calibrated: diagonal.
+    """Plot the coverage of confidence regions over their probability; diagonal if calibrated.
 
     Raises:
         ValueError: The evaluation holds no covariance.
@@ -150,7 +150,7 @@ def reliability_diagram(evaluation: Evaluation) -> Figure:
 
 
 def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
-    """Return image ``index`` with the true axes, pale and wide, under the predicted ones."""
+    """Return image ``index`` with the predicted axes drawn over the pale true ones."""
     dataset = evaluation.dataset
     image = dataset.load_image(index)
     if image.width < GALLERY_TILE[0]:
@@ -169,12 +169,12 @@ def caption(evaluation: Evaluation, index: int) -> str:
 
 
 def worst_gallery(evaluation: Evaluation, count: int = 16) -> Figure:
-    """Draw the ``count`` worst predictions on their images, the worst first."""
+    """Draw the ``count`` worst predictions on their images, worst first."""
     return _gallery(evaluation, evaluation.ranking[::-1][:count].tolist())
 
 
 def typical_gallery(evaluation: Evaluation, count: int = 8) -> Figure:
-    """Draw the ``count`` predictions about the median, of which as many are better as are worse."""
+    """Draw the ``count`` predictions around the median of the ranking."""
     return _gallery(evaluation, evaluation.typical(count))
 
 
@@ -210,7 +210,7 @@ def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
 
 
 class _ErrorPair(NamedTuple):
-    """One error of model and baseline, ``(N,)`` each."""
+    """An error of model and baseline, ``(N,)`` each."""
 
     name: str
     unit: str
@@ -219,7 +219,7 @@ class _ErrorPair(NamedTuple):
 
 
 def _error_pairs(evaluation: Evaluation) -> list[_ErrorPair]:
-    """Return the errors that every figure of errors shows."""
+    """Return the errors that the figures show."""
     fields = (
         ("translation", "m", "translation_m"),
         ("rotation", "degrees", "rotation_deg"),
@@ -234,7 +234,7 @@ def _error_pairs(evaluation: Evaluation) -> list[_ErrorPair]:
 
 
 def _figure(width: float, height: float) -> Figure:
-    """Return an empty figure of so many inches, apart from pyplot's global list."""
+    """Return an empty figure, size in inches, that is not in pyplot's global list."""
     figure: Figure = require("matplotlib.figure", "pose").Figure(
         figsize=(width, height), layout="constrained"
     )
