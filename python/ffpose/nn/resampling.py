@@ -6,10 +6,10 @@ at every frequency; the weight for ``m`` points is this response at ``k / m``. G
 al., 2021) also describes its filters as samples of a continuous response, but its code interpolates
 bilinearly between the samples, which changes the kernel. Here the kernel is exact:
 
-- the resized filter equals the convolution of the periodically continued image with the kernel; -
-for ``m >= n`` no tap changes, and resizing back gives the original weight; - for ``m < n`` taps
-that are ``m`` points apart are added: nothing is cut off, and the gain at DC is
-  preserved.
+- the resized filter equals the convolution of the periodically continued image with the kernel;
+- for ``m >= n`` no tap changes, and resizing back gives the original weight;
+- for ``m < n`` taps that are ``m`` points apart are added: nothing is cut off, and the gain at DC
+  is preserved.
 """
 
 from __future__ import annotations
