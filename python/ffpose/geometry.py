@@ -4,8 +4,8 @@ All other modules follow these conventions, and convert data in other convention
 
 * **Camera frame**: x right, y down, z forward (that of OpenCV), right-handed, in meters.
 * **Pose**: transforms points to the camera frame, ``p_camera = R(q) @ p_object + t``.
-* **Quaternion**: Hamilton's, scalar first ``(w, x, y, z)``, unit norm. ``q`` and ``-q`` are the same
-  rotation; a `Pose` stores the canonical one, whose first nonzero component is positive:
+* **Quaternion**: Hamilton's, scalar first ``(w, x, y, z)``, unit norm. ``q`` and ``-q`` are the
+  same rotation; a `Pose` stores the canonical one, whose first nonzero component is positive:
   ``w > 0``, or for a half turn ``w = 0`` and ``x > 0``, and so on
   (`ffpose.arrays.canonical_quaternion`).
 * **Flat vector**: ``[tx, ty, tz, qw, qx, qy, qz]``.
