@@ -44,7 +44,7 @@ class DemoConfig:
 
     @property
     def scene(self) -> Scene:
-        """Return the set that the images are rendered from."""
+        """Set that the images are rendered from."""
         return find_scene(SCENE, self.attitude_range_deg)
 
     def training(self, out: Path) -> TrainConfig:

@@ -103,9 +103,9 @@ class Predictor:
         camera: Camera of the images, at any image size; None accepts images of any camera.
 
     Attributes:
-        model: As given.
-        preprocessing: As given.
-        camera: As given.
+        model: The network.
+        preprocessing: Conversion from image to network input.
+        camera: Camera of the images, or None.
 
     Example:
         ``Predictor.from_weights("soyuz-easy")(Image.open("0_rgb.png").convert("RGB"))``

@@ -121,7 +121,7 @@ def fixed(model, first, second, monkeypatch):
 
 
 def numbers(model, count, offset=(0.0, 0.0, 0.0), log_sigma=(0.0,) * 6):
-    """The same numbers of a second look for each image."""
+    """Return equal outputs of the second look for each image."""
     return LookNumbers(
         torch.randn(1, model.orientation.features).expand(count, -1),
         torch.tensor(offset).expand(count, 3),
@@ -143,7 +143,7 @@ def rotations(q):
 
 
 def test_one_view_of_the_object_is_turned_with_the_camera(model, monkeypatch):
-    """The same second look in five directions: place and attitude turn with the viewing ray."""
+    """Equal outputs in five directions: position and attitude rotate with the viewing ray."""
     first = torch.tensor(
         [[0.1, 0.2, 0.0], [-0.5, 0.3, 0.1], [0.4, -0.3, 0.5], [-0.4, -0.3, -0.5], [0.01, 0.0, 0.0]]
     )

@@ -82,7 +82,7 @@ def test_an_empty_frame_lacks_the_spacecraft_and_nothing_else(monkeypatch, cloud
 
 
 def test_an_empty_frame_is_pure_and_exposed_for_itself():
-    """Another spacecraft, brighter or darker, changes nothing."""
+    """A brighter or darker spacecraft changes nothing."""
     scene = SCENES["soyuz_easy"]
     for index in range(3):
         empty = render_empty(scene, 3, index, SIZE)

@@ -15,7 +15,7 @@ from ffpose.training.calibrate import CHI_SQUARE_90, calibrate, variance_scale
 COUNT = 2000
 TRUE_VARIANCES = (0.09, 4e-4)
 SAID = (0.03, 16e-4)
-"""Of translation and rotation: the network says a third, and four times, of what it should."""
+"""Predicted variances: a third of the true one for translation, four times for rotation."""
 
 
 class Drawn(torch.nn.Module):

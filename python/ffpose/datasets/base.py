@@ -64,12 +64,13 @@ class PoseDataset(Dataset[Sample]):
             workers, forked or spawned, and later runs map this file (`ffpose.datasets.cache`).
 
     Attributes:
-        records: As given.
+        records: The labeled images.
         names: File names of the images.
         poses: Labels ``(N, 7)``, float64, ``[t, q]``.
         camera: The camera of the images as they are on disk.
-        preprocessing: As given; `Preprocessing.camera` gives the camera of the network's input.
-        augmentation: As given.
+        preprocessing: The preprocessing, whose `Preprocessing.camera` gives the camera of the
+            network's input.
+        augmentation: The augmentation, or None.
 
     Raises:
         ValueError: There are no records, or ``augmentation`` crops at random and ``preprocessing``

@@ -33,10 +33,10 @@ class Backbone(nn.Module):
         source: Source of the weights, as in `ffpose.models.WeightsMetadata`.
 
     Attributes:
-        features: As given.
-        channels: As given.
-        order: As given.
-        source: As given.
+        features: The timm model.
+        channels: Number of channels of each map.
+        order: Index of each returned map among those of ``features``.
+        source: Source of the weights.
     """
 
     def __init__(

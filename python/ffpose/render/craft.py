@@ -32,7 +32,7 @@ class Craft:
 
     @cached_property
     def outline(self) -> NDArray[np.float64]:
-        """Return vertices (N, 3), a few hundred at most, that span the spacecraft's extent."""
+        """Vertices (N, 3), a few hundred at most, that span the spacecraft's extent."""
         vertices = self.mesh.vertices
         return vertices[:: max(1, len(vertices) // 400)]
 

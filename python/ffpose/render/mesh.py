@@ -42,7 +42,7 @@ class Mesh:
 
     @cached_property
     def corner_normals(self) -> NDArray[np.float32]:
-        """Return unit normals (F, 3, 3) of the corners; edges beyond `CREASE_DEG` stay sharp."""
+        """Unit normals (F, 3, 3) of the corners; edges beyond `CREASE_DEG` stay sharp."""
         return _corner_normals(self.vertices, self.faces).astype(np.float32)
 
     def moved(self, rotation: ArrayLike | None = None, shift: ArrayLike = (0, 0, 0)) -> Mesh:
