@@ -58,7 +58,7 @@ def demo_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `demo`."""
     text = "folder to write (default: runs/demo, or runs/demo-train)"
     parser.add_argument("--out", type=Path, help=text)
-    text = "train from nothing, in minutes, in place of the weights that come with ffpose"
+    text = "train from scratch, in minutes, instead of using the shipped weights"
     parser.add_argument("--train", action="store_true", help=text)
 
 
@@ -137,14 +137,14 @@ def render(options: Namespace) -> None:
     )
     say(f"{written.folder}: {written.rendered} images in {written.seconds:.1f} s")
     if not written.closed:
-        say("the folder has images of other runs too: one run over all writes the label files")
+        say("the folder has images of other runs too: one run over all images writes the labels")
 
 
 def train_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `train`."""
     from ffpose.training.config import TrainConfig
 
-    parser.add_argument("--config", action="config", help="YAML file, as a run leaves it")
+    parser.add_argument("--config", action="config", help="YAML file, such as config.yaml of a run")
     parser.add_argument("--resume", action="store_true", help="resume the run in --out")
     parser.add_argument(
         "--backbone-weights",
@@ -176,11 +176,9 @@ def data_arguments(parser: ArgumentParser) -> None:
 
 def weights_argument(parser: ArgumentParser) -> None:
     """Declare the arguments that choose a command's weights, and allow images of any camera."""
+    parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz-easy")
     parser.add_argument(
-        "weights", type=Path, help="weights as training left them, or a name such as soyuz-easy"
-    )
-    parser.add_argument(
-        "--any-camera", action="store_true", help="take images of a camera unlike the weights'"
+        "--any-camera", action="store_true", help="accept images of a camera unlike the weights'"
     )
 
 
@@ -288,7 +286,7 @@ def inspect(options: Namespace) -> None:
     for split, figures in summary["splits"].items():
         failed = sum(len(names) for names in figures["failed"].values())
         print(f"{split}: {figures['images']} images, {failed} failed checks of labels")
-    print(f"{len(summary['shared_images'])} images stand in more than one split")
+    print(f"{len(summary['shared_images'])} images are in more than one split")
 
 
 def card_arguments(parser: ArgumentParser) -> None:
@@ -446,7 +444,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"ffpose {name}: {advice(error.message, known)}; see ffpose {name} --help")
         raise SystemExit(2) from error
     except KeyboardInterrupt:
-        say("ffpose: interrupted; files that are written are whole")
+        say("ffpose: interrupted; files already written are complete")
     except Exception as error:
         if "--debug" in words:
             raise

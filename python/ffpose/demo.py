@@ -56,7 +56,7 @@ def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> 
     record.write(out)
     _render(config, out, record, quiet=quiet)
     weights = _train(config, out, record, quiet=quiet) if shipped is None else Weights(shipped)
-    _say(f"evaluate: {config.images} images that no training saw", quiet=quiet)
+    _say(f"evaluate: {config.images} held-out images", quiet=quiet)
     began = time.perf_counter()
     evaluation = evaluate(weights.file, "urso", out / "images", "all")
     write_results(evaluation, out / "evaluation")
@@ -94,7 +94,7 @@ def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -
         progress=not quiet,
     )
     if written.rendered == 0:
-        _say("render: all images were there already", quiet=quiet)
+        _say("render: all images exist already", quiet=quiet)
         return
     record.images_rendered += written.rendered
     record.render_seconds += written.seconds
@@ -105,7 +105,7 @@ def _train(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) ->
     """Train the remaining epochs, on views that are rendered where they are missing."""
     training = config.training(out)
     if record.views_seconds == 0:
-        _say(f"views: {config.views} to learn from, rendered as the network looks", quiet=quiet)
+        _say(f"views: rendering {config.views} training views", quiet=quiet)
         began = time.perf_counter()
         build_run(training)
         record.views_seconds = time.perf_counter() - began
@@ -124,5 +124,5 @@ def _epochs_to_do(training: TrainConfig) -> str:
     if done == 0:
         return f"{total} epochs from random weights"
     if done < total:
-        return f"epochs {done + 1} to {total}, the others were done already"
-    return f"all {total} epochs were done already"
+        return f"epochs {done + 1} to {total}, resumed"
+    return f"all {total} epochs are done already"

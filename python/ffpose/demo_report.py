@@ -136,7 +136,7 @@ def page(outcome: Outcome) -> Report:
             "views of other scenes"
         )
     else:
-        how = f"with {SHIPPED}, weights that come with ffpose and saw none of them"
+        how = f"with the shipped weights {SHIPPED}, which were trained on other scenes"
     return Report(
         title="From an image to a pose",
         subtitle=f"{subject}, each posed from the image alone, {how}.",

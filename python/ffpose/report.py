@@ -114,10 +114,7 @@ def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:
     if evaluation.region_probabilities:
         text = "share of the truths in the predicted regions over the regions' probability"
         diagram = _embed_figure(reliability_diagram(evaluation), text)
-    return (
-        "<h2>What the network says of its own errors</h2>"
-        f"<table>{uncertainty_table(summary)}</table>{diagram}"
-    )
+    return f"<h2>Predicted uncertainty</h2><table>{uncertainty_table(summary)}</table>{diagram}"
 
 
 def _groups(evaluation: Evaluation, size: int = 8) -> list[tuple[str, list[int]]]:

@@ -99,7 +99,7 @@ def _read_names(path: Path) -> list[str]:
         if not name or Path(name).name != name:
             raise DataError(f"expected the name of an image, got {text!r}", path, line)
         if name in first_line:
-            raise DataError(f"{name} stands on line {first_line[name]} already", path, line)
+            raise DataError(f"{name} is on line {first_line[name]} already", path, line)
         first_line[name] = line
     if not first_line:
         raise DataError("expected at least one image, got none", path)

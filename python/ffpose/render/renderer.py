@@ -85,7 +85,7 @@ def render_empty(
         (H, W, 3) uint8, RGB.
 
     Raises:
-        ValueError: As for `render`.
+        ValueError: An argument is invalid, as for `render`.
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera = camera_of(scene, size)
