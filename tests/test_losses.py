@@ -41,7 +41,7 @@ def test_terms_are_means_over_the_batch():
     assert float(terms.total.detach()) == pytest.approx(total, rel=1e-6)
 
 
-def test_weights_learn_towards_the_log_of_their_term():
+def test_weights_learn_toward_the_log_of_their_term():
     # d/ds (L exp(-s) + s) = 1 - L exp(-s) vanishes at s = log L.
     t_hat, q_hat, t, q = batch()
     terms = PoseLoss()(t_hat, q_hat, t, q)

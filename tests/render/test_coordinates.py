@@ -25,11 +25,11 @@ from ffpose.render.mesh import ball, box
 CAMERA = Camera(64, 48, 40.0, 36.0, 30.0, 26.0)
 """Neither square pixels nor the principal point in the middle."""
 
-GREY = (Material((0.5, 0.5, 0.5), 1.0),)
+GRAY = (Material((0.5, 0.5, 0.5), 1.0),)
 
 
 def craft_of(mesh):
-    return Craft("solid", mesh, GREY)
+    return Craft("solid", mesh, GRAY)
 
 
 def read(coordinates, limit):
