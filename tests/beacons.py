@@ -1,4 +1,4 @@
-"""A spacecraft of six coloured lamps on a dark frame, to be found in images without a doubt."""
+"""A spacecraft of six colored lamps on a dark frame, to be found in images without a doubt."""
 
 import numpy as np
 

@@ -10,7 +10,7 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory):
-    """Frames of data sets go into a folder that pytest removes, not into the user's."""
+    """Frames of datasets go into a folder that pytest removes, not into the user's."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FFPOSE_CACHE", str(tmp_path_factory.mktemp("cache")))
         yield

@@ -163,9 +163,9 @@ def test_a_demo_run_again_reports_the_work_that_was_done(trained, capsys):
     before = read(trained)
     again = run(trained, TRAIN)
     said = capsys.readouterr().err
-    assert "render: all images were there already" in said
+    assert "render: all images exist already" in said
     assert "views:" not in said
-    assert "train: all 2 epochs were done already" in said
+    assert "train: all 2 epochs are done already" in said
     for same in ("median_rotation_error_deg", "train_seconds", "images_rendered"):
         assert again[same] == before[same]
     for step in ("render", "views", "train"):

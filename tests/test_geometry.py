@@ -97,7 +97,7 @@ def test_vector_is_translation_then_quaternion_scalar_first():
     np.testing.assert_array_equal(pose.vector, [1, 2, 3, 0.5, 0.5, -0.5, 0.5])
 
 
-def test_a_rounded_quaternion_is_normalised():
+def test_a_rounded_quaternion_is_normalized():
     pose = Pose([0, 0, 1], [0.7071, 0.0, 0.7071, 0.0])
     np.testing.assert_allclose(np.linalg.norm(pose.q), 1, atol=1e-15)
 

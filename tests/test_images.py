@@ -16,13 +16,13 @@ def written(folder, pixels, name="picture.png"):
 
 
 def test_eight_bits_a_channel_keep_their_values(tmp_path):
-    colour = np.stack([RAMP, 2 * RAMP, 255 - RAMP, 40 + RAMP], axis=2).astype(np.uint8)
-    for kept in (colour, colour[..., :3]):
+    color = np.stack([RAMP, 2 * RAMP, 255 - RAMP, 40 + RAMP], axis=2).astype(np.uint8)
+    for kept in (color, color[..., :3]):
         found = read_rgb(written(tmp_path, kept))
         assert found.mode == "RGB"
-        np.testing.assert_array_equal(found, colour[..., :3])
-    grey = np.asarray(read_rgb(written(tmp_path, RAMP.astype(np.uint8))))
-    np.testing.assert_array_equal(grey, np.repeat(RAMP[..., None], 3, axis=2))
+        np.testing.assert_array_equal(found, color[..., :3])
+    gray = np.asarray(read_rgb(written(tmp_path, RAMP.astype(np.uint8))))
+    np.testing.assert_array_equal(gray, np.repeat(RAMP[..., None], 3, axis=2))
 
 
 @pytest.mark.parametrize(

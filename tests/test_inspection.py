@@ -1,4 +1,4 @@
-"""What the inspection of a data set finds and draws."""
+"""What the inspection of a dataset finds and draws."""
 
 import json
 
@@ -118,7 +118,7 @@ def test_a_truncated_image_stops_it(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_sheet_shows_the_axes_at_the_labelled_place(tmp_path):
+def test_the_sheet_shows_the_axes_at_the_labeled_place(tmp_path):
     dataset = read(write_set(tmp_path / "set"))["test"]
     pixels = np.asarray(contact_sheet(dataset, 4)).astype(int)
     # 1_rgb.png: u = 32 + 32 * -3 / 12 = 24, v = 24 + 32.02 * 2 / 12, at five times the size,

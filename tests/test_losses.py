@@ -17,7 +17,7 @@ def batch(count=5, seed=0):
 
 
 def test_one_sample_by_hand():
-    # L_t = ||(3, 4, 0)|| = 5; q_hat normalises to (0.6, 0.8, 0, 0), so L_q = ||(0.4, -0.8)||.
+    # L_t = ||(3, 4, 0)|| = 5; q_hat normalizes to (0.6, 0.8, 0, 0), so L_q = ||(0.4, -0.8)||.
     terms = PoseLoss(s_t=math.log(2), s_q=0)(
         torch.tensor([[3.0, 4.0, 9.0]]),
         torch.tensor([[3.0, 4.0, 0.0, 0.0]]),
@@ -41,7 +41,7 @@ def test_terms_are_means_over_the_batch():
     assert float(terms.total.detach()) == pytest.approx(total, rel=1e-6)
 
 
-def test_weights_learn_towards_the_log_of_their_term():
+def test_weights_learn_toward_the_log_of_their_term():
     # d/ds (L exp(-s) + s) = 1 - L exp(-s) vanishes at s = log L.
     t_hat, q_hat, t, q = batch()
     terms = PoseLoss()(t_hat, q_hat, t, q)

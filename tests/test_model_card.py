@@ -118,7 +118,7 @@ def test_a_network_that_gives_no_uncertainty_has_its_errors_measured(tmp_path):
 
 
 class Echo:
-    """Says of a picture that the object is as many metres away as its red is bright."""
+    """Says of a picture that the object is as many meters away as its red is bright."""
 
     def __init__(self):
         self.sizes = []

@@ -31,8 +31,8 @@ def test_an_unknown_kind_is_refused_with_the_known_ones():
 def spectral_slope(kind):
     """Slope of the logarithm of the mean power over that of the frequency."""
     f = np.hypot(np.fft.fftfreq(128)[:, None], np.fft.fftfreq(192)).ravel()
-    greys = [pixels(kind, index=index).mean(axis=2) for index in range(6)]
-    power = sum(np.abs(np.fft.fft2(grey)) ** 2 for grey in greys).ravel()
+    grays = [pixels(kind, index=index).mean(axis=2) for index in range(6)]
+    power = sum(np.abs(np.fft.fft2(gray)) ** 2 for gray in grays).ravel()
     edges = np.geomspace(0.02, 0.4, 9)
     rings = [(f >= low) & (f < high) for low, high in pairwise(edges)]
     means = [np.log(power[ring].mean()) for ring in rings]

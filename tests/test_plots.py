@@ -25,7 +25,7 @@ from ffpose.transforms import Preprocessing
 from tiny_runs import write_set
 
 OFFSETS = np.array([0.5, 3.0, 1.0, 2.0])
-"""Error of each image's predicted translation, metres."""
+"""Error of each image's predicted translation, meters."""
 
 
 @pytest.fixture

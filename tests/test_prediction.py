@@ -76,7 +76,7 @@ def test_pixels_of_more_than_eight_bits_are_refused(weights, tmp_path):
         next(predict(weights, [path]))
 
 
-def test_the_json_form_holds_metres_quaternion_and_degrees(tmp_path):
+def test_the_json_form_holds_meters_quaternion_and_degrees(tmp_path):
     turn = Pose([1, 2, 10], [np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)])  # 45 degrees about z
     document = Prediction(tmp_path / "a.png", turn).to_dict()
     assert document["image"] == str(tmp_path / "a.png")

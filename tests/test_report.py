@@ -30,9 +30,9 @@ def dataset(tmp_path_factory):
     return open_dataset("urso", root, "test", Preprocessing())
 
 
-def moved(dataset, metres, baseline):
-    """An evaluation whose translations are all off by so many metres."""
-    predicted = dataset.poses + np.array([metres, 0, 0, 0, 0, 0, 0])
+def moved(dataset, meters, baseline):
+    """An evaluation whose translations are all off by so many meters."""
+    predicted = dataset.poses + np.array([meters, 0, 0, 0, 0, 0, 0])
     return Evaluation(dataset, predicted, baseline, 0.0)
 
 
@@ -71,8 +71,8 @@ def test_a_baseline_without_error_divides_nothing(dataset, tmp_path):
     poses = np.tile(dataset.poses[:1], (5, 1))
     one = open_dataset("urso", dataset.records[0].source.parent, "test", Preprocessing())
     one.poses = poses
-    for metres, words in ((2.0, "larger than that of"), (0.0, "the same as that of")):
-        evaluation = moved(one, metres, poses[0])
+    for meters, words in ((2.0, "larger than that of"), (0.0, "the same as that of")):
+        evaluation = moved(one, meters, poses[0])
         summary = evaluation.summary()
         assert summary["mean_pose_baseline"]["median_translation_error_m"] == 0
         assert words in headline(summary)

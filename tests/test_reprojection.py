@@ -24,7 +24,7 @@ def noise_image(width, height, seed=0):
 
 
 def dots(camera, sigma):
-    """The image of `POINTS`: a round spot each, in a colour plane of its own."""
+    """The image of `POINTS`: a round spot each, in a color plane of its own."""
     x, y = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
     planes = [
         np.exp(-((x - u) ** 2 + (y[:, None] - v) ** 2) / (2 * sigma**2))
@@ -33,8 +33,8 @@ def dots(camera, sigma):
     return Image.fromarray((np.stack(planes, -1) * 255).round().astype(np.uint8))
 
 
-def centres_of_mass(image):
-    """(u, v) of each colour plane, (3, 2)."""
+def centers_of_mass(image):
+    """(u, v) of each color plane, (3, 2)."""
     planes = np.asarray(image, float)
     mass = planes.sum((0, 1))
     u = (planes.sum(0) * (np.arange(image.width) + 0.5)[:, None]).sum(0) / mass
@@ -54,7 +54,7 @@ def centres_of_mass(image):
 def test_points_stand_where_the_view_projects_them(view):
     seen = reproject(dots(SOURCE, sigma=6), SOURCE, view)
     assert seen.size == (view.width, view.height)
-    np.testing.assert_allclose(centres_of_mass(seen), view.project(POINTS), atol=0.05)
+    np.testing.assert_allclose(centers_of_mass(seen), view.project(POINTS), atol=0.05)
 
 
 @settings(max_examples=40, deadline=None)
@@ -129,7 +129,7 @@ VIEW = Camera(64, 48, 50.0, 51.0, 30.0, 20.0)
 PLAIN = Preprocessing((48, 64), "center_crop", mean=(0.1, 0.2, 0.3), std=(0.5, 0.6, 0.7))
 
 
-def test_the_network_gets_the_view_standardised():
+def test_the_network_gets_the_view_standardized():
     way = Reprojection.of(PLAIN, SOURCE, VIEW)
     image = noise_image(640, 480)  # the source's, twice as large
     pixels = np.asarray(reproject(image, SOURCE.resized(640, 480), VIEW)) / 255

@@ -154,7 +154,7 @@ def test_nearest_pixels_are_those_that_a_resize_and_a_crop_take(generator):
 
 def test_refused_views(generator):
     behind = Pose((0, 0, -5), UNTURNED)
-    with pytest.raises(ValueError, match="translation: expected z > 0, before the camera, got"):
+    with pytest.raises(ValueError, match="translation: expected z > 0, got"):
         cut_pieces(pixels(generator, 192, 256), behind, SPEC)
     ahead = Pose((0, 0, 5), UNTURNED)
     with pytest.raises(ValueError, match=r"image: expected shape \(192, 256, 3\), got \(193, 256"):

@@ -1,8 +1,8 @@
-"""Spectral filters and satellite pose: the part that needs NumPy alone.
+"""Fast spectral filters, and satellite pose from one image.
 
-Importing ``ffpose`` does not import torch. Tensors and gradients are in `ffpose.ops`, layers in
-`ffpose.nn`, the network in `ffpose.models`; the conventions of frames, quaternions and pixels in
-`ffpose.geometry`.
+This top-level module needs only NumPy; importing it does not import torch. Differentiable operators
+are in `ffpose.ops`, layers in `ffpose.nn`, the network in `ffpose.models`, and the conventions of
+frames, quaternions and pixels in `ffpose.geometry`.
 """
 
 from ffpose.arrays import (

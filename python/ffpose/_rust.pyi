@@ -1,11 +1,11 @@
-"""Compiled core. Arrays are C-contiguous and aligned, and of one dtype within a call.
+"""Compiled core. Arrays must be C-contiguous, aligned, and of one dtype within a call.
 
-Every function raises TypeError for an argument or dtype that is not float32 or float64,
-ValueError for a shape, a stride or a value, and MemoryError for working memory that there is not.
+Every function raises TypeError for an argument that is not an array of float32 or float64,
+ValueError for a shape, stride or value, and MemoryError if working memory cannot be allocated.
 
-The functions for torch tensors write to tensors that the caller made, with memory of their own.
-They also take bfloat16 and float16, with a weight of the same dtype or of float32, and run in
-torch's threads.
+The functions for torch tensors write to tensors that the caller allocated and that do not overlap
+the inputs. They also take bfloat16 and float16, with a weight of the same dtype or of float32, and
+run in torch's threads.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,9 @@
-"""The NumPy face of the compiled core: arrays in, arrays out.
+"""NumPy functions over the compiled core.
 
-Arguments are float32 or float64, all of one dtype within a call, which is that of the result.
-Lists of floats (float64) and arrays of any strides are taken too; nothing is ever cast, so
-integers, half precision and mixed dtypes are a `TypeError`. Quaternions are Hamilton's, scalar
-first ``(w, x, y, z)``; angles are in degrees, translations in metres.
+Arguments are float32 or float64; all arguments of a call and its result have the same dtype. Lists
+of floats (read as float64) and arrays with any strides are accepted. Nothing is ever cast:
+integers, half precision and mixed dtypes raise `TypeError`. Quaternions are Hamilton's, scalar
+first ``(w, x, y, z)``; angles are in degrees, translations in meters.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ RealArray = NDArray[np.float32] | NDArray[np.float64]
 def spectral_filter(
     x: ArrayLike, weight: ArrayLike, layout: str = "tokens", num_threads: int = 1
 ) -> RealArray:
-    """Multiply images by a weight in the frequency domain: ``irfft2(rfft2(x) * weight)``.
+    """Filter images in the frequency domain: ``irfft2(rfft2(x) * weight)``.
 
-    The numbers are those of ``torch.fft`` with its default norm, for any weight: in the column
-    of frequency zero, and in that of Nyquist where the second axis is even, only the Hermitian
-    part of the weight counts. This is the global filter of Ye et al., Sensors 2023, 23(20), 8633,
-    Eq. 1-3 (``"tokens"``), and of GFNet (``"grid"``).
+    The result equals that of ``torch.fft`` with its default norm, for any weight: in the DC column,
+    and in the Nyquist column where the second axis is even, only the Hermitian part of the weight
+    has an effect. This is the global filter of Ye et al., Sensors 2023, 23(20), 8633, Eq. 1-3
+    (``"tokens"``), and of GFNet (``"grid"``).
 
     Args:
         x: Images ``(..., X, Y)`` transformed over both axes, or, with layout ``"grid"``, images
             ``(..., H, W, C)`` transformed over H and W for each channel. Any size, any number of
             leading axes.
         weight: Half spectrum ``(X, Y // 2 + 1, 2)`` or ``(H, W // 2 + 1, C, 2)``; the last axis
-            holds real and imaginary part.
+            holds real and imaginary parts.
         layout: ``"tokens"`` or ``"grid"``.
-        num_threads: Threads to use at most; small inputs use one. The result has the same bits
-            for any number.
+        num_threads: Largest number of threads to use; small inputs use one. The result is
+            bit-identical for any number.
 
     Returns:
         An array of the shape of ``x``.
 
     Raises:
         TypeError: An argument is not an array of float32 or float64, or the two differ.
-        ValueError: A shape, ``layout`` or ``num_threads`` is not as above.
+        ValueError: The shape of ``x`` or ``weight``, ``layout`` or ``num_threads`` is not as above.
 
     Examples:
-        The weight one leaves an image as it is:
+        A weight of one is the identity:
 
         >>> x = np.arange(12.0).reshape(3, 4)
         >>> weight = np.zeros((3, 3, 2))
@@ -64,14 +64,14 @@ def normalize_quaternion(q: ArrayLike) -> RealArray:
     """Divide quaternions by their norms.
 
     Args:
-        q: Quaternions ``(..., 4)``. NaN in one gives NaN in its result.
+        q: Quaternions ``(..., 4)``. A NaN propagates to its quaternion's result.
 
     Returns:
-        Unit quaternions ``(..., 4)``, of the signs of ``q``.
+        Unit quaternions ``(..., 4)``, with the signs of ``q``.
 
     Raises:
         TypeError: ``q`` is not of float32 or float64.
-        ValueError: Another shape, or a zero vector, whose row is named.
+        ValueError: ``q`` is not ``(..., 4)``, or a quaternion is zero; the message names its row.
 
     Examples:
         >>> normalize_quaternion([0.0, 3.0, 0.0, 4.0])
@@ -81,19 +81,19 @@ def normalize_quaternion(q: ArrayLike) -> RealArray:
 
 
 def canonical_quaternion(q: ArrayLike) -> RealArray:
-    """Choose between ``q`` and ``-q``, which are one rotation, the one with ``w >= 0``.
+    """Choose the quaternion with ``w >= 0`` of ``q`` and ``-q``, which are the same rotation.
 
-    Where ``w`` is zero, the first component that is not is made positive.
+    Where ``w`` is zero, the first nonzero component is made positive.
 
     Args:
-        q: Quaternions ``(..., 4)`` of any norm above zero; the norm is kept.
+        q: Quaternions ``(..., 4)`` of any nonzero norm; the norm is kept.
 
     Returns:
         Quaternions ``(..., 4)``.
 
     Raises:
         TypeError: ``q`` is not of float32 or float64.
-        ValueError: Another shape, or a zero vector, whose row is named.
+        ValueError: ``q`` is not ``(..., 4)``, or a quaternion is zero; the message names its row.
 
     Examples:
         >>> canonical_quaternion([[-0.6, 0.0, 0.8, 0.0], [0.6, 0.0, 0.8, 0.0]])
@@ -104,21 +104,21 @@ def canonical_quaternion(q: ArrayLike) -> RealArray:
 
 
 def quaternion_to_euler(q: ArrayLike) -> RealArray:
-    """Roll, pitch and yaw of quaternions: turns about the fixed x, then y, then z axis (ZYX).
+    """Convert quaternions to roll, pitch and yaw: rotations about fixed x, then y, then z (ZYX).
 
     Ye et al., Sensors 2023, 23(20), 8633, Eq. 12, with the minus in the pitch that inverts its
-    two arctangents: ``sin(pitch) = 2 (w y - x z)``. At a pitch of ±90° only one combination of
-    roll and yaw is known; roll is then zero.
+    two arctangents: ``sin(pitch) = 2 (w y - x z)``. At a pitch of ±90° (gimbal lock) roll is zero.
 
     Args:
-        q: Quaternions ``(..., 4)`` of any norm above zero. NaN in one gives NaN in its result.
+        q: Quaternions ``(..., 4)`` of any nonzero norm. A NaN propagates to its quaternion's
+            result.
 
     Returns:
         Angles ``(..., 3)`` in degrees: roll and yaw in [-180, 180], pitch in [-90, 90].
 
     Raises:
         TypeError: ``q`` is not of float32 or float64.
-        ValueError: Another shape, or a zero vector, whose row is named.
+        ValueError: ``q`` is not ``(..., 4)``, or a quaternion is zero; the message names its row.
 
     Examples:
         >>> quaternion_to_euler([1.0, 0.0, 0.0, 1.0]).round(6) + 0.0
@@ -128,7 +128,7 @@ def quaternion_to_euler(q: ArrayLike) -> RealArray:
 
 
 def euler_to_quaternion(rpy: ArrayLike) -> RealArray:
-    """Quaternions of roll, pitch and yaw: the inverse of `quaternion_to_euler`.
+    """Convert roll, pitch and yaw to quaternions: the inverse of `quaternion_to_euler`.
 
     Args:
         rpy: Angles ``(..., 3)`` in degrees.
@@ -138,7 +138,7 @@ def euler_to_quaternion(rpy: ArrayLike) -> RealArray:
 
     Raises:
         TypeError: ``rpy`` is not of float32 or float64.
-        ValueError: Another shape.
+        ValueError: ``rpy`` is not ``(..., 3)``.
 
     Examples:
         >>> euler_to_quaternion([180.0, 0.0, 0.0]).round(6) + 0.0
@@ -148,18 +148,18 @@ def euler_to_quaternion(rpy: ArrayLike) -> RealArray:
 
 
 def translation_error(t: ArrayLike, t_hat: ArrayLike) -> RealArray:
-    """Distance between true and estimated translations.
+    """Compute the distances between true and estimated translations.
 
     Args:
-        t: True translations ``(N, 3)`` in metres.
-        t_hat: Estimated translations ``(N, 3)`` in metres.
+        t: True translations ``(N, 3)`` in meters.
+        t_hat: Estimated translations ``(N, 3)`` in meters.
 
     Returns:
-        Euclidean distances ``(N,)`` in metres.
+        Euclidean distances ``(N,)`` in meters.
 
     Raises:
         TypeError: An argument is not of float32 or float64, or the two differ.
-        ValueError: Another shape, or a value that is not finite, whose row is named.
+        ValueError: A shape is not ``(N, 3)``, or a value is not finite; the message names its row.
 
     Examples:
         >>> translation_error([[0.0, 0.0, 10.0]], [[3.0, 0.0, 14.0]])
@@ -169,21 +169,22 @@ def translation_error(t: ArrayLike, t_hat: ArrayLike) -> RealArray:
 
 
 def rotation_error(q: ArrayLike, q_hat: ArrayLike) -> RealArray:
-    """Angle of the rotation between true and estimated orientations.
+    """Compute the rotation angles between true and estimated orientations.
 
-    Equal to ``2 acos(min(1, |<q, q_hat>|))`` of unit quaternions, but by the arctangent of the
-    parts of ``q^-1 q_hat``, which keeps the digits of small angles. ``q`` and ``-q`` are one.
+    Equal to ``2 acos(min(1, |<q, q_hat>|))`` of unit quaternions, but computed by the arctangent of
+    the parts of ``q^-1 q_hat``, which is accurate for small angles. ``q`` and ``-q`` are the same.
 
     Args:
-        q: True orientations ``(N, 4)``, of any norm above zero.
-        q_hat: Estimated orientations ``(N, 4)``, of any norm above zero.
+        q: True orientations ``(N, 4)``, of any nonzero norm.
+        q_hat: Estimated orientations ``(N, 4)``, of any nonzero norm.
 
     Returns:
         Angles ``(N,)`` in degrees, from 0 to 180.
 
     Raises:
         TypeError: An argument is not of float32 or float64, or the two differ.
-        ValueError: Another shape, a zero vector or a value that is not finite, with its row.
+        ValueError: A shape is not ``(N, 4)``, a quaternion is zero, or a value is not finite; the
+            message names its row.
 
     Examples:
         >>> rotation_error([[1.0, 0.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0, -1.0]]).round(9)
@@ -193,14 +194,15 @@ def rotation_error(q: ArrayLike, q_hat: ArrayLike) -> RealArray:
 
 
 def esa_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) -> RealArray:
-    """Score of ESA's Kelvins Pose Estimation Challenge 2019, sample by sample; its mean ranks.
+    """Compute the score of ESA's Kelvins Pose Estimation Challenge 2019 for each sample.
 
-    The translation error divided by the true distance, plus the rotation error in radians.
+    The translation error divided by the true distance, plus the rotation error in radians; the
+    challenge ranks by the mean.
 
     Args:
-        t: True translations ``(N, 3)`` in metres.
+        t: True translations ``(N, 3)`` in meters.
         q: True orientations ``(N, 4)``.
-        t_hat: Estimated translations ``(N, 3)`` in metres.
+        t_hat: Estimated translations ``(N, 3)`` in meters.
         q_hat: Estimated orientations ``(N, 4)``.
 
     Returns:
@@ -208,8 +210,8 @@ def esa_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) ->
 
     Raises:
         TypeError: An argument is not of float32 or float64, or two differ.
-        ValueError: Another shape, a zero vector (``t``, ``q`` or ``q_hat``) or a value that is
-            not finite, with its row.
+        ValueError: A shape is not as above, a vector of ``t``, ``q`` or ``q_hat`` is zero, or a
+            value is not finite; the message names its row.
 
     Examples:
         >>> q = [[1.0, 0.0, 0.0, 0.0]]
@@ -220,15 +222,15 @@ def esa_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) ->
 
 
 def speed_plus_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) -> RealArray:
-    """Score of the SPEED+ challenge (SPEC2021), sample by sample; its mean ranks.
+    """Compute the score of the SPEED+ challenge (SPEC2021) for each sample.
 
     As `esa_score`, but a relative translation error below 0.002173 and a rotation error below
-    0.169 degrees, the accuracy of the labels, count as zero, each for itself.
+    0.169 degrees, the accuracy of the labels, each count as zero.
 
     Args:
-        t: True translations ``(N, 3)`` in metres.
+        t: True translations ``(N, 3)`` in meters.
         q: True orientations ``(N, 4)``.
-        t_hat: Estimated translations ``(N, 3)`` in metres.
+        t_hat: Estimated translations ``(N, 3)`` in meters.
         q_hat: Estimated orientations ``(N, 4)``.
 
     Returns:
@@ -236,8 +238,8 @@ def speed_plus_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayL
 
     Raises:
         TypeError: An argument is not of float32 or float64, or two differ.
-        ValueError: Another shape, a zero vector (``t``, ``q`` or ``q_hat``) or a value that is
-            not finite, with its row.
+        ValueError: A shape is not as above, a vector of ``t``, ``q`` or ``q_hat`` is zero, or a
+            value is not finite; the message names its row.
 
     Examples:
         >>> q = [[1.0, 0.0, 0.0, 0.0]]
@@ -248,25 +250,25 @@ def speed_plus_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayL
 
 
 def fractal_noise(points: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
-    """Fractal value noise in three dimensions, a sum of octaves; float32 alone.
+    """Compute three-dimensional fractal value noise, a sum of octaves, in float32.
 
-    Each octave has a random value in -1…1 at every whole number and is smooth between; it is in a
-    frame that is turned and about twice as fine as that of the one before. The result has the same
-    bits on every machine.
+    Each octave has a random value in -1…1 at every lattice point and is smooth between; its lattice
+    is rotated and about twice as fine as that of the octave before. The result is bit-identical on
+    every machine.
 
     Args:
-        points: Points ``(3, N)``; in the first octave random values are 1 apart.
-        heights: What each octave is multiplied by, ``(K,)``.
+        points: Points ``(3, N)``; the lattice points of the first octave are 1 apart.
+        heights: Amplitudes of the octaves, ``(K,)``.
 
     Returns:
-        Sums ``(N,)``. NaN in a point goes through.
+        Sums ``(N,)``. NaN in a point propagates.
 
     Raises:
         TypeError: An argument is not of float32.
-        ValueError: Another shape.
+        ValueError: ``points`` is not ``(3, N)`` or ``heights`` is not ``(K,)``.
 
     Examples:
-        Halfway between two whole numbers lies the mean of their values:
+        The value halfway between two lattice points is their mean:
 
         >>> points = np.array([[0.0, 0.5, 1.0]] + [[3.0] * 3] * 2, dtype=np.float32)
         >>> first, half, second = fractal_noise(points, np.ones(1, dtype=np.float32))
@@ -285,30 +287,31 @@ def shade_earth(
     detail: int,
     pixel_angle: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Light that comes from the Earth and its air along rays from a low orbit; float32 alone.
+    """Compute the radiance of the Earth and its atmosphere along rays from low orbit, in float32.
 
-    Lengths are in Earth radii, vectors in the frame of the camera. The result has the same bits on
-    every machine.
+    Lengths are in Earth radii, vectors in the camera frame. The result is bit-identical on every
+    machine.
 
     Args:
         rays: Unit vectors ``(3, N)``.
-        nadir: Unit vector to the Earth's centre.
+        nadir: Unit vector to the Earth's center.
         altitude: Height of the camera above the ground.
         sun: Unit vector to the sun.
         ground: Rotation ``(3, 3)`` into the frame of land and clouds.
-        detail: Octaves of the clouds, 0…255; finer images need more.
-        pixel_angle: Angle of one pixel in radians, over which the Earth's rim is smoothed.
+        detail: Noise octaves of the clouds, 0…255; finer images need more.
+        pixel_angle: Angle that one pixel covers, radians; the limb is smoothed over it.
 
     Returns:
-        Radiance ``(3, N)``, red, green and blue; and the part ``(N,)`` of what lies behind that
-        still shows.
+        Radiance ``(3, N)``, red, green and blue; and the transmittance ``(N,)`` for what lies
+        behind the Earth.
 
     Raises:
         TypeError: ``rays`` is not of float32, or a number is not real.
-        ValueError: Another shape, or ``detail`` out of range.
+        ValueError: ``rays`` is not ``(3, N)``, a vector or ``ground`` has another shape than above,
+            or ``detail`` is out of range.
 
     Examples:
-        Away from the Earth there is nothing to see:
+        A ray away from the Earth passes unattenuated:
 
         >>> up, down = (0.0, 0.0, -1.0), (0.0, 0.0, 1.0)
         >>> shade_earth(np.float32([[0], [0], [1]]), up, 0.06, down, np.eye(3).tolist(), 6, 1e-3)[1]
@@ -320,7 +323,7 @@ def shade_earth(
 
 
 def instruction_set() -> str:
-    """The vector instructions that the filters use on this machine.
+    """Return the name of the vector instruction set that the filters use on this machine.
 
     Returns:
         ``"scalar"``, ``"avx2"``, ``"avx512"`` or ``"neon"``; the environment variable
@@ -336,7 +339,7 @@ def _pose_arrays(
 
 
 def _array(values: ArrayLike, name: str) -> NDArray[Any]:
-    """``values`` as the array that the core takes: copied where strides ask for it, never cast."""
+    """Return ``values`` as an array for the core: copied if its strides require it, never cast."""
     if isinstance(values, np.ndarray) and hasattr(values, "mask"):
         raise TypeError(f"{name} must be an array without a mask, got {type(values).__name__}")
     array = np.asarray(values, order="C")

@@ -1,17 +1,17 @@
-"""The two parts of a rotation error: how the object is turned in the image, and which side is seen.
+"""In-plane and out-of-plane rotation errors: the swing-twist decomposition about the viewing ray.
 
 Let ``r = t / |t|`` be the true viewing ray in the camera frame, ``R`` the true and ``R_hat`` the
 predicted rotation, and ``E = R_hat Rᵀ`` the error. Its swing-twist decomposition about the ray,
 ``E = S T`` (Dobrowolski, "Swing-twist decomposition in Clifford algebra", arXiv:1506.05481), has
 
-* the *in-plane* part: the angle of the twist ``T``, a turn about the ray;
-* the *out-of-plane* part: the angle of the swing ``S``, the smallest turn that takes ``r`` to
-  ``E r``. It is the angle between true and predicted viewing direction in the object's frame,
+* the *in-plane* part: the angle of the twist ``T``, a rotation about the ray;
+* the *out-of-plane* part: the angle of the swing ``S``, the smallest rotation that takes ``r`` to
+  ``E r``. It is the angle between the true and the predicted viewing direction in the object frame,
   ``Rᵀ r`` and ``R_hatᵀ r``.
 
-``cos(E / 2) = cos(S / 2) cos(T / 2)``: neither part exceeds the whole, and a turn of the camera
-changes neither. All here is NumPy in float64; quaternions are scalar first ``(w, x, y, z)``, of any
-norm above zero and either sign.
+``cos(E / 2) = cos(S / 2) cos(T / 2)``: neither part exceeds the whole, and a rotation of the camera
+changes neither. All functions compute in float64 with NumPy; quaternions are scalar first
+``(w, x, y, z)``, of any nonzero norm and either sign.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ FloatArray = NDArray[np.float64]
 
 
 class RotationParts(NamedTuple):
-    """The parts of rotation errors, ``(N,)`` each, degrees from 0 to 180.
+    """In-plane and out-of-plane rotation errors, ``(N,)`` each, degrees from 0 to 180.
 
     Attributes:
-        in_plane_deg: Twist about the true viewing ray; 0 where the viewing direction is opposite
-            to the true one, for which there is no twist.
-        out_of_plane_deg: Angle between true and predicted viewing direction.
+        in_plane_deg: Twist about the true viewing ray; 0 where the predicted viewing direction is
+            opposite to the true one, where the twist is undefined.
+        out_of_plane_deg: Angle between true and predicted viewing directions.
     """
 
     in_plane_deg: FloatArray
@@ -38,10 +38,10 @@ class RotationParts(NamedTuple):
 
 
 def rotation_parts(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> RotationParts:
-    """Return in-plane and out-of-plane part of rotation errors.
+    """Decompose rotation errors into in-plane and out-of-plane parts.
 
-    The half angles come from arctangents of the quaternion's parts, so that neither tiny angles
-    nor those near 180 degrees lose digits.
+    Half angles are computed by arctangents of the quaternion's parts, which is accurate for tiny
+    angles and for those near 180 degrees.
 
     Args:
         t: True translations ``(N, 3)``; their length does not matter.
@@ -68,10 +68,10 @@ def rotation_parts(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> RotationPart
 
 
 def remove_in_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
-    """Return the predictions turned about the true viewing ray until no in-plane error is left.
+    """Rotate the predictions about the true viewing ray so that their in-plane error vanishes.
 
-    The answer ``T⁻¹ R_hat`` has the prediction's viewing direction, and with it its out-of-plane
-    error, which is all of its rotation error.
+    The result ``T⁻¹ R_hat`` keeps the prediction's viewing direction and thus its out-of-plane
+    error, which is its whole rotation error.
 
     Args:
         t: True translations ``(N, 3)``.
@@ -82,17 +82,17 @@ def remove_in_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> Float
         Unit quaternions ``(N, 4)``.
 
     Raises:
-        TypeError: As `rotation_parts`.
-        ValueError: As `rotation_parts`.
+        TypeError: An argument is not of floating dtype.
+        ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
     """
     ray, q, q_hat = _checked(t, q, q_hat)
     return _multiply(_conjugate(_twist(ray, q, q_hat)), q_hat)
 
 
 def remove_out_of_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
-    """Return the truth turned about its viewing ray by the in-plane error of the predictions.
+    """Rotate the ground truth about its viewing ray by the in-plane error of the predictions.
 
-    The answer ``T R`` has the true viewing direction; its rotation error is the prediction's
+    The result ``T R`` has the true viewing direction; its rotation error is the prediction's
     in-plane error.
 
     Args:
@@ -104,15 +104,15 @@ def remove_out_of_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> F
         Unit quaternions ``(N, 4)``.
 
     Raises:
-        TypeError: As `rotation_parts`.
-        ValueError: As `rotation_parts`.
+        TypeError: An argument is not of floating dtype.
+        ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
     """
     ray, q, q_hat = _checked(t, q, q_hat)
     return _multiply(_twist(ray, q, q_hat), q)
 
 
 def rotation_vector(q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
-    """Return the vectors ``r`` with ``R = exp([r]x) R_hat``, in the camera frame.
+    """Return the rotation vectors ``r`` with ``R = exp([r]x) R_hat``, in the camera frame.
 
     Args:
         q: True orientations ``(N, 4)``.
@@ -122,8 +122,8 @@ def rotation_vector(q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
         ``(N, 3)`` radians, of length 0 to pi.
 
     Raises:
-        TypeError: As `rotation_parts`.
-        ValueError: As `rotation_parts`.
+        TypeError: An argument is not of floating dtype.
+        ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
     """
     ahead = np.tile([0.0, 0.0, 1.0], (len(np.asarray(q)), 1))
     _, q, q_hat = _checked(ahead, q, q_hat)
@@ -137,7 +137,7 @@ def rotation_vector(q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
 def _checked(
     t: ArrayLike, q: ArrayLike, q_hat: ArrayLike
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return viewing rays and quaternions, of norm one in float64."""
+    """Check the arguments, and return rays and quaternions in float64 with unit norm."""
     rows = len(np.asarray(t)) if np.ndim(t) else 0
     named = (("t", t, 3), ("q", q, 4), ("q_hat", q_hat, 4))
     ray, truth, prediction = (
@@ -169,7 +169,7 @@ def _error(q: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _twist(ray: FloatArray, q: FloatArray, q_hat: FloatArray) -> FloatArray:
-    """Return the twists ``(N, 4)`` of the errors about the rays; the identity where none is."""
+    """Return the twists ``(N, 4)`` of the errors about the rays; the identity where undefined."""
     w, v = _error(q_hat, q)
     along = (v * ray).sum(axis=1)
     norm = np.hypot(w, along)
@@ -183,7 +183,7 @@ def _conjugate(q: FloatArray) -> FloatArray:
 
 
 def _multiply(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return Hamilton's products ``(N, 4)``."""
+    """Return the Hamilton products ``(N, 4)``."""
     scalar = p[:, :1] * q[:, :1] - (p[:, 1:] * q[:, 1:]).sum(axis=1, keepdims=True)
     vector = p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + np.cross(p[:, 1:], q[:, 1:])
     return np.concatenate([scalar, vector], axis=1)

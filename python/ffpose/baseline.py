@@ -1,7 +1,7 @@
-"""What no looking achieves: a constant answer, and two oracles that know one part of the truth.
+"""Baselines that ignore the image: the mean pose, and two oracles that know part of the truth.
 
-A model that does not beat the mean pose has not learned to look. One whose rotation error is that
-of an oracle has learned at most the part that the oracle knows.
+A model that does not beat the mean pose has learned nothing from the image. One whose rotation
+error equals that of an oracle has learned at most the part that the oracle knows.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ FloatArray = NDArray[np.float64]
 
 
 def mean_pose(poses: FloatArray) -> FloatArray:
-    """Return the mean of poses ``(N, 7)``: a pose ``(7,)`` with ``qw >= 0``.
+    """Return the mean pose ``(7,)`` of poses ``(N, 7)``, with ``qw >= 0``.
 
-    The orientation is the quaternion whose squared chordal distances to all others have the least
-    sum, whatever their signs: the principal eigenvector of the sum of ``q qᵀ`` (Markley et al.,
-    "Averaging Quaternions", 2007).
+    The orientation minimizes the sum of squared chordal distances to all quaternions regardless of
+    their signs: it is the principal eigenvector of the sum of ``q qᵀ`` (Markley et al., "Averaging
+    Quaternions", 2007).
 
     Raises:
         ValueError: There are no poses.
@@ -33,18 +33,18 @@ def mean_pose(poses: FloatArray) -> FloatArray:
 
 
 def oracles(truth: FloatArray, constant: FloatArray) -> dict[str, FloatArray]:
-    """Return the poses of two oracles that answer a constant attitude, but for what they know.
+    """Return the poses of two oracles: a constant attitude corrected by one part of the truth.
 
     Args:
         truth: True poses ``(N, 7)``.
         constant: The constant pose ``(7,)``.
 
     Returns:
-        Poses ``(N, 7)`` with the true translations. ``in_plane_known``: the constant attitude,
-        turned about the true viewing ray until no in-plane error is left, so that it keeps its
-        viewing direction; its rotation error is the constant's out-of-plane error.
-        ``out_of_plane_known``: the true attitude, turned about the true viewing ray by the
-        in-plane error of the constant one, which is its rotation error.
+        Poses ``(N, 7)`` with the true translations, by name. ``in_plane_known``: the constant
+        attitude rotated about the true viewing ray so that its in-plane error vanishes; its
+        rotation error is the constant's out-of-plane error. ``out_of_plane_known``: the true
+        attitude rotated about the true viewing ray by the constant's in-plane error, which is its
+        rotation error.
     """
     t, q = truth[:, :3], truth[:, 3:]
     attitude = np.broadcast_to(constant[3:], q.shape)

@@ -1,4 +1,4 @@
-"""Errors by condition: distance, light, what is behind, and how much of the object is in frame."""
+"""Errors by condition: distance, lighting, background, and share of the object in the frame."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ffpose.metrics import SUMMARIZED, PoseErrors
 
 FloatArray = NDArray[np.float64]
 Groups = Mapping[str, NDArray[np.bool_]]
-"""Which images ``(N,)`` are of a group, by its name."""
+"""Masks ``(N,)`` of the images in each group, by its name."""
 
 BACK_LIT_DEG = 90.0
-"""The sun stands in front of the camera where its angle to the viewing ray is smaller."""
+"""Sun angle to the viewing ray below which an image is back-lit, degrees."""
 
 
 def breakdown(
@@ -25,16 +25,16 @@ def breakdown(
     """Return the median errors of groups of images.
 
     Args:
-        errors: Of each image.
-        distance: True distances ``(N,)``, metres.
-        conditions: Of the images, where they are known.
+        errors: Errors of each image.
+        distance: True distances ``(N,)``, meters.
+        conditions: Conditions of the images; None where unknown.
 
     Returns:
-        By ``distance`` (terciles) and, where conditions are known, ``lighting`` (sunlit and
-        eclipse; of the sunlit front-lit and back-lit), ``background`` (Earth or space behind) and
-        ``in_frame`` (share of the object in the frame): a list of groups, each with ``group``,
-        ``images`` and ``median_`` errors as `ffpose.metrics.PoseError` names them. Groups without
-        images are left out.
+        Lists of groups, by condition: ``distance`` (terciles) and, where conditions are known,
+        ``lighting`` (sunlit and eclipse; sunlit images also as front-lit and back-lit),
+        ``background`` (Earth or space behind) and ``in_frame`` (share of the object in the frame).
+        Each group has ``group``, ``images`` and ``median_`` errors named as in
+        `ffpose.metrics.PoseError`. Groups without images are left out.
     """
     families = {"distance": _by_distance(distance)}
     if conditions is not None:
@@ -63,7 +63,7 @@ def breakdown(
 
 
 def _by_distance(distance: FloatArray) -> Groups:
-    """Cut at the terciles; each group is named by its nearest and farthest image."""
+    """Group images by terciles of the distance, named by the nearest and farthest image."""
     third = np.searchsorted(np.quantile(distance, [1 / 3, 2 / 3]), distance, side="left")
     groups = {}
     for place, name in enumerate(("near", "middle", "far")):

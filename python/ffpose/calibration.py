@@ -1,10 +1,10 @@
-"""Whether a network's own word on its errors can be trusted.
+"""Calibration metrics: how far a network's predicted uncertainty can be trusted.
 
-A pose comes with covariances of translation and rotation, and with the probability that the object
-is in view at all. Errors that were drawn from a covariance C lie in the ellipsoid
-``eᵀ C⁻¹ e <= x`` with the probability of chi-square with three degrees of freedom, so that the
-region of 90 % holds 90 % of the truths (coverage; at every level: reliability). The probability of
-being in view is judged by what it is for: to flag images that do not hold the object.
+A network may predict covariances of translation and rotation, and the probability that the object
+is in view. The squared Mahalanobis distance ``eᵀ C⁻¹ e`` of Gaussian errors with covariance C is
+chi-square distributed with three degrees of freedom, so the 90 % confidence region of a calibrated
+network contains 90 % of the truths (its coverage; over all levels, its reliability). The
+probability of being in view is measured as a detector of images that do not show the object.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 
 LEVELS = (0.5, 0.9, 0.99)
-"""Of the regions whose coverage is given."""
+"""Confidence levels whose coverage is reported."""
 
 CURVE = np.linspace(0.0, 1.0, 21)
-"""Levels of a reliability curve."""
+"""Confidence levels of a reliability curve."""
 
 ASYMMETRY = 1e-5
-"""How far a covariance may be from symmetric, relative to its largest entry: float32 rounding."""
+"""Tolerated asymmetry of a covariance relative to its largest entry, for float32 rounding."""
 
 
 def squared_mahalanobis(error: ArrayLike, covariance: ArrayLike) -> FloatArray:
@@ -32,10 +32,10 @@ def squared_mahalanobis(error: ArrayLike, covariance: ArrayLike) -> FloatArray:
 
     Args:
         error: Errors ``(N, 3)``.
-        covariance: Their covariances ``(N, 3, 3)``, of the squared unit of the errors.
+        covariance: Covariances ``(N, 3, 3)`` of the errors.
 
     Returns:
-        ``(N,)``, no unit.
+        Squared distances ``(N,)``, dimensionless.
 
     Raises:
         ValueError: A shape is wrong, a value is not finite, or a covariance is not symmetric and
@@ -51,10 +51,11 @@ def squared_mahalanobis(error: ArrayLike, covariance: ArrayLike) -> FloatArray:
 
 
 def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
-    """Check ``count`` covariances ``(count, 3, 3)``.
+    """Check that covariances ``(count, 3, 3)`` are symmetric and positive definite.
 
     Raises:
-        ValueError: As `squared_mahalanobis`.
+        ValueError: The shape is wrong, a value is not finite, or a matrix is not symmetric and
+            positive definite; its row is named.
     """
     if covariance.shape != (count, 3, 3):
         raise ValueError(f"{name}: expected shape ({count}, 3, 3), got {covariance.shape}")
@@ -72,16 +73,16 @@ def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
 
 
 def region_probability(squared_distance: ArrayLike) -> FloatArray:
-    """Return the probability of the ellipsoid that just reaches each truth.
+    """Return the probability of the smallest confidence region that contains each truth.
 
-    The cumulative distribution of chi-square with three degrees of freedom, ``erf(sqrt(x / 2)) -
-    sqrt(2 x / pi) exp(-x / 2)``. Where a network is calibrated its values are uniform in 0…1.
+    This is the chi-square distribution function for three degrees of freedom, ``erf(sqrt(x / 2)) -
+    sqrt(2 x / pi) exp(-x / 2)``. For a calibrated network its values are uniform in 0…1.
 
     Args:
         squared_distance: Squared Mahalanobis distances ``(N,)``.
 
     Returns:
-        ``(N,)`` from 0 to 1.
+        Probabilities ``(N,)``.
 
     Raises:
         ValueError: A value is negative or not finite.
@@ -94,11 +95,13 @@ def region_probability(squared_distance: ArrayLike) -> FloatArray:
 
 
 def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
-    """Return the share of the truths in the region of each level: the levels, if calibrated.
+    """Return the coverage of each level: the share of truths within its confidence region.
+
+    For a calibrated network the coverage equals the level.
 
     Args:
         probability: `region_probability` of each truth ``(N,)``.
-        levels: ``(K,)``; those of `CURVE` give a reliability curve.
+        levels: Confidence levels ``(K,)``; those of `CURVE` give a reliability curve.
 
     Returns:
         Shares ``(K,)``.
@@ -113,7 +116,7 @@ def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
 
 
 def summarize_regions(probability: ArrayLike) -> dict[str, Any]:
-    """Return ``coverage_50``, ``_90`` and ``_99``, and the curve under ``reliability``.
+    """Return ``coverage_50``, ``_90`` and ``_99``, and the curve as ``reliability``.
 
     Args:
         probability: `region_probability` of each truth ``(N,)``.
@@ -132,7 +135,7 @@ def summarize_regions(probability: ArrayLike) -> dict[str, Any]:
 
 
 class FlagRates(NamedTuple):
-    """What flagging images as not holding the object, by a threshold, comes to.
+    """Error rates of flagging images as not showing the object.
 
     Attributes:
         threshold: An image whose probability of being in view is below it is flagged.
@@ -146,17 +149,17 @@ class FlagRates(NamedTuple):
 
 
 def auroc(with_object: ArrayLike, without: ArrayLike) -> float:
-    """Return the area under the ROC curve: how well a score tells images with the object apart.
+    """Return the area under the ROC curve of a score that detects images with the object.
 
-    It is the chance that an image with the object scores higher than one without, ties counting
-    half: the statistic of Mann and Whitney (1947) divided by the number of pairs.
+    It is the probability that an image with the object scores higher than one without, ties
+    counting half: the Mann-Whitney U statistic (1947) divided by the number of pairs.
 
     Args:
-        with_object: Scores ``(N,)`` of images that hold the object.
+        with_object: Scores ``(N,)`` of images that show the object.
         without: Scores ``(M,)`` of images that do not.
 
     Raises:
-        ValueError: A score is not finite, or one of the two has none.
+        ValueError: A score is not finite, or ``with_object`` or ``without`` is empty.
     """
     positive, negative = _scores(with_object, without)
     ordered = np.sort(negative)
@@ -166,7 +169,7 @@ def auroc(with_object: ArrayLike, without: ArrayLike) -> float:
 
 
 def flag_rates(with_object: ArrayLike, without: ArrayLike, threshold: float) -> FlagRates:
-    """Return false-alarm and miss rate of a threshold; arguments are those of `auroc`."""
+    """Return false-alarm and miss rates of a threshold; arguments are those of `auroc`."""
     positive, negative = _scores(with_object, without)
     return FlagRates(
         threshold, float((positive < threshold).mean()), float((negative >= threshold).mean())
@@ -174,17 +177,17 @@ def flag_rates(with_object: ArrayLike, without: ArrayLike, threshold: float) -> 
 
 
 def choose_threshold(with_object: ArrayLike, without: ArrayLike) -> FlagRates:
-    """Return the threshold with the least sum of false-alarm and miss rate (Youden, 1950).
+    """Return the threshold with the smallest sum of false-alarm and miss rates (Youden, 1950).
 
-    Choose it on other images than those it is judged on. It lies in the middle of the gap between
-    the scores that it parts; of several as good the lowest is taken.
+    Choose it on other images than those it is evaluated on. It is the middle of the gap between the
+    scores that it separates; of several equally good ones the lowest is returned.
 
     Args:
-        with_object: Scores ``(N,)`` of images that hold the object.
+        with_object: Scores ``(N,)`` of images that show the object.
         without: Scores ``(M,)`` of images that do not.
 
     Raises:
-        ValueError: A score is not finite, or one of the two has none.
+        ValueError: A score is not finite, or ``with_object`` or ``without`` is empty.
     """
     positive, negative = _scores(with_object, without)
     edges = np.unique(np.concatenate([positive, negative]))
@@ -192,22 +195,22 @@ def choose_threshold(with_object: ArrayLike, without: ArrayLike) -> FlagRates:
     misses = 1 - np.searchsorted(np.sort(negative), edges, "left") / len(negative)
     best = int(np.argmin(alarms + misses))
     middle = edges[max(best - 1, 0)] / 2 + edges[best] / 2
-    above = middle > edges[best - 1] if best else False  # or rounding has left no number between
+    above = middle > edges[best - 1] if best else False  # False if no float lies between
     return flag_rates(positive, negative, float(middle if above else edges[best]))
 
 
 def summarize_flag(
     with_object: ArrayLike, without: ArrayLike | None, threshold: float
 ) -> dict[str, float]:
-    """Return `FlagRates` and ``auroc``; without empty images what images of the object tell.
+    """Return `FlagRates` and ``auroc``; without empty images the false-alarm rate alone.
 
     Args:
-        with_object: Scores ``(N,)`` of images that hold the object.
-        without: Scores ``(M,)`` of images that do not, where there are some.
-        threshold: As in `FlagRates`.
+        with_object: Scores ``(N,)`` of images that show the object.
+        without: Scores ``(M,)`` of images that do not; None if there are no such images.
+        threshold: Probability below which an image is flagged.
 
     Raises:
-        ValueError: A score is not finite, or there are none.
+        ValueError: A score is not finite, or an array of scores is empty.
     """
     rates = flag_rates(with_object, with_object if without is None else without, threshold)
     if without is None:
@@ -216,10 +219,10 @@ def summarize_flag(
 
 
 def check_probability(name: str, values: FloatArray, count: int | None = None) -> None:
-    """Check probabilities ``(count,)``, or ``(M,)`` for any M above zero.
+    """Check that values are probabilities ``(count,)``, or ``(M,)`` for any M above zero.
 
     Raises:
-        ValueError: Another shape, or a value outside 0…1.
+        ValueError: ``values`` is not ``(count,)``, or a value is outside 0…1.
     """
     if values.ndim != 1 or len(values) == 0 or len(values) != (count or len(values)):
         raise ValueError(f"{name}: expected shape ({count or 'M'},), got {values.shape}")

@@ -1,4 +1,4 @@
-"""The figures of one condition: errors, and how far the network's word on them can be trusted."""
+"""Statistics of one condition of a model card: errors, and calibration of the uncertainty."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from ffpose.significance import median_interval
 FloatArray = NDArray[np.float64]
 
 LARGE_DEG = 30.0
-"""A rotation error above it is a failure, such as an object turned the wrong way round."""
+"""Rotation error above which a pose is a failure, such as a flipped object."""
 
 
 class Answers(NamedTuple):
-    """What a network says of the pictures of one condition.
+    """A network's predictions for the images of one condition.
 
     Attributes:
-        truth: True poses; none where the pictures do not show the object.
+        truth: True poses; empty where the images do not show the object.
         found: Predicted poses.
     """
 
@@ -41,35 +41,34 @@ class Answers(NamedTuple):
     found: list[Pose]
 
     def of(self, rows: NDArray[np.bool_]) -> Answers:
-        """Return the answers of the pictures ``rows (N,)``."""
+        """Select the images of a mask ``rows (N,)``."""
         places = np.flatnonzero(rows).tolist()
         return Answers([self.truth[i] for i in places], [self.found[i] for i in places])
 
     @property
     def uncertainties(self) -> list[PoseUncertainty]:
-        """What the network says of its errors; none of a network that does not."""
+        """Predicted uncertainties; empty for a network that predicts none."""
         return [pose.uncertainty for pose in self.found if pose.uncertainty is not None]
 
 
 def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
-    """Return the figures of pictures that show the object.
+    """Return the statistics of images that show the object.
 
     Args:
-        answers: At least one, with the truth.
-        threshold: An image with a lower probability of the object being in view is flagged; None
-            where the weights hold none.
+        answers: Predictions with truth, at least one.
+        threshold: Images with a lower probability of the object being in view are flagged; None
+            where the weights have no threshold.
 
     Returns:
-        ``images``; ``median_`` and ``mean_`` of the errors that `ffpose.metrics.SUMMARIZED` names,
-        and their ``median_intervals_95``; ``percentile_90_rotation_error_deg``;
-        ``share_over_30_deg``. Of a network that gives its uncertainty also ``translation`` and
-        ``rotation``: coverage of the regions of 50, 90 and 99 %; the medians of
-        `ffpose.prediction.standard_deviations`, of the distance as ``median_sigma_distance_m`` and
-        of the rotation as ``median_sigma_rotation_deg``; ``median_in_view``; and ``flagged``, the
-        share below the threshold.
+        ``images``; ``median_`` and ``mean_`` of the errors in `ffpose.metrics.SUMMARIZED`, and
+        their ``median_intervals_95``; ``percentile_90_rotation_error_deg``; ``share_over_30_deg``.
+        For a network that predicts its uncertainty also ``translation`` and ``rotation``: coverage
+        of the 50, 90 and 99 % confidence regions; ``median_sigma_distance_m`` and
+        ``median_sigma_rotation_deg``, medians of `ffpose.prediction.standard_deviations`;
+        ``median_in_view``; and ``flagged``, the share of images below the threshold.
 
     Raises:
-        ValueError: There are no answers, or a covariance that is none.
+        ValueError: There are no answers, or a covariance is invalid.
     """
     errors = _errors(answers)
     rotation = errors.rotation_deg.numpy()
@@ -88,7 +87,7 @@ def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
 
 
 def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
-    """Return what there is to say of the uncertainties."""
+    """Return the statistics of the uncertainties."""
     truth, found = _vectors(answers.truth), _vectors(answers.found)
     said = answers.uncertainties
     residuals = {
@@ -114,19 +113,19 @@ def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
 def refuse(
     with_object: Sequence[Pose], without: Sequence[Pose], threshold: float | None
 ) -> dict[str, Any]:
-    """Return how well pictures without the object are told from pictures with it.
+    """Return how well images without the object are distinguished from images with it.
 
     Args:
-        with_object: What the network says of pictures that show it, with its uncertainty.
-        without: The same of pictures that do not.
-        threshold: As in `summarize`.
+        with_object: Predictions, with uncertainty, for images that show the object.
+        without: Predictions, with uncertainty, for images that do not.
+        threshold: Probability below which an image is flagged, or None.
 
     Returns:
-        ``images`` without the object, ``median_in_view`` of them, ``auroc``, and, with a threshold,
+        ``images`` (without the object), their ``median_in_view``, ``auroc``, and, with a threshold,
         ``false_alarm_rate`` and ``miss_rate`` as in `ffpose.calibration.FlagRates`.
 
     Raises:
-        ValueError: One of the two is empty, or without uncertainty.
+        ValueError: ``with_object`` or ``without`` is empty or has no uncertainty.
     """
     positive, negative = (
         [pose.uncertainty.in_view for pose in poses if pose.uncertainty is not None]

@@ -1,4 +1,4 @@
-"""A model card's tables in Markdown, from the document that `ffpose.model_card.measure` returns."""
+"""Markdown tables of a model card, from the document that `ffpose.model_card.measure` returns."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 Row = Mapping[str, Any]
 
 NONE = "–"
-"""Stands where there is no figure."""
+"""Placeholder for a missing value."""
 
 
 def format_card(document: Mapping[str, Any]) -> str:
-    """Return the card: what was measured, the tables, and the notes."""
+    """Return the whole card in Markdown: setup, tables and notes."""
     width, height = document["size"]
     near, far = document["distance_m"]
     head = (
@@ -29,9 +29,9 @@ def format_card(document: Mapping[str, Any]) -> str:
 
 
 def errors_table(document: Mapping[str, Any]) -> str:
-    """Return the errors of each condition, and of the constant pose.
+    """Return the table of errors of each condition, and of the constant pose.
 
-    Of the first condition the bootstrap intervals of the medians stand below it.
+    A row below the first condition shows the bootstrap intervals of its medians.
     """
     header = ["condition", "pictures", "E_q", "mean", "90 %", "> 30°", "in-plane", "out-of-plane"]
     header += ["E_t", "mean", "E_t/‖t‖"]
@@ -52,14 +52,14 @@ def _errors(row: Row) -> list[str]:
         _percent(row["share_over_30_deg"]),
         _degrees(row["median_in_plane_error_deg"]),
         _degrees(row["median_out_of_plane_error_deg"]),
-        _metres(row["median_translation_error_m"]),
-        _metres(row["mean_translation_error_m"]),
+        _meters(row["median_translation_error_m"]),
+        _meters(row["mean_translation_error_m"]),
         _percent(row["median_relative_translation_error"]),
     ]
 
 
 def _intervals(row: Row) -> list[str]:
-    """Return the line of the intervals of the medians that `_errors` shows."""
+    """Return the row of bootstrap intervals of the medians in `_errors`."""
     intervals = row["median_intervals_95"]
 
     def between(name: str, show: Any) -> str:
@@ -70,19 +70,19 @@ def _intervals(row: Row) -> list[str]:
         *("", "", between("rotation_error_deg", _degrees), "", "", ""),
         between("in_plane_error_deg", _degrees),
         between("out_of_plane_error_deg", _degrees),
-        between("translation_error_m", _metres),
+        between("translation_error_m", _meters),
         "",
         between("relative_translation_error", _percent),
     ]
 
 
 def _conditions(rows: Sequence[Row]) -> str:
-    """Say in a sentence what each condition is."""
+    """Describe each condition in one sentence."""
     return "; ".join(f"{row['name']}: {row['about']}" for row in rows) + "."
 
 
 def uncertainty_table(rows: Sequence[Row]) -> str:
-    """Return coverage, predicted standard deviations, and the flag, of each condition."""
+    """Return the table of coverage, predicted standard deviations and flag, by condition."""
     header = ["condition", "E_q", "σ rotation", "E_t", "σ distance"]
     header += ["rotation in 50 / 90 / 99 %", "translation in 50 / 90 / 99 %", "in view", "flagged"]
     lines = [
@@ -90,8 +90,8 @@ def uncertainty_table(rows: Sequence[Row]) -> str:
             row["name"],
             _degrees(row["median_rotation_error_deg"]),
             _degrees(row["median_sigma_rotation_deg"]),
-            _metres(row["median_translation_error_m"]),
-            _metres(row["median_sigma_distance_m"]),
+            _meters(row["median_translation_error_m"]),
+            _meters(row["median_sigma_distance_m"]),
             _coverage(row["rotation"]),
             _coverage(row["translation"]),
             f"{row['median_in_view']:.4g}",
@@ -108,7 +108,7 @@ def uncertainty_table(rows: Sequence[Row]) -> str:
 
 
 def refusal_table(document: Mapping[str, Any]) -> str:
-    """Return how well pictures without the object are told from those as trained."""
+    """Return the table of how well images without the object are detected."""
     rows = document["without_object"]
     lines = [
         [
@@ -145,7 +145,7 @@ def _degrees(value: float) -> str:
     return f"{value:.2f}°"
 
 
-def _metres(value: float) -> str:
+def _meters(value: float) -> str:
     return f"{value:.2f} m"
 
 

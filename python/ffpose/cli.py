@@ -1,9 +1,8 @@
-"""The command line: one function a command, and no logic.
+"""The command line: one function per command, without logic.
 
-Figures that a program may read go to standard output, all else to standard error. Exit code 0:
-done; 1: the work failed, said in one line (``--debug`` shows the traceback); 2: wrong usage. What a
-command needs is imported when it runs, so that ``ffpose --help`` answers at once, and with NumPy
-alone.
+Results that a program may read go to standard output, everything else to standard error. Exit code
+0: done; 1: failed, with one line of explanation (``--debug`` shows the traceback); 2: wrong usage.
+Imports are deferred until a command runs, so that ``ffpose --help`` is fast and needs only NumPy.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Command(NamedTuple):
-    """A command: what it does in a line, its arguments, its function, and the extra it needs."""
+    """A command: one-line summary, arguments, function, and the extra that it needs."""
 
     summary: str
     add_arguments: Callable[[ArgumentParser], None]
@@ -41,12 +40,12 @@ def image_size(text: str) -> tuple[int, int]:
 
 
 def size_type() -> Any:
-    """Return the type of a ``WIDTHxHEIGHT`` argument, which `image_size` reads."""
+    """Return the type of a ``WIDTHxHEIGHT`` argument, parsed by `image_size`."""
     return require("jsonargparse.typing", "render").restricted_string_type("Size", r"^\d+x\d+$")
 
 
 def say(text: str) -> None:
-    """Tell a person, on standard error."""
+    """Print a message on standard error."""
     print(text, file=sys.stderr)
 
 
@@ -59,12 +58,12 @@ def demo_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `demo`."""
     text = "folder to write (default: runs/demo, or runs/demo-train)"
     parser.add_argument("--out", type=Path, help=text)
-    text = "train from nothing, in minutes, in place of the weights that come with ffpose"
+    text = "train from scratch, in minutes, instead of using the shipped weights"
     parser.add_argument("--train", action="store_true", help=text)
 
 
 def demo(options: Namespace) -> None:
-    """Pose unseen images, and report."""
+    """Predict the poses of unseen images, and write a report."""
     from ffpose.demo import run
     from ffpose.demo_config import DemoConfig
 
@@ -95,15 +94,15 @@ def render_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
     parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply or .glb")
-    parser.add_argument("--mesh-scale", type=float, default=1.0, help="metres a unit of the mesh")
+    parser.add_argument("--mesh-scale", type=float, default=1.0, help="meters per unit of the mesh")
     parser.add_argument(
         "--eclipse-rate", type=float, help="share in the Earth's shadow; as in orbit by default"
     )
     parser.add_argument(
-        "--motion", type=float, default=0.0, help="longest motion blur, pixels of 1280"
+        "--motion", type=float, default=0.0, help="largest motion blur, pixels of 1280"
     )
     parser.add_argument("--jpeg", type=int, default=0, help="JPEG quality 1-100; 0 is none")
-    parser.add_argument("--randomize", type=float, default=0.0, help="domain randomisation, 0-1")
+    parser.add_argument("--randomize", type=float, default=0.0, help="domain randomization, 0-1")
 
 
 def render(options: Namespace) -> None:
@@ -138,15 +137,15 @@ def render(options: Namespace) -> None:
     )
     say(f"{written.folder}: {written.rendered} images in {written.seconds:.1f} s")
     if not written.closed:
-        say("the folder has images of other runs too: one run over all writes the label files")
+        say("the folder has images of other runs too: one run over all images writes the labels")
 
 
 def train_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `train`."""
     from ffpose.training.config import TrainConfig
 
-    parser.add_argument("--config", action="config", help="YAML file, as a run leaves it")
-    parser.add_argument("--resume", action="store_true", help="take up the run in --out")
+    parser.add_argument("--config", action="config", help="YAML file, such as config.yaml of a run")
+    parser.add_argument("--resume", action="store_true", help="resume the run in --out")
     parser.add_argument(
         "--backbone-weights",
         default="auto",
@@ -170,18 +169,16 @@ def train(options: Namespace) -> None:
 
 
 def data_arguments(parser: ArgumentParser) -> None:
-    """Declare which images a command reads."""
+    """Declare the arguments that choose a command's images."""
     parser.add_argument("--data.kind", required=True, help="layout of the image set, such as urso")
     parser.add_argument("--data.root", type=Path, required=True, help="folder of the image set")
 
 
 def weights_argument(parser: ArgumentParser) -> None:
-    """Declare which weights a command reads, and that it may read images of another camera."""
+    """Declare the arguments that choose a command's weights, and allow images of any camera."""
+    parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz-easy")
     parser.add_argument(
-        "weights", type=Path, help="weights as training left them, or a name such as soyuz-easy"
-    )
-    parser.add_argument(
-        "--any-camera", action="store_true", help="take images of a camera unlike the weights'"
+        "--any-camera", action="store_true", help="accept images of a camera unlike the weights'"
     )
 
 
@@ -193,13 +190,13 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
         "--data.split", default="test", help="train, val, test or all (default: test)"
     )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def evaluate(options: Namespace) -> None:
     """Measure a model against labels and against the mean pose.
 
-    With --any-camera, images of another camera are turned by geometry into the network's view.
+    With --any-camera, images of another camera are reprojected to the network's view.
     """
     from ffpose.evaluation import evaluate as run
     from ffpose.plots import write_evaluation_figures
@@ -234,8 +231,8 @@ def predict_arguments(parser: ArgumentParser) -> None:
 def predict(options: Namespace) -> None:
     """Print the pose seen in each image.
 
-    Images of another camera than the weights' are turned by geometry into the network's view if
-    --camera says which, and resized to it if --any-camera lets them be.
+    Images of another camera than the weights' are reprojected to the network's view if --camera
+    names it, and resized to the network's input with --any-camera.
     """
     from ffpose.geometry import Camera
     from ffpose.models import read_metadata
@@ -289,7 +286,7 @@ def inspect(options: Namespace) -> None:
     for split, figures in summary["splits"].items():
         failed = sum(len(names) for names in figures["failed"].values())
         print(f"{split}: {figures['images']} images, {failed} failed checks of labels")
-    print(f"{len(summary['shared_images'])} images stand in more than one split")
+    print(f"{len(summary['shared_images'])} images are in more than one split")
 
 
 def card_arguments(parser: ArgumentParser) -> None:
@@ -307,14 +304,14 @@ def card_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--workers", type=int, default=1, help="processes that render")
     parser.add_argument("--out", type=Path, help="folder for card.json and card.md")
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def card(options: Namespace) -> None:
     """Measure weights for their model card, under conditions that training had and had not.
 
-    Errors, coverage of the uncertainty, and how well pictures without the object are flagged. A
-    picture takes a third of a second and core to render, half of them far less.
+    Errors, coverage of the uncertainty, and how well images without the object are flagged. An
+    image takes a third of a second of one core to render, half of them far less.
     """
     from ffpose.card_tables import format_card
     from ffpose.model_card import measure, write_card
@@ -353,16 +350,16 @@ def bench(options: Namespace) -> None:
     if options.subject == "filter":
         filter.run(options.json, options.plot, options.quick)
     elif options.plot is not None:
-        raise ValueError("--plot: expected with filter, the networks have no picture")
+        raise ValueError("--plot: expected with filter, the networks have no plot")
     else:
         model.run(options.json, options.quick)
 
 
 COMMANDS = {
-    "demo": Command("pose unseen images, and report", demo_arguments, demo, "pose,render"),
+    "demo": Command("predict poses of unseen images", demo_arguments, demo, "pose,render"),
     "render": Command("render images with exact labels", render_arguments, render, "render"),
     "train": Command("train a model", train_arguments, train),
-    "evaluate": Command("measure a model on labelled images", evaluate_arguments, evaluate),
+    "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
     "inspect": Command("count, check and draw a set of images", inspect_arguments, inspect),
@@ -371,7 +368,7 @@ COMMANDS = {
 
 
 def overview() -> argparse.ArgumentParser:
-    """Return the parser of the first word, a command; it needs no extra."""
+    """Return the parser of the first argument, the command; it needs no extra."""
     import ffpose
 
     parser = argparse.ArgumentParser(
@@ -399,7 +396,7 @@ def build_parser(name: str) -> ArgumentParser:
         prog=f"ffpose {name}",
         description=command.run.__doc__,
         allow_abbrev=False,
-        exit_on_error=False,  # wrong usage is said in a line, not in a screenful
+        exit_on_error=False,  # wrong usage is reported in one line
     )
     command.add_arguments(parser)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
@@ -407,7 +404,7 @@ def build_parser(name: str) -> ArgumentParser:
 
 
 def advice(message: str, known: Sequence[str]) -> str:
-    """Return what is wrong with the usage in one line, with the option that may have been meant.
+    """Return a usage error as one line, with the most similar option.
 
     Example:
         >>> advice("unrecognized arguments: --batch-size 4", ["--out", "--batch_size"])
@@ -426,7 +423,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The command line after ``ffpose``; None takes that of the process.
 
     Returns:
-        The exit code: 0 done, 1 failed. Wrong usage leaves by SystemExit with code 2.
+        The exit code: 0 done, 1 failed. Wrong usage raises SystemExit with code 2.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words:
@@ -447,7 +444,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"ffpose {name}: {advice(error.message, known)}; see ffpose {name} --help")
         raise SystemExit(2) from error
     except KeyboardInterrupt:
-        say("ffpose: interrupted; files that are written are whole")
+        say("ffpose: interrupted; files already written are complete")
     except Exception as error:
         if "--debug" in words:
             raise
@@ -460,7 +457,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def describe(error: Exception) -> str:
-    """Return an error in one line; the type of one that is not meant for users stands before it."""
+    """Return an error as one line, with its type in front if it is not meant for users."""
     text = " ".join(without_traceback(str(error)).split())
     if isinstance(error, ValueError | OSError | ImportError | RuntimeError) and text:
         return text

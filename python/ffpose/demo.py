@@ -1,9 +1,9 @@
-"""Poses at once: unseen images are rendered, posed, measured and shown on one page.
+"""The demo: render unseen images, predict their poses, evaluate them, and write a report.
 
-The images are of seeds that no training sees (`ffpose.training.config.TEST_SEEDS`), over all
-attitudes and the set's own distances. They are posed by the weights that come with ffpose, or,
-where `DemoConfig.train` says so, by a network that is trained from nothing in minutes on two cores:
-what so short a training can do, and a check that every part learns.
+The images have held-out seeds (`ffpose.training.config.TEST_SEEDS`), all attitudes, and the set's
+own distances. The poses come from the weights that ship with ffpose or, with `DemoConfig.train`,
+from a network trained from scratch in minutes on two cores, which shows what so short a training
+achieves and checks that every part of the network learns.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from ffpose.training.run import build_run
 
 
 def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> dict[str, Any]:
-    """Render unseen images, train where that is asked for, pose the images, and report.
+    """Render unseen images, optionally train a network, predict poses, and write a report.
 
     Args:
-        out: The folder to write: ``images/``, ``evaluation/``, ``report.html``, ``report.json``
-            and ``demo.json``, the settings; of a training ``views/`` and ``training/`` too. A demo
-            that was begun there is taken up, and of one that has ended only evaluation and report
-            are made again.
+        out: The folder to write: ``images/``, ``evaluation/``, ``report.html``, ``report.json`` and
+            ``demo.json`` (the settings), with training also ``views/`` and ``training/``. An
+            unfinished demo in the folder is resumed; of a finished one only evaluation and report
+            are repeated.
         config: The demo's size.
         quiet: Print nothing.
 
     Returns:
-        What ``report.json`` holds.
+        The contents of ``report.json``.
 
     Raises:
-        FileNotFoundError: The weights do not come with this installation.
-        ValueError: ``out`` holds a demo of other settings.
-        DataError: A file there cannot be read.
+        FileNotFoundError: The weights are missing from this installation.
+        ValueError: ``out`` holds a demo with other settings.
+        DataError: A file in ``out`` cannot be read.
     """
     config = config or DemoConfig()
     record = DemoRecord.open(out, {**asdict(config), "ffpose": ffpose.__version__})
@@ -56,7 +56,7 @@ def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> 
     record.write(out)
     _render(config, out, record, quiet=quiet)
     weights = _train(config, out, record, quiet=quiet) if shipped is None else Weights(shipped)
-    _say(f"evaluate: {config.images} images that no training saw", quiet=quiet)
+    _say(f"evaluate: {config.images} held-out images", quiet=quiet)
     began = time.perf_counter()
     evaluation = evaluate(weights.file, "urso", out / "images", "all")
     write_results(evaluation, out / "evaluation")
@@ -82,7 +82,7 @@ def _say(text: str, *, quiet: bool) -> None:
 
 
 def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> None:
-    """Render the images that are not there yet, and record what they cost."""
+    """Render the missing images, and record the time it took."""
     _say(f"render: {config.images} images of a Soyuz over the Earth", quiet=quiet)
     written = write_dataset(
         config.scene,
@@ -94,7 +94,7 @@ def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -
         progress=not quiet,
     )
     if written.rendered == 0:
-        _say("render: all images were there already", quiet=quiet)
+        _say("render: all images exist already", quiet=quiet)
         return
     record.images_rendered += written.rendered
     record.render_seconds += written.seconds
@@ -102,10 +102,10 @@ def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -
 
 
 def _train(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> Weights:
-    """Train the epochs that are not done yet, on views that are rendered where they are not."""
+    """Train the remaining epochs, on views that are rendered where they are missing."""
     training = config.training(out)
     if record.views_seconds == 0:
-        _say(f"views: {config.views} to learn from, rendered as the network looks", quiet=quiet)
+        _say(f"views: rendering {config.views} training views", quiet=quiet)
         began = time.perf_counter()
         build_run(training)
         record.views_seconds = time.perf_counter() - began
@@ -117,12 +117,12 @@ def _train(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) ->
 
 
 def _epochs_to_do(training: TrainConfig) -> str:
-    """Say what is left of a training."""
+    """Describe the remaining epochs of a training."""
     total = sum(stage.epochs for stage in training.resolved_stages)
     folder = RunFolder(training.out)
     done = len(folder.load_state().history) if folder.state.exists() else 0
     if done == 0:
         return f"{total} epochs from random weights"
     if done < total:
-        return f"epochs {done + 1} to {total}, the others were done already"
-    return f"all {total} epochs were done already"
+        return f"epochs {done + 1} to {total}, resumed"
+    return f"all {total} epochs are done already"

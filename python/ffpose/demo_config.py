@@ -1,4 +1,4 @@
-"""The size of the demo, and the training that it can do."""
+"""Settings of the demo and of its optional training."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ SCENE = "soyuz_easy"
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """The size of the demo; with the defaults it takes a minute or two on two cores.
+    """Settings of the demo; the defaults take a minute or two on two cores.
 
     Attributes:
-        images: How many unseen images are rendered and posed.
+        images: Number of unseen images to render and evaluate.
         size: Width and height of the images.
         attitude_range_deg: Roll, pitch and yaw lie within plus and minus these angles.
         seed: Seed of the images.
-        workers: Processes that render, and that train together.
-        train: Pose with a network trained here from nothing, six minutes in all on two cores.
-        views: Of a training: rendered views to learn from; one in ten more show no spacecraft.
-        validation: Of a training: whole images that choose the best epoch.
-        epochs: Of a training: passes over the views.
-        model_fields: Of a training: fields of the model's configuration "compact" to change.
+        workers: Number of processes that render, and that train together.
+        train: Use a network trained here from scratch; six minutes in all on two cores.
+        views: Number of rendered training views; a tenth as many more show no spacecraft.
+        validation: Number of whole validation images, which select the best epoch.
+        epochs: Number of passes over the views.
+        model_fields: Overrides of fields of the model configuration "compact".
     """
 
     images: int = 500
@@ -44,16 +44,16 @@ class DemoConfig:
 
     @property
     def scene(self) -> Scene:
-        """The set of the images."""
+        """Set that the images are rendered from."""
         return find_scene(SCENE, self.attitude_range_deg)
 
     def training(self, out: Path) -> TrainConfig:
-        """Return a training that learns in some ten thousand samples.
+        """Return a training configuration that learns from some ten thousand samples.
 
         Its views vary less than those of the shipped weights: a short training learns sooner.
 
         Args:
-            out: The demo's folder; ``views/`` and ``training/`` of it are written.
+            out: The demo's folder; the training writes to its ``views/`` and ``training/``.
         """
         return TrainConfig(
             data=DataConfig(

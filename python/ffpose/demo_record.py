@@ -1,4 +1,4 @@
-"""``demo.json``: what the folder of a demo was begun with, so that it is taken up and not mixed."""
+"""``demo.json``: the settings of a demo's folder, so that only the same demo resumes in it."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ffpose.files import atomic_write
 FILE_NAME = "demo.json"
 
 FOLDERS = ("images", "views", "training", "evaluation")
-"""Of a demo: their files are taken up, so they must be its own."""
+"""Folders of a demo whose files are reused on resume."""
 
 
 @dataclass
 class DemoRecord:
-    """What a demo's folder was begun with, and what its images cost.
+    """The settings of a demo's folder, and the time its images took.
 
     Attributes:
-        settings: What the demo was asked to do.
-        images_rendered: How many images the runs that ended have rendered.
-        render_seconds: The time they took for it.
-        views_seconds: The time that the views of a training took; 0 where there are none yet.
+        settings: Settings of the demo.
+        images_rendered: Number of images rendered by the finished runs.
+        render_seconds: Time that rendering these images took.
+        views_seconds: Time that rendering the training views took; 0 where there are none yet.
     """
 
     settings: dict[str, Any]
@@ -35,17 +35,17 @@ class DemoRecord:
 
     @classmethod
     def open(cls, out: Path, settings: Mapping[str, Any]) -> DemoRecord:
-        """Return the record of a folder, a new one where nothing was begun there.
+        """Read the record of a folder, or make a new one for a new folder.
 
         Args:
-            out: The folder.
-            settings: What the demo is asked to do, as JSON can hold it.
+            out: The demo's folder.
+            settings: Settings of the demo, as a JSON document.
 
         Raises:
-            ValueError: The folder holds a demo of other settings, whose weights are not this one's.
+            ValueError: The folder holds a demo with other settings, so its weights cannot be used.
             DataError: The record cannot be read.
         """
-        # Through JSON, so that they compare equal to settings that were read.
+        # Round trip through JSON, so that they compare equal to settings read from a file.
         wanted = json.loads(json.dumps(settings))
         path = out / FILE_NAME
         if not path.exists():

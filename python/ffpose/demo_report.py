@@ -1,4 +1,4 @@
-"""What a demo leaves to read: ``report.json`` and the page."""
+"""The report of a demo: ``report.json`` and ``report.html``."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ffpose.report import Report
 from ffpose.training.checkpoint import Row
 
 SHIPPED = "soyuz-easy"
-"""The weights that come with ffpose, and pose the images."""
+"""The shipped weights that the demo uses."""
 
 ERRORS = ("median_translation_error_m", "median_rotation_error_deg")
 
 
 class Weights(NamedTuple):
-    """What the images are posed with.
+    """Weights that the demo evaluates.
 
     Attributes:
-        file: The network's.
-        history: A row for each epoch that trained it here; none of the weights of the package.
+        file: The weights file.
+        history: A row for each epoch trained here; empty for the shipped weights.
         best_epoch: Number of the epoch whose weights these are.
         seconds: Time spent in epochs.
     """
@@ -40,15 +40,15 @@ class Weights(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a demo came to.
+    """Result of a demo.
 
     Attributes:
-        config: What it was asked to do.
-        out: Its folder.
-        weights: What the images were posed with.
-        evaluation: Their poses and labels.
-        images_rendered: How many images the time to render them is of.
-        seconds: By step: render, views, train and evaluate; 0 for what was not done.
+        config: Settings of the demo.
+        out: Folder of the demo.
+        weights: Weights that predicted the poses.
+        evaluation: Predicted poses and labels.
+        images_rendered: Number of images that the rendering time is for.
+        seconds: Time of the steps render, views, train and evaluate; 0 for skipped steps.
     """
 
     config: DemoConfig
@@ -60,7 +60,7 @@ class Outcome(NamedTuple):
 
 
 def versions() -> dict[str, str]:
-    """Return the versions and the machine that the figures depend on."""
+    """Return the versions and the machine facts that the measurements depend on."""
     packages = ("torch", "timm", "numpy", "embreex")
     return {
         "ffpose": ffpose.__version__,
@@ -72,7 +72,7 @@ def versions() -> dict[str, str]:
 
 
 def command(out: Path, *, train: bool) -> str:
-    """Return the command that makes all of it, whether this environment is activated or not."""
+    """Return the command that reproduces the demo, whether or not the environment is activated."""
     python = Path(sys.executable)
     if python.is_relative_to(Path.cwd()):
         python = python.relative_to(Path.cwd())
@@ -81,7 +81,7 @@ def command(out: Path, *, train: bool) -> str:
 
 
 def document(outcome: Outcome) -> dict[str, Any]:
-    """Return what ``report.json`` holds; times and epochs of a training are 0 without one."""
+    """Return the contents of ``report.json``; without training its times and epochs are 0."""
     config, out, weights = outcome.config, outcome.out, outcome.weights
     summary = outcome.evaluation.summary()
     baseline = summary["mean_pose_baseline"]
@@ -108,7 +108,7 @@ def document(outcome: Outcome) -> dict[str, Any]:
 
 
 def _files(out: Path) -> list[str]:
-    """Return the names of what was written, ``report.json`` among them, but for the images."""
+    """Return the names of the files written, including ``report.json`` but not the images."""
     bulky = (out / "images", out / "views")
     written = {path for path in out.rglob("*") if path.is_file()} | {out / "report.json"}
     kept = (path for path in written if not any(map(path.is_relative_to, bulky)))
@@ -125,7 +125,7 @@ def _weights_in_words(config: DemoConfig) -> str:
 
 
 def page(outcome: Outcome) -> Report:
-    """Return what ``report.html`` says."""
+    """Return the contents of ``report.html``."""
     config, weights = outcome.config, outcome.weights
     ranges = ", ".join(f"{n} ±{high:g}°" for n, (_, high) in _attitudes(config).items())
     near, far = config.scene.distance_m
@@ -136,7 +136,7 @@ def page(outcome: Outcome) -> Report:
             "views of other scenes"
         )
     else:
-        how = f"with {SHIPPED}, weights that come with ffpose and saw none of them"
+        how = f"with the shipped weights {SHIPPED}, which were trained on other scenes"
     return Report(
         title="From an image to a pose",
         subtitle=f"{subject}, each posed from the image alone, {how}.",

@@ -1,6 +1,6 @@
-"""Errors that are ours: bad data named by file and line, and an extra that is not installed.
+"""Exceptions of ffpose: invalid data, named by file and line, and a missing extra.
 
-Everything else is Python's own: `ValueError` for a shape or value, `TypeError` for a dtype,
+All other errors are Python's own: `ValueError` for a shape or value, `TypeError` for a dtype,
 `FileNotFoundError` for a path.
 """
 
@@ -12,13 +12,12 @@ from types import ModuleType
 
 
 class DataError(ValueError):
-    """A file holds what cannot be used; the text begins with ``file:line:``.
+    """The contents of a file are invalid; the message begins with ``file:line:``.
 
     Attributes:
-        file: The file that is to be mended; None only where torch raises the error of a
-            DataLoader's worker again, with the worker's whole traceback as its text
-            (`without_traceback` finds the error's own).
-        line: Its line, counted from one; None where the file as a whole is meant.
+        file: The invalid file; None only where torch reraises the error of a DataLoader's worker
+            with the worker's traceback as the message (`without_traceback` extracts the original).
+        line: The line in the file, counted from one; None for the file as a whole.
     """
 
     def __init__(
@@ -37,11 +36,11 @@ class DataError(ValueError):
 
 
 class MissingExtraError(ImportError):
-    """A feature was used whose optional dependencies are not installed."""
+    """The optional dependencies of a feature are not installed."""
 
     @classmethod
     def of(cls, package: str, extra: str) -> MissingExtraError:
-        """Return the error that says how ``package`` is installed, which ``extra`` brings."""
+        """Return an error that tells how to install ``package``, a dependency of ``extra``."""
         return cls(
             f"this part of ffpose needs {package}, of the extra [{extra}]; install it with: pip "
             f"install 'WHEEL[{extra}]', WHEEL being the file that `make wheel` leaves in dist/"
@@ -49,7 +48,7 @@ class MissingExtraError(ImportError):
 
 
 def without_traceback(text: str) -> str:
-    r"""Return the text of an error, which torch buries in a traceback if a worker raised it.
+    r"""Extract the original message from an error that torch reraised from a worker.
 
     Example:
         >>> without_traceback(
@@ -72,14 +71,14 @@ def require(module: str, extra: str) -> ModuleType:
     """Import an optional dependency.
 
     Args:
-        module: What to import, for example ``"matplotlib.pyplot"``.
-        extra: The extra of this package that brings it, for example ``"pose"``.
+        module: The module to import, for example ``"matplotlib.pyplot"``.
+        extra: The extra of this package that installs it, for example ``"pose"``.
 
     Returns:
         The module.
 
     Raises:
-        MissingExtraError: The module, or a package that holds it, is not installed.
+        MissingExtraError: The module or its package is not installed.
     """
     try:
         return importlib.import_module(module)

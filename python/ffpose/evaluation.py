@@ -1,11 +1,11 @@
-"""How well weights do on images that they were not trained on, beside what no looking achieves.
+"""Evaluation of trained weights on held-out images, compared with baselines that ignore the image.
 
-The figures are those of the paper's tables: errors of translation (equation 13) and orientation
-(equation 14), always mean and median, and the scores of the ESA 2019 and SPEED+ 2021 challenges.
-The rotation error is given in its two parts as well (`ffpose.attitude`), for a network may learn
-one and not the other.
+The metrics are those of the paper's tables: errors of translation (Eq. 13) and orientation (Eq.
+14), always as mean and median, and the scores of the ESA 2019 and SPEED+ 2021 challenges. The
+rotation error is also split into in-plane and out-of-plane parts (`ffpose.attitude`), as a network
+may learn one and not the other.
 
-Beside them stand the answers of `ffpose.baseline`: the mean pose of the training split, given for
+The baselines are those of `ffpose.baseline`: the mean pose of the training split, predicted for
 every image, and oracles that know one part of the truth.
 """
 
@@ -47,10 +47,10 @@ from ffpose.transforms import Preprocessing
 FloatArray = NDArray[np.float64]
 
 CAMERA_TOLERANCE = 1e-3
-"""How far intrinsics may lie apart, relatively, and still be those of one camera."""
+"""Relative difference up to which intrinsics count as those of the same camera."""
 
 UNCERTAINTY = ("translation_covariance", "rotation_covariance", "in_view")
-"""What a network may give beside its poses."""
+"""Uncertainty outputs that a network may have besides its poses."""
 
 
 @dataclass(frozen=True)
@@ -58,22 +58,22 @@ class Evaluation:
     """Predictions on the images of one split, and the baseline on the same images.
 
     Attributes:
-        dataset: The images and their labels.
+        dataset: Images and labels.
         predicted: Predicted poses ``(N, 7)``, ``[t, q]``.
-        baseline: The constant pose ``(7,)`` of the baseline.
-        seconds_per_image: From the image's file to the pose, on average.
-        conditions: Under which the images were taken, where the set says so.
-        translation_covariance: ``(N, 3, 3)`` square metres, camera frame, where the network gives
-            it, as the next two.
-        rotation_covariance: ``(N, 3, 3)`` square radians: of the rotation vector ``r``, camera
-            frame, with ``R_true = exp([r]x) R_predicted``.
+        baseline: Constant pose ``(7,)`` of the baseline.
+        seconds_per_image: Mean time from image file to pose.
+        conditions: Conditions of the images, where the set has them.
+        translation_covariance: ``(N, 3, 3)`` square meters, camera frame; None, like the next two,
+            for a network without uncertainty.
+        rotation_covariance: ``(N, 3, 3)`` square radians, covariance of the rotation vector ``r``,
+            camera frame, with ``R_true = exp([r]x) R_predicted``.
         in_view: Probabilities ``(N,)`` that the object is in the image at all.
-        in_view_empty: The same on images ``(M,)`` that do not hold it, where some were given.
-        in_view_threshold: An image of lower probability is flagged as not holding the object.
+        in_view_empty: Probabilities ``(M,)`` for images without the object, if there are any.
+        in_view_threshold: Images with a lower probability are flagged as not showing the object.
 
     Raises:
         ValueError: A covariance is not symmetric and positive definite, a probability is outside
-            0…1, or the shapes do not go together.
+            0…1, or shapes do not match.
     """
 
     dataset: PoseDataset
@@ -116,9 +116,9 @@ class Evaluation:
 
     @cached_property
     def region_probabilities(self) -> dict[str, FloatArray]:
-        """Probability ``(N,)`` of the region that just reaches each truth.
+        """Probability ``(N,)`` of the smallest confidence region that contains each truth.
 
-        Of ``translation`` and of ``rotation``, where the network gives a covariance of it.
+        Keys are ``translation`` and ``rotation``, where the network predicts their covariance.
         """
         truth, predicted = self.dataset.poses, self.predicted
         pairs = {
@@ -133,11 +133,11 @@ class Evaluation:
 
     @cached_property
     def ranking(self) -> NDArray[np.intp]:
-        """Places of the images from the best to the worst, by their part of the ESA score."""
+        """Indices of the images from best to worst, by their ESA score."""
         return np.argsort(self.errors.esa_score.numpy(), kind="stable")
 
     def typical(self, count: int) -> list[int]:
-        """Return the ``count`` images in the middle of the ranking; all where there are fewer."""
+        """Return the indices of the ``count`` images in the middle of the ranking, or of all."""
         begin = max(0, len(self.ranking) - count) // 2
         chosen: list[int] = self.ranking[begin : begin + count].tolist()
         return chosen
@@ -147,14 +147,14 @@ class Evaluation:
         return Pose.from_vector(self.predicted[index])
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures of the model, beside those of the baseline and the oracles.
+        """Return the metrics of the model, the baseline and the oracles.
 
-        The figures are named as `PoseError` does. ``median_intervals_95`` holds the bootstrap
-        intervals of the medians; ``mean_pose_baseline`` the same of the constant pose; ``oracles``
-        the rotation errors of each of `ffpose.baseline.oracles`; ``correlation`` that of true and
+        Metrics are named as in `PoseError`. ``median_intervals_95`` holds bootstrap intervals of
+        the medians; ``mean_pose_baseline`` the metrics of the constant pose; ``oracles`` the
+        rotation errors of `ffpose.baseline.oracles`; ``correlation`` the correlation of true and
         predicted roll, pitch and yaw (circular for roll and yaw; None where one is constant);
-        ``groups`` the medians by condition (`ffpose.breakdown`); ``uncertainty``, where the
-        network gives one, how far it can be trusted (`ffpose.calibration`).
+        ``groups`` the medians by condition (`ffpose.breakdown`); ``uncertainty``, for a network
+        that predicts it, its calibration (`ffpose.calibration`).
         """
         distance = np.linalg.norm(self.dataset.poses[:, :3], axis=1)
         uncertainty = self._uncertainty()
@@ -196,7 +196,7 @@ class Evaluation:
         }
 
     def _uncertainty(self) -> dict[str, Any]:
-        """Return how far the covariances and the flag can be trusted; empty without them."""
+        """Return the calibration of covariances and flag; empty without them."""
         result: dict[str, Any] = {
             name: summarize_regions(probability)
             for name, probability in self.region_probabilities.items()
@@ -222,26 +222,25 @@ def evaluate(
     workers: int = 0,
     any_camera: bool = False,
 ) -> Evaluation:
-    """Predict the poses of a split's images.
+    """Evaluate weights on the images of a split.
 
     Args:
-        weights: The file, or the name of weights that come with the package; they say how images
-            become the network's input.
-        kind: The layout of the image set.
-        root: The folder of the image set. Its training split gives the baseline.
-        split: The images to predict, ``"all"`` for those of every split.
-        batch_size: Images at a time.
-        workers: Processes that read images beside this one.
-        any_camera: Turn images of another camera than the weights' into the network's view, by
-            geometry (`ffpose.reprojection`).
+        weights: Weights file, or the name of shipped weights; its header defines the preprocessing.
+        kind: Kind of the dataset.
+        root: Folder of the dataset, whose training split gives the baseline.
+        split: The split to evaluate; ``"all"`` for every split.
+        batch_size: Images per batch.
+        workers: Additional processes that read images.
+        any_camera: Reproject images of a camera other than the weights' into the network's view
+            (`ffpose.reprojection`).
 
     Returns:
         Predictions and labels.
 
     Raises:
-        FileNotFoundError: The weights or a file of the image set are missing.
-        ValueError: The weights were altered, are of another kind of network, or have another
-            camera than the images.
+        FileNotFoundError: The weights or a file of the dataset are missing.
+        ValueError: The weights were altered or are of another kind of network, or their camera is
+            not that of the images.
         ffpose.DataError: An image or a label cannot be used.
     """
     model = FilterformerPose.from_pretrained(weights).eval()
@@ -265,16 +264,15 @@ def evaluate(
 def choose_preprocessing(
     metadata: WeightsMetadata, camera: Camera, any_camera: bool
 ) -> Preprocessing:
-    """Return what brings images of a camera to the network's input.
+    """Return the preprocessing from images of a camera to the network's input.
 
     Args:
-        metadata: Of the weights.
-        camera: Of the images, of their size.
-        any_camera: Turn images of another camera than the weights' into the network's view, by
-            geometry.
+        metadata: Header of the weights.
+        camera: Camera of the images, with their size.
+        any_camera: Reproject images of a camera other than the weights' into the network's view.
 
     Raises:
-        ValueError: Another camera, and not any is taken.
+        ValueError: The camera differs from the weights', and ``any_camera`` is false.
     """
     plain, view = metadata.preprocessing, metadata.config.view_camera
     if view is None or _agree(plain.camera(camera), view):
@@ -289,13 +287,13 @@ def choose_preprocessing(
 
 
 def _agree(camera: Camera, other: Camera) -> bool:
-    """Return whether the intrinsics of two cameras of one image size agree."""
+    """Return whether the intrinsics of two cameras with the same image size agree."""
     pairs = zip(astuple(camera), astuple(other), strict=True)
     return all(math.isclose(one, two, rel_tol=CAMERA_TOLERANCE) for one, two in pairs)
 
 
 def _uncertainties(poses: Sequence[PosePrediction]) -> dict[str, Any]:
-    """Return what the network gives beside its poses, by name; nothing of a network without."""
+    """Return the uncertainty outputs by name; empty for a network without them."""
     return {
         name: _joined(poses, name)
         for name in UNCERTAINTY
@@ -304,19 +302,19 @@ def _uncertainties(poses: Sequence[PosePrediction]) -> dict[str, Any]:
 
 
 def _joined(poses: Sequence[PosePrediction], name: str) -> FloatArray:
-    """Join one field of the batches, in float64."""
+    """Concatenate one field of the batches, in float64."""
     return torch.cat([getattr(pose, name) for pose in poses]).double().cpu().numpy()
 
 
 def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:
-    """Return means, medians and scores of predictions ``(N, 7)``, named as `PoseError` does."""
+    """Return means, medians and scores of predictions ``(N, 7)``, named as in `PoseError`."""
     metric = PoseError()
     metric.update(*_tensors(predicted), *_tensors(truth))
     return {name: float(value) for name, value in metric.compute().items()}
 
 
 def _intervals(errors: PoseErrors) -> dict[str, list[float]]:
-    """Return the bootstrap intervals of the medians, by their names in `PoseError`."""
+    """Return bootstrap intervals of the medians, named as in `PoseError`."""
     return {
         f"median_{name}": list(median_interval(getattr(errors, field).numpy()))
         for name, field in SUMMARIZED.items()
@@ -324,7 +322,7 @@ def _intervals(errors: PoseErrors) -> dict[str, list[float]]:
 
 
 def _median_sigma(covariance: FloatArray) -> float:
-    """Return the median, over covariances ``(N, 3, 3)``, of the mean standard deviation (rms)."""
+    """Return the median over covariances ``(N, 3, 3)`` of the RMS standard deviation."""
     return float(np.median(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)))
 
 

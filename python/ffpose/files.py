@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""File utilities: atomic writes, hashes, text, and checks of folders and free space."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from pathlib import Path
 from ffpose.errors import DataError
 
 _PREFIX = ".ffpose-"
-"""Of the folders that files are written in before they are renamed."""
+"""Prefix of the temporary folders that files are written in before they are renamed."""
 
 
 @contextmanager
 def atomic_write(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
-    """Give a temporary path to write to, and rename it to ``path`` when the block ends well.
+    """Yield a temporary path to write to, and rename it to ``path`` if the block succeeds.
 
-    The temporary file lies in a new folder beside ``path`` and keeps its name, so that a writer
-    that goes by the suffix works, and the rename stays within one file system. When the block
-    raises, nothing remains and an older file at ``path`` is as it was. A process that is killed
-    leaves that folder (`remove_leftovers`).
+    The temporary file has the same name as ``path`` and lies in a new folder beside it, so that
+    writers can choose a format by the suffix and the rename stays within one file system. If the
+    block raises, nothing remains and an older file at ``path`` is unchanged. A killed process
+    leaves the temporary folder behind (`remove_leftovers`).
 
     Args:
-        path: Where the file shall be; its folder must exist.
-        durable: Wait until the contents are on the disk before the rename, and the name after it,
-            so that a loss of power leaves the old file or the new one. False saves some
-            milliseconds a file, for what is checked and made again when it is lost.
+        path: Path of the file; its folder must exist.
+        durable: Flush the contents to disk before the rename and the folder after it, so that a
+            power loss leaves either the old file or the new one. False saves some milliseconds per
+            file, for files that are checked and can be made again.
 
     Yields:
         The path to write to.
@@ -48,7 +48,7 @@ def atomic_write(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file's contents, or a folder's names, are on the disk."""
+    """Flush a file's contents, or a folder's entries, to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -66,8 +66,8 @@ def read_text(path: Path) -> str:
     """Read a text file in UTF-8, with or without a byte order mark.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        DataError: It is not in UTF-8.
+        FileNotFoundError: The file does not exist.
+        DataError: The file is not in UTF-8.
     """
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -76,28 +76,28 @@ def read_text(path: Path) -> str:
 
 
 def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:
-    """Remove what killed processes left of `atomic_write`.
+    """Remove temporary folders that killed processes left behind in `atomic_write`.
 
     Args:
-        folder: Where the files were to be.
-        older_than: Seconds; younger ones may be of a process that is writing now.
+        folder: The folder that was written to.
+        older_than: Least age in seconds; younger ones may belong to a running process.
     """
     for left in Path(folder).glob(f"{_PREFIX}*"):
-        with suppress(FileNotFoundError):  # a writer that lives has just renamed its file
+        with suppress(FileNotFoundError):  # a running writer has just renamed its file
             if time.time() - left.stat().st_mtime > older_than:
                 shutil.rmtree(left)
 
 
 def expect_room(folder: str | Path, need: int, what: str) -> None:
-    """Check, before hours of work meet a full disk, that there is room for what will be written.
+    """Check in advance that the disk has enough free space.
 
     Args:
-        folder: Where it shall be; it need not exist.
-        need: Bytes, at least.
-        what: What needs them, for the error.
+        folder: The folder to be written to; it need not exist.
+        need: Least number of bytes needed.
+        what: What needs the space, for the error message.
 
     Raises:
-        OSError: There is no room; ``errno`` is ``ENOSPC``.
+        OSError: There is not enough space; ``errno`` is ``ENOSPC``.
     """
     free = shutil.disk_usage(_nearest(folder)).free
     if free < need:
@@ -106,10 +106,10 @@ def expect_room(folder: str | Path, need: int, what: str) -> None:
 
 
 def expect_folder(path: str | Path) -> None:
-    """Check, before work is done for it, that ``path`` is a folder or can be made one.
+    """Check in advance that ``path`` is a folder or can be created as one.
 
     Raises:
-        NotADirectoryError: It, or what shall hold it, is a file.
+        NotADirectoryError: ``path``, or one of its parents, is a file.
     """
     there = _nearest(path)
     if not there.is_dir():
@@ -117,5 +117,5 @@ def expect_folder(path: str | Path) -> None:
 
 
 def _nearest(path: str | Path) -> Path:
-    """Return ``path``, or the nearest of the folders that shall hold it, which exists."""
+    """Return ``path`` if it exists, else its nearest existing parent."""
     return next(place for place in (Path(path), *Path(path).absolute().parents) if place.exists())

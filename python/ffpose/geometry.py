@@ -1,16 +1,16 @@
-"""Cameras, poses and quaternions: the one page of conventions.
+"""Cameras, poses and quaternions, and the conventions of the whole package.
 
-Every other module uses what is written here, and converts on entry what comes in another form.
+All other modules follow these conventions, and convert data in other conventions on entry.
 
-* **Camera frame**: x right, y down, z forward (that of OpenCV), right-handed, in metres.
-* **Pose**: takes a point of the object into the camera frame, ``p_camera = R(q) @ p_object + t``.
-* **Quaternion**: Hamilton's, scalar first ``(w, x, y, z)``, of norm one. ``q`` and ``-q`` are one
-  rotation; a `Pose` holds the canonical one, whose first component that is not zero is positive:
-  ``w > 0``, or at half a turn ``w = 0`` and ``x > 0``, and so on. That rule is computed in one
-  place, `ffpose.arrays.canonical_quaternion`.
+* **Camera frame**: x right, y down, z forward (that of OpenCV), right-handed, in meters.
+* **Pose**: transforms points to the camera frame, ``p_camera = R(q) @ p_object + t``.
+* **Quaternion**: Hamilton's, scalar first ``(w, x, y, z)``, unit norm. ``q`` and ``-q`` are the
+  same rotation; a `Pose` stores the canonical one, whose first nonzero component is positive:
+  ``w > 0``, or for a half turn ``w = 0`` and ``x > 0``, and so on
+  (`ffpose.arrays.canonical_quaternion`).
 * **Flat vector**: ``[tx, ty, tz, qw, qx, qy, qz]``.
-* **Pixels**: continuous coordinates ``(u, v)``, u to the right and v downwards. The image covers
-  ``[0, width] x [0, height]``, so the centre of the top left pixel is ``(0.5, 0.5)`` and a resize
+* **Pixels**: continuous coordinates ``(u, v)``, u to the right and v downward. The image covers
+  ``[0, width] x [0, height]``, so the center of the top left pixel is ``(0.5, 0.5)`` and a resize
   is a plain scaling.
 
 URSO (Proença and Gao, 2020) labels its images in a left-handed camera frame (x right, y *up*, z
@@ -37,11 +37,11 @@ from ffpose.errors import DataError
 FloatArray = NDArray[np.float64]
 
 QUATERNION_TOLERANCE = 1e-3
-"""How far a quaternion's norm may lie from one (rounding of a printed label) to be normalised."""
+"""Deviation of a quaternion's norm from one (rounding in a printed label) that is normalized."""
 
 
 def _real_array(name: str, values: ArrayLike, size: int) -> FloatArray:
-    """Return finite ``values`` as float64 whose last axis has ``size``, or say what was wrong."""
+    """Convert to a finite float64 array whose last axis has ``size``, or raise."""
     array = np.asarray(values)
     if array.dtype.kind not in "iuf":
         raise TypeError(f"{name}: expected real numbers, got dtype {array.dtype}")
@@ -53,7 +53,7 @@ def _real_array(name: str, values: ArrayLike, size: int) -> FloatArray:
 
 
 def _unit_quaternion(q: ArrayLike) -> FloatArray:
-    """Normalise q ``(..., 4)`` where its norm is one within `QUATERNION_TOLERANCE`."""
+    """Normalize ``q (..., 4)``, whose norm must be one within `QUATERNION_TOLERANCE`."""
     array = _real_array("quaternion", q, 4)
     norm = np.linalg.norm(array, axis=-1, keepdims=True)
     worst = float(np.max(np.abs(norm - 1), initial=0.0))
@@ -93,15 +93,15 @@ def rotation_matrix(q: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera without distortion, in continuous pixel coordinates (see the module).
+    """A pinhole camera without distortion, in continuous pixel coordinates.
 
     Attributes:
         width: Image width in pixels.
         height: Image height in pixels.
         fx: Focal length along u, in pixels.
         fy: Focal length along v, in pixels.
-        cx: Principal point's u.
-        cy: Principal point's v.
+        cx: u coordinate of the principal point.
+        cy: v coordinate of the principal point.
     """
 
     width: int
@@ -121,11 +121,11 @@ class Camera:
 
     @classmethod
     def read(cls, path: str | Path) -> Camera:
-        """Read a camera from a JSON file with the attributes as keys.
+        """Read a camera from a JSON file whose keys are the attributes.
 
         Raises:
-            FileNotFoundError: There is no such file.
-            DataError: It is not JSON, has other keys, or is no camera.
+            FileNotFoundError: The file does not exist.
+            DataError: The file is not JSON, has other keys, or the values are not a valid camera.
         """
         try:
             values = json.loads(Path(path).read_text(encoding="utf-8-sig"))
@@ -147,31 +147,31 @@ class Camera:
 
     @property
     def matrix(self) -> FloatArray:
-        """The calibration matrix ``(3, 3)``: ``matrix @ p_camera`` is ``depth * (u, v, 1)``."""
+        """Calibration matrix ``(3, 3)``: ``matrix @ p_camera`` is ``depth * (u, v, 1)``."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def has_aspect(self, width: int, height: int) -> bool:
-        """Return whether an image of ``width`` x ``height`` can be this camera's, resized."""
+        """Return whether ``width`` x ``height`` has the aspect ratio of this camera's images."""
         return width * self.height == height * self.width
 
     def resized(self, width: int, height: int) -> Camera:
-        """Return the camera of the same view, its image resized to ``width`` x ``height``."""
+        """Return the camera of this camera's image resized to ``width`` x ``height``."""
         x, y = width / self.width, height / self.height
         return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
-        """Return the camera of the rectangle whose top left corner is the pixel (left, top)."""
+        """Return the camera of a crop whose top left corner is the pixel (left, top)."""
         return Camera(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
 
     def project(self, points: ArrayLike) -> FloatArray:
         """Project points of the camera frame onto the image.
 
         Args:
-            points: ``(..., 3)``, metres.
+            points: ``(..., 3)``, meters.
 
         Returns:
-            Pixels ``(..., 2)``, float64, also where they lie outside the image. A point that is not
-            in front of the camera (z <= 0) has no image: its pixel is NaN, which a plot leaves out.
+            Pixels ``(..., 2)``, float64, which may lie outside the image; NaN for a point that is
+            not in front of the camera (z <= 0).
 
         Raises:
             TypeError: The values are not real numbers.
@@ -188,13 +188,13 @@ URSO_CAMERA = Camera(width=1280, height=960, fx=640.0, fy=640.463, cx=640.0, cy=
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseUncertainty:
-    """How far a predicted pose may be from the truth, as the network itself says.
+    """Predicted uncertainty of a pose: covariances, and the probability that the object is in view.
 
-    Two are equal where all their numbers are.
+    Equality is by value.
 
     Attributes:
-        translation_covariance: ``(3, 3)`` square metres, camera frame; float64.
-        rotation_covariance: ``(3, 3)`` square radians: covariance of the rotation vector ``r``,
+        translation_covariance: ``(3, 3)`` square meters, camera frame; float64.
+        rotation_covariance: ``(3, 3)`` square radians, covariance of the rotation vector ``r``,
             camera frame, with ``R_true = exp([r]x) @ R_predicted``; float64.
         in_view: Probability that the object is in the image at all.
     """
@@ -228,16 +228,16 @@ class PoseUncertainty:
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
 class Pose:
-    """Where an object is and how it is turned: ``p_camera = R(q) @ p_object + t``.
+    """Position and orientation of an object: ``p_camera = R(q) @ p_object + t``.
 
-    Equality is by value and exact: two poses are equal, and hash alike, where translation, rotation
-    and uncertainty are. ``q`` and ``-q`` make equal poses.
+    Equality is exact and by value: two poses are equal, and have equal hashes, if translation,
+    rotation and uncertainty are equal. ``q`` and ``-q`` make equal poses.
 
     Attributes:
-        t: Translation ``(3,)``, metres, camera frame; read-only float64.
-        q: Orientation ``(4,)``, Hamilton quaternion ``(w, x, y, z)`` of norm one and of canonical
-            sign (see the module); read-only float64.
-        uncertainty: Of a prediction, where the network gives one; None for a label.
+        t: Translation ``(3,)``, meters, camera frame; read-only float64.
+        q: Orientation ``(4,)``, Hamilton quaternion ``(w, x, y, z)`` with unit norm and canonical
+            sign; read-only float64.
+        uncertainty: Uncertainty of a prediction; None for a label, or if the network has none.
 
     Example:
         >>> Pose([1, 2, 10], [-0.6, 0.8, 0, 0]).q.tolist() == [0.6, -0.8, 0, 0]
@@ -253,12 +253,12 @@ class Pose:
     def __init__(
         self, t: ArrayLike, q: ArrayLike, uncertainty: PoseUncertainty | None = None
     ) -> None:
-        """Check and store a pose; a canonical sign is given to q.
+        """Check and store a pose; the sign of q is made canonical.
 
         Raises:
             TypeError: The values are not real numbers.
             ValueError: Wrong shape, a value that is not finite, or a quaternion whose norm is
-                farther than `QUATERNION_TOLERANCE` from one; a closer one is normalised.
+                farther than `QUATERNION_TOLERANCE` from one; a closer one is normalized.
         """
         translation = _real_array("translation", t, 3)
         quaternion = _unit_quaternion(q)
@@ -290,7 +290,7 @@ class Pose:
     def from_urso(
         cls, *, x: float, y: float, z: float, q1: float, q2: float, q3: float, q4: float
     ) -> Pose:
-        """Build a pose from a row of URSO's labels (the module says how they convert).
+        """Build a pose from a row of URSO's labels; the module describes the conversion.
 
         Example:
             >>> pose = Pose.from_urso(x=2, y=1, z=10, q1=0, q2=0, q3=0, q4=1)
@@ -307,16 +307,16 @@ class Pose:
 
     @property
     def vector(self) -> FloatArray:
-        """The flat form ``(7,)``, ``[tx, ty, tz, qw, qx, qy, qz]``."""
+        """Flat vector ``(7,)``, ``[tx, ty, tz, qw, qx, qy, qz]``."""
         return np.concatenate([self.t, self.q])
 
     @property
     def rotation(self) -> FloatArray:
-        """The rotation matrix ``(3, 3)`` from the object's frame to the camera's."""
+        """Rotation matrix ``(3, 3)`` from the object frame to the camera frame."""
         return rotation_matrix(self.q)
 
     def transform(self, points: ArrayLike) -> FloatArray:
-        """Take points of the object ``(..., 3)`` into the camera frame, metres."""
+        """Transform points of the object ``(..., 3)`` to the camera frame, meters."""
         return _real_array("points", points, 3) @ self.rotation.T + self.t
 
     def project(self, points: ArrayLike, camera: Camera) -> FloatArray:

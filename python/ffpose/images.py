@@ -1,4 +1,4 @@
-"""Image files as RGB pixels: the one rule by which they are read."""
+"""Reading image files as RGB."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from PIL import Image
 from ffpose.errors import DataError
 
 MODES = ("L", "LA", "P", "RGB", "RGBA")
-"""Pillow's modes of eight bits a channel: those that become RGB without loss of range."""
+"""Pillow's modes with 8 bits per channel, which convert to RGB without loss of range."""
 
 
 def read_rgb(path: Path) -> Image.Image:
     """Read an image file as RGB; transparency is dropped.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        DataError: As `open_image` and `to_rgb`.
+        FileNotFoundError: The file does not exist.
+        DataError: The file is not an intact image, or its mode is not in `MODES`.
     """
     with open_image(path) as image:
         return to_rgb(image, path)
@@ -27,11 +27,11 @@ def read_rgb(path: Path) -> Image.Image:
 
 @contextmanager
 def open_image(path: Path) -> Iterator[Image.Image]:
-    """Open an image file: its header is read, its pixels when they are asked for.
+    """Open an image file; the header is read now, the pixels on access.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        DataError: The file is no image, or a broken one; also where the block finds that out.
+        FileNotFoundError: The file does not exist.
+        DataError: The file is not an image, or is damaged; also if this shows within the block.
     """
     try:
         with Image.open(path) as image:
@@ -52,11 +52,11 @@ def to_rgb(image: Image.Image, path: Path) -> Image.Image:
     """Decode an open image as RGB; transparency is dropped.
 
     Args:
-        image: As `open_image` gives it.
-        path: Its file, which an error names.
+        image: Image from `open_image`.
+        path: Path of the image file, for the error message.
 
     Raises:
-        DataError: The pixels do not become RGB without loss.
+        DataError: The image's mode is not in `MODES`.
     """
     if image.mode not in MODES:
         raise DataError(f"expected pixels of mode {', '.join(MODES)}, got {image.mode}", path)

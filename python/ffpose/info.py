@@ -1,4 +1,4 @@
-"""What a bug report should hold: versions, instruction set, threads, and which extras are there.
+"""Versions, instruction set, threads and installed extras, for a bug report.
 
 Works with NumPy alone.
 """
@@ -21,7 +21,7 @@ _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+).*;\s*extra\s*==\s*['\"]([\w-]+)['\
 
 
 def collect() -> dict[str, Any]:
-    """Return the facts about this installation and machine, as JSON can hold them."""
+    """Return the facts about this installation and machine as a JSON document."""
     return {
         "ffpose": ffpose.__version__,
         "instruction_set": instruction_set(),
@@ -37,7 +37,7 @@ def collect() -> dict[str, Any]:
 
 
 def threads() -> int:
-    """Return how many threads the filter uses: torch's, and one for NumPy users without torch."""
+    """Return the number of threads that the filter uses: torch's number, or one without torch."""
     try:
         import torch
     except ModuleNotFoundError:
@@ -46,10 +46,10 @@ def threads() -> int:
 
 
 def extras(requirements: Sequence[str]) -> dict[str, dict[str, str | None]]:
-    """Return, for each extra, the packages it asks for and their versions, None where missing.
+    """Return the packages of each extra and their versions, None where not installed.
 
     Args:
-        requirements: Lines of metadata, such as ``torch>=2.10; extra == 'torch'``.
+        requirements: Requirements in the package's metadata, as ``torch>=2.10; extra == 'torch'``.
     """
     found: dict[str, dict[str, str | None]] = {}
     for line in requirements:
@@ -60,7 +60,7 @@ def extras(requirements: Sequence[str]) -> dict[str, dict[str, str | None]]:
 
 
 def package_of(requirement: str) -> tuple[str, str | None]:
-    """Return the package that a line of metadata asks for, and the extra that it is part of.
+    """Return the package of a requirement, and the extra that it belongs to.
 
     Example:
         >>> package_of("torch>=2.10; extra == 'torch'")
@@ -80,7 +80,7 @@ def _version(package: str) -> str | None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run ``ffpose info``; apart from the other commands, as theirs need an extra to be parsed."""
+    """Run ``ffpose info``; unlike the other commands its parser needs no extra."""
     parser = argparse.ArgumentParser(prog="ffpose info", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     facts = collect()

@@ -1,8 +1,8 @@
-"""A data set at a glance, before hours go into training on it.
+"""Inspection of a dataset before training on it.
 
-Counts, checks of labels and images, the distributions that the paper shows (Ye et al.,
-Sensors 2023, 23, 8633: translation in Figure 6, orientation in Figure 7), and a sheet of images on
-which the labelled axes are drawn: a wrong convention shows there at once.
+Counts, checks of labels and images, distributions as in the paper (Ye et al., Sensors 2023, 23,
+8633: translation in Figure 6, orientation in Figure 7), and a contact sheet of images with the
+labeled axes, where a wrong convention is visible at once.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _COLUMNS = 4
 _GAP = 6
 _AXIS_LENGTH = 3.0
 _NORM_TOLERANCE = 1e-5
-"""Of a quaternion's norm: a label of five digits keeps within it."""
-_COLOURS = ("#0072b2", "#e69f00", "#009e73")
-"""Of the splits: three that the colour-blind can tell apart."""
+"""Tolerated deviation of a quaternion's norm from one, for labels printed with five digits."""
+_COLORS = ("#0072b2", "#e69f00", "#009e73")
+"""Colors of the splits, distinguishable with color blindness."""
 
 
 class _Quantity(NamedTuple):
-    """What a histogram shows: its name, its unit and its bins' edges (None: from the values)."""
+    """Quantity of a histogram: name, unit and bin edges (None: from the values)."""
 
     name: str
     unit: str
@@ -60,29 +60,29 @@ _ORIENTATION = (
 def inspect_dataset(
     datasets: Mapping[str, PoseDataset], out: str | Path, sheet_images: int = 16
 ) -> dict[str, Any]:
-    """Check a data set and write what a person wants to see of it.
+    """Check a dataset, and write a summary, histograms and contact sheets.
 
     Writes ``summary.json``, ``translation.png``, ``orientation.png`` and, for each split,
-    ``samples_{split}.png``. Every image is decoded, on all cores, as a training would do it.
+    ``samples_{split}.png``. Every image is decoded as in training, on all cores.
 
     Args:
-        datasets: The splits, by name; three at most.
-        out: The folder to write; it is made where it is missing.
-        sheet_images: Images on each sheet, spread evenly over the split.
+        datasets: The splits by name, at most three.
+        out: The folder to write; created if missing.
+        sheet_images: Number of images on each sheet, spread evenly over the split.
 
     Returns:
-        The summary, as in ``summary.json``. Under ``splits``, by name: ``images``, ``camera``,
-        ``failed`` (names of the images whose label, as the file has it, fails each check),
-        ``origin_in_image`` (the share of images that hold the object's origin) and ``ranges``
-        (least, median and greatest value). Beside them ``shared_images`` (files in more than one
-        split) and ``files``.
+        The contents of ``summary.json``. ``splits`` holds for each split ``images``, ``camera``,
+        ``failed`` (names of the images whose label, as in the file, fails each check),
+        ``origin_in_image`` (the share of images that contain the object's origin) and ``ranges``
+        (minimum, median and maximum). Besides, ``shared_images`` (files in more than one split) and
+        ``files``.
 
     Raises:
-        ValueError: There are no splits, more than three, or no images asked for a sheet.
-        DataError: An image is not whole, or has not its camera's size; nothing is written.
+        ValueError: There are no splits or more than three, or ``sheet_images`` is less than one.
+        DataError: An image is damaged, or its size differs from the camera's; nothing is written.
     """
-    if not 1 <= len(datasets) <= len(_COLOURS):
-        raise ValueError(f"data sets: expected 1 to {len(_COLOURS)} splits, got {len(datasets)}")
+    if not 1 <= len(datasets) <= len(_COLORS):
+        raise ValueError(f"datasets: expected 1 to {len(_COLORS)} splits, got {len(datasets)}")
     if sheet_images < 1:
         raise ValueError(f"sheet_images: expected at least 1, got {sheet_images}")
     for dataset in datasets.values():
@@ -108,7 +108,7 @@ def inspect_dataset(
 
 
 def _decode_all(dataset: PoseDataset) -> None:
-    """Decode every image: a header says nothing of what is cut off behind it."""
+    """Decode every image, as a header does not reveal a truncated file."""
 
     def decode(index: int) -> None:
         dataset.load_image(index)
@@ -119,7 +119,7 @@ def _decode_all(dataset: PoseDataset) -> None:
 
 
 def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
-    """Return up to ``count`` images, spread evenly over a data set, with their labelled axes."""
+    """Return up to ``count`` images, spread evenly over a dataset, with their labeled axes."""
     indices = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(int)).tolist()
     tiles = [_tile(dataset, index) for index in indices]
     width, height = tiles[0].width + _GAP, tiles[0].height + _GAP
@@ -132,7 +132,7 @@ def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
 
 
 def _tile(dataset: PoseDataset, index: int) -> Image.Image:
-    """Return image ``index``, small, with its axes, and below it its name and distance."""
+    """Return a thumbnail of image ``index`` with its axes, and its name and distance below."""
     pose, camera = Pose.from_vector(dataset.poses[index]), dataset.camera
     size = (_TILE_WIDTH, round(_TILE_WIDTH * camera.height / camera.width))
     image = dataset.load_image(index).resize(size, Image.Resampling.BILINEAR)
@@ -145,17 +145,17 @@ def _tile(dataset: PoseDataset, index: int) -> Image.Image:
 
 
 def _translation(poses: FloatArray) -> FloatArray:
-    """Return the values of `_TRANSLATION` (N, 4) of poses (N, 7)."""
+    """Return the quantities of `_TRANSLATION` (N, 4) of poses (N, 7)."""
     return np.column_stack([np.linalg.norm(poses[:, :3], axis=1), poses[:, :3]])
 
 
 def _orientation(poses: FloatArray) -> FloatArray:
-    """Return the values of `_ORIENTATION` (N, 3) of poses (N, 7)."""
+    """Return the quantities of `_ORIENTATION` (N, 3) of poses (N, 7)."""
     return np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])))
 
 
 def _raw_quaternions(dataset: PoseDataset) -> FloatArray:
-    """Return the quaternions (N, 4) as the files have them: a `Pose` would pass every check."""
+    """Return the quaternions (N, 4) as in the files; those of a `Pose` are already normalized."""
     return np.array(
         [
             record.pose.q if record.raw_quaternion is None else record.raw_quaternion
@@ -165,7 +165,7 @@ def _raw_quaternions(dataset: PoseDataset) -> FloatArray:
 
 
 def _summarize(dataset: PoseDataset) -> dict[str, Any]:
-    """Return the figures and checks of one split."""
+    """Return the statistics and checks of one split."""
     poses, camera, raw = dataset.poses, dataset.camera, _raw_quaternions(dataset)
     quantities = (*_TRANSLATION, *_ORIENTATION)
     values = np.column_stack([_translation(poses), _orientation(poses)])
@@ -197,7 +197,7 @@ def _summarize(dataset: PoseDataset) -> dict[str, Any]:
 
 
 def _shared_images(datasets: Iterable[PoseDataset]) -> list[str]:
-    """Return the files that stand in more than one split: tests on those would flatter."""
+    """Return the files in more than one split, which would bias an evaluation."""
     counts = Counter(record.image for dataset in datasets for record in dataset.records)
     return sorted(path.name for path, count in counts.items() if count > 1)
 
@@ -205,7 +205,7 @@ def _shared_images(datasets: Iterable[PoseDataset]) -> list[str]:
 def _write_histograms(
     path: Path, quantities: Sequence[_Quantity], values: Mapping[str, FloatArray]
 ) -> None:
-    """Draw one histogram for each quantity, the splits stacked; values are (N, quantities)."""
+    """Draw a histogram of each quantity with the splits stacked; values are (N, quantities)."""
     figure = require("matplotlib.figure", "pose").Figure(
         figsize=(3.4 * len(quantities), 3.2), layout="constrained"
     )
@@ -217,7 +217,7 @@ def _write_histograms(
             bins=24 if quantity.edges is None else quantity.edges,
             stacked=True,
             label=[f"{name} ({len(split)})" for name, split in values.items()],
-            color=_COLOURS[: len(values)],
+            color=_COLORS[: len(values)],
         )
         if quantity.edges is not None:
             axes.set_xticks(quantity.edges[::4])

@@ -2,8 +2,8 @@
 
 ``L = L_t exp(-s_t) + s_t + L_q exp(-s_q) + s_q`` with ``L_t = ||t - t_hat||`` and
 ``L_q = ||q - q_hat / ||q_hat|| ||``, each a mean over the batch, and two learnable weights s_t and
-s_q (Kendall and Cipolla, CVPR 2017). The printed start values lost their minus signs: they are -3
-and -6.5.
+s_q (Kendall and Cipolla, CVPR 2017). Their initial values are -3 and -6.5; the printed ones lost
+their minus signs.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from ffpose.ops import normalize_quaternion
 
 
 class LossTerms(NamedTuple):
-    """A loss and what it is made of, each a tensor without axes.
+    """The joint loss and its two terms, scalar tensors.
 
     Attributes:
-        total: Eq. 11, to be minimised.
-        translation: ``L_t``, Eq. 9, metres.
+        total: Eq. 11, to be minimized.
+        translation: ``L_t``, Eq. 9, meters.
         orientation: ``L_q``, Eq. 10.
     """
 
@@ -33,15 +33,15 @@ class LossTerms(NamedTuple):
 class PoseLoss(nn.Module):
     """The joint loss with its learnable weights.
 
-    An optimiser with weight decay must leave ``s_t`` and ``s_q`` out of it: they are no weights of
-    the network, and zero is no neutral value for them.
+    Exclude ``s_t`` and ``s_q`` from weight decay: they are not weights of the network, and zero is
+    not a neutral value for them.
 
     Args:
-        s_t: Start of the translation's log weight.
-        s_q: Start of the orientation's log weight.
-        antipodal: Measure the distance to the nearer of q and -q, which are one rotation. The
-            paper's loss (False) relies on labels of one sign, and pulls the wrong way for a
-            prediction near a half turn that chose the other sign.
+        s_t: Initial log weight of the translation.
+        s_q: Initial log weight of the orientation.
+        antipodal: Measure the distance to the nearer of q and -q, which are the same rotation. The
+            paper's loss (False) relies on canonical labels, and its gradient points the wrong way
+            for a prediction near a half turn with the other sign.
     """
 
     def __init__(self, s_t: float = -3.0, s_q: float = -6.5, antipodal: bool = False) -> None:
@@ -54,10 +54,10 @@ class PoseLoss(nn.Module):
         """Compare predictions with labels.
 
         Args:
-            t_hat: Predicted translations ``(B, 3)``, metres.
-            q_hat: Predicted quaternions ``(B, 4)``, ``(w, x, y, z)``, of any norm but zero.
+            t_hat: Predicted translations ``(B, 3)``, meters.
+            q_hat: Predicted quaternions ``(B, 4)``, ``(w, x, y, z)``, with any nonzero norm.
             t: True translations ``(B, 3)``.
-            q: True quaternions ``(B, 4)``, of norm one.
+            q: True unit quaternions ``(B, 4)``.
 
         Returns:
             The loss and its terms.
@@ -77,7 +77,7 @@ class PoseLoss(nn.Module):
         )
 
     def joined(self, translation: Tensor, orientation: Tensor) -> LossTerms:
-        """Return Eq. 11 of two means: for an orientation head with a loss of its own."""
+        """Return Eq. 11 for two given terms, for an orientation head with its own loss."""
         total = (
             translation * torch.exp(-self.s_t)
             + self.s_t

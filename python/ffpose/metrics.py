@@ -1,14 +1,14 @@
-"""Errors of poses, over the Rust core, for a batch and accumulated over batches and processes.
+"""Pose errors, per batch and accumulated over batches and processes, computed by the Rust core.
 
-* Translation error: Euclidean distance in metres (Ye et al., Sensors 2023, 23, 8633, Eq. 13).
+* Translation error: Euclidean distance in meters (Ye et al., Sensors 2023, 23, 8633, Eq. 13).
 * Rotation error: the angle of the rotation from prediction to label, in degrees (Eq. 14); q and -q
-  are one pose. Its in-plane and out-of-plane parts: `ffpose.attitude`.
+  are the same rotation. `ffpose.attitude` defines its in-plane and out-of-plane parts.
 * ESA score (Kelvins pose estimation challenge, 2019): mean of relative translation error plus
   rotation error in radians.
-* SPEED+ score (2021): the same, where a part below the calibration's accuracy (0.002173 relative,
-  0.169 degrees) counts as zero.
+* SPEED+ score (2021): as the ESA score, but an error below the calibration's accuracy (0.002173
+  relative, 0.169 degrees) counts as zero.
 
-The paper's Tables 1-4 are means and Table 5 medians; both are always given.
+The paper's Tables 1-4 are means and Table 5 medians; both are always computed.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ SUMMARIZED = {
     "in_plane_error_deg": "in_plane_deg",
     "out_of_plane_error_deg": "out_of_plane_deg",
 }
-"""What mean and median are given of: name, and field of `PoseErrors`."""
+"""Errors of which mean and median are computed: name, and field of `PoseErrors`."""
 
 
 class PoseErrors(NamedTuple):
     """Errors of each sample, float64 ``(N,)`` on the CPU.
 
     Attributes:
-        translation_m: Translation error, metres.
+        translation_m: Translation error, meters.
         rotation_deg: Rotation error, degrees.
-        esa_score: The sample's part of the ESA score.
-        speed_plus_score: The sample's part of the SPEED+ score.
+        esa_score: ESA score of the sample.
+        speed_plus_score: SPEED+ score of the sample.
         relative_translation: Translation error divided by the true distance.
         in_plane_deg: Twist about the true viewing ray, degrees.
-        out_of_plane_deg: Angle between true and predicted viewing direction, degrees.
+        out_of_plane_deg: Angle between true and predicted viewing directions, degrees.
     """
 
     translation_m: Tensor
@@ -59,7 +59,7 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
     """Return the errors of each prediction.
 
     Args:
-        t_hat: Predicted translations ``(N, 3)``, metres, any floating dtype and device.
+        t_hat: Predicted translations ``(N, 3)``, meters, any floating dtype and device.
         q_hat: Predicted quaternions ``(N, 4)``, ``(w, x, y, z)``.
         t: True translations ``(N, 3)``.
         q: True quaternions ``(N, 4)``.
@@ -76,7 +76,7 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
 
 
 class PoseError(Metric):
-    """Mean and median pose errors over all samples, of all processes.
+    """Mean and median pose errors over all samples of all processes.
 
     Example:
         >>> metric = PoseError()
@@ -102,12 +102,12 @@ class PoseError(Metric):
             getattr(self, name).append(error.to(self.device))
 
     def compute(self) -> dict[str, Tensor]:
-        """Return the figures over all samples so far.
+        """Return the metrics over all samples so far.
 
         Returns:
             ``esa_score`` and ``speed_plus_score``, and ``mean_`` and ``median_`` of each of
             ``translation_error_m``, ``relative_translation_error``, ``rotation_error_deg``,
-            ``in_plane_error_deg`` and ``out_of_plane_error_deg``: tensors without axes. The median
+            ``in_plane_error_deg`` and ``out_of_plane_error_deg``: scalar tensors. The median
             of an even number of samples is the mean of the middle two.
 
         Raises:
@@ -137,7 +137,7 @@ def _update(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
 
 
 def _compute(errors: PoseErrors) -> dict[str, Tensor]:
-    """Return the figures over samples."""
+    """Return the metrics over samples."""
     if len(errors.translation_m) == 0:
         raise ValueError("pose error: expected at least one sample, got none")
     return {

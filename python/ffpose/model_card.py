@@ -1,9 +1,9 @@
-"""The measurements of a model card: weights under the conditions of their training, and others.
+"""Measurements for a model card: weights under the conditions of their training and others.
 
-Each condition is a set of rendered scenes that no training sees (`ffpose.render.variations`), and
-goes the way of any image (`ffpose.prediction.Predictor`). Where the errors grow, the uncertainty
-should say so, and pictures that do not show the object should be flagged: the coverage of the
-regions and the rates of the flag stand beside the errors. Rendering needs the extra `render`.
+Each condition is a set of held-out rendered scenes (`ffpose.render.variations`), whose images pass
+through `ffpose.prediction.Predictor` like any other. Where errors grow, the predicted uncertainty
+should grow, and images that do not show the object should be flagged; so coverage and flag rates
+are reported with the errors. Rendering needs the extra `render`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 BATCH = 16
 
 BASELINE_SEED, BASELINE_LABELS = 0, 1000
-"""The constant answer is the mean pose of so many labels, of a seed that trainings use."""
+"""Seed and number of labels whose mean is the constant pose; the seed is one of training's."""
 
 SECOND_RENDERER = (
     "No pictures of a second renderer: Mitsuba checks silhouettes, depths and shadows "
@@ -50,12 +50,12 @@ SECOND_RENDERER = (
 
 
 class Shown(NamedTuple):
-    """A picture that a network is shown.
+    """An image that a network is evaluated on.
 
     Attributes:
-        condition: Name of what it is of.
-        image: RGB.
-        pose: The true pose; None where the object is not there.
+        condition: Name of the condition.
+        image: RGB image.
+        pose: The true pose; None where the image does not show the object.
     """
 
     condition: str
@@ -65,16 +65,16 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """Which pictures are made.
+    """The images of a model card.
 
     Attributes:
         with_object: Sets with the object, the first as trained.
         without: Sets without it.
-        pictures: Names of kinds of pictures that are no scene, of `ffpose.pictures.PICTURES`.
-        count: Pictures of each.
-        size: ``(width, height)`` of the pictures.
-        seed: Of all.
-        workers: Processes that render.
+        pictures: Kinds of out-of-distribution images, names in `ffpose.pictures.PICTURES`.
+        count: Number of images per condition.
+        size: ``(width, height)`` of the images.
+        seed: Seed of all images.
+        workers: Number of processes that render.
     """
 
     with_object: Sequence[Variation]
@@ -87,17 +87,17 @@ class Plan:
 
     @property
     def trained(self) -> Variation:
-        """The set as trained."""
+        """Set with the conditions of training."""
         return self.with_object[0]
 
     @property
     def about(self) -> dict[str, str]:
-        """What each condition is, by its name."""
+        """Description of each condition, by name."""
         scenes = {v.name: v.about for v in (*self.with_object, *self.without)}
         return scenes | {name: PICTURES[name][0] for name in self.pictures}
 
     def show(self) -> Iterator[Shown]:
-        """Make the pictures; those of a condition come in order, between those of others."""
+        """Yield the images; those of one condition are in order, interleaved with others."""
         from ffpose.render.variations import render_variations
 
         scenes = (*self.with_object, *self.without)
@@ -123,24 +123,24 @@ def measure(
     """Measure weights under each condition.
 
     Args:
-        weights: The file, or the name of weights that come with the package.
+        weights: Weights file, or the name of shipped weights.
         scene: The set of scenes, or its name; its attitudes are widened to all.
-        count: Pictures of each condition.
-        size: ``(width, height)`` of the pictures; preprocessing makes them the network's input.
-        seed: Of the scenes, at least `ffpose.training.config.TEST_SEEDS`: none that training sees.
-        workers: Processes that render, beside this one if there are several.
-        progress: Show on standard error how far it is.
+        count: Number of images per condition.
+        size: ``(width, height)`` of the images before preprocessing.
+        seed: Seed of the scenes, at least `ffpose.training.config.TEST_SEEDS`, which are held out.
+        workers: Number of processes that render.
+        progress: Show progress on standard error.
 
     Returns:
-        A document that JSON can hold. ``conditions``: a list, each with ``name``, ``about`` and the
-        figures of `ffpose.card_figures.summarize`. ``mean_pose_baseline``: the same of a constant
+        A JSON document. ``conditions``: a list, each with ``name``, ``about`` and the statistics of
+        `ffpose.card_figures.summarize`. ``mean_pose_baseline``: the same statistics for a constant
         pose on the scenes as trained. ``without_object``: a list of `ffpose.card_figures.refuse`,
-        empty for a network that gives no uncertainty. ``notes``: what was left out.
+        empty for a network without uncertainty. ``notes``: what was left out.
 
     Raises:
-        FileNotFoundError: There are no such weights.
-        ValueError: The weights cannot be used, the set is unknown, training may have seen the seed,
-            or a number is absurd.
+        FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
+        ValueError: The weights cannot be used, the set is unknown, ``seed`` is below
+            `ffpose.training.config.TEST_SEEDS`, or a number is out of range.
         MissingExtraError: The extra `render` is not installed.
     """
     _check_numbers(count, seed, workers)
@@ -186,7 +186,7 @@ def _plan(
     seed: int,
     workers: int,
 ) -> Plan:
-    """Return what such a network is shown; only one with a second look tells what is in view."""
+    """Plan the images for a network; only one with a second look is tested for the flag."""
     from ffpose.render.variations import variations, without_object
 
     config = metadata.config
@@ -208,7 +208,7 @@ def _with_bar(plan: Plan, *, show: bool) -> Iterable[Shown]:
 
 
 def answer(predictor: Predictor, shown: Iterable[Shown]) -> dict[str, Answers]:
-    """Return what a network says of pictures, by condition; it sees `BATCH` at once."""
+    """Return the predictions for the images, by condition, in batches of `BATCH`."""
     answers: dict[str, Answers] = defaultdict(lambda: Answers([], []))
     pictures = iter(shown)
     while batch := list(islice(pictures, BATCH)):
@@ -222,7 +222,7 @@ def answer(predictor: Predictor, shown: Iterable[Shown]) -> dict[str, Answers]:
 def _results(
     plan: Plan, answers: Mapping[str, Answers], threshold: float | None
 ) -> dict[str, list[dict[str, Any]] | dict[str, Any]]:
-    """Return the part of the document that the answers give."""
+    """Return the part of the document that follows from the predictions."""
     trained = answers[plan.trained.name]
     groups = [(plan.trained.name, plan.trained.about, trained), *_by_light(plan, trained)]
     groups += [(v.name, v.about, answers[v.name]) for v in plan.with_object[1:]]
@@ -245,7 +245,7 @@ def _results(
 
 
 def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
-    """Return those of the scenes as trained that were taken in sunlight, and in eclipse."""
+    """Split the scenes as trained into those in sunlight and those in eclipse."""
     from ffpose.render.conditions import conditions_of
 
     dark = np.array(
@@ -263,7 +263,7 @@ def _mean_pose(scene: Scene) -> Pose:
 
 
 def write_card(document: Mapping[str, Any], out: Path) -> None:
-    """Write ``card.json`` and its tables, ``card.md``, to a folder, which is made if need be."""
+    """Write ``card.json``, and its tables as ``card.md``, to a folder; created if missing."""
     out.mkdir(parents=True, exist_ok=True)
     with atomic_write(out / "card.json") as path:
         path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")

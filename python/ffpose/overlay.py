@@ -1,4 +1,4 @@
-"""A pose drawn on its image."""
+"""Drawing a pose on its image."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from PIL import Image, ImageDraw
 
 from ffpose.geometry import Camera, Pose
 
-AXIS_COLOURS = ("#ff4b4b", "#4bff6a", "#5b9dff")
-"""Of x, y and z."""
+AXIS_COLORS = ("#ff4b4b", "#4bff6a", "#5b9dff")
+"""Colors of the axes x, y and z."""
 
 
 def draw_axes(
@@ -18,24 +18,24 @@ def draw_axes(
     pose: Pose,
     camera: Camera,
     length: float = 2.0,
-    colours: Sequence[str] = AXIS_COLOURS,
+    colors: Sequence[str] = AXIS_COLORS,
     width: int | None = None,
 ) -> Image.Image:
-    """Draw the object's axes x, y, z from its origin, the farthest first.
+    """Draw the object's axes from its origin, back to front.
 
     Args:
-        image: An RGB image, of any size.
+        image: RGB image of any size.
         pose: The object's pose.
-        camera: The camera; it is resized with the image, which must show its whole view.
-        length: Of each axis, metres.
-        colours: Of the three axes.
-        width: Of the lines, in pixels; None for one suited to the image.
+        camera: The camera, resized to the image, which must show the camera's whole view.
+        length: Length of each axis, meters.
+        colors: Colors of the three axes.
+        width: Width of the lines in pixels; None for a width suited to the image.
 
     Returns:
         A new image. An axis that reaches behind the camera is left out.
 
     Raises:
-        ValueError: The image is not RGB, or there are not three colours.
+        ValueError: The image is not RGB, or there are not three colors.
     """
     if image.mode != "RGB":
         raise ValueError(f"image: expected mode RGB, got {image.mode}")
@@ -46,8 +46,8 @@ def draw_axes(
     depths = pose.transform(tips)[:, 2]
     canvas = ImageDraw.Draw(drawn)
     thickness = width or max(2, round(min(image.size) / 120))
-    axes = zip(depths, ends, colours, strict=True)
-    for _, end, colour in sorted(axes, key=lambda axis: -axis[0]):
+    axes = zip(depths, ends, colors, strict=True)
+    for _, end, color in sorted(axes, key=lambda axis: -axis[0]):
         if np.isfinite([origin, end]).all():
-            canvas.line([*origin, *end], fill=colour, width=thickness)
+            canvas.line([*origin, *end], fill=color, width=thickness)
     return drawn

@@ -1,8 +1,8 @@
-"""Pictures that show no scene: charts, noise, and clutter with the statistics of photographs.
+"""Out-of-distribution images: charts, noise, and clutter with the statistics of photographs.
 
-What a network is shown to see whether it says that the object is not there. Each is a pure function
-of a generator and a size, made with NumPy and Pillow alone, and none is of the kind that training
-draws (`ffpose.training.clutter`) but for the noise.
+They test whether a network detects that the object is not in view. Each is a pure function of a
+generator and a size, drawn with NumPy and Pillow alone. Except for noise they differ in kind from
+the negatives of training (`ffpose.training.clutter`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Color = tuple[int, int, int]
 
 LEAVES = 400
 LEAST_RADIUS = 0.01
-"""Of the smallest leaf, in widths of the picture; the largest is a third of the width."""
+"""Radius of the smallest leaf relative to the image's width; the largest is a third of it."""
 
 WORDS = ("distance", "error", "epoch", "latency", "median", "throughput", "yaw", "loss")
 
@@ -27,8 +27,8 @@ def chart(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
     """Draw a chart: axes, a grid, bars or lines of random heights, and words.
 
     Args:
-        rng: Where all numbers come from.
-        size: ``(width, height)`` in pixels, and so it is in the others.
+        rng: Source of all random numbers.
+        size: ``(width, height)`` in pixels.
     """
     width, height = size
     paper = (30, 30, 34) if rng.random() < 0.2 else (255, 255, 255)
@@ -58,7 +58,7 @@ def chart(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
 
 
 def noise(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
-    """Draw noise without grain about a random colour, of a random strength."""
+    """Draw white noise of a random strength about a random color."""
     width, height = size
     spread = rng.uniform(5, 80)
     return _image(rng.uniform(0, 255, 3) + spread * rng.standard_normal((height, width, 3)))
@@ -67,14 +67,14 @@ def noise(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
 def clutter(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
     """Draw clutter with the statistics of photographs: dead leaves with a texture of all scales.
 
-    Discs that hide each other, their radii r distributed as r^-3, have the edges and the
-    power spectrum of natural images (Lee, Mumford and Huang, "Occlusion Models for Natural
-    Images", IJCV 2001); over them lie clouds whose amplitude falls with the frequency.
+    Disks that occlude each other, with radii r distributed as r^-3, have the edges and the power
+    spectrum of natural images (Lee, Mumford and Huang, "Occlusion Models for Natural Images", IJCV
+    2001); clouds whose amplitude falls with the frequency add texture.
     """
     width, height = size
     picture = Image.new("RGB", size, _color(rng))
     draw = ImageDraw.Draw(picture)
-    # Of r^-3 between a and b, 1 / r^2 is uniform between 1 / b^2 and 1 / a^2.
+    # For r^-3 between a and b, 1 / r^2 is uniform between 1 / b^2 and 1 / a^2.
     radii = rng.uniform(3.0**2, LEAST_RADIUS**-2, LEAVES) ** -0.5 * width
     middles = rng.uniform(0, 1, (LEAVES, 2)) * (width, height)
     for (x, y), r in zip(middles.tolist(), radii.tolist(), strict=True):
@@ -85,23 +85,23 @@ def clutter(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
 
 PICTURES: dict[str, tuple[str, Callable[[np.random.Generator, tuple[int, int]], Image.Image]]] = {
     "charts": ("bars and lines with axes and words", chart),
-    "noise": ("without grain, any colour and strength", noise),
+    "noise": ("without grain, any color and strength", noise),
     "clutter": ("dead leaves with clouds, as photographs in their statistics", clutter),
 }
-"""What each kind is, for a reader, and what draws it."""
+"""Description and drawing function of each kind."""
 
 
 def draw_picture(kind: str, seed: int, index: int, size: tuple[int, int]) -> Image.Image:
-    """Return picture ``index`` of a kind; the same arguments give the same pixels.
+    """Return image ``index`` of a kind; the same arguments give the same pixels.
 
     Args:
         kind: One of `PICTURES`.
-        seed: At least 0.
-        index: At least 0.
+        seed: Seed of the images, at least 0.
+        index: Index of the image, at least 0.
         size: ``(width, height)`` in pixels.
 
     Raises:
-        ValueError: An unknown kind; the text lists the known ones.
+        ValueError: ``kind`` is not in `PICTURES`; the message lists the valid kinds.
     """
     if kind not in PICTURES:
         raise ValueError(f"kind: expected one of {', '.join(PICTURES)}, got {kind!r}")
@@ -115,7 +115,7 @@ def _color(rng: np.random.Generator) -> Color:
 
 
 def _clouds(rng: np.random.Generator, size: tuple[int, int]) -> FloatArray:
-    """Return noise ``(height, width)`` of mean 0 and variance 1 whose amplitude falls as 1 / f."""
+    """Return 1 / f noise ``(height, width)`` with mean 0 and variance 1."""
     width, height = size
     f = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
     f[0, 0] = np.inf
@@ -125,5 +125,5 @@ def _clouds(rng: np.random.Generator, size: tuple[int, int]) -> FloatArray:
 
 
 def _image(values: FloatArray) -> Image.Image:
-    """Round values ``(height, width, 3)`` to pixels; those beyond 0 … 255 are burnt out."""
+    """Round values ``(height, width, 3)`` to pixels, saturating at 0 and 255."""
     return Image.fromarray(np.clip(np.round(values), 0, 255).astype(np.uint8))

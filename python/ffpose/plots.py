@@ -1,4 +1,4 @@
-"""Figures of training and evaluation. Every function returns a figure; `save_figure` writes it."""
+"""Figures of training and evaluation; each function returns a figure, `save_figure` writes it."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MODEL_COLOUR = "#2f6fdf"
-BASELINE_COLOUR = "#9aa3af"
-TRUTH_COLOURS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
-"""Of the true axes: pale, as the predicted ones are drawn over them."""
+MODEL_COLOR = "#2f6fdf"
+BASELINE_COLOR = "#9aa3af"
+TRUTH_COLORS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
+"""Colors of the true axes, pale because the predicted ones are drawn over them."""
 
 GALLERY_TILE = (480, 360)
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write ``figure``, whole or not at all, in the format of the suffix."""
+    """Write ``figure`` atomically in the format of the suffix."""
     with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=120)
 
 
 def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
-    """Draw the loss and the validation errors over the epochs.
+    """Plot the loss and the validation errors over the epochs.
 
     Args:
-        history: Rows as ``results.csv`` holds them, the last epoch last.
+        history: Rows of ``results.csv``, in order of the epochs.
 
     Raises:
-        ValueError: There is no epoch.
+        ValueError: ``history`` is empty.
     """
     if not history:
         raise ValueError("training curves: expected at least one epoch, got none")
@@ -54,7 +54,7 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
     )
     for axes, (column, title) in zip(figure.subplots(1, 3), panels, strict=True):
         values = [float(row[column]) for row in history]
-        axes.plot(epochs, values, color=MODEL_COLOUR, marker="." if len(epochs) < 40 else "")
+        axes.plot(epochs, values, color=MODEL_COLOR, marker="." if len(epochs) < 40 else "")
         axes.set_xlabel("epoch")
         _title(axes, title)
         if column.startswith("val"):
@@ -63,16 +63,16 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
 
 
 def error_cdf(evaluation: Evaluation) -> Figure:
-    """Draw, for each error, the part of the images that lie below it; model and baseline."""
+    """Plot the cumulative distribution of each error, for model and baseline."""
     figure = _figure(9.0, 6.4)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
-        for values, label, colour in (
-            (pair.model, "model", MODEL_COLOUR),
-            (pair.baseline, "mean pose", BASELINE_COLOUR),
+        for values, label, color in (
+            (pair.model, "model", MODEL_COLOR),
+            (pair.baseline, "mean pose", BASELINE_COLOR),
         ):
             share = np.arange(1, len(values) + 1) / len(values)
-            axes.step(np.sort(values), share, where="post", label=label, color=colour)
-            axes.plot(np.median(values), 0.5, "o", color=colour)
+            axes.step(np.sort(values), share, where="post", label=label, color=color)
+            axes.plot(np.median(values), 0.5, "o", color=color)
         axes.set_xlabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylim(0, 1)
         axes.set_xlim(left=0)
@@ -82,12 +82,12 @@ def error_cdf(evaluation: Evaluation) -> Figure:
 
 
 def error_histograms(evaluation: Evaluation) -> Figure:
-    """Draw how the errors are distributed, as the paper's Figure 8 does."""
+    """Plot histograms of the errors, as in the paper's Figure 8."""
     figure = _figure(9.0, 6.0)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
         edges = np.linspace(0.0, max(pair.model.max(), pair.baseline.max()), 41)
-        axes.hist(pair.baseline, edges, color=BASELINE_COLOUR, alpha=0.55, label="mean pose")
-        axes.hist(pair.model, edges, color=MODEL_COLOUR, alpha=0.85, label="model")
+        axes.hist(pair.baseline, edges, color=BASELINE_COLOR, alpha=0.55, label="mean pose")
+        axes.hist(pair.model, edges, color=MODEL_COLOR, alpha=0.85, label="model")
         axes.set_xlabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylabel("images")
         _title(axes, f"distribution of the {pair.name} error")
@@ -96,11 +96,11 @@ def error_histograms(evaluation: Evaluation) -> Figure:
 
 
 def errors_by_distance(evaluation: Evaluation) -> Figure:
-    """Draw each image's errors over the distance of the object."""
+    """Plot each image's errors over the distance of the object."""
     figure = _figure(9.0, 6.0)
     distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
-        axes.scatter(distance, pair.model, s=9, color=MODEL_COLOUR, alpha=0.6, linewidths=0)
+        axes.scatter(distance, pair.model, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
         axes.set_xlabel("true distance, m")
         axes.set_ylabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylim(bottom=0)
@@ -109,15 +109,15 @@ def errors_by_distance(evaluation: Evaluation) -> Figure:
 
 
 def predicted_angles(evaluation: Evaluation) -> Figure:
-    """Draw predicted over true roll, pitch and yaw: a line where they are learned, else a band."""
+    """Plot predicted over true roll, pitch and yaw: a line if they are learned, else a band."""
     figure = _figure(10.5, 3.6)
     limits = {"roll": 180, "pitch": 90, "yaw": 180}
     panels = zip(
         figure.subplots(1, 3), limits.items(), *(a.T for a in evaluation.angles), strict=True
     )
     for axes, (name, limit), truth, predicted in panels:
-        axes.plot([-limit, limit], [-limit, limit], color=BASELINE_COLOUR, linewidth=0.8)
-        axes.scatter(truth, predicted, s=9, color=MODEL_COLOUR, alpha=0.6, linewidths=0)
+        axes.plot([-limit, limit], [-limit, limit], color=BASELINE_COLOR, linewidth=0.8)
+        axes.scatter(truth, predicted, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
         axes.set_xlabel(f"true {name}, degrees")
         axes.set_ylabel(f"predicted {name}, degrees")
@@ -126,7 +126,7 @@ def predicted_angles(evaluation: Evaluation) -> Figure:
 
 
 def reliability_diagram(evaluation: Evaluation) -> Figure:
-    """Draw the share of the truths within the region of each probability; calibrated: diagonal.
+    """Plot the coverage of confidence regions over their probability; diagonal if calibrated.
 
     Raises:
         ValueError: The evaluation holds no covariance.
@@ -135,12 +135,12 @@ def reliability_diagram(evaluation: Evaluation) -> Figure:
         raise ValueError("reliability diagram: expected an evaluation with covariances, got none")
     figure = _figure(4.6, 4.2)
     axes = figure.subplots()
-    axes.plot([0, 1], [0, 1], color=BASELINE_COLOUR, linewidth=0.8, label="calibrated")
+    axes.plot([0, 1], [0, 1], color=BASELINE_COLOR, linewidth=0.8, label="calibrated")
     for (name, probability), style in zip(
         evaluation.region_probabilities.items(), ("-", "--"), strict=False
     ):
         empirical = coverage(probability, CURVE)
-        axes.plot(CURVE, empirical, style, color=MODEL_COLOUR, marker=".", label=name)
+        axes.plot(CURVE, empirical, style, color=MODEL_COLOR, marker=".", label=name)
     axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
     axes.set_xlabel("probability of the predicted region")
     axes.set_ylabel("share of the truths within it")
@@ -150,7 +150,7 @@ def reliability_diagram(evaluation: Evaluation) -> Figure:
 
 
 def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
-    """Return image ``index`` with the true axes, pale and wide, under the predicted ones."""
+    """Return image ``index`` with the predicted axes drawn over the pale true ones."""
     dataset = evaluation.dataset
     image = dataset.load_image(index)
     if image.width < GALLERY_TILE[0]:
@@ -158,7 +158,7 @@ def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
         image = image.resize((GALLERY_TILE[0], round(image.height * scale)))
     camera, wide = dataset.camera, max(4, image.width // 80)
     truth = dataset.records[index].pose
-    image = draw_axes(image, truth, camera, colours=TRUTH_COLOURS, width=wide)
+    image = draw_axes(image, truth, camera, colors=TRUTH_COLORS, width=wide)
     return draw_axes(image, evaluation.pose(index), camera, width=max(2, wide // 3))
 
 
@@ -169,12 +169,12 @@ def caption(evaluation: Evaluation, index: int) -> str:
 
 
 def worst_gallery(evaluation: Evaluation, count: int = 16) -> Figure:
-    """Draw the ``count`` worst predictions on their images, the worst first."""
+    """Draw the ``count`` worst predictions on their images, worst first."""
     return _gallery(evaluation, evaluation.ranking[::-1][:count].tolist())
 
 
 def typical_gallery(evaluation: Evaluation, count: int = 8) -> Figure:
-    """Draw the ``count`` predictions about the median, of which as many are better as are worse."""
+    """Draw the ``count`` predictions around the median of the ranking."""
     return _gallery(evaluation, evaluation.typical(count))
 
 
@@ -210,7 +210,7 @@ def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
 
 
 class _ErrorPair(NamedTuple):
-    """One error of model and baseline, ``(N,)`` each."""
+    """An error of model and baseline, ``(N,)`` each."""
 
     name: str
     unit: str
@@ -219,7 +219,7 @@ class _ErrorPair(NamedTuple):
 
 
 def _error_pairs(evaluation: Evaluation) -> list[_ErrorPair]:
-    """Return the errors that every figure of errors shows."""
+    """Return the errors that the figures show."""
     fields = (
         ("translation", "m", "translation_m"),
         ("rotation", "degrees", "rotation_deg"),
@@ -234,7 +234,7 @@ def _error_pairs(evaluation: Evaluation) -> list[_ErrorPair]:
 
 
 def _figure(width: float, height: float) -> Figure:
-    """Return an empty figure of so many inches, apart from pyplot's global list."""
+    """Return an empty figure, size in inches, that is not in pyplot's global list."""
     figure: Figure = require("matplotlib.figure", "pose").Figure(
         figsize=(width, height), layout="constrained"
     )

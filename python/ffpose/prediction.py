@@ -1,4 +1,4 @@
-"""From image files to poses."""
+"""Pose prediction for image files."""
 
 from __future__ import annotations
 
@@ -27,12 +27,11 @@ class Prediction:
     """The pose seen in one image.
 
     Attributes:
-        image: The image's file.
+        image: Path of the image file.
         pose: The predicted pose.
-        camera: The camera that took the image, of this or another size; None where it is not
-            known.
-        in_view_threshold: Below which probability the object is taken to be out of view; None
-            where the weights hold none.
+        camera: The camera of the image, possibly for another image size; None where unknown.
+        in_view_threshold: Probability below which the object counts as not in view; None where
+            the weights have no threshold.
     """
 
     image: Path
@@ -42,15 +41,15 @@ class Prediction:
 
     @property
     def flagged(self) -> bool | None:
-        """Whether the object seems not to be in view; None where the network does not tell."""
+        """Whether the object counts as not in view; None where the network does not predict it."""
         if self.pose.uncertainty is None or self.in_view_threshold is None:
             return None
         return self.pose.uncertainty.in_view < self.in_view_threshold
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the prediction as JSON can hold it: metres, ``(w, x, y, z)``, degrees.
+        """Return the prediction as a JSON document: meters, ``(w, x, y, z)``, degrees.
 
-        Of a network that knows its uncertainty: covariances in m² and rad², a probability too.
+        With predicted uncertainty also covariances in m² and rad², and the probability in view.
         """
         document: dict[str, Any] = {
             "image": str(self.image),
@@ -73,21 +72,21 @@ class Prediction:
             return f"{self.image}: no spacecraft in view (p = {uncertainty.in_view:.2g})"
         x, y, z = self.pose.t
         roll, pitch, yaw = quaternion_to_euler(self.pose.q)
-        metres = degrees = ""
+        meters = degrees = ""
         if uncertainty is not None:
             distance, angle = standard_deviations(self.pose.t, uncertainty)
-            metres, degrees = f" ± {distance:.2f} m along the ray", f" ± {angle:.1f}°"
+            meters, degrees = f" ± {distance:.2f} m along the ray", f" ± {angle:.1f}°"
         return (
-            f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m{metres}, "
+            f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m{meters}, "
             f"roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°{degrees}"
         )
 
 
 def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[float, float]:
-    """Return one sigma of the distance, metres, and of the angle of rotation, degrees.
+    """Return the standard deviations of the distance, meters, and the rotation angle, degrees.
 
-    The first is along the viewing ray to ``t``, ``sqrt(uᵀ C u)``; the second is the root mean
-    square length of the rotation vector, ``sqrt(trace C)``.
+    The first is that along the viewing ray ``u`` to ``t``, ``sqrt(uᵀ C u)``; the second is the root
+    mean square length of the rotation vector, ``sqrt(trace C)``.
     """
     ray = t / np.linalg.norm(t)
     distance = np.sqrt(ray @ uncertainty.translation_covariance @ ray)
@@ -96,17 +95,17 @@ def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[fl
 
 
 class Predictor:
-    """A trained model and the way from an image to its input.
+    """A trained model with its preprocessing: predicts the pose in an image.
 
     Args:
         model: The network; it is put in evaluation mode.
-        preprocessing: From image to network input.
-        camera: The camera whose images the preprocessing takes, of any size; None: any image.
+        preprocessing: Conversion from image to network input.
+        camera: Camera of the images, at any image size; None accepts images of any camera.
 
     Attributes:
-        model: As given.
-        preprocessing: As given.
-        camera: As given.
+        model: The network.
+        preprocessing: Conversion from image to network input.
+        camera: Camera of the images, or None.
 
     Example:
         ``Predictor.from_weights("soyuz-easy")(Image.open("0_rgb.png").convert("RGB"))``
@@ -125,19 +124,18 @@ class Predictor:
     ) -> Predictor:
         """Load weights.
 
-        Weights that do not know their camera take any image, resized to their input.
+        Weights that have no camera in their header accept any image, resized to their input.
 
         Args:
-            weights: The file, or the name of weights that come with the package.
-            camera: The camera of the images to come, which are turned by geometry into the
-                network's view; None: that of the weights.
-            any_camera: Resize any image to the network's input, as if the weights' camera had
-                taken it.
+            weights: Weights file, or the name of shipped weights.
+            camera: Camera of the images, which are reprojected to the network's view; None for
+                the weights' own camera.
+            any_camera: Resize any image to the network's input, as if taken by the weights' camera.
 
         Raises:
-            FileNotFoundError: There is no such file or name.
-            ValueError: The weights were altered, are of another kind of network, or both a camera
-                and any are asked for.
+            FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
+            ValueError: The weights were altered or are of another kind of network, or both
+                ``camera`` and ``any_camera`` are given.
         """
         if camera is not None and any_camera:
             raise ValueError("expected --camera or --any-camera, got both")
@@ -149,18 +147,18 @@ class Predictor:
         return cls(FilterformerPose.from_pretrained(weights), preprocessing, expected)
 
     def __call__(self, image: Image.Image) -> Pose:
-        """Return the pose of the spacecraft in an RGB image, with its uncertainty if it has one.
+        """Predict the pose of the spacecraft in an RGB image, with uncertainty if available.
 
         Raises:
-            ValueError: The image has not the aspect ratio of its camera.
+            ValueError: The aspect ratio of the image differs from its camera's.
         """
         return self.batch([image])[0]
 
     def batch(self, images: Sequence[Image.Image]) -> list[Pose]:
-        """Return the poses of several RGB images, at least one, which the network sees at once.
+        """Predict the poses in RGB images, at least one, as one batch.
 
         Raises:
-            ValueError: As for one image.
+            ValueError: The aspect ratio of an image differs from its camera's.
         """
         for image in images:
             self._check_aspect(*image.size)
@@ -177,7 +175,7 @@ class Predictor:
 
 
 def _poses(prediction: PosePrediction) -> list[Pose]:
-    """Return the poses of a batch, with their uncertainties where the network gives them."""
+    """Return the poses of a batch, with uncertainties if the network predicts them."""
     poses = zip(_rows(prediction.translation), _rows(prediction.orientation), strict=True)
     in_view = getattr(prediction, "in_view", None)
     if in_view is None:
@@ -199,18 +197,18 @@ def predict(
     camera: Camera | None = None,
     any_camera: bool = False,
 ) -> Iterator[Prediction]:
-    """Predict the pose in each image file, one by one as they are asked for.
+    """Predict the pose in each image file, lazily.
 
     Args:
-        weights: As `Predictor.from_weights`, and so are the next two.
+        weights: Weights file, or the name of shipped weights.
         images: Image files.
-        camera: The camera of the images, where it is not that of the weights.
-        any_camera: Take images of any camera, resized.
+        camera: Camera of the images, if other than the weights'.
+        any_camera: Resize images of any camera to the network's input.
 
     Raises:
-        FileNotFoundError: There is no such file.
+        FileNotFoundError: A file does not exist.
         ValueError: The weights cannot be used.
-        ffpose.DataError: As `ffpose.images.read_rgb`, or an image of another camera.
+        ffpose.DataError: An image cannot be read, or its aspect ratio differs from its camera's.
     """
     metadata = read_metadata(weights)
     predictor = Predictor.from_weights(weights, camera=camera, any_camera=any_camera)
@@ -224,15 +222,15 @@ def predict(
 
 
 def overlay_path(image: Path, folder: Path) -> Path:
-    """Return where the overlay of an image file goes: ``NAME_pose.png`` in ``folder``."""
+    """Return the path of an image's overlay, ``NAME_pose.png`` in ``folder``."""
     return folder / f"{image.stem}_pose.png"
 
 
 def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
-    """Check, before anything is computed, that no overlay would replace another.
+    """Check in advance that no overlay would overwrite another.
 
     Raises:
-        ValueError: Two images have one name; the text says which.
+        ValueError: Two images have the same name; the message says which.
     """
     first: dict[Path, Path] = {}
     for image in images:
@@ -246,14 +244,14 @@ def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
 
 
 def write_overlay(prediction: Prediction, folder: Path) -> Path:
-    """Write the image with the predicted axes drawn on it; without them if it is flagged.
+    """Write the image with the predicted axes drawn on it, or without them if it is flagged.
 
     Args:
-        prediction: The image, the pose and the camera; URSO's where there is none.
-        folder: Where to write `overlay_path`; it is made where it is missing.
+        prediction: Image, pose and camera; URSO's camera if it has none.
+        folder: Folder to write `overlay_path` to; created if missing.
 
     Returns:
-        The file written.
+        The path of the file.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = overlay_path(prediction.image, folder)

@@ -1,4 +1,4 @@
-"""One page that shows what a training run came to, its pictures inside, to be opened or mailed."""
+"""Report of an evaluation as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ DISTRIBUTIONS = (
     (errors_by_distance, "each image's errors over the distance of the spacecraft"),
     (predicted_angles, "predicted roll, pitch and yaw over the true angles"),
 )
-"""Drawings of the errors, and what they show in words."""
+"""Figures of the errors, with their alternative texts."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a page says.
+    """Contents of a report page.
 
     Attributes:
-        title: Its heading.
-        subtitle: One sentence below it.
-        evaluation: Predictions on images that were not trained on.
-        history: The rows of ``results.csv``; empty where nothing was trained.
+        title: Heading of the page.
+        subtitle: One sentence below the heading.
+        evaluation: Predictions on held-out images.
+        history: Rows of ``results.csv``; empty without training.
         facts: Names and values for the table at the end.
-        command: The command that makes all of it again.
+        command: Command that reproduces the report.
     """
 
     title: str
@@ -70,7 +70,7 @@ class Report:
 
 
 def write_report(report: Report, path: Path) -> None:
-    """Write ``report`` as one HTML file that refers to no other file."""
+    """Write ``report`` as one self-contained HTML file."""
     template = resources.files("ffpose").joinpath("report.html").read_text(encoding="utf-8")
     evaluation = report.evaluation
     summary = evaluation.summary()
@@ -99,7 +99,7 @@ def write_report(report: Report, path: Path) -> None:
 
 
 def _training(history: Sequence[Mapping[str, float | str]]) -> str:
-    """Return the section on the training; empty where there was none."""
+    """Return the section on the training; empty without training."""
     if not history:
         return ""
     text = "loss and validation errors over the epochs"
@@ -107,21 +107,18 @@ def _training(history: Sequence[Mapping[str, float | str]]) -> str:
 
 
 def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:
-    """Return the section on what the network says of its own errors; empty where it says none."""
+    """Return the section on the predicted uncertainty; empty for a network without it."""
     if "uncertainty" not in summary:
         return ""
     diagram = ""
     if evaluation.region_probabilities:
         text = "share of the truths in the predicted regions over the regions' probability"
         diagram = _embed_figure(reliability_diagram(evaluation), text)
-    return (
-        "<h2>What the network says of its own errors</h2>"
-        f"<table>{uncertainty_table(summary)}</table>{diagram}"
-    )
+    return f"<h2>Predicted uncertainty</h2><table>{uncertainty_table(summary)}</table>{diagram}"
 
 
 def _groups(evaluation: Evaluation, size: int = 8) -> list[tuple[str, list[int]]]:
-    """Return headings and images: the best, those about the median, and the worst."""
+    """Return headings and images: the best, those around the median, and the worst."""
     ranking = evaluation.ranking.tolist()
     return [
         ("The best", ranking[:size]),

@@ -1,4 +1,4 @@
-"""The numbers of a report's page, in HTML, from the summary of an evaluation."""
+"""HTML tables of a report, from the summary of an evaluation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 Summary = Mapping[str, Any]
-"""What `Evaluation.summary` returns."""
+"""The document that `Evaluation.summary` returns."""
 
 ROWS = (
     ("median_translation_error_m", "median translation error", "m"),
@@ -19,7 +19,7 @@ ROWS = (
     ("esa_score", "ESA score", ""),
     ("speed_plus_score", "SPEED+ score", ""),
 )
-"""Key in the summary, name, and unit of each figure."""
+"""Key in the summary, name, and unit of each metric."""
 
 CARDS = (ROWS[0], ROWS[4])
 
@@ -39,12 +39,12 @@ CONDITIONS = (
 
 
 def headline(summary: Summary) -> str:
-    """Return a card for each of the two errors that matter most."""
+    """Return a card for each of the two main errors."""
     return "".join(_card(summary, *row) for row in CARDS)
 
 
 def comparison(model: float, baseline: float) -> str:
-    """Say in words how an error stands to that of the mean pose.
+    """Describe the ratio of an error to that of the mean pose.
 
     Example:
         >>> comparison(2.0, 5.0), comparison(3.0, 2.0)
@@ -70,7 +70,7 @@ def _card(summary: Summary, key: str, name: str, unit: str) -> str:
 
 
 def figures_table(summary: Summary) -> str:
-    """Return the rows of the model's figures beside the baseline's."""
+    """Return the table of metrics of model and baseline."""
     rows = []
     for key, name, unit in ROWS:
         model, baseline = summary[key], summary["mean_pose_baseline"][key]
@@ -80,7 +80,7 @@ def figures_table(summary: Summary) -> str:
 
 
 def parts_table(summary: Summary) -> str:
-    """Return the rows of the rotation error and its parts, with baseline and oracles."""
+    """Return the table of the rotation error and its parts, with baseline and oracles."""
     oracles = summary["oracles"]
     others = (
         summary["mean_pose_baseline"],
@@ -106,7 +106,7 @@ def correlation_text(summary: Summary) -> str:
 
 
 def conditions_table(summary: Summary) -> str:
-    """Return the rows of the medians by condition."""
+    """Return the table of medians by condition."""
     rows = [
         (
             group["group"],
@@ -120,7 +120,7 @@ def conditions_table(summary: Summary) -> str:
 
 
 def uncertainty_table(summary: Summary) -> str:
-    """Return the rows of the coverage of each region, and of the flag's rates where they are."""
+    """Return the table of coverage, and of the flag's rates where they are known."""
     told = summary["uncertainty"]
     rows = [
         (f"truths in the {level} % region of {name}", _percent(told[name][f"coverage_{level}"]))

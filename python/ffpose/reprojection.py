@@ -1,8 +1,7 @@
-"""An image of one pinhole camera as another one in its place, of the same attitude, sees it.
+"""Reprojection of an image to another pinhole camera with the same position and orientation.
 
-There is no rotation between the two, so the homography of their pixels, ``K_view K_source^-1``, is
-a scale and a shift of each axis: a crop, antialiased as it is resized. Directions are kept, and the
-pose in the camera frame stays as it is.
+Without rotation the homography of the pixels, ``K_view K_source^-1``, is a scale and a shift of
+each axis: an antialiased resize of a crop. The pose in the camera frame does not change.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ from ffpose.geometry import Camera
 from ffpose.transforms import Preprocessing
 
 SNAP = 1e-6
-"""An edge this close to one between two pixels, in pixels, is taken to be that: it is rounding."""
+"""Rounding tolerance: an edge this close to a pixel border, in pixels, is taken to be on it."""
 
 
 class Axis(NamedTuple):
-    """Along one axis: pixels ``first`` to ``last`` of the view show ``start`` to ``end``.
+    """Mapping along one axis: pixels ``first`` to ``last`` of the view show ``start`` to ``end``.
 
-    The other pixels of the view are black. ``start`` and ``end`` are pixels of the image, and may
-    lie outside it.
+    ``start`` and ``end`` are coordinates in the image, and may lie outside it. The other pixels of
+    the view are black.
     """
 
     first: int
@@ -36,19 +35,20 @@ class Axis(NamedTuple):
 
 
 def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
-    """Return the image that ``view`` takes, made of one that ``source`` took.
+    """Reproject an image taken by ``source`` to the camera ``view``.
 
     Args:
-        image: RGB, of the source's size.
-        source: The camera of the image.
-        view: The camera that looks from the same place in the same direction.
+        image: RGB image of the source's size.
+        source: Camera of the image.
+        view: Camera with the same position and orientation.
 
     Returns:
-        An image of the view's size, black where the view shows what the source did not see. Of a
-        view that is the source resized, it is Pillow's bilinear resize.
+        An image of the view's size, black where it lies outside the source's field of view. If the
+        view is the source resized, this is Pillow's bilinear resize.
 
     Raises:
-        ValueError: The image has not the source's size, or less than a pixel of the view shows it.
+        ValueError: The image's size differs from the source's, or it covers less than a pixel of
+            the view.
     """
     if image.size != (source.width, source.height):
         raise ValueError(
@@ -76,15 +76,15 @@ def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
 
 
 def _axis(
-    size: int, focal: float, centre: float, view_size: int, view_focal: float, view_centre: float
+    size: int, focal: float, center: float, view_size: int, view_focal: float, view_center: float
 ) -> Axis | None:
-    """Return which pixels of the view's axis can show the image; None where none can.
+    """Return the pixels of the view's axis that can show the image; None where none can.
 
-    Those farther from the image than the filter reaches stay out, so that the canvas is never more
-    than a few times as large as the image, however wide the view is.
+    Pixels beyond the reach of the filter are excluded, so that the canvas is at most a few times as
+    large as the image, however wide the view.
     """
-    scale = focal / view_focal  # pixels of the image a pixel of the view
-    origin = centre - view_centre * scale
+    scale = focal / view_focal  # pixels of the image per pixel of the view
+    origin = center - view_center * scale
     reach = math.ceil(max(1.0, 1 / scale)) + 1
     first = max(0, math.floor(-origin / scale) - reach)
     last = min(view_size, math.ceil((size - origin) / scale) + reach)
@@ -99,14 +99,14 @@ def _snap(edge: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Reprojection(Preprocessing):
-    """Preprocessing that turns the images of one camera into the network's view by geometry.
+    """Preprocessing that reprojects the images of one camera to the network's view.
 
     Attributes:
-        source: The camera of the images; one that is of another size is this camera's, resized.
-        view: The camera of the network's input, of ``size``.
+        source: Camera of the images; an image of another size is taken as resized.
+        view: Camera of the network's input, with image size ``size``.
 
     Raises:
-        ValueError: As `Preprocessing`, or a view of another size.
+        ValueError: An attribute of `Preprocessing` is invalid, or ``view`` is not of ``size``.
     """
 
     source: Camera
@@ -119,19 +119,19 @@ class Reprojection(Preprocessing):
 
     @classmethod
     def of(cls, preprocessing: Preprocessing, source: Camera, view: Camera) -> Reprojection:
-        """Return what brings images of ``source`` to the input of ``preprocessing``."""
+        """Build the reprojection of images of ``source`` to the input of ``preprocessing``."""
         size, mean, std = preprocessing.size, preprocessing.mean, preprocessing.std
         return cls(size=size, mean=mean, std=std, source=source, view=view)
 
     def frame_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return ``(height, width)`` of the network's input, whatever the image."""
+        """Return ``(height, width)`` of the network's input, for any image."""
         return self.size
 
     def frame(self, image: Image.Image) -> NDArray[np.uint8]:
-        """Return the view ``(height, width, 3)`` of an RGB image.
+        """Reproject an RGB image to the view ``(height, width, 3)``.
 
         Raises:
-            ValueError: The image has not the aspect ratio of its camera.
+            ValueError: The aspect ratio of the image differs from its camera's.
         """
         if not self.source.has_aspect(*image.size):
             raise ValueError(
@@ -141,14 +141,14 @@ class Reprojection(Preprocessing):
         return np.asarray(reproject(image, self.source.resized(*image.size), self.view))
 
     def camera(self, camera: Camera) -> Camera:
-        """Return the view."""
+        """Return the camera of the view."""
         return self.view
 
     def image_camera(self, view: Camera, width: int, height: int) -> Camera:
-        """Return the source, resized to an image of ``width`` x ``height``."""
+        """Return the source camera, resized to an image of ``width`` x ``height``."""
         return self.source.resized(width, height)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON can hold them."""
+        """Return the fields as a JSON document."""
         cameras = {"source": asdict(self.source), "view": asdict(self.view)}
         return super().to_dict() | cameras

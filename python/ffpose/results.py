@@ -1,4 +1,4 @@
-"""What an evaluation leaves in a folder, and the table that it prints."""
+"""Result files of an evaluation, and the table that it prints."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ ERRORS = {
     "in_plane_error_deg": "in_plane_deg",
     "out_of_plane_error_deg": "out_of_plane_deg",
 }
-"""Columns of ``predictions.csv``: name, and field of `PoseErrors`."""
+"""Error columns of ``predictions.csv``: name, and field of `PoseErrors`."""
 
 
 def format_table(summary: dict[str, Any]) -> str:
-    """Return the figures of `Evaluation.summary` as lines of text: name, model, baseline."""
+    """Format the metrics of `Evaluation.summary` as a text table: name, model, baseline."""
     baseline = summary["mean_pose_baseline"]
     lines = [f"{summary['images']} images".ljust(34) + "model".rjust(12) + "mean pose".rjust(12)]
     for name, value in baseline.items():
@@ -40,7 +40,7 @@ def format_table(summary: dict[str, Any]) -> str:
 
 
 def write_results(evaluation: Evaluation, out: Path) -> None:
-    """Write ``results.json``, the figures, and ``predictions.csv``, a row an image, to ``out``."""
+    """Write ``results.json`` and ``predictions.csv`` (one row per image) to the folder ``out``."""
     out.mkdir(parents=True, exist_ok=True)
     with atomic_write(out / "results.json") as path:
         path.write_text(json.dumps(evaluation.summary(), indent=2) + "\n")
@@ -54,7 +54,7 @@ def write_results(evaluation: Evaluation, out: Path) -> None:
 
 
 def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
-    """Return the columns of ``predictions.csv`` after the name, ``(N,)`` each."""
+    """Return the columns ``(N,)`` of ``predictions.csv`` after the name."""
     columns = dict(zip(VECTOR, evaluation.dataset.poses.T, strict=True))
     columns |= {f"predicted_{n}": c for n, c in zip(VECTOR, evaluation.predicted.T, strict=True)}
     columns |= {n: getattr(evaluation.errors, field).numpy() for n, field in ERRORS.items()}

@@ -1,4 +1,4 @@
-"""Whether a result is more than chance: intervals of medians, and correlations of angles."""
+"""Statistical significance: bootstrap intervals of medians, and correlations of angles."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ FloatArray = NDArray[np.float64]
 
 RESAMPLES = 5000
 CONSTANT_RAD = 1e-6
-"""Angles that differ by no more than this, root mean square, are one: they correlate with none."""
+"""RMS deviation in radians up to which angles count as constant and have no correlation."""
 
 
 def median_interval(values: ArrayLike, level: float = 0.95, seed: int = 0) -> tuple[float, float]:
     """Return the percentile bootstrap interval of a median (Efron and Tibshirani, 1993, ch. 13).
 
-    No sample is drawn again value by value: the k-th smallest of N draws with replacement is the
-    sorted value number ``floor(N u)``, ``u`` being the k-th smallest of N uniform numbers, which
-    is distributed as Beta(k, N + 1 - k).
+    Resampled medians are drawn directly: the k-th smallest of N draws with replacement is the
+    sorted value number ``floor(N u)``, where ``u``, the k-th smallest of N uniform numbers, is
+    distributed as Beta(k, N + 1 - k).
 
     Args:
         values: ``(N,)`` finite numbers.
-        level: Share of the resampled medians between the two ends.
-        seed: Of the draws; one seed gives one interval.
+        level: Confidence level: the share of the resampled medians within the interval.
+        seed: Seed of the draws; the same seed gives the same interval.
 
     Raises:
-        ValueError: Another shape, no values, a value that is not finite, or a level outside 0…1.
+        ValueError: ``values`` is not ``(N,)``, is empty or not finite, or ``level`` is outside 0…1.
     """
     ordered = np.sort(np.asarray(values, np.float64))
     if ordered.ndim != 1 or len(ordered) == 0 or not np.isfinite(ordered).all():
@@ -64,7 +64,7 @@ def circular_correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
 
 
 def correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
-    """Return Pearson's correlation of two angles that do not wrap, as pitch.
+    """Return Pearson's correlation of two angles that do not wrap, such as pitch.
 
     Args:
         a_deg: ``(N,)`` degrees.
@@ -87,7 +87,7 @@ def _pair(a_deg: ArrayLike, b_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
 
 
 def _from_mean(angle: FloatArray) -> FloatArray:
-    """Return angles less their mean direction, radians."""
+    """Return angles minus their mean direction, radians."""
     mean = np.arctan2(np.sin(angle).sum(), np.cos(angle).sum())
     return np.asarray(angle - mean)
 

@@ -1,15 +1,15 @@
-"""What a network with a second look trains on: small pieces of each image, cut once and kept.
+"""Training views of a network with a second look: small pieces of each image, cut once and stored.
 
-A network whose orientation comes from a virtual camera (`ffpose.models.virtual_camera`) sees two
-things of an image: the whole frame, small, and the surroundings of the object, at the resolution
-that the virtual camera needs. Both are cut from the image once and stored as memory-mapped uint8,
-so that an epoch decodes and resizes nothing, and any number of processes share one copy:
+A network whose orientation comes from a virtual camera (`ffpose.models.virtual_camera`) reads two
+pieces of an image: the downsampled whole frame, and the surroundings of the object at the
+resolution of the virtual camera. Both are cut once and stored as memory-mapped uint8, so that an
+epoch decodes and resizes nothing, and any number of processes share one copy:
 
-* ``frames (N, h, w, 3)``: the image, `first_stride` pixels averaged to one;
-* ``windows (N, S, S, 3)``: a square around the object out of the image's pyramid, from the level
-  whose pixels are about those of the virtual camera; black outside the image;
-* ``coordinates (N, S/2, S/2, 4)``: which point of the object each place of the window shows, and
-  whether it shows the object, where labels for dense supervision are known;
+* ``frames (N, h, w, 3)``: the image, downsampled by averaging `first_stride` pixels;
+* ``windows (N, S, S, 3)``: a square around the object from the image pyramid, at the level whose
+  resolution is about that of the virtual camera; black outside the image;
+* ``coordinates (N, S/2, S/2, 4)``: object coordinates and mask of each cell of the window, where
+  labels for dense supervision are available;
 * ``labels (N, 13)``: pose, and the window's camera.
 """
 
@@ -28,30 +28,31 @@ from ffpose.geometry import Camera, Pose
 
 Bytes = NDArray[np.uint8]
 Arrays = Mapping[str, NDArray[Any]]
-"""By name, the arrays of `ViewSpec.shapes`."""
+"""Arrays by name, as in `ViewSpec.shapes`."""
 
 Content = Literal["object", "empty", "decoy"]
-"""What is in view: the object, nothing, or another one in its place."""
+"""Content of a view: the object, nothing, or another object in its place."""
 
 WINDOW = 144
-"""Side of the window: the virtual camera's 64 pixels, twice finer at most, turned and displaced."""
+"""Side of the window, pixels: the virtual camera's 64 at up to twice the resolution, and a margin
+for rotation and displacement."""
 
 LEVELS = 4
 SHARPNESS = 0.8
-"""Pixels of the chosen pyramid level a pixel of the virtual camera, at least."""
+"""Least number of pixels of the chosen pyramid level per pixel of the virtual camera."""
 
 LABELS = ("tx", "ty", "tz", "qw", "qx", "qy", "qz", "fx", "fy", "cx", "cy", "level", "object")
 
 
 @dataclass(frozen=True)
 class ViewSpec:
-    """How images are cut.
+    """Geometry of the two views that are cut from an image.
 
     Attributes:
-        camera: Of the network's input, whose image is the pyramid's finest level.
-        first_stride: Pixels of that image a pixel of the first look.
-        object_width: Pixels of the virtual camera's image.
-        object_radius_m: Metres at the object from the middle of that image to its edge.
+        camera: Camera of the network's input, the finest level of the image pyramid.
+        first_stride: Pixels of the input per pixel of the first look.
+        object_width: Width of the virtual camera's image, pixels.
+        object_radius_m: Half the width of the virtual camera's view at the object, meters.
     """
 
     camera: Camera
@@ -61,7 +62,7 @@ class ViewSpec:
 
     @property
     def frame_size(self) -> tuple[int, int]:
-        """``(height, width)`` of a frame."""
+        """Size ``(height, width)`` of a frame."""
         return self.camera.height // self.first_stride, self.camera.width // self.first_stride
 
     def shapes(self, count: int) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
@@ -74,20 +75,20 @@ class ViewSpec:
         }
 
     def level(self, translation: NDArray[np.float64]) -> int:
-        """Return the pyramid level for an object at ``translation (3,)``, metres.
+        """Return the pyramid level for an object at ``translation (3,)``, meters.
 
         Raises:
-            ValueError: The object is not before the camera.
+            ValueError: The object is not in front of the camera.
         """
         if not translation[2] > 0:
-            raise ValueError(f"translation: expected z > 0, before the camera, got {translation}")
+            raise ValueError(f"translation: expected z > 0, got {translation}")
         distance = float(np.linalg.norm(translation))
         focal = self.object_width / 2 * distance / self.object_radius_m
         ratio = self.camera.fx / focal * distance / float(translation[2])
         return min(LEVELS - 1, max(0, math.floor(math.log2(ratio / SHARPNESS))))
 
     def level_camera(self, level: int) -> Camera:
-        """Return the camera of a level, whose means leave out a rest of columns and rows."""
+        """Return the camera of a pyramid level; incomplete blocks at its border are dropped."""
         width, height = self.camera.width >> level, self.camera.height >> level
         covered = self.camera.cropped(0, 0, width << level, height << level)
         return covered.resized(width, height)
@@ -101,7 +102,7 @@ class ViewSpec:
 
 
 def averaged(image: Bytes, side: int) -> Bytes:
-    """Average blocks of ``side`` pixels squared of an image ``(H, W, 3)``; a rest is dropped."""
+    """Average blocks of ``side`` x ``side`` pixels of an image ``(H, W, 3)``; a rest is dropped."""
     height, width = image.shape[0] // side, image.shape[1] // side
     blocks = image[: height * side, : width * side].reshape(height, side, width, side, 3)
     sums: NDArray[np.uint32] = blocks.sum(axis=(1, 3), dtype=np.uint32)
@@ -110,7 +111,7 @@ def averaged(image: Bytes, side: int) -> Bytes:
 
 
 def cut(image: Bytes, left: int, top: int) -> Bytes:
-    """Return the window of an image ``(H, W, 3)`` whose corner is (left, top), black outside."""
+    """Cut the window with corner (left, top) from an image ``(H, W, 3)``, black outside."""
     window = np.zeros((WINDOW, WINDOW, 3), np.uint8)
     height, width = image.shape[:2]
     rows = slice(max(0, top), min(height, top + WINDOW))
@@ -123,7 +124,7 @@ def cut(image: Bytes, left: int, top: int) -> Bytes:
 
 
 def in_frame(window: Camera, whole: Camera) -> NDArray[np.bool_]:
-    """Return which pixels of a window, as `ViewSpec.window_camera` gives it, lie in the image."""
+    """Return which pixels of a window from `ViewSpec.window_camera` lie in the image."""
     left, top = round(whole.cx - window.cx), round(whole.cy - window.cy)
     columns, rows = np.arange(WINDOW) + left, np.arange(WINDOW) + top
     inside_columns = (columns >= 0) & (columns < whole.width)
@@ -132,15 +133,15 @@ def in_frame(window: Camera, whole: Camera) -> NDArray[np.bool_]:
 
 
 def nearest_pixels(picture: Bytes, camera: Camera, other: Camera) -> Bytes:
-    """Return what another camera of the same direction sees of a picture, by the nearest pixels.
+    """Resample an image for another camera with the same orientation, by nearest neighbor.
 
     Args:
-        picture: ``(H, W, C)`` uint8, taken by ``camera``.
-        camera: Of the picture.
-        other: Any camera at the same place that looks the same way.
+        picture: Image ``(H, W, C)``, uint8.
+        camera: Camera of the image.
+        other: Any camera with the same position and orientation.
 
     Returns:
-        ``(other.height, other.width, C)``; zero outside the picture.
+        Image ``(other.height, other.width, C)``; zero outside the given one.
     """
     columns = (np.arange(other.width) + 0.5 - other.cx) / other.fx * camera.fx + camera.cx
     rows = (np.arange(other.height) + 0.5 - other.cy) / other.fy * camera.fy + camera.cy
@@ -154,15 +155,15 @@ def nearest_pixels(picture: Bytes, camera: Camera, other: Camera) -> Bytes:
 
 
 class Pieces(NamedTuple):
-    """What is kept of one image.
+    """The stored pieces of one image.
 
     Attributes:
         frame: ``(h, w, 3)`` uint8.
         window: ``(WINDOW, WINDOW, 3)`` uint8.
-        coordinates: ``(WINDOW / 2, WINDOW / 2, 4)`` uint8, zero where they are not known.
-        pose: Where the object is; without one, what the window was cut around.
-        camera: Of the window.
-        level: Of the pyramid, 0 the finest.
+        coordinates: ``(WINDOW / 2, WINDOW / 2, 4)`` uint8, zero where unknown.
+        pose: Pose of the object; without an object, the pose that the window was cut around.
+        camera: Camera of the window.
+        level: Pyramid level of the window, 0 the finest.
         present: Whether the image shows the object.
     """
 
@@ -175,7 +176,7 @@ class Pieces(NamedTuple):
     present: bool
 
     def store(self, arrays: Arrays, row: int) -> None:
-        """Write into a row of the arrays of `ViewSpec.shapes`."""
+        """Write the pieces to a row of the arrays of `ViewSpec.shapes`."""
         c = self.camera
         arrays["frames"][row] = self.frame
         arrays["windows"][row] = self.window
@@ -192,17 +193,17 @@ def cut_pieces(
     spec: ViewSpec,
     coordinates: Callable[[Pose, Camera], Bytes] | None = None,
 ) -> Pieces:
-    """Cut an image of the network's camera into what is kept of it.
+    """Cut the stored pieces from an image of the network's camera.
 
     Args:
-        image: ``(H, W, 3)`` uint8, taken by ``spec.camera``.
-        pose: Where the object is.
-        spec: How to cut.
-        coordinates: Gives the object's coordinates ``(h, w, 4)`` as a camera sees them, as
-            `ffpose.render.layers.object_coordinates`; None where they are not known.
+        image: Image ``(H, W, 3)`` of ``spec.camera``, uint8.
+        pose: Pose of the object.
+        spec: Geometry of the views.
+        coordinates: Function that returns the object coordinates ``(h, w, 4)`` for a pose and a
+            camera, as `ffpose.render.layers.object_coordinates`; None where unknown.
 
     Raises:
-        ValueError: The image has another size than its camera, or the object is not before it.
+        ValueError: The image's size differs from its camera's, or the object is not in front of it.
     """
     expected = (spec.camera.height, spec.camera.width, 3)
     if image.shape != expected:
@@ -226,7 +227,7 @@ def cut_pieces(
 
 
 def make_arrays(folder: Path, count: int, spec: ViewSpec) -> dict[str, np.memmap[Any, Any]]:
-    """Make the arrays of a folder of views, mapped into memory, to be filled."""
+    """Create the memory-mapped arrays of a folder of views."""
     return {
         name: np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, shape)
         for name, (shape, dtype) in spec.shapes(count).items()
@@ -234,6 +235,6 @@ def make_arrays(folder: Path, count: int, spec: ViewSpec) -> dict[str, np.memmap
 
 
 def open_arrays(folder: Path) -> dict[str, NDArray[Any]]:
-    """Map the arrays of a folder of views into memory, to be read."""
+    """Open the memory-mapped arrays of a folder of views for reading."""
     names = ("frames", "windows", "coordinates", "labels")
     return {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names}

@@ -3,7 +3,7 @@ import time
 
 import pytest
 
-from ffpose.bench.timing import FEWEST_ROUNDS, Contender, interleave, summarise, time_calls
+from ffpose.bench.timing import FEWEST_ROUNDS, Contender, interleave, summarize, time_calls
 
 
 def test_contenders_take_turns():
@@ -33,10 +33,10 @@ def test_what_prepares_a_call_is_done_before_each_and_not_timed():
 
 
 def test_quartiles_by_hand():
-    timing = summarise([5.0, 1.0, 2.0, 4.0, 3.0], inner=7)
+    timing = summarize([5.0, 1.0, 2.0, 4.0, 3.0], inner=7)
     assert (timing.lower, timing.median, timing.upper) == (2.0, 3.0, 4.0)
     assert (timing.rounds, timing.inner) == (5, 7)
-    between = summarise([1.0, 2.0, 3.0, 4.0], inner=1)
+    between = summarize([1.0, 2.0, 3.0, 4.0], inner=1)
     assert (between.lower, between.median, between.upper) == (1.75, 2.5, 3.25)
 
 

@@ -1,4 +1,4 @@
-"""The torch side of a data set: samples, batches, cache and augmentation."""
+"""The torch side of a dataset: samples, batches, cache and augmentation."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Rendered scenes as a data set: kept, shared, and refused where they are damaged."""
+"""Rendered scenes as a dataset: kept, shared, and refused where they are damaged."""
 
 import errno
 import os

@@ -109,7 +109,7 @@ BROKEN = {
     "no rows": (POSES_FILE, table(SPLITS["train"]), table([]), f"{POSES_FILE}: expected 2 .*got 0"),
     "empty file": (POSES_FILE, table(SPLITS["train"]), "", f"{POSES_FILE}:1: expected the columns"),
     "no image": (NAMES_FILE, "0_rgb", "7_rgb", "gt.csv: expected a row for 7_rgb.png"),
-    "duplicate": (NAMES_FILE, "0_rgb", "2_rgb", f"{NAMES_FILE}:2: 2_rgb.png stands on line 1"),
+    "duplicate": (NAMES_FILE, "0_rgb", "2_rgb", f"{NAMES_FILE}:2: 2_rgb.png is on line 1"),
     "empty name": (NAMES_FILE, "0_rgb.png", "", f"{NAMES_FILE}:2: expected the name"),
     "path": (NAMES_FILE, "0_rgb", "../0_rgb", f"{NAMES_FILE}:2: expected the name"),
     "no names": (NAMES_FILE, "2_rgb.png\n0_rgb.png\n", "", f"{NAMES_FILE}: expected at least one"),

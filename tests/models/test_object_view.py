@@ -121,7 +121,7 @@ def fixed(model, first, second, monkeypatch):
 
 
 def numbers(model, count, offset=(0.0, 0.0, 0.0), log_sigma=(0.0,) * 6):
-    """The same numbers of a second look for each image."""
+    """Return equal outputs of the second look for each image."""
     return LookNumbers(
         torch.randn(1, model.orientation.features).expand(count, -1),
         torch.tensor(offset).expand(count, 3),
@@ -143,7 +143,7 @@ def rotations(q):
 
 
 def test_one_view_of_the_object_is_turned_with_the_camera(model, monkeypatch):
-    """The same second look in five directions: place and attitude turn with the viewing ray."""
+    """Equal outputs in five directions: position and attitude rotate with the viewing ray."""
     first = torch.tensor(
         [[0.1, 0.2, 0.0], [-0.5, 0.3, 0.1], [0.4, -0.3, 0.5], [-0.4, -0.3, -0.5], [0.01, 0.0, 0.0]]
     )
@@ -161,7 +161,7 @@ def test_one_view_of_the_object_is_turned_with_the_camera(model, monkeypatch):
     for covariance in (pose.translation_covariance, pose.rotation_covariance):
         alike = turn.as_matrix().mT @ covariance.numpy() @ turn.as_matrix()
         distance = 1 if covariance is pose.rotation_covariance else np.linalg.norm(t, axis=-1)
-        # Lateral sigmas count in parts of the view's five metres, the distance in its logarithm.
+        # Lateral sigmas count in parts of the view's five meters, the distance in its logarithm.
         in_view = alike / np.reshape(distance, (-1, 1, 1)) ** 2
         assert np.abs(in_view[:, ~np.eye(3, dtype=bool)]).max() < 1e-4 * in_view.max()
     variances = pose.rotation_covariance.diagonal(dim1=1, dim2=2).sum(-1)
@@ -176,7 +176,7 @@ def test_the_offset_is_added_where_the_camera_was_turned(monkeypatch):
     offset = (1.0, -0.5, 0.4)
     pose = fixed(model, first, numbers(model, 2, offset), monkeypatch)
     distance = math.sqrt(8 * 42) * np.exp(first[:, 2].numpy().astype(np.float64))
-    # A quarter of the image's width is half its radius of five metres, at the distance.
+    # A quarter of the image's width is half its radius of five meters, at the distance.
     height, width = FIELDS["object_size"]
     x, y = offset[0] / 2 * 5 / distance, offset[1] / 2 * 5 / distance * height / width
     ray = np.stack([x, y, np.ones(2)], axis=-1)

@@ -77,7 +77,7 @@ def test_the_target_is_in_the_middle_and_the_radius_at_the_edge(generator):
     expected = torch.zeros(20, 3, dtype=torch.float64)
     expected[:, 2] = points.norm(dim=-1)
     torch.testing.assert_close(middle, expected, rtol=0, atol=1e-12)
-    edge = middle - torch.tensor([3.0, 0.0, 0.0])  # three metres to the left
+    edge = middle - torch.tensor([3.0, 0.0, 0.0])  # three meters to the left
     u = view.focal * edge[:, 0] / edge[:, 2] + SIZE[1] / 2
     torch.testing.assert_close(u, torch.zeros_like(u), rtol=0, atol=1e-12)
 

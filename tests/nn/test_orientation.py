@@ -19,7 +19,7 @@ from ffpose.nn.orientation import (
 
 WIDTH_DEG = 7.0
 SHARP = 80.0
-"""Of the logits ``SHARP (q . q0)^2`` (Bingham): a standard deviation of 9 degrees."""
+"""Concentration of the Bingham logits ``SHARP (q . q0)^2``: a standard deviation of 9 degrees."""
 
 
 @pytest.fixture
@@ -268,7 +268,7 @@ def test_a_head_starts_at_no_rotation(head):
 
 
 def test_the_mean_of_quaternions_is_scipys():
-    """Of either sign, some degrees about an attitude."""
+    """The quaternions have either sign and lie some degrees around an attitude."""
     generator = np.random.default_rng(3)
     near = Rotation.from_rotvec(generator.normal(scale=0.15, size=(7, 3)))
     rotations = near * Rotation.random(rng=generator)

@@ -261,7 +261,7 @@ def test_inference_mode_and_parameters_take_the_direct_way():
 
 @pytest.mark.parametrize("by", [spectral_filter, forward_op])
 def test_a_weight_learns_from_what_inference_mode_made(by):
-    """As from the features of a frozen network."""
+    """Features of a frozen network are an example."""
     x, weight = arguments("tokens", (2, 4, 6))
     weight.requires_grad_()
     with torch.inference_mode():

@@ -25,15 +25,15 @@ from ffpose.render.mesh import ball, box
 CAMERA = Camera(64, 48, 40.0, 36.0, 30.0, 26.0)
 """Neither square pixels nor the principal point in the middle."""
 
-GREY = (Material((0.5, 0.5, 0.5), 1.0),)
+GRAY = (Material((0.5, 0.5, 0.5), 1.0),)
 
 
 def craft_of(mesh):
-    return Craft("solid", mesh, GREY)
+    return Craft("solid", mesh, GRAY)
 
 
 def read(coordinates, limit):
-    """Pixels (N, 2) at their centres and metres (N, 3) of what is on the object."""
+    """Pixels (N, 2) at their centers and meters (N, 3) of what is on the object."""
     rows, columns = np.nonzero(coordinates[..., 3])
     codes = coordinates[rows, columns, :3].astype(float)
     return np.stack([columns, rows], axis=1) + 0.5, (2 * codes / 255 - 1) * limit
@@ -46,7 +46,7 @@ def pose_of(t, degrees):
 @pytest.mark.parametrize(
     ("size", "limit"), [(2.0, 1.0), (2.2, 1.1), (2.21, 1.2), (0.02, 0.1), (10.6, 5.3)]
 )
-def test_limit_is_the_largest_coordinate_up_to_a_decimetre(size, limit):
+def test_limit_is_the_largest_coordinate_up_to_a_decimeter(size, limit):
     assert coordinates_limit(craft_of(box((0.01, size, 0.01), 0))) == limit
     below = box((0.01, 0.01, size / 2), 0).moved(shift=(0, 0, -size / 4))  # −size/2…0
     assert coordinates_limit(craft_of(below)) == limit
@@ -79,12 +79,12 @@ def test_the_points_of_a_ball_lie_on_it_and_on_their_rays():
     assert np.abs(distance - 1).max() < np.sqrt(3) * half_step + 1e-3
     rays = np.column_stack([(pixels - (30, 26)) / (40, 36), np.ones(len(pixels))])
     eye = -pose.rotation.T @ pose.t
-    towards = rays @ pose.rotation  # in the object frame
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    off = np.linalg.norm(np.cross(places - eye, towards), axis=1)
+    toward = rays @ pose.rotation  # in the object frame
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    off = np.linalg.norm(np.cross(places - eye, toward), axis=1)
     assert off.max() < np.sqrt(3) * half_step + 1e-5
     # Of the ray's two points the nearer is seen.
-    assert ((places - eye) @ towards.T).diagonal().max() < np.linalg.norm(eye - (0.5, 0, 0)) + 0.01
+    assert ((places - eye) @ toward.T).diagonal().max() < np.linalg.norm(eye - (0.5, 0, 0)) + 0.01
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -114,13 +114,13 @@ def slow_shade(earth, rays, pixel_angle):
     horizon = earth.altitude * (2 + earth.altitude)
     along = dot(earth.nadir, rays) * radius
     closest = np.sqrt(np.maximum(radius**2 - along**2, 0))
-    disc = np.clip(0.5 - (closest - 1) / (pixel_angle * np.sqrt(horizon)), 0, 1) * (along > 0)
+    disk = np.clip(0.5 - (closest - 1) / (pixel_angle * np.sqrt(horizon)), 0, 1) * (along > 0)
     air = (along > 0) & (closest < 1.018)
     glow, through = limb(earth, rays, along, closest, camera)
     distance = along - np.sqrt(np.maximum(along**2 - horizon, 0))
     seen = surface(earth, rays, distance, camera)
-    behind = 1 - disc
-    return np.where(air, glow, 0) * behind + disc * seen, behind * np.where(air, through, 1)
+    behind = 1 - disk
+    return np.where(air, glow, 0) * behind + disk * seen, behind * np.where(air, through, 1)
 
 
 def random_unit(rng, shape=()):

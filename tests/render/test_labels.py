@@ -66,15 +66,15 @@ def test_lamps_are_where_the_written_labels_say(tmp_path):
             gaps = np.linalg.norm(np.delete(pixels, n, axis=0) - pixels[n], axis=1)
             if gaps.min() < 3 * radius + 2:
                 continue  # another lamp may hide this one
-            centre, area = find_lamp(image, rgb)
+            center, area = find_lamp(image, rgb)
             assert area > 0.4 * np.pi * radius**2
-            assert np.abs(centre - pixels[n]).max() < 1.0
+            assert np.abs(center - pixels[n]).max() < 1.0
             found += 1
     assert found > 25
 
 
 def drawn_silhouette(row, mesh):
-    """The mesh's triangles filled by Pillow on a much finer canvas, read at the pixels' centres."""
+    """The mesh's triangles filled by Pillow on a much finer canvas, read at the pixels' centers."""
     fine = 25
     pixels, _ = to_pixels(row, mesh.vertices)
     corner = np.floor(pixels.min(axis=0)).astype(int)
@@ -114,7 +114,7 @@ def test_silhouette_and_depth_agree_with_the_written_labels(tmp_path, name):
         if (outline >= 0).all() and (outline <= SIZE).all():
             rows, columns = np.nonzero(layers.mask)
             box = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
-            # Thin antennas may slip between pixel centres, so the box may fall short by one.
+            # Thin antennas may slip between pixel centers, so the box may fall short by one.
             assert (
                 np.abs(box - np.concatenate([outline.min(axis=0), outline.max(axis=0)])).max() < 2
             )
@@ -134,9 +134,9 @@ def test_mask_covers_what_differs_from_the_background():
     scene = beacon_scene()
     frame, layers = render(scene, 5, 0, SIZE), render_layers(scene, 5, 0, SIZE)
     for _, rgb in LAMPS.values():
-        centre, area = find_lamp(frame.image.astype(float), rgb)
+        center, area = find_lamp(frame.image.astype(float), rgb)
         if area > 9:
-            assert layers.mask[int(centre[1]), int(centre[0])]
+            assert layers.mask[int(center[1]), int(center[0])]
 
 
 def solve_pose(points, pixels):
@@ -189,10 +189,10 @@ def test_pose_solved_from_the_picture_alone_is_near_the_label():
     errors = []
     for index in range(12):
         frame = render(scene, 5, index, SIZE)
-        centres = [find_lamp(frame.image.astype(float), rgb) for _, rgb in LAMPS.values()]
-        if min(area for _, area in centres) < 20:
+        centers = [find_lamp(frame.image.astype(float), rgb) for _, rgb in LAMPS.values()]
+        if min(area for _, area in centers) < 20:
             continue  # hidden, wholly or in part
-        rotation, translation = solve_pose(places, np.array([centre for centre, _ in centres]))
+        rotation, translation = solve_pose(places, np.array([center for center, _ in centers]))
         truth = Rotation.from_quat(frame.pose.q, scalar_first=True)
         errors.append(
             (

@@ -1,4 +1,4 @@
-"""A user's mesh is rendered with its own frame, size and colours; broken files are one error."""
+"""A user's mesh is rendered with its own frame, size and colors; broken files are one error."""
 
 import numpy as np
 import pytest

@@ -40,7 +40,7 @@ def one_sampling(monkeypatch):
     ("width", "index", "level"), [(128, 1, 0), (128, 3, 0), (256, 2, 1), (256, 6, 1)]
 )
 def test_the_window_is_the_crop_of_the_whole_image(one_sampling, width, index, level):
-    """Of a level, but for the response curve, which is not linear; a pixel's shift is far worse."""
+    """Equal up to the nonlinear response curve; a shift by one pixel differs far more."""
     spec = spec_of(width)
     view = render_view(SCENE, SEED, index, spec)
     assert view.level == level

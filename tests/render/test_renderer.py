@@ -82,7 +82,7 @@ def test_an_empty_frame_lacks_the_spacecraft_and_nothing_else(monkeypatch, cloud
 
 
 def test_an_empty_frame_is_pure_and_exposed_for_itself():
-    """Another spacecraft, brighter or darker, changes nothing."""
+    """A brighter or darker spacecraft changes nothing."""
     scene = SCENES["soyuz_easy"]
     for index in range(3):
         empty = render_empty(scene, 3, index, SIZE)
@@ -149,9 +149,9 @@ def test_sensor_is_linear_in_the_dark_and_never_wraps():
     level = np.linspace(0, 100, 64 * 48, dtype=np.float32).reshape(48, 64, 1).repeat(3, axis=2)
     image = expose(level, 0.02, silent, np.random.default_rng(0))
     assert (np.diff(image.reshape(-1, 3).astype(int), axis=0) >= 0).all()
-    # sRGB: 18 % grey is 118.
-    grey = expose(np.full((16, 16, 3), 0.18, np.float32), 1.0, silent, np.random.default_rng(0))
-    assert np.abs(grey.astype(int) - 118).max() <= 1
+    # sRGB: 18 % gray is 118.
+    gray = expose(np.full((16, 16, 3), 0.18, np.float32), 1.0, silent, np.random.default_rng(0))
+    assert np.abs(gray.astype(int) - 118).max() <= 1
 
 
 def test_shot_noise_grows_with_the_root_of_the_signal():

@@ -82,9 +82,9 @@ def test_silhouette_depth_and_shadow_are_the_same(name, index):
     sun = (sun / np.linalg.norm(sun)).astype(np.float32)
     light = Light(sun, -sun, 0.0, 0.34, 1.0, 0.0, np.ones((3, 1), np.float32))
     place = points[both].T.astype(np.float32)
-    towards = np.repeat(sun[:, None], place.shape[1], axis=1)
-    start = place + 0.002 * towards
-    lit = sun_visible(prepared(craft)[0], start, towards, light) > 0
+    toward = np.repeat(sun[:, None], place.shape[1], axis=1)
+    start = place + 0.002 * toward
+    lit = sun_visible(prepared(craft)[0], start, toward, light) > 0
     theirs = [
         not scene.ray_test(mi.Ray3f(mi.Point3f(at), mi.Vector3f(sun))) for at in start.T.tolist()
     ]

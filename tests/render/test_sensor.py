@@ -38,7 +38,7 @@ def test_motion_blur_spreads_light_about_its_place(seed):
 
 @pytest.mark.parametrize(("blur_px", "width"), [(0.9, 1280), (3.0, 1280), (0.7, 2560)])
 def test_blur_of_any_width_is_scipys_gaussian(blur_px, width):
-    """Of the picture's linear light; the border's pixels go on beyond it."""
+    """Blur acts on linear light, with the border replicated."""
     picture = np.repeat(np.random.default_rng(0).random((8, width // 4, 3), np.float32), 4, axis=0)
     picture = np.repeat(picture, 4, axis=1)
     sigma = blur_px * width / 1280

@@ -135,18 +135,18 @@ def test_shard_alone_keeps_rows_and_names_together(tmp_path):
 def test_a_shard_costs_what_its_own_images_cost(tmp_path, monkeypatch):
     """Far from the first index, and beside others: labels drawn and files read are its own."""
     write_dataset("soyuz_easy", tmp_path, 3, seed=7, size=SIZE, labels=["mask"])
-    labelled, hashed = set(), set()
+    labeled, hashed = set(), set()
     draw, read = writer.label, writer.sha256
-    monkeypatch.setattr(writer, "label", lambda s, seed, i: labelled.add(i) or draw(s, seed, i))
+    monkeypatch.setattr(writer, "label", lambda s, seed, i: labeled.add(i) or draw(s, seed, i))
     monkeypatch.setattr(writer, "sha256", lambda path: hashed.add(path.name) or read(path))
     far = 5_000_000
     done = write_dataset("soyuz_easy", tmp_path, 2, seed=7, start=far, size=SIZE, labels=["mask"])
     assert done.rendered == 2
-    assert labelled <= {far, far + 1}
+    assert labeled <= {far, far + 1}
     assert hashed == {f"{far}_mask.png", f"{far + 1}_mask.png"}
     alone = write_dataset("soyuz_easy", tmp_path / "alone", 2, seed=7, start=far, size=SIZE)
     assert alone.closed
-    assert labelled == {far, far + 1}
+    assert labeled == {far, far + 1}
 
 
 def test_a_shard_of_a_closed_set_leaves_it_closed(folder, tmp_path):

@@ -15,7 +15,7 @@ from ffpose.training.calibrate import CHI_SQUARE_90, calibrate, variance_scale
 COUNT = 2000
 TRUE_VARIANCES = (0.09, 4e-4)
 SAID = (0.03, 16e-4)
-"""Of translation and rotation: the network says a third, and four times, of what it should."""
+"""Predicted variances: a third of the true one for translation, four times for rotation."""
 
 
 class Drawn(torch.nn.Module):
@@ -100,10 +100,10 @@ def test_a_network_that_gives_no_uncertainty_is_refused():
         calibrate(Drawn("frame"), split(0), absent())
 
 
-@pytest.mark.parametrize(("labelled", "empty"), [([], absent()), (list(split(0)), [])])
-def test_images_of_both_kinds_are_needed(labelled, empty):
+@pytest.mark.parametrize(("labeled", "empty"), [([], absent()), (list(split(0)), [])])
+def test_images_of_both_kinds_are_needed(labeled, empty):
     with pytest.raises(ValueError, match="expected some that show the object and some that do not"):
-        calibrate(Drawn(), labelled, empty)
+        calibrate(Drawn(), labeled, empty)
 
 
 @pytest.mark.parametrize("bad", [[], [1.0, -1.0], [np.nan]])

@@ -177,7 +177,7 @@ def test_resume_refuses_a_truncated_state(image_set, tmp_path):
     run_quietly(config)
     state = config.out / "state.pt"
     state.write_bytes(state.read_bytes()[:-1000])
-    with pytest.raises(DataError, match=r"state\.pt: not a training state"):
+    with pytest.raises(DataError, match=r"state\.pt: not a checkpoint"):
         run_quietly(config, resume=True)
 
 

@@ -15,10 +15,10 @@ from ffpose.views import ViewSpec, cut_pieces
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)  # neither square pixels nor centered
 RADIUS, SIDE, CELLS, STRIDE, STD = 3.0, 64, 16, 4, 0.5
 DOTS = 1.5 * np.eye(3)
-"""Points of the object, metres, drawn in red, green and blue."""
+"""Points of the object, meters, drawn in red, green and blue."""
 
 LIMIT = 2.0
-"""Metres of the object's coordinates that are stored as 1."""
+"""Meters of the object's coordinates that are stored as 1."""
 
 COUNT = 24
 CLEAN = {"brightness": 0.0, "noise": 0.0, "blur": 0.0, "empty": 0.0}
@@ -65,15 +65,15 @@ def dots(camera, points, sigma):
     return image
 
 
-def disc(pose, camera):
-    """The object's coordinates on a disc in its xy plane, 1.5 m in radius, as they are stored."""
+def disk(pose, camera):
+    """The object's coordinates on a disk in its xy plane, 1.5 m in radius, as they are stored."""
     u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.matrix).T
     normal = pose.rotation[:, 2]
     points = rays * ((normal @ pose.t) / (rays @ normal))[..., None]
-    on_disc = (points - pose.t) @ pose.rotation
-    shown = (np.linalg.norm(on_disc, axis=-1) < 1.5) & (points[..., 2] > 0)
-    codes = np.round((np.clip(on_disc / LIMIT, -1, 1) + 1) * 127.5)
+    on_disk = (points - pose.t) @ pose.rotation
+    shown = (np.linalg.norm(on_disk, axis=-1) < 1.5) & (points[..., 2] > 0)
+    codes = np.round((np.clip(on_disk / LIMIT, -1, 1) + 1) * 127.5)
     return (
         np.concatenate([codes, np.full((*shown.shape, 1), 255)], axis=-1) * shown[..., None]
     ).astype(np.uint8)
@@ -96,7 +96,7 @@ def poses():
 
 @pytest.fixture(scope="module")
 def dotted(poses):
-    return stored(poses, lambda pose: dots(CAMERA, pose.transform(DOTS), 3.0), disc)
+    return stored(poses, lambda pose: dots(CAMERA, pose.transform(DOTS), 3.0), disk)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def centroids(images):
     return np.stack([images.sum(2) @ u / mass, images.sum(3) @ v / mass], axis=-1)
 
 
-def labelled_pixels(batch, poses, points):
+def labeled_pixels(batch, poses, points):
     """Where the labels put points of the object ``(B, N, 3)`` in the crops, pixels.
 
     The distance is that of the stored pose: no turn changes it.
@@ -144,7 +144,7 @@ def labelled_pixels(batch, poses, points):
 def test_dots_of_the_crops_lie_where_the_labels_say(model, poses, dotted, seed):
     batch = all_of(batches(model, [dotted]), seed)
     assert {0, 1} == set(dotted["labels"][:, 11])  # two levels of the pyramid
-    expected = labelled_pixels(batch, poses, np.tile(DOTS, (COUNT, 1, 1)))
+    expected = labeled_pixels(batch, poses, np.tile(DOTS, (COUNT, 1, 1)))
     whole = (np.abs(expected - SIDE / 2) < SIDE / 2 - 9).all(axis=(1, 2))  # no dot is cut
     assert whole.sum() >= COUNT // 2
     np.testing.assert_allclose(centroids(batch.crops)[whole], expected[whole], atol=0.12)
@@ -164,8 +164,8 @@ def test_views_are_twisted_displaced_and_scaled(model, poses, dotted):
         turn, _ = Rotation.align_vectors([[0, 0, 1]], [ray])  # of all, the least
         expected = turn * Rotation.from_matrix(pose.rotation)
         assert (expected.inv() * Rotation.from_quat(got, scalar_first=True)).magnitude() < 1e-5
-    expected = labelled_pixels(batch, poses, np.tile(DOTS, (COUNT, 1, 1)))
-    moved = labelled_pixels(still, poses, np.tile(DOTS, (COUNT, 1, 1)))
+    expected = labeled_pixels(batch, poses, np.tile(DOTS, (COUNT, 1, 1)))
+    moved = labeled_pixels(still, poses, np.tile(DOTS, (COUNT, 1, 1)))
     assert np.median(np.abs(expected - moved)) > 4
 
 
@@ -176,7 +176,7 @@ def test_coordinates_of_a_cell_are_seen_in_it(model, poses, dotted):
     assert set(np.unique(shown)) == {0, 1}
     assert shown.sum() > 20 * COUNT
     points = batch.coordinates[:, :3].double().numpy().reshape(COUNT, 3, -1).mT * LIMIT
-    cells = labelled_pixels(batch, poses, points) * CELLS / SIDE
+    cells = labeled_pixels(batch, poses, points) * CELLS / SIDE
     column, row = np.meshgrid(np.arange(CELLS) + 0.5, np.arange(CELLS) + 0.5)
     centers = np.stack([column, row], axis=-1).reshape(-1, 2)
     away = np.abs(cells - centers)[shown.reshape(COUNT, -1) == 1]

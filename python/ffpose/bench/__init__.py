@@ -1,1 +1,1 @@
-"""The measurements behind every figure in the README."""
+"""Benchmarks: the measurements behind the speed results in the documentation."""

@@ -1,4 +1,4 @@
-"""What `ffpose bench filter` measures: sizes, batches, work, threads, and who takes part."""
+"""Cases of `ffpose bench filter`: sizes, batches, work, threads, and contenders."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ OTHER: Sizes = (
     ("sequence", (512, 128)),
 )
 FEW: Sizes = (("grid", (14, 14, 256)), ("tokens", (196, 256)), ("sequence", (50, 64)))
-"""One size of each kind: all of ``--quick``, and where every rival takes part."""
+"""One size of each kind: all that ``--quick`` measures, and those with every rival."""
 
 OVERHEAD_SIZE = (7, 7, 32)
-"""So small that a call costs more than its arithmetic."""
+"""Size at which the overhead of a call exceeds its arithmetic."""
 OVERHEAD_BATCHES = (1, 33)
-"""Their difference tells what the arithmetic of one image takes."""
+"""Two batch sizes whose difference gives the time of one image's arithmetic."""
 
 BATCHES = (1, 8, 32)
 LARGEST_BATCH = max(BATCHES)
@@ -52,16 +52,16 @@ LARGEST_BATCH = max(BATCHES)
 
 @dataclass(frozen=True)
 class Case:
-    """One measurement on float32 ``x (batch, *size)``.
+    """A benchmark case on float32 ``x (batch, *size)``.
 
     Attributes:
         kind: ``"grid"`` with size (H, W, C), ``"tokens"`` (X, Y), ``"sequence"`` (L, C).
-        size: Of one image or sequence.
-        batch: How many of them.
-        work: ``"forward"`` without gradient; ``"forward+backward"``, both gradients of a weight
-            that has just changed; ``"recorded"``, a forward that records for a backward.
-        threads: Of torch and of SciPy.
-        contenders: Names of those that take turns.
+        size: Size of one image or sequence.
+        batch: Number of images or sequences.
+        work: ``"forward"`` without gradient; ``"forward+backward"``, with both gradients and a
+            weight that has just changed; ``"recorded"``, a forward that records for a backward.
+        threads: Number of threads of torch and of SciPy.
+        contenders: Names of the contenders.
     """
 
     kind: Kind
@@ -78,12 +78,12 @@ class Case:
 
     @property
     def label(self) -> str:
-        """The case in words; threads are said elsewhere."""
+        """The case in words, without threads."""
         return f"{self.size_label}, batch {self.batch}, {self.work}"
 
     @property
     def group(self) -> str:
-        """The group that shares a geometric mean."""
+        """Group of cases over which a geometric mean is taken."""
         size = (self.kind, self.size)
         if size in GRID:
             return "grid, batch 1" if self.batch == 1 else "grid, batch 8 and 32"
@@ -91,7 +91,7 @@ class Case:
 
     @property
     def plane(self) -> tuple[int, int, int]:
-        """Rows, columns and channels of what is transformed; a sequence is one row."""
+        """Rows, columns and channels of the transform; a sequence is one row."""
         if self.kind == "tokens":
             return self.size[0], self.size[1], 1
         rows, columns, channels = (1, *self.size)[-3:]
@@ -99,7 +99,7 @@ class Case:
 
     @classmethod
     def from_json(cls, fields: dict[str, Any]) -> Self:
-        """Return the case whose fields went through JSON, which has lists for tuples."""
+        """Rebuild a case from JSON fields, which have lists for tuples."""
         of_tuples: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in fields.items()
@@ -108,7 +108,7 @@ class Case:
 
 
 def sweep(sizes: Sizes, batches: Sequence[int], threads: int) -> list[Case]:
-    """Return every size in every batch, forward and forward+backward, against torch.fft."""
+    """Return cases of all sizes and batches, forward and forward+backward, against torch.fft."""
     works: tuple[Work, ...] = ("forward", "forward+backward")
     return [
         Case(kind, size, batch, work, threads)
@@ -119,6 +119,6 @@ def sweep(sizes: Sizes, batches: Sequence[int], threads: int) -> list[Case]:
 
 
 def overhead_cases() -> list[Case]:
-    """Return the calls that are nearly all overhead, without and with a gradient recorded."""
+    """Return cases dominated by overhead, without and with recording for a gradient."""
     works: tuple[Work, ...] = ("forward", "recorded")
     return [Case("grid", OVERHEAD_SIZE, n, work) for work in works for n in OVERHEAD_BATCHES]

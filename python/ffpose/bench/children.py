@@ -1,4 +1,4 @@
-"""Child processes: each measures with one instruction set and one way of keeping memory."""
+"""Child processes, each measuring with one instruction set and one allocator setting."""
 
 from __future__ import annotations
 
@@ -18,33 +18,34 @@ from ffpose.bench.worker import Request
 
 ALLOCATORS: Mapping[str, Mapping[str, str]] = {
     "default": {},
-    # The C library then keeps freed memory. torch's temporaries are sometimes faster so, as no
-    # page is fetched anew, and sometimes slower; both sides get the better of both.
+    # The C library then keeps freed memory. torch's temporaries are sometimes faster that way, as
+    # they cause no page faults, and sometimes slower; each side gets the better of both settings.
     "kept": {"MALLOC_MMAP_THRESHOLD_": "2000000000", "MALLOC_TRIM_THRESHOLD_": "4000000000"},
 }
 
 RIVALS_HELD: Mapping[str, Mapping[str, str]] = {
     "avx2": {"MKL_ENABLE_INSTRUCTIONS": "AVX2", "ATEN_CPU_CAPABILITY": "avx2"},
 }
-"""What holds torch to an instruction set. There is no such thing for "scalar": it runs free."""
+"""Environment variables that limit torch to an instruction set; "scalar" has none, so torch is not
+limited there."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is chosen for a whole process: our instruction set, and a key of `ALLOCATORS`."""
+    """Settings of a whole process: our instruction set, and a key of `ALLOCATORS`."""
 
     isa: str
     allocator: str
 
     def variables(self) -> dict[str, str]:
-        """Return the environment variables that choose it."""
+        """Return the environment variables of the setting."""
         held = RIVALS_HELD.get(self.isa, {})
         return {"FFPOSE_ISA": self.isa, **held, **ALLOCATORS[self.allocator]}
 
 
 @dataclass(frozen=True)
 class Opening:
-    """What a child tells of itself before its measurements."""
+    """First message of a child: its setting, environment and peaks."""
 
     setting: Setting
     environment: Mapping[str, Any]
@@ -52,21 +53,21 @@ class Opening:
 
 
 def run_child(setting: Setting, request: Request, caches: str) -> Iterator[Opening | Measurement]:
-    """Start a child, and give what it tells: one `Opening`, then each `Measurement`.
+    """Start a child and yield its messages: one `Opening`, then each `Measurement`.
 
     Args:
-        setting: For the child.
-        request: What it shall measure.
-        caches: A folder for what torch.compile builds, so that each thing is built once.
+        setting: Setting of the child.
+        request: Cases to measure.
+        caches: Cache folder of torch.compile, so that each kernel is compiled once.
 
     Raises:
-        RuntimeError: The child failed; its last words are told.
+        RuntimeError: The child failed; the message holds its last line of output.
     """
     variables = {**os.environ, **setting.variables(), "TORCHINDUCTOR_CACHE_DIR": caches}
     with tempfile.TemporaryFile("w+") as errors, _started(variables, errors) as child:
         assert child.stdin is not None
         assert child.stdout is not None
-        with suppress(BrokenPipeError), child.stdin as stdin:  # of one that died: told below
+        with suppress(BrokenPipeError), child.stdin as stdin:  # a dead child is reported below
             json.dump(asdict(request), stdin)
         lines = map(json.loads, child.stdout)
         for opening in lines:
@@ -83,7 +84,7 @@ def run_child(setting: Setting, request: Request, caches: str) -> Iterator[Openi
 
 @contextmanager
 def _started(variables: dict[str, str], errors: IO[str]) -> Iterator[subprocess.Popen[str]]:
-    """Start a worker, and see that it does not outlive the block."""
+    """Start a worker, and terminate it at the end of the block."""
     with subprocess.Popen(
         [sys.executable, "-m", "ffpose.bench.worker"],
         env=variables,

@@ -1,4 +1,4 @@
-"""The JSON document of a benchmark: every timing, and the figures drawn from them."""
+"""The JSON document of a benchmark: every timing, and the results derived from them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ffpose.bench.results import (
 def make_document(
     openings: Sequence[Opening], comparisons: Sequence[Comparison], notes: Sequence[str]
 ) -> dict[str, Any]:
-    """Return everything that was measured, as JSON can hold it; times in seconds."""
+    """Return all measurements as a JSON document; times in seconds."""
     return {
         "notes": list(notes),
         "processes": [asdict(opening) for opening in openings],

@@ -1,4 +1,4 @@
-"""What is computed from timings: means, nominal operations and bytes."""
+"""Quantities derived from timings: means, nominal operations, memory traffic."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FLOAT = 4
 
 
 def geometric_mean(values: Iterable[float]) -> float:
-    """The geometric mean of positive ratios.
+    """Return the geometric mean of positive ratios.
 
     >>> geometric_mean([2.0, 8.0])
     4.0
@@ -21,12 +21,12 @@ def geometric_mean(values: Iterable[float]) -> float:
 
 
 def operations(case: Case) -> float:
-    """Nominal operations of a call, by the convention of FFT benchmarks.
+    """Return the nominal operations of a call, by the convention of FFT benchmarks.
 
-    A transform of N real points counts as ``2.5 N log2 N``, whatever is really done, and a complex
-    product as 6. A forward is two transforms and one product for each number of the half spectrum;
-    a backward two transforms more (what it computes again is not counted), one product for x, and
-    one with a sum (8) for the weight.
+    A transform of N real points counts as ``2.5 N log2 N``, regardless of the algorithm, and a
+    complex product as 6. A forward is two transforms and one product for each element of the half
+    spectrum; a backward is two more transforms (recomputation is not counted), one product for x,
+    and one with a sum (8) for the weight.
     """
     rows, columns, channels = case.plane
     images = case.batch * channels
@@ -38,7 +38,7 @@ def operations(case: Case) -> float:
 
 
 def traffic(case: Case) -> int:
-    """Bytes that a call must move at least: each input read once, each result written once.
+    """Return the least bytes that a call moves: inputs read once, results written once.
 
     Forward: x, weight and y. Forward+backward: for the backward also the gradient, x and weight
     again, and both gradients.

@@ -1,8 +1,8 @@
-"""`ffpose bench filter`: the spectral filter against what a PyTorch user would write instead.
+"""`ffpose bench filter`: the spectral filter against its PyTorch, SciPy and matrix equivalents.
 
-The rivals are torch.fft, torch.fft compiled, SciPy's fft and matrix products. All contenders of a
-case take turns in one process (`ffpose.bench.timing`); each instruction set and each way of keeping
-memory has a process of its own (`ffpose.bench.children`). A ratio above 1 means that ffpose is
+The rivals are torch.fft, compiled torch.fft, SciPy's fft and matrix products. All contenders of a
+case are timed in turn in one process (`ffpose.bench.timing`); each instruction set and allocator
+setting has a process of its own (`ffpose.bench.children`). A ratio above 1 means that ffpose is
 faster.
 """
 
@@ -24,16 +24,16 @@ from ffpose.bench.worker import Request
 
 
 def run(json_path: Path | None = None, plot: Path | None = None, quick: bool = False) -> None:
-    """Measure all cases, print the tables to standard output, and write what is asked for.
+    """Measure all cases, print the tables on standard output, and write the requested files.
 
     Args:
-        json_path: Where to write every timing as JSON.
-        plot: Where to draw the ratios, as a PNG.
-        quick: Few sizes and short timings, for a first look in under a minute.
+        json_path: File for all timings, JSON.
+        plot: File for a plot of the ratios, PNG.
+        quick: Few sizes and short timings, in under a minute.
 
     Raises:
         OSError: A file cannot be written; its folder is checked before anything is measured.
-        RuntimeError: A measuring process failed, or a rival computes something else.
+        RuntimeError: A child process failed, or a rival's results differ.
     """
     expect_places(json_path, plot)
     plan = make_plan(quick)
@@ -48,7 +48,7 @@ def run(json_path: Path | None = None, plot: Path | None = None, quick: bool = F
 
 
 def _measured(plan: Plan, openings: list[Opening]) -> Iterator[tuple[Setting, Measurement]]:
-    """Run one child after the other, and show how far they are on standard error."""
+    """Run the children in sequence, with progress on standard error."""
     settings = [Setting(isa, allocator) for isa in plan.cases for allocator in ALLOCATORS]
     total = sum(len(plan.cases[setting.isa]) for setting in settings)
     with make_progress() as progress, tempfile.TemporaryDirectory(prefix="ffpose-bench-") as caches:

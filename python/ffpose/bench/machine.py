@@ -1,4 +1,4 @@
-"""What a reader needs to judge the figures: versions, processor, and what it can do at most."""
+"""Versions, processor and measured peak performance, as the context of a benchmark."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ TRIES = 8
 
 @dataclass(frozen=True)
 class Peak:
-    """The most that was measured: float32 operations of a matrix product, bytes of a copy.
+    """Measured peak performance: float32 matrix product, and memory copy.
 
     Attributes:
-        threads: Of torch.
-        flops: Operations a second; a multiplication and its addition are two.
-        copy_bytes: Bytes a second, read and written, of 64 MiB copied to elsewhere.
+        threads: Number of torch's threads.
+        flops: Operations per second; a multiply-add counts as two.
+        copy_bytes: Bytes read and written per second in a copy of 64 MiB.
     """
 
     threads: int
@@ -38,7 +38,7 @@ class Peak:
 
 
 def measure_peak(threads: int) -> Peak:
-    """Measure what this machine can do at most; a tenth of a second or two."""
+    """Measure the peak performance of this machine, in one or two tenths of a second."""
     torch.set_num_threads(threads)
     a, b = torch.randn(2, MATRIX_SIDE, MATRIX_SIDE)
     product = torch.empty_like(a)
@@ -56,7 +56,7 @@ def _fastest(call: Callable[[], object]) -> float:
 
 
 def environment() -> dict[str, Any]:
-    """Versions, processor, instruction sets of both sides, and what holds them to these."""
+    """Return versions, processor, instruction sets of both sides, and variables that limit them."""
     return {
         "ffpose": ffpose.__version__,
         "torch": torch.__version__,
@@ -73,25 +73,25 @@ def environment() -> dict[str, Any]:
 
 
 def bfloat16_instructions() -> list[str]:
-    """Return those of the processor, as Linux names them; none where that cannot be told."""
+    """Return the processor's bfloat16 instructions as named by Linux; empty where unknown."""
     known = {"avx512_bf16", "amx_bf16", "bf16", "svebf16"}
     return sorted(known & set(_processor_fact("flags", "Features").split()))
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _mkl_code() -> str:
-    """Return which code torch's MKL runs: "vectorised", on Intel's processors alone, or "baseline".
+    """Return MKL's code path in torch: "vectorized" (Intel processors only) or "baseline".
 
-    The answer is MKL's own, or that of a preloaded library; empty where there is no MKL.
+    The answer comes from MKL itself, or from a preloaded library; empty without MKL.
     """
     bundled = Path(torch.__file__).parent / "lib" / "libtorch_cpu.so"
     for library in (None, str(bundled)):
         with suppress(OSError, AttributeError):
-            return "vectorised" if ctypes.CDLL(library).mkl_serv_intel_cpu_true() else "baseline"
+            return "vectorized" if ctypes.CDLL(library).mkl_serv_intel_cpu_true() else "baseline"
     return ""
 
 
@@ -100,7 +100,7 @@ def _processor() -> str:
 
 
 def _processor_fact(*names: str) -> str:
-    """Return what Linux says of the first core under the first of these names that it has."""
+    """Return the first of these entries that Linux has for the first core."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text().splitlines():

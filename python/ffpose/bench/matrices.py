@@ -1,4 +1,4 @@
-"""The filter as matrix products, which is how it goes to runtimes that have no FFT."""
+"""The filter as matrix products, as it is exported to runtimes without an FFT."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from torch import Tensor
 from ffpose.bench.cases import Kind
 
 LARGEST_SIDE = 256
-"""Above it the matrices alone are larger than what they are multiplied with."""
+"""Largest side measured; beyond it the matrices are larger than the data."""
 
 
 def fits(plane: tuple[int, int, int]) -> bool:
-    """Whether rows and columns are few enough for matrices."""
+    """Return whether rows and columns are few enough for matrices."""
     return max(plane[:2]) <= LARGEST_SIDE
 
 
 class MatrixFilter:
-    """``irfft2(rfft2(x) * W)`` by four products with real matrices; nothing is transposed.
+    """The filter ``irfft2(rfft2(x) * W)`` as four products with real matrices.
 
-    Real and imaginary part are a dimension of their own, ``(H, 2, W//2+1, C)``: in front of the
-    half spectrum's columns for the transform of the rows, behind the rows for that of the columns.
+    Nothing is transposed: real and imaginary parts are a dimension of their own,
+    ``(H, 2, W//2+1, C)``, which lies before the half spectrum's columns for the transform of the
+    rows and after the rows for that of the columns.
 
     Args:
         kind: ``"grid"``, ``"tokens"`` or ``"sequence"``.
@@ -47,7 +48,7 @@ class MatrixFilter:
         self.across_back = _complex_matrix(_angles(rows), 1.0) / rows
 
     def __call__(self, x: Tensor, weight: Tensor) -> Tensor:
-        """Filter ``x (B, *size)`` with the real view ``weight (*half spectrum, 2)``."""
+        """Filter ``x (B, *size)`` by ``weight (*half spectrum, 2)``, real and imaginary parts."""
         if self.kind == "tokens":
             spectrum = x @ self.along.T  # (B, H, 2 half)
         else:
@@ -72,13 +73,13 @@ class MatrixFilter:
 
 
 def _angles(n: int) -> Tensor:
-    """``2 pi j k / n``, the product reduced before it is rounded."""
+    """Return the angles ``2 pi j k / n``, with ``j k`` reduced modulo n for accuracy."""
     k = torch.arange(n)
     return 2 * math.pi * (torch.outer(k, k) % n).double() / n
 
 
 def _complex_matrix(angle: Tensor, sign: float) -> Tensor:
-    """``exp(sign i angle)`` on numbers whose real and imaginary parts alternate, ``(2n, 2n)``."""
+    """Return ``exp(sign i angle)`` as a real matrix ``(2n, 2n)`` for interleaved complex values."""
     cos, sin = angle.cos(), sign * angle.sin()
     blocks = torch.stack([torch.stack([cos, -sin], -1), torch.stack([sin, cos], -1)], 1)
     return blocks.reshape(2 * len(angle), 2 * len(angle)).float()

@@ -1,4 +1,4 @@
-"""One case measured: all its contenders checked against each other, then timed in turn."""
+"""Measuring one case: the contenders' results are compared, then they are timed in turn."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ffpose.bench.rivals import contenders
 from ffpose.bench.timing import Contender, Timing, interleave
 
 APART = 1e-3
-"""Float32 results that differ by more, relative to the largest number, are not the same thing."""
+"""Largest difference of float32 results, relative to the largest value, that counts as equal."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """The timings of a case by contender, and how far the rivals' results are from ours at most."""
+    """Timings of a case by contender, and the largest difference of rivals' results from ours."""
 
     case: Case
     timings: Mapping[str, Timing]
@@ -26,16 +26,16 @@ class Measurement:
 
     @classmethod
     def from_json(cls, fields: dict[str, Any]) -> Self:
-        """Return the measurement that was written as JSON."""
+        """Rebuild a measurement from JSON fields."""
         timings = {name: Timing(**timing) for name, timing in fields["timings"].items()}
         return cls(Case.from_json(fields["case"]), timings, fields["largest_difference"])
 
 
 def measure(case: Case, seconds: float) -> Measurement:
-    """Measure ``case``, about ``seconds`` for each contender.
+    """Measure ``case`` for about ``seconds`` per contender.
 
     Raises:
-        RuntimeError: A rival's result or gradient is not ours; then its time means nothing.
+        RuntimeError: A rival's result or gradient differs from ours.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(case.threads)
@@ -61,6 +61,6 @@ def _largest_difference(case: Case, taking_part: Mapping[str, Contender]) -> flo
 
 
 def _results(contender: Contender) -> tuple[torch.Tensor, ...]:
-    """Return what a call gives: the filtered images, or both gradients."""
+    """Return the results of a call: the filtered images, or both gradients."""
     result: Any = contender.call()
     return tuple(map(torch.as_tensor, result if isinstance(result, tuple) else (result,)))

@@ -1,8 +1,9 @@
-"""`ffpose bench model`: the whole network, inference and training, before and after its changes.
+"""`ffpose bench model`: inference and training of the whole network, against torch's attention.
 
-All contenders of a case take turns in this process (`ffpose.bench.timing`), so that whatever else
-the machine does hits them alike: their ratio can be trusted where the milliseconds cannot. A ratio
-above 1 means that ffpose is faster than it was.
+The baseline ("before") runs the forward of `torch.nn.MultiheadAttention`. The contenders of a case
+are timed in turn in this process (`ffpose.bench.timing`), so that other load on the machine affects
+them alike: the ratio is more reliable than the milliseconds. A ratio above 1 means that ffpose is
+faster than the baseline.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ LEGEND = (
 
 @dataclass(frozen=True)
 class NetworkPlan:
-    """What is to be done.
+    """Plan of a network benchmark.
 
     Attributes:
-        cases: In the order of the tables.
-        seconds: For each contender of a case.
-        notes: What is left out or is otherwise than one would think, for the reader.
+        cases: Cases in the order of the tables.
+        seconds: Time for each contender of a case.
+        notes: Notes for the reader on what is left out or unusual.
     """
 
     cases: Sequence[NetworkCase]
@@ -63,7 +64,7 @@ class NetworkPlan:
 
 @dataclass(frozen=True)
 class NetworkResult:
-    """A case with its timings by contender, and how far float32 poses of the two are apart."""
+    """Timings of a case by contender, and the difference of their float32 poses."""
 
     case: NetworkCase
     timings: Mapping[str, Timing]
@@ -71,25 +72,25 @@ class NetworkResult:
 
     @property
     def ratio(self) -> float:
-        """How many times faster ours is than before."""
+        """Speedup over the baseline."""
         return self.timings[BEFORE].median / self.timings[OURS].median
 
     @property
     def images_per_second(self) -> float:
-        """Of ours."""
+        """Throughput of ffpose."""
         return self.case.batch / self.timings[OURS].median
 
 
 def run(json_path: Path | None = None, quick: bool = False) -> None:
-    """Measure all cases, print the tables to standard output, and write what is asked for.
+    """Measure all cases, print the tables on standard output, and write the requested file.
 
     Args:
-        json_path: Where to write every timing as JSON.
-        quick: Batch 1, one thread and float32 alone, with short timings.
+        json_path: File for all timings, JSON.
+        quick: Only batch 1, one thread and float32, with short timings.
 
     Raises:
         OSError: The file cannot be written; its folder is checked before anything is measured.
-        RuntimeError: The contenders of a case do not compute the same poses.
+        RuntimeError: The contenders of a case compute different poses.
     """
     expect_places(json_path)
     plan = make_plan(quick)
@@ -100,7 +101,7 @@ def run(json_path: Path | None = None, quick: bool = False) -> None:
 
 
 def make_plan(quick: bool) -> NetworkPlan:
-    """Return the whole table, or the few cases of ``--quick``."""
+    """Plan all cases, or the few of ``--quick``."""
     if quick:
         cases = [NetworkCase(model, 1, task) for model, task in product(MODELS, TASKS)]
         return NetworkPlan(cases, 0.5, ("quick: batch 1, one thread, float32",))
@@ -119,10 +120,10 @@ def make_plan(quick: bool) -> NetworkPlan:
 
 
 def measure(case: NetworkCase, seconds: float) -> NetworkResult:
-    """Measure ``case``, about ``seconds`` for each contender.
+    """Measure ``case`` for about ``seconds`` per contender.
 
     Raises:
-        RuntimeError: The contenders do not compute the same poses.
+        RuntimeError: The contenders compute different poses.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(case.threads)
@@ -137,7 +138,7 @@ def measure(case: NetworkCase, seconds: float) -> NetworkResult:
 
 
 def _measured(plan: NetworkPlan) -> Iterator[NetworkResult]:
-    """Measure one case after the other, and show how far they are on standard error."""
+    """Measure the cases in sequence, with progress on standard error."""
     with make_progress() as progress:
         task = progress.add_task("starting", total=len(plan.cases))
         for case in plan.cases:
@@ -147,7 +148,7 @@ def _measured(plan: NetworkPlan) -> Iterator[NetworkResult]:
 
 
 def print_results(results: Sequence[NetworkResult], notes: Sequence[str]) -> None:
-    """Print a table for each number of threads, then how to read them."""
+    """Print a table for each number of threads, then notes on how to read them."""
     console = make_console()
     about = environment()
     for threads in dict.fromkeys(each.case.threads for each in results):
@@ -182,7 +183,7 @@ def _milliseconds(timing: Timing) -> str:
 
 
 def make_document(results: Sequence[NetworkResult], notes: Sequence[str]) -> dict[str, Any]:
-    """Return everything that was measured, as JSON can hold it; times in seconds."""
+    """Return all measurements as a JSON document; times in seconds."""
     return {
         "notes": list(notes),
         "environment": environment(),

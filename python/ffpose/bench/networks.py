@@ -1,7 +1,7 @@
-"""The contenders of `ffpose bench model`: a network as it is, and as it was.
+"""The contenders of `ffpose bench model`: a network with our attention, and with torch's.
 
-What it was differs in one layer: `torch.nn.MultiheadAttention` ran its own path, which in
-evaluation on CPUs writes all scores of all tokens to memory.
+The baseline differs in one layer: it runs the forward of `torch.nn.MultiheadAttention`, which in
+evaluation on CPUs writes the scores of all pairs of tokens to memory.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
 BEFORE = "nn.MultiheadAttention"
 APART = 1e-4
-"""Float32 poses that differ by more, relative to the largest number, are of another network."""
+"""Largest difference of float32 poses, relative to the largest value, that counts as equal."""
 
 
 @dataclass(frozen=True)
 class NetworkCase:
-    """One measurement of a network.
+    """A benchmark case of a network.
 
     Attributes:
         model: A name in `ffpose.models.config.CONFIGS`.
-        batch: Images.
+        batch: Images per batch.
         task: ``"inference"``: images to poses; ``"training step"``: forward, backward and AdamW.
         precision: ``"bfloat16"`` is autocast; parameters stay float32.
-        threads: Of torch.
+        threads: Number of torch's threads.
     """
 
     model: str
@@ -50,12 +50,12 @@ class NetworkCase:
 
     @property
     def label(self) -> str:
-        """The case in words; threads are said elsewhere."""
+        """The case in words, without threads."""
         return f"{self.model}, batch {self.batch}, {self.task}, {self.precision}"
 
 
 class BuiltInAttention(nn.Module):
-    """`ffpose.nn.filterformer.SelfAttention` by the forward of its ``nn.MultiheadAttention``."""
+    """Self-attention that calls the forward of ``nn.MultiheadAttention``."""
 
     def __init__(self, attention: nn.MultiheadAttention) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ def with_built_in_attention(model: FilterformerPose) -> FilterformerPose:
 
 
 def networks(name: str) -> dict[str, FilterformerPose]:
-    """Return the network of that name as each contender has it, with the same random weights."""
+    """Return each contender's network of that name, with the same random weights."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         ours = FilterformerPose.from_config(name, backbone_weights="none")
@@ -86,16 +86,16 @@ def networks(name: str) -> dict[str, FilterformerPose]:
 
 
 def random_images(model: FilterformerPose, batch: int) -> Tensor:
-    """Return ``(batch, 3, H, W)`` normal random numbers, the same for each contender."""
+    """Return normal random images ``(batch, 3, H, W)``, the same for each contender."""
     generator = torch.Generator().manual_seed(0)
     return torch.randn(batch, 3, *model.config.image_size, generator=generator)
 
 
 def largest_difference(models: Mapping[str, FilterformerPose], images: Tensor) -> float:
-    """Return how far the poses of the others are from ours, relative to the largest number.
+    """Return the largest difference of poses from ours, relative to the largest value.
 
     Raises:
-        RuntimeError: So far that they are not the same network; then its time means nothing.
+        RuntimeError: The difference is larger than `APART`.
     """
     with torch.inference_mode():
         poses = {name: torch.cat(model.eval()(images), 1) for name, model in models.items()}
@@ -109,7 +109,7 @@ def largest_difference(models: Mapping[str, FilterformerPose], images: Tensor) -
 
 
 def contender(model: FilterformerPose, images: Tensor, case: NetworkCase) -> Contender:
-    """Return what one call does; a training step changes the weights of ``model``."""
+    """Return the contender that runs one call; a training step changes the weights of ``model``."""
     return Contender(
         _training_step(model, images, case)
         if case.task == "training step"

@@ -1,4 +1,4 @@
-"""What the benchmarks share in what they print and write."""
+"""Shared output of the benchmarks: tables, progress bars, files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WIDTH = 132
 
 
 def expect_places(*paths: Path | None) -> None:
-    """Check, before anything is measured, that each file asked for has a folder to lie in.
+    """Check, before anything is measured, that the folder of each output file exists.
 
     Raises:
         FileNotFoundError: A folder does not exist.
@@ -28,13 +28,13 @@ def expect_places(*paths: Path | None) -> None:
 
 
 def write_document(document: dict[str, Any], path: Path) -> None:
-    """Write JSON, whole or not at all."""
+    """Write a JSON document atomically."""
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(document, indent=2) + "\n")
 
 
 def make_progress() -> Progress:
-    """Return a bar on standard error."""
+    """Return a progress bar on standard error."""
     return Progress(
         MofNCompleteColumn(),
         BarColumn(bar_width=20),
@@ -46,12 +46,12 @@ def make_progress() -> Progress:
 
 
 def make_console() -> Console:
-    """Return standard output, wide enough for the tables where it is no terminal."""
+    """Return a console on standard output, wide enough for the tables if it is not a terminal."""
     return Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
 
 
 def make_table(title: str, *columns: str) -> Table:
-    """Return a table with these columns and no rows."""
+    """Return an empty table with these columns."""
     table = Table(title=title, title_justify="left", title_style="bold")
     for name in columns:
         table.add_column(name)

@@ -1,4 +1,4 @@
-"""Which cases are measured with which instruction set, and what cannot be measured here."""
+"""Selection of the cases for each instruction set, and notes on what cannot be measured."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ SLOWER: Mapping[str, tuple[str, ...]] = {
     "neon": ("neon", "scalar"),
     "scalar": ("scalar",),
 }
-"""For the best instruction set of a machine, all that it has."""
+"""All instruction sets of a machine, by its best one."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done.
+    """Plan of a filter benchmark.
 
     Attributes:
-        cases: By instruction set, the machine's best first.
-        seconds: For each contender of a case.
-        notes: What is left out or done otherwise, for the reader of the figures.
+        cases: Cases by instruction set, the machine's best first.
+        seconds: Time for each contender of a case.
+        notes: Notes for the reader on what is left out or unusual.
     """
 
     cases: Mapping[str, Sequence[Case]]
@@ -53,7 +53,7 @@ class Plan:
 
 
 def make_plan(quick: bool) -> Plan:
-    """Return the whole table, or the few cases of ``--quick``."""
+    """Plan all cases, or the few of ``--quick``."""
     rivals, notes = available_rivals(quick)
     best = instruction_set()
     if quick:
@@ -77,7 +77,7 @@ def make_plan(quick: bool) -> Plan:
 
 
 def available_rivals(quick: bool) -> tuple[frozenset[str], tuple[str, ...]]:
-    """Return the rivals besides torch.fft that can be measured here, and why others cannot."""
+    """Return the measurable rivals besides torch.fft, and notes on why others are not."""
     found, notes = {MATRICES}, []
     if importlib.util.find_spec("scipy") is not None:
         found.add(SCIPY)
@@ -94,7 +94,7 @@ def available_rivals(quick: bool) -> tuple[frozenset[str], tuple[str, ...]]:
 
 
 def with_rivals(cases: Sequence[Case], rivals: frozenset[str]) -> list[Case]:
-    """Return ``cases``, each with all those that can take part in it."""
+    """Return ``cases``, each with all contenders that support it."""
     return [replace(case, contenders=case.contenders + _more(case, rivals)) for case in cases]
 
 

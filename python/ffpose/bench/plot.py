@@ -1,4 +1,4 @@
-"""The picture of a benchmark: how many times faster than torch.fft, size by size."""
+"""Plot of a benchmark: speedup over torch.fft by size."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ffpose.files import atomic_write
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = dict(zip(BATCHES, ("#1b4f9c", "#3fa7d6", "#f08a24"), strict=True))
+COLORS = dict(zip(BATCHES, ("#1b4f9c", "#3fa7d6", "#f08a24"), strict=True))
 WORKS = ("forward", "forward+backward")
 TICKS = (0.5, 1, 2, 3, 5, 7, 10, 15, 20, 30, 50)
 
 
 def draw(comparisons: Sequence[Comparison], about: str, path: Path) -> None:
-    """Draw the ratios of the first instruction set with one thread, as a PNG.
+    """Plot the ratios of the first instruction set with one thread, as a PNG.
 
     Args:
-        comparisons: As measured; those of other settings are left out.
-        about: What was measured on, for the title.
-        path: Where to write.
+        comparisons: All comparisons; those with other settings are left out.
+        about: Description of the machine, for the title.
+        path: File to write.
     """
     isa = comparisons[0].isa
     chosen = [o for o in in_tables(comparisons) if (o.isa, o.case.threads) == (isa, 1)]
@@ -54,7 +54,7 @@ def _draw_panel(axes: Axes, comparisons: Sequence[Comparison], labels: Sequence[
         axes.scatter(
             [one.ratio() for one in points],
             [labels.index(one.case.size_label) for one in points],
-            color=COLOURS[batch],
+            color=COLORS[batch],
             label=f"batch {batch}",
             s=34,
             zorder=3,

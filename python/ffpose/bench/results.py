@@ -1,4 +1,4 @@
-"""Measurements of several processes brought together, and what follows from them."""
+"""Comparisons merged from several processes, and statistics over them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ffpose.bench.measure import Measurement
 from ffpose.bench.timing import Timing
 
 WORTH_TWO_THREADS = 200e-6
-"""Seconds of work from which on a second thread should help."""
+"""Least duration of a call, in seconds, for which a second thread should help."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A case with one instruction set; its timings by allocator, then by contender."""
+    """Timings of a case with one instruction set, by allocator, then by contender."""
 
     isa: str
     case: Case
@@ -26,26 +26,26 @@ class Comparison:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Those that took part."""
+        """Names of the contenders."""
         return self.case.contenders
 
     def best(self, name: str) -> Timing:
-        """Return a contender's timing with the allocator that suits it better."""
+        """Return a contender's timing with its faster allocator."""
         return min((each[name] for each in self.timings.values()), key=lambda each: each.median)
 
     def ratio(self, rival: str = TORCH) -> float:
-        """Return how many times faster than a rival ours is, each with its better allocator."""
+        """Return our speedup over a rival, each with its faster allocator."""
         return self.best(rival).median / self.best(OURS).median
 
     def default_ratio(self, rival: str = TORCH) -> float:
-        """Return how many times faster ours is where nobody chose an allocator."""
+        """Return our speedup over a rival with the default allocator."""
         timings = self.timings["default"]
         return timings[rival].median / timings[OURS].median
 
 
 @dataclass(frozen=True)
 class GroupMean:
-    """The geometric mean of the ratios to torch.fft in one group, and the worst of them."""
+    """Geometric mean and minimum of the ratios to torch.fft in one group."""
 
     isa: str
     threads: int
@@ -57,7 +57,7 @@ class GroupMean:
 
 @dataclass(frozen=True)
 class Overhead:
-    """A call of one small image: seconds of it, of its arithmetic, and of torch.fft's call."""
+    """Seconds of a call with one small image, of its arithmetic, and of torch.fft's call."""
 
     work: Work
     call: float
@@ -66,7 +66,7 @@ class Overhead:
 
 
 def bring_together(measured: Iterable[tuple[Setting, Measurement]]) -> list[Comparison]:
-    """Return one comparison for each instruction set and case, in the order of measuring."""
+    """Merge measurements into one comparison per instruction set and case, in order."""
     found: dict[tuple[str, Case], Comparison] = {}
     for setting, one in measured:
         key = setting.isa, one.case
@@ -80,12 +80,12 @@ def bring_together(measured: Iterable[tuple[Setting, Measurement]]) -> list[Comp
 
 
 def in_tables(comparisons: Iterable[Comparison]) -> list[Comparison]:
-    """Return those that count for the means: all but the calls that are measured for overhead."""
+    """Return the comparisons that enter the means: all except the overhead cases."""
     return [each for each in comparisons if each.case.size != OVERHEAD_SIZE]
 
 
 def group_means(comparisons: Iterable[Comparison]) -> list[GroupMean]:
-    """Return the mean of each instruction set, number of threads, group and work."""
+    """Return the mean for each instruction set, number of threads, group and work."""
     groups: dict[tuple[str, int, str, Work], list[Comparison]] = {}
     for each in in_tables(comparisons):
         key = each.isa, each.case.threads, each.case.group, each.case.work
@@ -101,19 +101,19 @@ def _ratio(comparison: Comparison) -> float:
 
 
 def over_copy(comparisons: Iterable[Comparison]) -> list[tuple[Comparison, float]]:
-    """Return how many times longer than a copy of x the filter takes, where that was measured."""
+    """Return the filter's time relative to a copy of x, where that was measured."""
     return [(each, 1 / each.ratio(COPY)) for each in comparisons if COPY in each.names]
 
 
 def half_over_single(comparisons: Iterable[Comparison]) -> list[tuple[Comparison, float]]:
-    """Return how many times longer bfloat16 takes than float32, where that was measured."""
+    """Return the time of bfloat16 relative to float32, where that was measured."""
     return [(each, each.ratio(HALF)) for each in comparisons if HALF in each.names]
 
 
 def gains_of_threads(comparisons: Sequence[Comparison]) -> list[tuple[Comparison, float]]:
-    """Return how many times faster each case of several threads is than with one.
+    """Return the speedup of each case with several threads over one thread.
 
-    Cases of less than `WORTH_TWO_THREADS` are left out.
+    Cases shorter than `WORTH_TWO_THREADS` are left out.
     """
     alone = {(each.isa, each.case.label): each for each in comparisons if each.case.threads == 1}
     gains = []
@@ -127,9 +127,10 @@ def gains_of_threads(comparisons: Sequence[Comparison]) -> list[tuple[Comparison
 
 
 def overheads(comparisons: Iterable[Comparison]) -> list[Overhead]:
-    """Return what small calls cost.
+    """Return the overhead of small calls.
 
-    A call of one image and a call of many differ by arithmetic alone, which gives that of one.
+    Calls with one image and with many differ only in arithmetic, so their difference gives the
+    arithmetic of one image.
     """
     small = {
         (each.case.work, each.case.batch): each

@@ -1,6 +1,6 @@
-"""The contenders: our filter, and the ways in which it is written without ours.
+"""The contenders: our filter, and its rivals written as their users would write them.
 
-Each rival is the filter as its users write it, on the same numbers as ours.
+All contenders of a case get the same data.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ffpose.ops import spectral_filter
 Filter = Callable[[Tensor, Tensor], Tensor]
 
 DIMS: dict[Kind, tuple[int, ...]] = {"grid": (-3, -2), "tokens": (-2, -1), "sequence": (-2,)}
-"""What is transformed."""
+"""Transformed dimensions of each kind."""
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """``x (batch, *size)``, ``grad`` like it, and ``weight`` ``(*half spectrum, 2)``."""
+    """Inputs: ``x (batch, *size)``, ``grad`` of that shape, ``weight (*half spectrum, 2)``."""
 
     x: Tensor
     grad: Tensor
@@ -33,7 +33,7 @@ class Inputs:
 
     @classmethod
     def of(cls, case: Case) -> Inputs:
-        """Return normal random numbers for ``case``, the same for each contender."""
+        """Draw normal random inputs for ``case``, the same for each contender."""
         generator = torch.Generator().manual_seed(0)
         dim = DIMS[case.kind][-1]
         spectrum = list(case.size)
@@ -43,7 +43,7 @@ class Inputs:
 
 
 def contenders(case: Case) -> dict[str, Contender]:
-    """Return those that take part in ``case``, ready to be called."""
+    """Return the contenders of ``case``, ready to be called."""
     inputs = Inputs.of(case)
     return {name: _contender(name, case, inputs) for name in case.contenders}
 
@@ -73,7 +73,7 @@ def _filter(name: str, case: Case) -> Filter:
 def _contender_of(
     function: Filter, x: Tensor, weight: Tensor, grad: Tensor, case: Case
 ) -> Contender:
-    """Return what one call does; `measure` sets whether gradients are recorded."""
+    """Return the contender that runs one call; `measure` sets whether gradients are recorded."""
     if case.work == "forward":
         return Contender(lambda: function(x, weight))
     x.requires_grad_()
@@ -82,13 +82,13 @@ def _contender_of(
         return Contender(lambda: function(x, weight).detach())
     return Contender(
         lambda: torch.autograd.grad(function(x, weight), (x, weight), grad),
-        # As an optimiser's step does between two calls: a weight once prepared is of no use.
+        # As an optimizer's step would: a weight prepared for the last call is out of date.
         prepare=lambda: weight.data.neg_(),
     )
 
 
 def our_filter(kind: Kind) -> Filter:
-    """Return our filter; a sequence is a grid of one row, as in `ffpose.nn.SequenceFilter`."""
+    """Return our filter; a sequence is a grid with one row, as in `ffpose.nn.SequenceFilter`."""
     if kind == "sequence":
         return lambda x, weight: spectral_filter(
             x.unsqueeze(-3), weight.unsqueeze(0), "grid"
@@ -97,7 +97,7 @@ def our_filter(kind: Kind) -> Filter:
 
 
 def torch_filter(kind: Kind) -> Filter:
-    """Return the filter as a user of torch.fft writes it: ``irfft2(rfft2(x) * W)``, or 1-D."""
+    """Return the filter in torch.fft: ``irfft2(rfft2(x) * W)``, or its 1-D form."""
     dim = DIMS[kind]
 
     def plain(x: Tensor, weight: Tensor) -> Tensor:

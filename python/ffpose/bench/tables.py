@@ -1,4 +1,4 @@
-"""The tables of a benchmark, on standard output."""
+"""Printing the tables of a filter benchmark."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LEGEND = (
 def print_tables(
     openings: Sequence[Opening], comparisons: Sequence[Comparison], notes: Sequence[str]
 ) -> None:
-    """Print every case, the other rivals, what is near the limit, and the means of the groups."""
+    """Print tables of all cases, other rivals, limits, overhead, and means of the groups."""
     console = make_console()
     for isa, threads in dict.fromkeys((each.isa, each.case.threads) for each in comparisons):
         chosen = [one for one in comparisons if (one.isa, one.case.threads) == (isa, threads)]
@@ -78,7 +78,7 @@ def _cases(comparisons: Sequence[Comparison], heading: str) -> Table:
 
 
 def _rivals(comparisons: Sequence[Comparison]) -> Table:
-    """Every rival's time over ours."""
+    """Return the table of every rival's time over ours."""
     rivals = (TORCH, COMPILED, SCIPY, MATRICES)
     table = make_table("all rivals: their time over ours", "case")
     for name in rivals:

@@ -1,4 +1,4 @@
-"""Interleaved timing: contenders take turns, so that a machine's drift hits them alike."""
+"""Interleaved timing: contenders take turns, so that drift of the machine affects them alike."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST_ROUNDS = 15
 
 @dataclass(frozen=True)
 class Contender:
-    """What is timed, and what is done before each call without being timed."""
+    """A timed call, and the untimed preparation before each call."""
 
     call: Callable[[], object]
     prepare: Callable[[], object] | None = None
@@ -22,7 +22,7 @@ class Contender:
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds a call: the median and the quartiles over `rounds` turns of `inner` calls each."""
+    """Seconds per call: median and quartiles over `rounds` rounds of `inner` calls each."""
 
     median: float
     lower: float
@@ -34,19 +34,20 @@ class Timing:
 def interleave(
     contenders: Mapping[str, Contender], seconds: float, warmup_seconds: float = 0.05
 ) -> dict[str, Timing]:
-    """Time contenders in turn, A B A B …, and give each its median seconds a call.
+    """Time contenders in turn, A B A B ….
 
     Args:
-        contenders: What to time, by name.
-        seconds: Time to spend on each, warm-up not counted; more where `FEWEST_ROUNDS` calls of
-            the slowest take longer.
-        warmup_seconds: Time to spend on each first; the fastest call then sizes the turns.
+        contenders: Contenders by name.
+        seconds: Time to spend on each, without warm-up; more where `FEWEST_ROUNDS` calls of the
+            slowest contender take longer.
+        warmup_seconds: Duration of each contender's warm-up, whose fastest call determines the
+            number of calls per round.
 
     Returns:
-        One `Timing` for each, under its name.
+        The `Timing` of each contender, by name.
 
     Raises:
-        ValueError: There is no contender.
+        ValueError: ``contenders`` is empty.
     """
     if not contenders:
         raise ValueError("expected at least 1 contender, got none")
@@ -64,11 +65,11 @@ def interleave(
     finally:
         if collecting:
             gc.enable()
-    return {name: summarise(values, inner[name]) for name, values in samples.items()}
+    return {name: summarize(values, inner[name]) for name, values in samples.items()}
 
 
 def time_calls(contender: Contender, count: int) -> float:
-    """Return the seconds a call takes, over ``count`` calls."""
+    """Return the mean seconds per call over ``count`` calls."""
     if contender.prepare is None:
         start = time.perf_counter()
         for _ in range(count):
@@ -83,14 +84,14 @@ def time_calls(contender: Contender, count: int) -> float:
     return total / count
 
 
-def summarise(values: Sequence[float], inner: int) -> Timing:
-    """Return median and quartiles of at least two samples, by linear interpolation between them."""
+def summarize(values: Sequence[float], inner: int) -> Timing:
+    """Return median and quartiles of at least two samples, with linear interpolation."""
     lower, median, upper = statistics.quantiles(values, n=4, method="inclusive")
     return Timing(median, lower, upper, len(values), inner)
 
 
 def _warm_up(contender: Contender, seconds: float) -> float:
-    """Call until ``seconds`` are over (at least twice) and return the fastest call's time."""
+    """Call for ``seconds``, at least twice, and return the time of the fastest call."""
     end = time.perf_counter() + seconds
     fastest = time_calls(contender, 1)
     while True:

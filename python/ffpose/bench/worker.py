@@ -1,8 +1,8 @@
 """The child process of a benchmark: ``python -m ffpose.bench.worker``.
 
-Instruction set, allocator and thread pools are chosen once a process, so each choice has a process
-of its own. It reads one JSON document, a `Request`, from standard input, and writes one a line to
-standard output: first the environment and the peaks, then each `Measurement` as it is made.
+Instruction set, allocator and thread pools are fixed for the life of a process, so each setting has
+a process of its own. The worker reads a `Request` as JSON from standard input, and writes one JSON
+document per line to standard output: first its environment and peaks, then each `Measurement`.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from ffpose.bench.measure import measure
 
 @dataclass(frozen=True)
 class Request:
-    """What a child is asked for: cases, and the seconds for each contender of each."""
+    """Request to a child: the cases, and the seconds for each of their contenders."""
 
     cases: Sequence[Case]
     seconds: float
 
 
 def main() -> None:
-    """Answer the request on standard input."""
+    """Read the request from standard input, measure, and write the results."""
     fields = json.load(sys.stdin)
     request = Request([Case.from_json(each) for each in fields["cases"]], fields["seconds"])
     threads = sorted({case.threads for case in request.cases})

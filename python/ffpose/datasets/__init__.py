@@ -1,4 +1,4 @@
-"""Data sets on disk, one file for each kind, all in the conventions of `ffpose.geometry`."""
+"""Datasets on disk, one module for each kind, all in the conventions of `ffpose.geometry`."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ __all__ = [
 ]
 
 KINDS: dict[str, Reader] = {"urso": urso}
-"""The kinds of data sets that can be read, by name."""
+"""Readers of the supported kinds of datasets, by name."""
 
 
 def _reader(kind: str) -> Reader:
     if kind not in KINDS:
-        raise ValueError(f"data set kind: expected one of {sorted(KINDS)}, got {kind!r}")
+        raise ValueError(f"dataset kind: expected one of {sorted(KINDS)}, got {kind!r}")
     return KINDS[kind]
 
 
 def list_splits(kind: str, root: str | Path) -> list[Split]:
-    """Return the splits that a data set holds, in the order train, val, test.
+    """Return the splits of a dataset, in the order train, val, test.
 
     Args:
         kind: One of `KINDS`.
-        root: The data set's folder.
+        root: The dataset's folder.
 
     Raises:
-        ValueError: The kind is not known.
+        ValueError: ``kind`` is not in `KINDS`.
         FileNotFoundError: The folder does not exist.
     """
     return _reader(kind).splits(Path(root))
@@ -56,23 +56,23 @@ def open_dataset(
     augmentation: Augmentation | None = None,
     cache: bool = False,
 ) -> PoseDataset:
-    """Read the labels of a split, or of a whole set, and return it as a data set.
+    """Open a split, or a whole set, as a torch dataset.
 
     Args:
         kind: One of `KINDS`.
-        root: The data set's folder.
-        split: ``"train"``, ``"val"``, ``"test"``, or ``"all"`` for every split that there is.
-        preprocessing: From image to network input.
-        augmentation: Applied to each sample anew; None for none.
-        cache: Decode and resize every image now, unless an earlier run did (see `PoseDataset`).
+        root: The dataset's folder.
+        split: ``"train"``, ``"val"``, ``"test"``, or ``"all"`` for all splits that exist.
+        preprocessing: Conversion from image to network input.
+        augmentation: Random augmentation of each sample; None for none.
+        cache: Decode and resize every image now, unless cached by an earlier run (`PoseDataset`).
 
     Returns:
-        The data set. Images are read when they are asked for, or now with ``cache``.
+        The dataset. Images are read on access, or now with ``cache``.
 
     Raises:
-        ValueError: The kind or split is not known.
+        ValueError: ``kind`` or ``split`` is unknown.
         FileNotFoundError: The folder, or a file that lists the split, does not exist.
-        DataError: A file holds what cannot be used; the error names file and line.
+        DataError: A file is invalid; the error names file and line.
     """
     if split not in (*SPLITS, "all"):
         raise ValueError(f"split: expected one of {(*SPLITS, 'all')}, got {split!r}")

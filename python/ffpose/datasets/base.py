@@ -1,4 +1,4 @@
-"""Labelled images as a torch data set; how a folder is read is the business of its own file."""
+"""Labeled images as a torch dataset; each kind of folder has a reader module of its own."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 
 Part = Split | Literal["all"]
-"""What can be asked of a set: a split, or all that it holds, one after the other."""
+"""Part of a set: one split, or ``"all"`` for all of its splits joined."""
 
 
 class Reader(Protocol):
-    """What the module of each kind of data set offers."""
+    """Interface of the module that reads one kind of dataset."""
 
     def splits(self, root: Path) -> list[Split]:
-        """Return the splits that the folder holds."""
+        """Return the splits that the folder contains."""
 
     def read(self, root: Path, split: Split) -> tuple[list[Record], Camera]:
-        """Return the labelled images of a split, labels converted, and their camera."""
+        """Return the images of a split, with converted labels, and their camera."""
 
 
 class Sample(NamedTuple):
-    """One training sample; a DataLoader stacks them into a Sample of batches.
+    """One sample; a DataLoader collates samples into a Sample of batches.
 
     Attributes:
-        image: float32 ``(3, h, w)``, standardised.
-        translation: float32 ``(3,)``, metres.
-        orientation: float32 ``(4,)``, unit quaternion ``(w, x, y, z)``, ``w >= 0``.
-        index: Its place in the data set.
+        image: Standardized image ``(3, h, w)``, float32.
+        translation: Translation ``(3,)`` in meters, float32.
+        orientation: Unit quaternion ``(w, x, y, z)``, ``w >= 0``, float32 ``(4,)``.
+        index: Index of the sample in the dataset.
     """
 
     image: Tensor
@@ -52,30 +52,31 @@ class Sample(NamedTuple):
 
 
 class PoseDataset(Dataset[Sample]):
-    """Labelled images, preprocessed and augmented.
+    """Labeled images, preprocessed and augmented.
 
     Args:
-        records: The labelled images.
-        camera: The one camera of all images, which have its size.
-        preprocessing: From image to network input.
-        augmentation: Applied to each sample anew; None for none.
-        cache: Decode and resize every image now, on all cores, into one file of uint8 (3 bytes a
-            pixel of the frame: 150 kB for 224 x 224), so that an epoch decodes nothing. Workers of
-            a DataLoader map it, forked or spawned, and so does the next run
-            (`ffpose.datasets.cache`).
+        records: The labeled images.
+        camera: Camera of all images, which must have its size.
+        preprocessing: Conversion from image to network input.
+        augmentation: Random augmentation of each sample; None for none.
+        cache: Decode and resize every image now, on all cores, into one uint8 file (3 bytes per
+            pixel of a frame: 150 kB for 224 x 224), so that epochs decode nothing. DataLoader
+            workers, forked or spawned, and later runs map this file (`ffpose.datasets.cache`).
 
     Attributes:
-        records: As given.
-        names: The images' file names.
+        records: The labeled images.
+        names: File names of the images.
         poses: Labels ``(N, 7)``, float64, ``[t, q]``.
         camera: The camera of the images as they are on disk.
-        preprocessing: As given; its `Preprocessing.camera` is that of the network's input.
-        augmentation: As given.
+        preprocessing: The preprocessing, whose `Preprocessing.camera` gives the camera of the
+            network's input.
+        augmentation: The augmentation, or None.
 
     Raises:
-        ValueError: No records, or a random crop without the preprocessing that leaves room for it.
-        DataError: With ``cache``, as `load_image`.
-        OSError: With ``cache``, there is no room for it.
+        ValueError: There are no records, or ``augmentation`` crops at random and ``preprocessing``
+            is not a center crop.
+        DataError: With ``cache``, an image cannot be used, as in `load_image`.
+        OSError: With ``cache``, the disk is full.
     """
 
     def __init__(
@@ -87,7 +88,7 @@ class PoseDataset(Dataset[Sample]):
         cache: bool = False,
     ) -> None:
         if not records:
-            raise ValueError("data set: expected at least one record, got none")
+            raise ValueError("dataset: expected at least one record, got none")
         if augmentation and augmentation.random_crop and preprocessing.mode != "center_crop":
             raise ValueError(
                 "augmentation: random_crop expects preprocessing of mode 'center_crop', "
@@ -105,11 +106,11 @@ class PoseDataset(Dataset[Sample]):
         return len(self.records)
 
     def __getitem__(self, index: int) -> Sample:
-        """Return sample ``index``, its changes drawn anew.
+        """Return sample ``index``, with new random augmentation.
 
         Raises:
-            IndexError: There is no such sample.
-            DataError: As `load_image`.
+            IndexError: ``index`` is out of range.
+            DataError: The image cannot be used, as in `load_image`.
         """
         index = range(len(self))[index]
         frame = self._frame(index) if self._frames is None else self._frames[index]
@@ -124,11 +125,11 @@ class PoseDataset(Dataset[Sample]):
         return Sample(self.preprocessing.standardize(image), translation, orientation, index)
 
     def load_image(self, index: int) -> Image.Image:
-        """Decode image ``index`` as it is on disk, as RGB.
+        """Decode image ``index`` as RGB at its size on disk.
 
         Raises:
-            DataError: The file cannot be read, or its size or pixels are not what they should be;
-                the error names the file and line that list it (`Record.decode`).
+            DataError: The file cannot be read, has another size than the camera, or does not
+                convert to RGB; the error names the file and line that list it (`Record.decode`).
         """
         return self.records[index].decode(self.camera)
 

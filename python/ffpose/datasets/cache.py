@@ -1,12 +1,12 @@
-"""The frames of a data set, decoded and resized once into a file that every process maps.
+"""A cache of a dataset's decoded and resized frames, in one memory-mapped file.
 
-The file is a `.npy` array in ``$FFPOSE_CACHE``, or in ``~/.cache/ffpose``; whatever lies there may
-be deleted. Its name is the SHA-256 of what its bytes follow from: path, size and time of change of
-each image in order, the size that the images must have, size and interpolation of the frames, and
-the version of Pillow, which decodes and resizes. Not of the images' bytes: 6 GB, 5,000 images of
-1280x960, would be read at each start, a minute from a disk of 100 MB/s, and whoever writes an image
-changes its time, which counts nanoseconds. The price: a set that was moved or copied is decoded
-again.
+The file is a `.npy` array in ``$FFPOSE_CACHE``, or in ``~/.cache/ffpose``; everything there may be
+deleted at any time. Its name is the SHA-256 of a key: path, size and modification time of each
+image in order, the size that the images must have, size and interpolation of the frames, and the
+version of Pillow, which decodes and resizes. The key leaves out the images' contents, because
+reading 6 GB (5,000 images of 1280x960) at each start would take a minute from a disk of 100 MB/s,
+and writing an image changes its modification time, which has a resolution of nanoseconds. The cost
+is that a set that was moved or copied is decoded again.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from ffpose.transforms import Preprocessing
 FOLDER_VARIABLE = "FFPOSE_CACHE"
 
 FORMAT = 1
-"""Of the file's contents; another number makes every cache anew."""
+"""Version of the file format; changing it invalidates every cache."""
 
 CHUNK = 256
-"""Frames that are decoded before they are written, so that a slow disk fills no memory."""
+"""Number of frames decoded between writes, which bounds the memory used."""
 
 BUILD_LIMIT_S = 86_400.0
-"""A file that is older and not finished was left by a process that was killed."""
+"""Age in seconds beyond which an unfinished file is taken to be left by a killed process."""
 
 
 class MappedFrames:
-    """Frames in a file, mapped into memory; pickles as the file's path.
+    """Frames in a memory-mapped file; pickled as the file's path.
 
-    Processes that map one file share its pages, whether they were forked or spawned.
+    Processes that map the same file share its pages, whether forked or spawned.
 
     Args:
         path: The file, as `cached_frames` writes it.
@@ -68,19 +68,19 @@ class MappedFrames:
 def cached_frames(
     records: Sequence[Record], camera: Camera, preprocessing: Preprocessing
 ) -> MappedFrames:
-    """Return the frames of a data set, which are decoded on all cores if no run has done so.
+    """Return the cached frames of a dataset; decode them on all cores if there is no cache yet.
 
-    A file that is not whole is written again. Two processes that write one at the same time do the
-    work twice, and leave one file.
+    An incomplete file is rewritten. Two processes that build a cache at the same time both do the
+    work, and one file remains.
 
     Args:
-        records: The images.
-        camera: Their camera.
-        preprocessing: What makes the frames (`Preprocessing.frame`).
+        records: Images of the dataset.
+        camera: Camera of the images.
+        preprocessing: Preprocessing, whose `Preprocessing.frame` makes the frames.
 
     Raises:
-        DataError: As `Record.decode`.
-        OSError: The folder cannot be written to, or has no room.
+        DataError: An image cannot be used, as in `Record.decode`.
+        OSError: The folder cannot be written to, or the disk is full.
     """
     shape = (len(records), *preprocessing.frame_size(camera.width, camera.height), 3)
     name = _name(records, camera, shape, preprocessing.interpolation)
@@ -91,7 +91,7 @@ def cached_frames(
 
 
 def cache_folder() -> Path:
-    """Return the folder of ``$FFPOSE_CACHE``, or ``~/.cache/ffpose`` where that is not set."""
+    """Return the cache folder: ``$FFPOSE_CACHE``, or ``~/.cache/ffpose`` where that is not set."""
     named = os.environ.get(FOLDER_VARIABLE)
     return Path(named) if named else Path.home() / ".cache" / "ffpose"
 
@@ -107,7 +107,7 @@ def _name(
 
 
 def _is_whole(path: Path, shape: tuple[int, ...]) -> bool:
-    """Whether a file holds frames of this shape, and nothing before or after them is missing."""
+    """Return whether a file is a complete array of frames of this shape."""
     try:
         frames = np.load(path, mmap_mode="r")
     except (FileNotFoundError, ValueError, EOFError):  # absent, no array, or cut off
@@ -128,7 +128,7 @@ def _write(
     expect_room(folder, need, what)
     header = {"descr": "|u1", "fortran_order": False, "shape": shape}
     try:
-        # Not through a map: on a full disk that kills the process, and a write is an error.
+        # Written, not mapped: a full disk makes a write fail, but kills a process that maps.
         with (
             atomic_write(target) as path,
             path.open("wb") as file,

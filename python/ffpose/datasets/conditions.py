@@ -1,4 +1,4 @@
-"""``conditions.csv``: under what light, and before what, each image of a rendered set was taken."""
+"""``conditions.csv``: lighting, background and visibility of each image of a rendered set."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LIMITS = {
     "earth_behind": 1.0,
     "visible_share": 1.0,
 }
-"""Columns that are read, and their greatest values; the least are zero."""
+"""Largest valid value of each column that is read; the smallest is zero."""
 
 FLAGS = ("eclipsed", "earth_behind")
 """Columns that hold 0 or 1."""
@@ -45,15 +45,15 @@ class Conditions(NamedTuple):
 
 
 def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None:
-    """Read the conditions of images, or None where the set does not say them.
+    """Read the conditions of images; None where the set has no ``conditions.csv``.
 
     Args:
-        root: The data set's folder; its ``conditions.csv`` has one row for each image, by name.
-        names: The images' file names.
+        root: The dataset's folder; its ``conditions.csv`` has one row for each image, by name.
+        names: File names of the images.
 
     Raises:
-        DataError: A column, or the row of an image, is missing or stands there twice, or a value
-            cannot be used; the error names file and line.
+        DataError: A column, or the row of an image, is missing or duplicated, or a value is out of
+            range; the error names file and line.
     """
     path = Path(root) / FILE_NAME
     if not path.exists():
@@ -70,7 +70,7 @@ def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None
 
 
 def _read_rows(path: Path) -> dict[str, list[float]]:
-    """Return the values of `LIMITS` by the image's name."""
+    """Return the values of the columns in `LIMITS` by image name."""
     table = csv.DictReader(read_text(path).splitlines())
     header = list(table.fieldnames or [])
     if any(header.count(name) != 1 for name in ("image", *LIMITS)):

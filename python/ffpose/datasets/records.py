@@ -1,4 +1,4 @@
-"""One labelled image of a data set, and how its file is opened."""
+"""A labeled image of a dataset, and decoding its file."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ffpose.images import open_image, to_rgb
 
 @dataclass(frozen=True)
 class Record:
-    """A labelled image.
+    """A labeled image.
 
     Attributes:
         image: Path of the image file.
         pose: The label, in the conventions of `ffpose.geometry`.
         source: The file that lists the image.
-        line: The line there, counted from one.
-        raw_quaternion: ``(w, x, y, z)`` as the file has it, before `Pose` gives it norm and sign;
-            None for a label that no file holds.
+        line: The line in that file, counted from one.
+        raw_quaternion: The quaternion ``(w, x, y, z)`` as in the file, before `Pose` normalizes it
+            and chooses its sign; None for a label that comes from no file.
     """
 
     image: Path
@@ -34,11 +34,11 @@ class Record:
     raw_quaternion: tuple[float, float, float, float] | None = None
 
     def error(self, message: str) -> DataError:
-        """Return an error that names the image, and the place that lists it."""
+        """Return an error that names the image, and the file and line that list it."""
         return DataError(f"{self.image}: {message}", self.source, self.line)
 
     def fingerprint(self) -> tuple[str, int, int]:
-        """Return the image's path, its size in bytes, and when it was changed, in nanoseconds.
+        """Return the image's path, its size in bytes, and its modification time in nanoseconds.
 
         Raises:
             DataError: The file is missing.
@@ -53,20 +53,20 @@ class Record:
         """Return the ``(width, height)`` that the image's header declares.
 
         Raises:
-            DataError: The file is missing or no image.
+            DataError: The file is missing or not an image.
         """
         with self._open() as image:
             return image.size
 
     def decode(self, camera: Camera) -> Image.Image:
-        """Return the image as RGB; transparency is dropped.
+        """Decode the image as RGB; transparency is dropped.
 
         Raises:
-            DataError: The file is missing or no whole image, it has not the camera's size, or its
-                pixels do not become RGB without loss.
+            DataError: The file is missing, truncated or not an image, its size differs from the
+                camera's, or its pixels do not convert to RGB without loss.
         """
         with self._open() as image:
-            # Before a pixel is decoded: a small file can declare an image that fills the memory.
+            # Before decoding: a small file can declare an image that exhausts the memory.
             self._expect_size(image, camera)
             return to_rgb(image, self.image)
 
@@ -74,14 +74,14 @@ class Record:
         width, height = image.size
         if (width, height) != (camera.width, camera.height):
             raise DataError(
-                f"expected {camera.width}x{camera.height} pixels, as the data set's camera "
+                f"expected {camera.width}x{camera.height} pixels, as the dataset's camera "
                 f"has them, got {width}x{height}",
                 self.image,
             )
 
     @contextmanager
     def _open(self) -> Iterator[Image.Image]:
-        """Open the image; an error of the block names the place that lists it as well."""
+        """Open the image; errors in the context name the file and line that list it as well."""
         try:
             with open_image(self.image) as image:
                 yield image

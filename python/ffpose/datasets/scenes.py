@@ -1,9 +1,8 @@
-"""Rendered scenes as a data set: an endless set, of which any part is made when it is asked for.
+"""Rendered scenes as a dataset: an unlimited set, rendered on demand and cached.
 
-A scene is a pure function of set, seed and index (`ffpose.render`), so that what is made once can
-be kept: views (`ffpose.views`) and validation images lie in a folder whose name is the SHA-256 of
-all that they depend on, and any number of runs and processes map one copy. All of it needs the
-extra `render`.
+A scene is a pure function of set, seed and index (`ffpose.render`), so rendered data can be cached:
+views (`ffpose.views`) and validation images lie in a folder whose name is the SHA-256 of all that
+they depend on, and any number of runs and processes map one copy. Needs the extra `render`.
 """
 
 from __future__ import annotations
@@ -31,20 +30,20 @@ if TYPE_CHECKING:
     from ffpose.render import Scene
 
 VALIDATION_START = 10_000_000
-"""Index of the first scene that validates; those before it are to learn from."""
+"""Index of the first validation scene; scenes before it are for training."""
 
 EMPTY_IMAGES = 100
 
 RENDER_LIMIT_S = 86_400.0
-"""Views that are older and not finished were left by a process that was killed."""
+"""Age in seconds beyond which unfinished views are taken to be left by a killed process."""
 
 
 def find_scene(name: str, attitude_range_deg: tuple[float, float, float]) -> Scene:
-    """Return a set of `ffpose.render.SCENES` with the attitudes asked for.
+    """Return a set of `ffpose.render.SCENES`, with the given range of attitudes.
 
     Raises:
         MissingExtraError: The extra `render` is not installed.
-        ValueError: The name is not known.
+        ValueError: ``name`` is not in `ffpose.render.SCENES`.
     """
     scenes = require("ffpose.render.scene", "render")
     scene: Scene = replace(scenes.get_scene(name), attitude_range_deg=attitude_range_deg)
@@ -61,20 +60,20 @@ def open_views(
     content: Content = "object",
     workers: int,
 ) -> dict[str, NDArray[Any]]:
-    """Return the views of the scenes 0 ... ``count - 1``, rendered now where they are not there.
+    """Return the views of the scenes 0 ... ``count - 1``; render them where they are not cached.
 
     Args:
-        root: The folder that keeps them.
+        root: The cache folder.
         scene: The set.
-        seed: Of the set.
-        count: How many.
-        spec: How the network looks.
+        seed: Seed of the set.
+        count: Number of scenes.
+        spec: Geometry of the network's two views.
         content: What is in view, as for `ffpose.render.views.render_view`.
-        workers: Processes that render.
+        workers: Number of processes that render.
 
     Raises:
         ffpose.DataError: A folder of views is damaged.
-        OSError: There is no room for them.
+        OSError: The disk is full.
     """
     from ffpose.render import views
 
@@ -91,7 +90,7 @@ def open_views(
 
 
 def _store(folder: Path, pieces: Iterator[Pieces], count: int, spec: ViewSpec) -> None:
-    """Fill a folder of another name, and rename it: there are all views or none."""
+    """Write the views to a temporary folder and rename it, so that all exist or none."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder.parent, older_than=RENDER_LIMIT_S)
     # A mapped file on a full disk would kill the process.
@@ -110,14 +109,14 @@ def _store(folder: Path, pieces: Iterator[Pieces], count: int, spec: ViewSpec) -
         try:
             unfinished.rename(folder)
         except OSError:
-            if not folder.exists():  # else another process was faster
+            if not folder.exists():  # otherwise another process was faster
                 raise
 
 
 def open_validation(
     root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing, *, workers: int
 ) -> PoseDataset:
-    """Return ``count`` whole images that no training sees, of the network's input size."""
+    """Return ``count`` held-out whole images of the network's input size."""
     from ffpose.render.writer import write_dataset
 
     height, width = preprocessing.size
@@ -140,7 +139,7 @@ def open_empty_images(
 ) -> NDArray[np.uint8]:
     """Return whole images without the spacecraft ``(N, H, W, 3)``, of the network's input size.
 
-    Half are empty scenes, half show another spacecraft; no training sees any of them.
+    Half are empty scenes, half show another spacecraft; all are held out from training.
     """
     from ffpose.render.decoys import build_decoy
     from ffpose.render.renderer import camera_of, shoot

@@ -1,4 +1,4 @@
-"""URSO: spacecraft over Earth, rendered by Unreal Engine 4 (Proença and Gao, ICRA 2020).
+"""Reader of URSO: spacecraft over Earth, rendered by Unreal Engine 4 (Proença and Gao, ICRA 2020).
 
 A set is a folder with ``gt.csv`` (its row N labels ``N_rgb.png``) and, for each split,
 ``{split}_images.csv`` (no header, one file name a line) and ``{split}_poses_gt.csv`` (the labels of
@@ -28,7 +28,7 @@ from ffpose.geometry import URSO_CAMERA, Camera, Pose
 COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
 
 _SAME_LABEL = 1e-5
-"""Two files print one label with different digits; two labels differ by more than this."""
+"""Tolerance between labels in two files, which may print different numbers of digits."""
 
 
 class _Row(NamedTuple):
@@ -39,11 +39,11 @@ class _Row(NamedTuple):
 
 
 def splits(root: Path) -> list[Split]:
-    """Return the splits that the set holds, in the order train, val, test.
+    """Return the splits of the set, in the order train, val, test.
 
     Raises:
         FileNotFoundError: The folder does not exist, or lists no split.
-        NotADirectoryError: It is a file.
+        NotADirectoryError: ``root`` is a file.
     """
     _expect_exists(root)
     expect_folder(root)
@@ -55,13 +55,13 @@ def splits(root: Path) -> list[Split]:
 
 
 def read(root: Path, split: Split) -> tuple[list[Record], Camera]:
-    """Read the labelled images of a split, and their camera.
+    """Read the labeled images of a split, and their camera.
 
     Raises:
         FileNotFoundError: The folder, or a file that lists the split, does not exist.
         NotADirectoryError: The folder is a file.
-        DataError: A name or label cannot be used, an image is missing or listed twice, labels and
-            names do not align, or the camera is not known. It names file and line.
+        DataError: A name or label is invalid, an image is missing or listed twice, labels and names
+            do not align, or the camera is unknown. The error names file and line.
     """
     names_file, poses_file = root / f"{split}_images.csv", root / f"{split}_poses_gt.csv"
     _expect_exists(root)
@@ -99,7 +99,7 @@ def _read_names(path: Path) -> list[str]:
         if not name or Path(name).name != name:
             raise DataError(f"expected the name of an image, got {text!r}", path, line)
         if name in first_line:
-            raise DataError(f"{name} stands on line {first_line[name]} already", path, line)
+            raise DataError(f"{name} is on line {first_line[name]} already", path, line)
         first_line[name] = line
     if not first_line:
         raise DataError("expected at least one image, got none", path)
@@ -135,13 +135,13 @@ def _pose(row: _Row, path: Path) -> Pose:
 
 
 def _raw_quaternion(row: _Row) -> tuple[float, float, float, float]:
-    """Return ``(w, x, y, z)`` of a row, converted as `Pose.from_urso` does, and nothing more."""
+    """Return ``(w, x, y, z)`` of a row, converted as in `Pose.from_urso`, not normalized."""
     q1, q2, q3, q4 = row.values[3:]
     return q4, q1, -q2, q3
 
 
 def _check_alignment(names: list[str], rows: list[_Row], path: Path, table: Path) -> None:
-    """Hold the labels of a split against ``gt.csv``, whose row N is that of ``N_rgb.png``."""
+    """Check the labels of a split against ``gt.csv``, whose row N labels ``N_rgb.png``."""
     if not table.exists():
         return
     whole = _read_rows(table)

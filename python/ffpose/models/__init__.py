@@ -1,4 +1,4 @@
-"""FilterformerPose: the network, its configurations, and its weights on disk."""
+"""FilterformerPose: the network, its configurations, and its weights files."""
 
 from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
 from ffpose.models.config import CONFIGS, FilterformerPoseConfig

@@ -1,8 +1,8 @@
-"""The convolutional backbone: a timm network cut after the last feature map that is read.
+"""Convolutional backbone: a timm network truncated after the last feature map in use.
 
 The paper reads two maps of EfficientNet-B0, 14 x 14 x 112 for translation and 28 x 28 x 40 for
-orientation (section 3.1); here a map is named by its reduction, the pixels per cell. Whatever comes
-after the coarser map would be computed for nothing, and is dropped.
+orientation (section 3.1); here a map is identified by its stride (timm's "reduction"), the pixels
+per cell. Layers after the coarsest map in use are dropped.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from ffpose.models.pretrained import BackboneSource, load_backbone_weights
 from ffpose.transforms import Mode, Preprocessing
 
 COMPACT_STD = (0.25, 0.25, 0.25)
-"""Of the input of `ffpose.models.compact_resnet`, whose mean is zero."""
+"""Standard deviation of the input of `ffpose.models.compact_resnet`, whose mean is zero."""
 
 
 class Backbone(nn.Module):
-    """Feature maps of an image at given reductions.
+    """Feature extractor that returns maps at given strides.
 
     Args:
-        features: A timm model made with ``features_only``, whose maps are ``channels`` one by one.
-        channels: Of each map.
-        order: For each map to return, its place among those that ``features`` gives.
-        source: What its weights are, as in `ffpose.models.WeightsMetadata`.
+        features: A timm model created with ``features_only``, whose maps have ``channels``.
+        channels: Number of channels of each map.
+        order: Index of each map to return among those of ``features``.
+        source: Source of the weights, as in `ffpose.models.WeightsMetadata`.
 
     Attributes:
-        features: As given.
-        channels: As given.
-        order: As given.
-        source: As given.
+        features: The timm model.
+        channels: Number of channels of each map.
+        order: Index of each returned map among those of ``features``.
+        source: Source of the weights.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Backbone(nn.Module):
         self.order = tuple(order)
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
-        """Return a map ``(B, channels[i], h_i, w_i)`` per reduction of ``images (B, 3, H, W)``."""
+        """Return a map ``(B, channels[i], h_i, w_i)`` per stride of ``images (B, 3, H, W)``."""
         maps = self.features(images)
         return tuple(maps[place] for place in self.order)
 
@@ -64,13 +64,14 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     Args:
         name: timm's name of the model, for example ``"efficientnet_b0"``, or one of
             `ffpose.models.compact_resnet.WIDTHS`, which have no pretrained weights.
-        reductions: Pixels per cell of each map to return.
-        weights: ``"auto"``: pretrained ones, from the hub or its cache; ``"none"``: random;
-            otherwise a safetensors or PyTorch file. `Backbone.source` tells what was used.
+        reductions: Stride of each map to return.
+        weights: ``"auto"`` for pretrained weights from the hub or its cache; ``"none"`` for random
+            weights; otherwise a safetensors or PyTorch file. `Backbone.source` records the source.
 
     Raises:
-        ValueError: timm has no such model, or the model no such map.
-        FileNotFoundError: There is no such weights file, or the pretrained weights cannot be had.
+        ValueError: timm has no such model, or the model has no map of a given stride.
+        FileNotFoundError: The weights file does not exist, or the pretrained weights are not
+            available.
         ffpose.DataError: The file does not hold this model's weights.
     """
     if name in WIDTHS:
@@ -89,7 +90,7 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
     source = load_backbone_weights(features, name, weights)
     order = [indices.index(available.index(reduction)) for reduction in reductions]
     channels = [features.feature_info.channels()[place] for place in order]
-    # Channels-last convolutions are up to twice as fast on CPUs, and their maps lie as tokens do.
+    # Channels-last convolutions are up to twice as fast on CPUs, with maps laid out as tokens.
     return Backbone(features.to(memory_format=torch.channels_last), channels, order, source)
 
 
@@ -98,17 +99,16 @@ def backbone_preprocessing(
 ) -> Preprocessing:
     """Return the preprocessing that a backbone's pretrained weights expect.
 
-    Mean, standard deviation and interpolation are those that timm's ``pretrained_cfg`` names: the
-    network learned from images so prepared, and ImageNet's are not those of every network. A
-    network that starts from random weights takes the same; one that timm does not have takes
-    ImageNet's.
+    Mean, standard deviation and interpolation are those in timm's ``pretrained_cfg``, which are not
+    ImageNet's for every network. They are used with random weights as well; a network unknown to
+    timm uses ImageNet's.
 
     Args:
         name: timm's name of the model.
         size: ``(height, width)`` of the network's input.
-        mode: As of `ffpose.transforms.Preprocessing`.
+        mode: Mode of `ffpose.transforms.Preprocessing`.
     """
-    if name in WIDTHS:  # black is zero: what lies outside an image is black
+    if name in WIDTHS:  # black is zero, as is everything outside an image
         return Preprocessing(size, mode, (0.0, 0.0, 0.0), COMPACT_STD)
     expected = require("timm", "pose").models.get_pretrained_cfg(name)
     if expected is None:
@@ -133,7 +133,7 @@ def _compact(name: str, reductions: Sequence[int], weights: str | Path) -> Backb
 
 
 def _drop_unused_blocks(features: Any) -> None:
-    """Cut off the blocks after the last map: timm's EfficientNet and MobileNet would run them."""
+    """Remove the blocks after the last map, which timm's EfficientNet and MobileNet would run."""
     module, _, last = features.feature_info.module_name()[-1].partition(".")
     if module == "blocks" and last.isdigit():
         features.blocks = features.blocks[: int(last) + 1]

@@ -1,9 +1,9 @@
-"""A residual network small enough to learn from random weights on a CPU.
+"""A residual network small enough to train from random weights on a CPU.
 
 Basic blocks (He et al., "Deep Residual Learning for Image Recognition", 2016) of dense 3 x 3
-convolutions with batch norm. On a CPU they keep the vector units busier than the depthwise
-convolutions of mobile networks; their channels are multiples of 16, the lanes of AVX-512. The last
-batch norm of a block starts at zero, so that the block begins as its skip connection.
+convolutions with batch norm, which use a CPU's vector units better than the depthwise convolutions
+of mobile networks. Channels are multiples of 16, the lanes of AVX-512. The last batch norm of a
+block is initialized to zero, so that the block starts as its skip connection.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ WIDTHS = {
 """Channels of the stem and of the maps of `REDUCTIONS`, by name."""
 
 EXTRA_BLOCKS = {"compact_resnet_deep": (1, 2, 0)}
-"""Blocks that deepen the stages of `REDUCTIONS`, by name; none where there is no entry."""
+"""Number of extra blocks in each stage of `REDUCTIONS`, by name; none without an entry."""
 
 EXTRA_PART = ".extra."
-"""In the names of those blocks' tensors alone."""
+"""Part of a tensor's name that only tensors of extra blocks have."""
 
 
 class BasicBlock(nn.Module):
     """Two convolutions and a skip connection.
 
     Args:
-        channels: Of the input.
-        out_channels: Of the result.
-        stride: Of the first convolution.
+        channels: Number of input channels.
+        out_channels: Number of output channels.
+        stride: Stride of the first convolution.
     """
 
     def __init__(self, channels: int, out_channels: int, stride: int = 1) -> None:
@@ -63,17 +63,17 @@ class BasicBlock(nn.Module):
 
 
 class CompactResNet(nn.Module):
-    """Feature maps of 4, 8 and, where asked for, 16 pixels a cell.
+    """Residual network that returns feature maps at strides 4, 8 and optionally 16.
 
     Args:
         widths: Channels of the stem and of the maps of `REDUCTIONS`.
-        reduction: Pixels a cell of the coarsest map; what comes after it is not built.
-        extra_blocks: Blocks added after each stage. They begin as their skip connection, so that a
-            network which was trained without them goes on from where it was (Chen et al., "Net2Net:
+        reduction: Stride of the coarsest map; later stages are not built.
+        extra_blocks: Number of blocks added after each stage. They start as their skip connection,
+            so that a network trained without them can continue training (Chen et al., "Net2Net:
             Accelerating Learning via Knowledge Transfer", ICLR 2016).
 
     Raises:
-        ValueError: A reduction that is not in `REDUCTIONS`.
+        ValueError: ``reduction`` is not in `REDUCTIONS`.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class CompactResNet(nn.Module):
         self.channels = dict(zip(REDUCTIONS, widths[1:], strict=True))
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Return the maps of ``images (B, 3, H, W)``, the finest first."""
+        """Return the maps of ``images (B, 3, H, W)``, finest first."""
         x = self.stem(images)
         maps = []
         for stage, extra in zip(self.stages, self.extra, strict=True):

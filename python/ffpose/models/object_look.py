@@ -1,15 +1,15 @@
-"""The second look: attitude, a finer position and their uncertainty from a view of the object.
+"""Outputs of the second look: orientation, refined position, and their uncertainty.
 
-Ye et al. decouple translation from orientation by two branches that read one image; here their
-views are decoupled as well. The branch reads what a virtual camera turned to the object sees
-(`ffpose.models.virtual_camera`) and gives, in that camera's frame,
+Ye et al. decouple translation and orientation by two branches that read the same image; here their
+views are decoupled as well. The orientation branch reads the view of a virtual camera pointed at
+the object (`ffpose.models.virtual_camera`) and predicts, in that camera's frame,
 
 * the orientation, by one of the heads of `ffpose.nn.orientation`;
-* the offset of the object from where the camera was turned: ``(x / z, y / z)`` in quarters of the
-  image's width, and the log of the ratio of the distances, times four;
+* the offset of the object from the point that the camera was pointed at: ``(x / z, y / z)`` in
+  quarters of the image's width, and the log of the ratio of the distances, times four;
 * the log standard deviations of the offset and of the rotation vector (Kendall and Gal, "What
   Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS 2017);
-* the logit that the object is there at all.
+* the logit of the object being in view.
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ from ffpose.models.virtual_camera import VirtualCamera
 
 OFFSET_SCALE = 4.0
 OFFSET_LIMIT = 4.0
-"""Of the numbers: half of the image's width, and a factor e of the distance, are 2 and 4."""
+"""Bound on the offset; 2 is half of the image's width, and 4 is a factor e of the distance."""
 
 LOG_SIGMA_LIMITS = (-6.0, 1.5)
-"""Of the log standard deviations: beyond, a covariance would lose its digits in float32."""
+"""Bounds on the log standard deviations, beyond which float32 covariances lose precision."""
 
 SMALL_NUMBERS = 3 + 6 + 1
-"""Offset, log standard deviations, logit."""
+"""Number of outputs besides the orientation's: offset, log standard deviations, logit."""
 
 
 class LookNumbers(NamedTuple):
-    """What the branch gives for a batch of views.
+    """Outputs of the second look for a batch of views.
 
     Attributes:
-        orientation: ``(B, features)``, the orientation head's numbers.
-        offset: ``(B, 3)``.
-        log_sigma: ``(B, 6)``: of the offset, then of the rotation vector in radians.
-        in_view: ``(B,)`` logits.
+        orientation: ``(B, features)``, outputs for the orientation head.
+        offset: ``(B, 3)``, offset of the object.
+        log_sigma: ``(B, 6)``, log standard deviations of the offset and of the rotation vector
+            (radians).
+        in_view: ``(B,)``, logits of the object being in view.
     """
 
     orientation: Tensor
@@ -50,11 +51,11 @@ class LookNumbers(NamedTuple):
 
 
 class LookHead(nn.Module):
-    """Splits a latent vector into the numbers of a look.
+    """Head that computes the outputs of the second look from a latent vector.
 
     Args:
-        orientation: From the latent vector to the orientation head's numbers.
-        small: From the latent vector to the other `SMALL_NUMBERS`.
+        orientation: Module from the latent vector to the orientation head's inputs.
+        small: Module from the latent vector to the other `SMALL_NUMBERS` outputs.
     """
 
     def __init__(self, orientation: nn.Module, small: nn.Module) -> None:
@@ -67,7 +68,7 @@ class LookHead(nn.Module):
 
 
 def split_numbers(numbers: Tensor) -> LookNumbers:
-    """Name the numbers ``(B, SMALL_NUMBERS + features)`` of `LookHead`."""
+    """Split the output ``(B, SMALL_NUMBERS + features)`` of `LookHead` into named parts."""
     return LookNumbers(
         orientation=numbers[:, SMALL_NUMBERS:],
         offset=numbers[:, :3],
@@ -77,7 +78,7 @@ def split_numbers(numbers: Tensor) -> LookNumbers:
 
 
 def offset_of(points: Tensor, view: VirtualCamera) -> Tensor:
-    """Return the offsets ``(B, 3)`` of points ``(B, 3)`` before a virtual camera, in its frame."""
+    """Return the offsets ``(B, 3)`` of points ``(B, 3)`` in a virtual camera's frame."""
     x, y, z = points.unbind(-1)
     pixels = view.focal * OFFSET_SCALE
     ratio = points.norm(dim=-1) / view.distance
@@ -88,9 +89,9 @@ def offset_of(points: Tensor, view: VirtualCamera) -> Tensor:
 
 
 def points_at(offset: Tensor, view: VirtualCamera) -> Tensor:
-    """Return the points ``(B, 3)`` in a virtual camera's frame for offsets; `offset_of`'s inverse.
+    """Return the points ``(B, 3)`` of offsets in a virtual camera's frame; inverts `offset_of`.
 
-    Offsets beyond `OFFSET_LIMIT` count as that: the object is out of the view.
+    Offsets are clamped to `OFFSET_LIMIT`, beyond which the object is out of view.
     """
     bounded = offset.clamp(-OFFSET_LIMIT, OFFSET_LIMIT)
     pixels = view.focal * OFFSET_SCALE
@@ -111,7 +112,7 @@ def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
     point = points_at(offset, view)
     distance = point.norm(dim=-1, keepdim=True)
     ray = point / distance  # (B, 3)
-    slope = distance * ray[:, 2:]  # metres a unit of x / z, before the ray is normalised again
+    slope = distance * ray[:, 2:]  # meters per unit of x / z, before the ray is normalized again
     pixels = (view.focal * OFFSET_SCALE)[:, None]
     columns = []
     for axis, side in enumerate((view.size[1], view.size[0])):
@@ -123,7 +124,7 @@ def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
 
 
 def rotation_vector(difference: Tensor) -> Tensor:
-    """Return rotation vectors ``(B, 3)``, radians, of unit quaternions ``(B, 4)``."""
+    """Convert unit quaternions ``(B, 4)`` to rotation vectors ``(B, 3)``, radians."""
     q = torch.where(difference[:, :1] < 0, -difference, difference)
     sine = q[:, 1:].norm(dim=-1, keepdim=True)
     angle = 2 * torch.atan2(sine, q[:, :1])
@@ -134,9 +135,9 @@ def covariances(numbers: LookNumbers, view: VirtualCamera, scales: Tensor) -> tu
     """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame.
 
     Args:
-        numbers: Of the look.
-        view: The virtual camera of the look.
-        scales: ``(2,)`` factors of the two variances, found on the validation split.
+        numbers: Outputs of the second look.
+        view: The virtual camera.
+        scales: Factors ``(2,)`` on the two variances, found by calibration.
     """
     variance = (2 * numbers.log_sigma).exp()  # (B, 6)
     back = view.rotation.transpose(1, 2)
@@ -147,5 +148,5 @@ def covariances(numbers: LookNumbers, view: VirtualCamera, scales: Tensor) -> tu
 
 
 def sigma_loss(log_sigma: Tensor, residual: Tensor) -> Tensor:
-    """Return the Gaussian negative log likelihood of residuals, the mean over the last axis."""
+    """Return the Gaussian negative log likelihood of residuals, averaged over the last axis."""
     return (0.5 * (residual * torch.exp(-log_sigma)).square() + log_sigma).mean(-1)

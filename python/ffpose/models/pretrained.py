@@ -1,9 +1,9 @@
 """Pretrained backbone weights: from timm's hub, from a file, or none.
 
-Weights that are asked for and cannot be had are an error, never random ones in their place: the
-same seed would give another network. Nothing here waits for long: the cache is looked at first,
-then the hub is asked for the file's header under a limit of seconds, and a download has a limit as
-well. ``HF_HUB_OFFLINE=1`` keeps to the cache.
+Requested weights that are not available raise an error; they are never replaced by random ones, as
+the same seed would then give another network. The cache is checked first, then the hub is asked for
+the file's header with a timeout of seconds; a download has a timeout as well.
+``HF_HUB_OFFLINE=1`` uses the cache alone.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ HUB_FILE = "model.safetensors"
 
 
 BackboneSource = Mapping[str, str] | Literal["none"]
-"""``name``, ``source`` and ``sha256`` of pretrained weights, or ``"none"``: random ones."""
+"""Source of weights: ``name``, ``source`` and ``sha256`` of pretrained ones, or ``"none"``."""
 
 
 def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -> BackboneSource:
-    """Fill a feature extractor with weights, in place.
+    """Load weights into a feature extractor, in place.
 
     Args:
-        features: The model, as `timm.create_model` gives it with ``features_only``.
-        name: timm's name of it.
+        features: Model from `timm.create_model` with ``features_only``.
+        name: timm's name of the model.
         weights: ``"auto"``, ``"none"`` or a file; see `ffpose.models.build_backbone`.
 
     Returns:
-        What the weights are now; ``source`` is the file's name, or the hub's of its repository.
+        The source of the weights; its ``source`` is the file's name or the hub's repository.
 
     Raises:
-        FileNotFoundError: There is no such file, or the pretrained weights cannot be had.
+        FileNotFoundError: The file does not exist, or the pretrained weights are not available.
         ffpose.DataError: The file does not hold this model's weights.
     """
     if weights == "none":
@@ -65,11 +65,11 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
 
 
 def read_state(path: Path) -> Mapping[str, Tensor]:
-    """Read a state dict from a safetensors file, or from one of `torch.save`, weights only.
+    """Read a state dict from a safetensors file or a file of `torch.save` (weights only).
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ffpose.DataError: It cannot be read, or holds something else.
+        FileNotFoundError: The file does not exist.
+        ffpose.DataError: The file cannot be read or holds something else.
     """
     if not path.is_file():
         raise FileNotFoundError(f"backbone weights: expected a file, got {path}")
@@ -87,10 +87,10 @@ def read_state(path: Path) -> Mapping[str, Tensor]:
 
 
 def find_pretrained(name: str) -> tuple[str, Path]:
-    """Return the hub's name of timm's pretrained weights and their file, downloaded if need be.
+    """Return the hub's name of timm's pretrained weights and their file, downloaded if necessary.
 
     Raises:
-        FileNotFoundError: They cannot be had; it says why, and what to type instead.
+        FileNotFoundError: They are not available; the message has the reason and alternatives.
     """
     config = require("timm", "pose").models.get_pretrained_cfg(name)
     if config is None or not config.hf_hub_id:
@@ -120,9 +120,9 @@ def _missing(name: str, reason: str) -> FileNotFoundError:
 
 
 def within(seconds: float, call: Callable[[], Any]) -> Any:
-    """Return what ``call`` does, or None if it fails or takes longer than that.
+    """Return the result of ``call``, or None if it fails or takes longer than ``seconds``.
 
-    A thread, because a name look-up heeds no timeout; one that hangs does not keep the process.
+    It runs in a daemon thread, because a DNS lookup has no timeout.
     """
     answers: list[Any] = []
 

@@ -1,17 +1,16 @@
-"""The second look: a virtual camera at the same place, turned to the object.
+"""Virtual camera: same position as the real camera, pointed at the object.
 
-A pinhole camera that only turns sees the same scene through the homography ``K_v R K^-1``:
-rotation, crop and scale in one, exact for every depth. Turned to the object, with a field of view
-that is a fixed number of metres at the object's distance, it shows a craft of one size in the
-middle of the image, whatever its place in the frame: what is left to learn is the attitude, and
-small corrections of the position. Poses go from camera to virtual camera and back by the rotation
-alone::
+A pure rotation of a pinhole camera transforms its image by the homography ``K_v R K^-1``: rotation,
+crop and scale in one, exact for every depth. The view of a virtual camera that is pointed at the
+object and covers a fixed number of meters at its distance shows the object centered and in the same
+size, wherever it is in the frame; only the attitude and small corrections of the position are left
+to learn. Poses are transformed between the two cameras by the rotation alone::
 
     t_v = R t,   R_v = R R_object
 
-The rotation `toward` is the least one that takes the optical axis to the viewing ray, so that
-attitudes seen through the virtual camera are the allocentric ones. All functions take batches, are
-differentiable, and consist of operators that export.
+The rotation `toward` is the smallest one that takes the boresight to the viewing ray, so that
+orientations in the virtual camera's frame are the allocentric ones. All functions take batches, are
+differentiable, and can be exported to ONNX.
 """
 
 from __future__ import annotations
@@ -25,22 +24,21 @@ from torch.nn import functional as F
 
 PYRAMID_LEVELS = 4
 SHARPNESS = 0.8
-"""Pixels of the chosen pyramid level a pixel of the virtual camera, at least."""
+"""Least number of pixels of the chosen pyramid level per pixel of the virtual camera."""
 
 LEAST_DEPTH = 1e-3
-"""Of a ray in the source camera; rays that point farther backwards see nothing."""
+"""Least depth of a ray in the source camera's frame; other rays see nothing."""
 
 FAR_OUTSIDE = -1e6
 
 
 class VirtualCamera(NamedTuple):
-    """Cameras turned to the objects of a batch.
+    """Virtual cameras pointed at the objects of a batch.
 
     Attributes:
-        rotation: ``(B, 3, 3)``, from the camera's frame to the virtual one's.
-        focal: ``(B,)`` focal length in pixels of the virtual image, whose center is the principal
-            point.
-        distance: ``(B,)`` metres to the point that was turned to.
+        rotation: ``(B, 3, 3)``, rotations from the camera frame to the virtual camera's frame.
+        focal: ``(B,)``, focal lengths in pixels; the principal point is the image's center.
+        distance: ``(B,)``, distances to the points that the cameras are pointed at, meters.
         size: ``(height, width)`` of the virtual image.
     """
 
@@ -50,18 +48,18 @@ class VirtualCamera(NamedTuple):
     size: tuple[int, int]
 
     def points(self, points: Tensor) -> Tensor:
-        """Take points ``(B, 3)`` from the camera's frame to the virtual one's."""
+        """Transform points ``(B, 3)`` from the camera frame to the virtual camera's frame."""
         return (self.rotation @ points[:, :, None])[..., 0]
 
     def points_back(self, points: Tensor) -> Tensor:
-        """Take points ``(B, 3)`` from the virtual camera's frame to the camera's."""
+        """Transform points ``(B, 3)`` from the virtual camera's frame to the camera frame."""
         return (self.rotation.transpose(1, 2) @ points[:, :, None])[..., 0]
 
 
 def toward(directions: Tensor) -> Tensor:
-    """Return the least rotations ``(B, 3, 3)`` that take the z axis to ``directions (B, 3)``.
+    """Return the smallest rotations ``(B, 3, 3)`` from the z axis to ``directions (B, 3)``.
 
-    The directions need not have length one, but must not point along -z.
+    The directions need not have unit length, but must not point along -z.
     """
     x, y, z = F.normalize(directions, dim=-1).unbind(-1)
     k = 1 / (1 + z)
@@ -79,14 +77,14 @@ def turned_about_axis(angles: Tensor) -> Tensor:
 def turn_to(
     points: Tensor, radius_m: float, size: tuple[int, int], twist: Tensor | None = None
 ) -> VirtualCamera:
-    """Turn a virtual camera to points of the camera's frame.
+    """Point virtual cameras at points of the camera frame.
 
     Args:
-        points: ``(B, 3)`` metres, not behind the camera.
-        radius_m: Metres at the point's distance from the middle of the image to its left edge.
-        size: ``(height, width)`` of the image in pixels.
-        twist: ``(B,)`` radians by which the scene is then turned about the viewing ray; None for
-            not at all.
+        points: ``(B, 3)``, meters, not behind the camera.
+        radius_m: Half the width of the view at the point's distance, meters.
+        size: ``(height, width)`` of the virtual image in pixels.
+        twist: ``(B,)``, angles in radians by which the scene is then rotated about the viewing ray;
+            None for no rotation.
     """
     distance = points.norm(dim=-1)
     rotation = toward(points).transpose(1, 2)
@@ -96,11 +94,11 @@ def turn_to(
 
 
 def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
-    """Return where the pixels of a virtual image lie in the image that it is taken from.
+    """Return the source image's coordinates of a virtual image's pixels.
 
     Args:
         view: The virtual cameras.
-        intrinsics: ``(B, 4)`` or ``(4,)``: fx, fy, cx, cy of the source image.
+        intrinsics: ``(B, 4)`` or ``(4,)``, fx, fy, cx, cy of the source image.
 
     Returns:
         ``(B, h, w, 2)`` continuous pixel coordinates (u, v); far outside for rays that the source
@@ -119,9 +117,9 @@ def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
 
 
 def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
-    """Return ``K R^T K_v^-1`` ``(B, 3, 3)``: from virtual pixels to those of the source image.
+    """Return the homographies ``K R^T K_v^-1`` ``(B, 3, 3)`` from virtual to source pixels.
 
-    Virtual pixels count from the middle of the image. The third coordinate of the result is the
+    Virtual pixels are relative to the image's center. The third coordinate of the result is the
     depth of a ray whose depth in the virtual camera is one.
     """
     intrinsics = intrinsics.to(view.focal.dtype).expand(view.focal.shape[0], 4)
@@ -142,7 +140,7 @@ def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:
 
 
 def joined(views: list[VirtualCamera]) -> VirtualCamera:
-    """Return the cameras of several batches as one batch, those of the first before the others'."""
+    """Concatenate the cameras of several batches."""
     return VirtualCamera(
         torch.cat([view.rotation for view in views]),
         torch.cat([view.focal for view in views]),
@@ -152,23 +150,22 @@ def joined(views: list[VirtualCamera]) -> VirtualCamera:
 
 
 def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:
-    """Return what virtual cameras see, ``(B, C, h, w)``.
+    """Render the images ``(B, C, h, w)`` of virtual cameras.
 
-    Each image of the batch is read from that level of its pyramid of 2 x 2 means whose pixels are
-    about as large as those of the virtual camera, so that distant and near objects are sampled
-    alike and nothing aliases.
+    Each image is sampled from the level of its pyramid of 2 x 2 means whose resolution is about
+    that of the virtual camera, which prevents aliasing for near objects.
 
     Args:
-        images: ``(B, C, H, W)``; what lies outside counts as zero.
+        images: ``(B, C, H, W)``, zero outside.
         view: The virtual cameras.
-        points: ``(B, 3)``, what they are turned to.
-        intrinsics: ``(4,)``: fx, fy, cx, cy of the images.
+        points: ``(B, 3)``, points that the cameras are pointed at.
+        intrinsics: ``(4,)``, fx, fy, cx, cy of the images.
     """
     return look_into(pyramid(images), view, points, intrinsics)
 
 
 def pyramid(images: Tensor) -> list[Tensor]:
-    """Return the levels of images ``(B, C, H, W)``, the finest first, each half the one before."""
+    """Return the pyramid levels of images ``(B, C, H, W)``, finest first, each half the size."""
     levels = [images]
     for _ in range(1, PYRAMID_LEVELS):
         levels.append(F.avg_pool2d(levels[-1], 2))
@@ -178,7 +175,7 @@ def pyramid(images: Tensor) -> list[Tensor]:
 def look_into(
     levels: list[Tensor], view: VirtualCamera, points: Tensor, intrinsics: Tensor
 ) -> Tensor:
-    """Return what `look` does, for the levels of a `pyramid`."""
+    """Render the images of virtual cameras as `look`, from the levels of a `pyramid`."""
     level = pyramid_level(view, points, intrinsics)
     pixels = source_pixels(view, intrinsics)
     result = sample(levels[0], pixels)
@@ -189,7 +186,7 @@ def look_into(
 
 
 def pyramid_level(view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:
-    """Return the level ``(B,)`` of the pyramid that suits a virtual camera, 0 the finest."""
+    """Return the pyramid level ``(B,)`` for each virtual camera, 0 the finest."""
     # Off the axis a pinhole image is larger by one over the cosine of the angle.
     oblique = view.distance / points[:, 2].clamp_min(LEAST_DEPTH)
     ratio = intrinsics[0] / view.focal * oblique / SHARPNESS

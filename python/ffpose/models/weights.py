@@ -1,10 +1,10 @@
-"""Weights on disk: a safetensors file that knows what it is, and its SHA-256 beside it.
+"""Weights files: safetensors with a descriptive header, and their SHA-256 in a file beside.
 
-The header holds what builds the network (architecture, config with the camera, preprocessing), how
-it was made (backbone, recipe, training data), the version of ffpose that wrote it and the version
-of this format. Reading trusts none of it: a file that is cut short, changed, newer than this code
-or of another architecture is refused with the reason. Format 1 said nothing of how the network was
-made, and still loads.
+The header holds what is needed to build the network (architecture, config with the camera,
+preprocessing), its provenance (backbone, recipe, training data), the version of ffpose that wrote
+it and the version of the format. Reading checks everything: a file that is truncated, altered,
+newer than this code or of another architecture is rejected with the reason. Format 1 has no
+provenance, and still loads.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ffpose.transforms import Preprocessing
 logger = logging.getLogger(__name__)
 
 FORMAT = 2
-"""Version of the header; one more whenever older code could not read it rightly."""
+"""Version of the header, incremented whenever older code could not read it correctly."""
 
 ARCHITECTURE = "FilterformerPose"
 
@@ -45,24 +45,23 @@ ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold")
 
 @dataclass(frozen=True)
 class WeightsMetadata:
-    """What a weights file says about itself; what it does not say is None.
+    """Header of a weights file; fields that it lacks are None.
 
     Attributes:
-        config: Builds the network; its ``camera`` is that of the network's input.
-        preprocessing: Turns an image into its input.
-        backbone_source: What the backbone's training began from: ``name``, ``source`` and
-            ``sha256`` of pretrained weights, or ``"none"``: random ones.
-        recipe: How the network was trained, as JSON can hold it: loss, optimiser, augmentation,
-            stages, seed, steps.
-        data: What it was trained on, as JSON can hold it: name, ``count``, ``digest``, and
-            ``image_size``, the ``[width, height]`` of the images before preprocessing.
-        in_view_threshold: An image whose probability that the object is in view lies below this is
-            flagged.
+        config: Configuration of the network; its ``camera`` is that of the network's input.
+        preprocessing: Conversion from image to network input.
+        backbone_source: Initial weights of the backbone: ``name``, ``source`` and ``sha256`` of
+            pretrained ones, or ``"none"`` for random ones.
+        recipe: Training configuration as a JSON document: loss, optimizer, augmentation, stages,
+            seed, steps.
+        data: Training data as a JSON document: name, ``count``, ``digest``, and ``image_size``, the
+            ``[width, height]`` of the images before preprocessing.
+        in_view_threshold: Images with a lower probability of the object being in view are flagged.
         architecture: Name of the network's class.
-        version: Of ffpose that wrote the file.
+        version: Version of ffpose that wrote the file.
 
     Raises:
-        ValueError: A threshold that is no probability, or an ``image_size`` that is none.
+        ValueError: ``in_view_threshold`` is not a probability, or ``image_size`` is invalid.
     """
 
     config: FilterformerPoseConfig
@@ -86,9 +85,9 @@ class WeightsMetadata:
 
     @property
     def camera(self) -> Camera | None:
-        """The camera of the images trained on; None where the config does not know it.
+        """Camera of the training images; None where the config has no camera.
 
-        Where ``data`` does not tell their size, they are taken to be of the network's input's.
+        Where ``data`` has no image size, it is that of the network's input.
         """
         view = self.config.view_camera
         if view is None:
@@ -98,21 +97,21 @@ class WeightsMetadata:
 
 
 def checksum_path(path: str | Path) -> Path:
-    """Return where the checksum of a weights file stands, in the form of ``sha256sum``."""
+    """Return the path of a weights file's checksum, which is in the format of ``sha256sum``."""
     return Path(f"{path}.sha256")
 
 
 def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: WeightsMetadata) -> None:
-    """Write a state dict and its checksum; a process that is killed leaves the old file or the new.
+    """Write a state dict and its checksum atomically.
 
     Args:
         path: The weights file; its folder must exist.
         state: Names and tensors, on any device.
-        metadata: Goes to the header.
+        metadata: Contents of the header.
 
     Raises:
-        TypeError: The metadata hold what JSON cannot.
-        ValueError: They hold a number that is not finite.
+        TypeError: The metadata cannot be represented in JSON.
+        ValueError: The metadata contain a number that is not finite.
     """
     header = _to_header(metadata)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
@@ -126,14 +125,15 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: Weigh
 
 
 def read_metadata(path: str | Path) -> WeightsMetadata:
-    """Read what a weights file says about itself, without its tensors.
+    """Read the header of a weights file, without its tensors.
 
     Args:
-        path: The file, or a name, as `ffpose.models.zoo.resolve` takes it.
+        path: The file, or a name, as in `ffpose.models.zoo.resolve`.
 
     Raises:
-        FileNotFoundError: There is no such file or name.
-        ffpose.DataError: It is truncated, no weights file of ffpose, or newer than this version.
+        FileNotFoundError: ``path`` is neither a file nor a name of shipped weights.
+        ffpose.DataError: The file is truncated, not a weights file of ffpose, or newer than this
+            version.
     """
     path = resolve(path)
     header = _read_header(path)
@@ -158,7 +158,7 @@ def read_metadata(path: str | Path) -> WeightsMetadata:
 
 
 def _to_header(metadata: WeightsMetadata) -> dict[str, str]:
-    """Return the header of format `FORMAT`, a string each, as safetensors wants it."""
+    """Return the header of format `FORMAT` as strings, as safetensors requires."""
     origin = {name: getattr(metadata, name) for name in ORIGIN}
     return {
         "format": str(FORMAT),
@@ -171,7 +171,7 @@ def _to_header(metadata: WeightsMetadata) -> dict[str, str]:
 
 
 def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
-    """Return what a header of a known format says; format 1 knows no origin."""
+    """Parse a header of a known format; format 1 has no provenance."""
     origin: dict[str, Any] = {}
     if header["format"] != "1":
         origin = {name: json.loads(header[name]) for name in ORIGIN}
@@ -189,18 +189,19 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
 
 
 def load_weights(path: str | Path, model: nn.Module, *, grow: bool = False) -> None:
-    """Fill a model with the tensors of a weights file, in place, after every check.
+    """Load the tensors of a weights file into a model, in place, after all checks.
 
     Args:
         path: The file.
         model: The network.
         grow: Whether the file may lack the extra blocks of a
-            `ffpose.models.compact_resnet.CompactResNet`, which then stay as they are: a new model
-            computes what the file's network computed.
+            `ffpose.models.compact_resnet.CompactResNet`, which then keep their values; a newly
+            initialized model then computes the same as the file's network.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ffpose.DataError: It is truncated or altered, or its tensors are not those of ``model``.
+        FileNotFoundError: The file does not exist.
+        ffpose.DataError: The file is truncated or altered, or its tensors are not those of
+            ``model``.
     """
     path = Path(path)
     _read_header(path)
@@ -226,7 +227,7 @@ def _read_header(path: Path) -> dict[str, str]:
 
 
 def _check_bytes(path: Path) -> None:
-    """Compare with the checksum; one that is missing is worth a line in the log."""
+    """Verify the checksum; a missing one is logged."""
     sidecar = checksum_path(path)
     if not sidecar.is_file():
         logger.warning("%s: not verified, there is no %s", path, sidecar.name)
@@ -244,7 +245,7 @@ def _check_bytes(path: Path) -> None:
 def _check_architecture(
     path: Path, state: Mapping[str, Tensor], expected: Mapping[str, Tensor]
 ) -> None:
-    """Refuse tensors that are not the model's: missing, unknown, or of another shape."""
+    """Check that the tensors are the model's: none missing, unknown, or of another shape."""
     differences = [
         *(f"{name} is missing" for name in expected.keys() - state.keys()),
         *(f"{name} is unknown" for name in state.keys() - expected.keys()),

@@ -1,4 +1,4 @@
-"""The weights that come with the package, by name."""
+"""Shipped weights, by name."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ from importlib import resources
 from pathlib import Path
 
 FOLDER = Path(str(resources.files("ffpose"))) / "weights"
-"""Holds ``NAME.safetensors``, and its checksum beside it."""
+"""Folder of the shipped weights, ``NAME.safetensors`` with their checksums."""
 
 
 def names() -> list[str]:
-    """Return the names of the weights that this installation holds, sorted."""
+    """Return the sorted names of the weights in this installation."""
     return sorted(path.stem for path in FOLDER.glob("*.safetensors"))
 
 
 def resolve(path_or_name: str | Path) -> Path:
-    """Return the file of weights; a file of that path goes before a name.
+    """Return the path of a weights file; an existing file has precedence over a name.
 
     Args:
-        path_or_name: A path, which is returned as it is, or one of `names`: a word without folder
-            and suffix.
+        path_or_name: A path, which is returned unchanged, or one of `names`, without folder and
+            suffix.
 
     Raises:
-        FileNotFoundError: Such a word that is neither a file nor a name; the text lists the names.
+        FileNotFoundError: A word without folder and suffix is neither a file nor a name; the
+            message lists the names.
     """
     path = Path(path_or_name)
     if path.is_file() or path.suffix or len(path.parts) != 1:

@@ -1,12 +1,12 @@
 """The filterformer: a transformer encoder with a spectral filter before each self-attention.
 
-Ye et al., Sensors 2023, 23, 8633, section 3.1 and Figure 4. A block is three residual sublayers:
-filter, multi-head attention, feed-forward. Two things the paper leaves open are read so:
+Ye et al., Sensors 2023, 23, 8633, section 3.1 and Figure 4. A block has three residual sublayers:
+filter, multi-head attention, feed-forward. Two details that the paper leaves open are chosen here:
 
-* Normalisation stands before each sublayer (``norm="pre"``), and once after the last block.
-  ``"post"`` is the original transformer's order.
-* A pose token, which joins the tokens to gather the answer, is kept out of the filter: it has no
-  place in the grid, and the number of tokens with it (197) is prime.
+* Normalization precedes each sublayer (``norm="pre"``) and follows the last block; ``"post"`` is
+  the order of the original transformer.
+* The pose token, which is added to the tokens to collect the result, bypasses the filter: it has no
+  position in the grid, and the number of tokens with it (197) is prime.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ def make_filter(
     """Build the filter for tokens ``(B, rows * columns, dim)``.
 
     Args:
-        kind: ``"tokens"``: the paper's equations, a DFT over tokens and channels. ``"grid"``: the
-            reading of GFNet, a DFT over rows and columns for each channel. ``"none"``: no filter,
-            which makes the network the paper's TransformerPose (Table 3).
-        grid: ``(rows, columns)``.
-        dim: Channels.
-        std: Of the filter's weight at the start.
+        kind: ``"tokens"``: the paper's equations, a DFT over tokens and channels. ``"grid"``: as in
+            GFNet, a DFT over rows and columns for each channel. ``"none"``: no filter, which makes
+            the network the paper's TransformerPose (Table 3).
+        grid: ``(rows, columns)`` of the feature map.
+        dim: Number of channels.
+        std: Standard deviation of the initial weight.
 
     Raises:
-        ValueError: An unknown kind.
+        ValueError: ``kind`` is unknown.
     """
     rows, columns = grid
     match kind:
@@ -58,17 +58,18 @@ def make_filter(
 
 
 class SelfAttention(nn.Module):
-    """Multi-head attention of tokens to themselves (Eq. 4-6).
+    """Multi-head self-attention (Eq. 4-6).
 
-    ``attention`` holds the parameters, starts them, and would give the same numbers. What it runs
-    in evaluation on CPUs writes all ``N x N`` scores to memory; ours goes through them in blocks.
-    So it does in training, unless it drops weights: torch has no kernel for that on CPUs, and both
-    then write all scores, which makes a step of ``base`` four times as long.
+    ``attention`` holds and initializes the parameters, and its forward would give the same result,
+    but in evaluation on CPUs that writes all ``N x N`` scores to memory. This forward uses
+    `scaled_dot_product_attention`, which processes the scores in blocks, in training as well; only
+    with dropout of attention weights torch has no such CPU kernel, and writing all scores makes a
+    step of ``base`` four times as long.
 
     Args:
-        dim: Channels.
+        dim: Number of channels.
         heads: Number of heads; divides ``dim``.
-        dropout: Of the attention weights.
+        dropout: Dropout rate of the attention weights.
     """
 
     def __init__(self, dim: int, heads: int, dropout: float) -> None:
@@ -88,12 +89,12 @@ class SelfAttention(nn.Module):
 
 
 class Residual(nn.Module):
-    """A sublayer with its skip connection, normalisation and dropout.
+    """A sublayer with skip connection, normalization and dropout.
 
     Args:
-        sublayer: Keeps the shape of its input.
-        dim: Channels.
-        dropout: Of the sublayer's result.
+        sublayer: Module whose output has the shape of its input.
+        dim: Number of channels.
+        dropout: Dropout rate of the sublayer's output.
         norm: ``"pre"``: ``x + f(norm(x))``; ``"post"``: ``norm(x + f(x))``.
     """
 
@@ -117,13 +118,13 @@ class FilterformerBlock(nn.Module):
     """One block: filter, multi-head attention, feed-forward.
 
     Args:
-        dim: Channels.
-        filter: Takes and gives ``(B, N, dim)``; None leaves the sublayer out.
-        heads: Attention heads.
+        dim: Number of channels.
+        filter: Module from ``(B, N, dim)`` to ``(B, N, dim)``; None omits the sublayer.
+        heads: Number of attention heads.
         hidden: Width of the feed-forward network.
-        dropout: Of each sublayer's result, the attention weights and the hidden layer.
-        norm: Where the sublayers normalise.
-        extra_tokens: How many tokens at the front pass the filter by.
+        dropout: Dropout rate of sublayer outputs, attention weights and hidden layer.
+        norm: Position of the normalization, ``"pre"`` or ``"post"``.
+        extra_tokens: Number of leading tokens that bypass the filter.
     """
 
     def __init__(
@@ -156,22 +157,22 @@ class FilterformerBlock(nn.Module):
 
 
 class Filterformer(nn.Module):
-    """The encoder: blocks of one kind, each with its own filter, and a last normalisation.
+    """The encoder: a stack of `FilterformerBlock` and a final normalization.
 
     Args:
         grid: ``(rows, columns)`` of the feature map that the tokens come from.
-        dim: Channels.
+        dim: Number of channels.
         depth: Number of blocks, N in the paper (Table 2).
         filter: ``"tokens"``, ``"grid"`` or ``"none"``, see `make_filter`.
-        filter_std: Of the filters' weights at the start.
-        heads: Attention heads; divides ``dim``.
+        filter_std: Standard deviation of the filters' initial weights.
+        heads: Number of attention heads; divides ``dim``.
         hidden: Width of the feed-forward networks.
-        dropout: See `FilterformerBlock`.
+        dropout: Dropout rate, as in `FilterformerBlock`.
         norm: ``"pre"`` or ``"post"``.
-        extra_tokens: How many tokens stand before those of the grid.
+        extra_tokens: Number of tokens before those of the grid.
 
     Raises:
-        ValueError: An unknown choice, or heads that do not divide ``dim``.
+        ValueError: ``filter`` or ``norm`` is unknown, or ``heads`` does not divide ``dim``.
     """
 
     def __init__(
@@ -215,7 +216,7 @@ class Filterformer(nn.Module):
         """Return ``(B, extra_tokens + rows * columns, dim)`` for an ``x`` of that shape.
 
         Raises:
-            ValueError: ``x`` has another shape.
+            ValueError: ``x`` is not ``(B, extra_tokens + rows * columns, dim)``.
         """
         if x.dim() != 3 or x.shape[1:] != (self.length, self.dim):
             raise ValueError(

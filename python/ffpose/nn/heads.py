@@ -1,8 +1,8 @@
-"""The regression head: a fixed multi-layer perceptron and one whose last layer is generated.
+"""Regression head: a static multi-layer perceptron plus one with a generated last layer.
 
-Ye et al., Sensors 2023, 23, 8633, section 3.1, name "a class hyper-network design" and leave its
-form open; the form here is that of the network it descends from (HyperPose): the weights of the
-last layer are computed from the very vector that is regressed, so that they adapt to each image.
+Ye et al., Sensors 2023, 23, 8633, section 3.1, mention "a class hyper-network design" without
+details; the form here is that of its predecessor HyperPose: the weights of the last layer are
+computed from the input vector itself, so that they adapt to each image.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from torch import Tensor, nn
 
 
 class HyperHead(nn.Module):
-    """Regresses a few numbers from a latent vector ``z``: ``static(z) + W(z) h + b(z)``.
+    """Regression from a latent vector ``z``: ``static(z) + W(z) h + b(z)``.
 
     ``static`` is ``dim -> hidden -> out_features``; ``h = swish(Linear(z))`` has ``mlp_dim``
-    entries; ``W(z)`` and ``b(z)`` come from a second perceptron of ``z``, whose last layer starts
-    at zero: the head begins as the static one, at its scale, and the generated part grows from
-    there.
+    entries; ``W(z)`` and ``b(z)`` come from a second perceptron of ``z``, whose last layer is
+    initialized to zero, so that at first only the static part contributes.
 
     Args:
-        dim: Entries of ``z``.
-        out_features: Entries of the result.
-        hidden: Width of the static perceptron.
-        mlp_dim: Width of the generated one: 128 for translation, 256 for orientation (Table 1).
+        dim: Size of ``z``.
+        out_features: Size of the output.
+        hidden: Hidden width of the static perceptron.
+        mlp_dim: Hidden width of the generated one: 128 for translation, 256 for orientation
+            (Table 1).
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class HyperHead(nn.Module):
 
     @property
     def bias(self) -> nn.Parameter:
-        """The static part's last bias ``(out_features,)``: about the result before training."""
+        """Last bias ``(out_features,)`` of the static part, about the output before training."""
         last = self.static[-1]
         assert isinstance(last, nn.Linear)
         return last.bias
@@ -50,7 +50,7 @@ class HyperHead(nn.Module):
         """Return ``(B, out_features)`` for ``z (B, dim)``.
 
         Raises:
-            ValueError: ``z`` has another shape.
+            ValueError: ``z`` is not ``(B, dim)``.
         """
         if z.dim() != 2 or z.shape[1] != self.dim:
             raise ValueError(f"z: expected shape (B, {self.dim}), got {tuple(z.shape)}")

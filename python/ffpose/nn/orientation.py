@@ -1,17 +1,17 @@
-"""Orientation heads: what the numbers that a network gives for an attitude mean.
+"""Orientation heads: representations of an attitude by the outputs of a network, and their losses.
 
-* ``"quaternion"``: four numbers, normalised (Ye et al., Sensors 2023, 23, 8633, Eq. 10).
-* ``"6d"``: two columns of the rotation matrix, made orthonormal by Gram and Schmidt; continuous
-  over all rotations, which four numbers cannot be (Zhou et al., "On the Continuity of Rotation
+* ``"quaternion"``: a normalized quaternion (Ye et al., Sensors 2023, 23, 8633, Eq. 10).
+* ``"6d"``: two columns of the rotation matrix, orthonormalized by Gram-Schmidt; continuous over all
+  rotations, which a quaternion cannot be (Zhou et al., "On the Continuity of Rotation
   Representations in Neural Networks", CVPR 2019).
 * ``"bins"``: logits over some thousand attitudes, trained with soft labels (soft classification;
   Proenca and Gao, "Deep Learning for Spacecraft Pose Estimation from Photorealistic Rendering",
-  ICRA 2020). A distribution can have several modes, as a symmetric craft seen in bad light asks
-  for. The attitudes are a super-Fibonacci spiral (Alexa, CVPR 2022). The logits are band-limited:
-  the network gives coefficients of the harmonics of SO(3) up to a degree, as Klee et al. ("Image to
-  Sphere", ICLR 2023) do, so that neighboring attitudes share what is learned and the head has a
-  twentieth of the weights. Decoded by the weighted mean of the quaternions near the mode (Markley
-  et al., "Averaging Quaternions", 2007).
+  ICRA 2020). The distribution can have several modes, as needed for a symmetric spacecraft in bad
+  light. The attitudes are a super-Fibonacci spiral (Alexa, CVPR 2022). The logits are band-limited:
+  the network predicts coefficients of the harmonics of SO(3) up to a degree, as in Klee et al.
+  ("Image to Sphere", ICLR 2023), so that neighboring attitudes share parameters and the head has a
+  twentieth of the weights. Decoding takes the weighted mean of the quaternions near the mode
+  (Markley et al., "Averaging Quaternions", 2007).
 
 Quaternions are Hamilton's, scalar first ``(w, x, y, z)``.
 """
@@ -29,35 +29,35 @@ from torch.nn import functional as F
 from ffpose.nn.quaternion import QuaternionActivation
 
 NEIGHBORHOOD_DEG = 40.0
-"""The mean is taken over bins within this angle of the mode."""
+"""Angle from the mode within which bins enter the mean, degrees."""
 
 POWER_SQUARINGS = 10
-"""Squarings of the averaged matrix: 2**10 power iterations leave its first eigenvector."""
+"""Number of squarings of the averaged matrix, equal to 2**10 power iterations."""
 
 
 class OrientationHead(Protocol):
-    """How the numbers of a head are trained and decoded.
+    """Interface of the orientation heads: decoding and loss of a head's outputs.
 
     Attributes:
-        features: How many numbers.
-        start: Numbers that decode to no rotation, about which training begins; None for any.
+        features: Number of outputs.
+        start: Outputs that decode to the identity, for the initial bias; None for any.
     """
 
     features: int
 
     @property
     def start(self) -> tuple[float, ...] | None:
-        """As the class says."""
+        """Outputs that decode to the identity, for the initial bias; None for any."""
 
     def decode(self, raw: Tensor) -> Tensor:
-        """Return unit quaternions ``(B, 4)`` for the head's numbers ``(B, features)``."""
+        """Return unit quaternions ``(B, 4)`` for the head's outputs ``(B, features)``."""
 
     def loss(self, raw: Tensor, q: Tensor) -> Tensor:
         """Return the loss of each sample ``(B,)`` against unit quaternions ``q (B, 4)``."""
 
 
 class QuaternionHead(nn.Module):
-    """Four numbers, normalised; trained on the distance to the nearer of q and -q."""
+    """Normalized quaternion; the loss is the distance to the nearer of q and -q."""
 
     features = 4
     start = (1.0, 0.0, 0.0, 0.0)
@@ -78,7 +78,7 @@ class QuaternionHead(nn.Module):
 
 
 class SixNumbersHead(nn.Module):
-    """Two columns of the rotation matrix; trained on the chordal distance of the matrices."""
+    """Two columns of the rotation matrix; the loss is the chordal distance of the matrices."""
 
     features = 6
     start = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
@@ -94,15 +94,16 @@ class SixNumbersHead(nn.Module):
 
 
 class BinsHead(nn.Module):
-    """Band-limited logits over attitudes that are spread evenly over SO(3).
+    """Band-limited logits over attitudes spread evenly over SO(3).
 
     Args:
-        bins: How many attitudes; 8,000 are 9 degrees apart.
-        degree: Of the harmonics: ``(degree + 1)(2 degree + 1)(2 degree + 3) / 3`` coefficients.
+        bins: Number of attitudes; 8,000 are 9 degrees apart.
+        degree: Largest degree of the harmonics, which have ``(degree + 1)(2 degree + 1)(2 degree +
+            3) / 3`` coefficients.
         width_deg: Standard deviation of the soft labels, degrees.
 
     Raises:
-        ValueError: Fewer attitudes than coefficients.
+        ValueError: There are fewer attitudes than coefficients.
     """
 
     start = None
@@ -143,12 +144,13 @@ class BinsHead(nn.Module):
 def mean_quaternion(matrix: Tensor, start: Tensor) -> Tensor:
     """Return the mean ``(B, 4)`` of quaternions whose weighted sum of ``q qT`` is ``matrix``.
 
-    It is the first eigenvector (Markley et al., "Averaging Quaternions", 2007), found by power
-    iteration, which exports.
+    It is the principal eigenvector (Markley et al., "Averaging Quaternions", 2007), computed by
+    power iteration, which can be exported to ONNX.
 
     Args:
         matrix: ``(B, 4, 4)``.
-        start: ``(B, 4)``, such as one of the quaternions; not orthogonal to the mean.
+        start: ``(B, 4)``, initial vectors that are not orthogonal to the mean, such as one of the
+            quaternions.
     """
     matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
     for _ in range(POWER_SQUARINGS):
@@ -175,8 +177,8 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
     """Return an orthonormal basis of the functions on SO(3) up to a degree, sampled at ``q``.
 
     Even polynomials of the quaternion of degree ``2 degree`` span the same functions as Wigner's D
-    matrices up to ``degree``. The basis is orthonormal in the mean over ``q (N, 4)``; its signs are
-    fixed, so that it is the same on every machine but for rounding.
+    matrices up to ``degree``. The basis is orthonormal in the mean over ``q (N, 4)``. Its signs are
+    fixed, so it is the same on every machine up to rounding.
 
     Returns:
         ``(N, (degree + 1)(2 degree + 1)(2 degree + 3) / 3)``, float64.
@@ -210,7 +212,7 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
 
 
 def orthonormalized(raw: Tensor) -> Tensor:
-    """Return rotation matrices ``(B, 3, 3)`` whose first columns come from ``raw (B, 6)``."""
+    """Orthonormalize two columns ``raw (B, 6)`` to rotation matrices ``(B, 3, 3)``."""
     first = F.normalize(raw[:, :3], dim=-1)
     second = raw[:, 3:] - (first * raw[:, 3:]).sum(-1, keepdim=True) * first
     second = F.normalize(second, dim=-1)
@@ -231,8 +233,8 @@ def quaternion_to_matrix(q: Tensor) -> Tensor:
 def matrix_to_quaternion(matrix: Tensor) -> Tensor:
     """Return unit quaternions ``(B, 4)`` of rotation matrices ``(B, 3, 3)``, of either sign.
 
-    Of the four expressions that give the quaternion times one of its own entries, the one with the
-    largest entry is taken for each matrix: none divides by a small number.
+    Of the four expressions for the quaternion times one of its own entries, the one with the
+    largest entry is used for each matrix, so that no division is by a small number.
     """
     m = matrix
     xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]

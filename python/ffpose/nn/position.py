@@ -1,7 +1,7 @@
-"""Position codes for the tokens of a grid: half of the channels tell the row, half the column.
+"""Position encodings for the tokens of a grid: half of the channels for the row, half the column.
 
-A token's code is the concatenation of its row's and its column's, as in DETR and in the multi-scene
-transformer that the paper builds on (reference 36).
+A token's encoding is the concatenation of those of its row and its column, as in DETR and in the
+multi-scene transformer that the paper builds on (reference 36).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ LONGEST_WAVE = 10_000.0  # Vaswani et al., 2017, section 3.5
 
 
 class PositionCode(nn.Module):
-    """Adds a code of the place to each token of a grid.
+    """Position encoding, added to each token of a grid.
 
     Args:
         grid: ``(rows, columns)``.
-        dim: Channels of a token; divisible by 2 when learned, by 4 when sinusoidal.
+        dim: Number of channels; divisible by 2 if learned, by 4 if sinusoidal.
         kind: ``"learned"`` or ``"sinusoidal"``.
 
     Raises:
-        ValueError: An unknown kind, or channels that cannot be divided.
+        ValueError: ``kind`` is unknown, or ``dim`` is not divisible as above.
     """
 
     rows: Tensor
@@ -48,10 +48,10 @@ class PositionCode(nn.Module):
                 self.register_buffer(name, sinusoids(length, dim // 2), persistent=False)
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Return ``tokens (B, rows * columns, dim)`` with the code added.
+        """Return ``tokens (B, rows * columns, dim)`` with the encoding added.
 
         Raises:
-            ValueError: ``tokens`` has another shape.
+            ValueError: ``tokens`` is not ``(B, rows * columns, dim)``.
         """
         rows, columns = self.grid
         if tokens.dim() != 3 or tokens.shape[1:] != (rows * columns, self.dim):
@@ -69,12 +69,12 @@ class PositionCode(nn.Module):
         return tokens + code.flatten(0, 1)
 
     def extra_repr(self) -> str:
-        """Return what ``print`` shows between the parentheses."""
+        """Return the arguments shown in the representation."""
         return f"{self.grid}, {self.dim}, kind={self.kind!r}"
 
 
 def sinusoids(length: int, dim: int) -> Tensor:
-    """Return the sine and cosine code of the places 0 ... length - 1, ``(length, dim)``.
+    """Return the sinusoidal encoding ``(length, dim)`` of the positions 0 ... length - 1.
 
     Vaswani et al., "Attention Is All You Need", 2017, section 3.5; all sines first, then the
     cosines.

@@ -1,4 +1,4 @@
-"""The quaternion activation: four numbers to a rotation."""
+"""Quaternion activation: normalization of four outputs to a unit quaternion."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from ffpose.ops import normalize_quaternion
 
 
 class QuaternionActivation(nn.Module):
-    """Divides by the norm, by the Rust operator (Ye et al., Sensors 2023, 23, 8633, Eq. 8).
+    """Normalization of quaternions (Ye et al., Sensors 2023, 23, 8633, Eq. 8).
 
-    A zero vector has no direction. In training mode it is an error, since something went wrong
-    before. In evaluation mode, which is what gets deployed, it becomes the identity ``(1, 0, 0,
-    0)``: whoever steers by the answer gets a unit quaternion. NaN stays NaN in both.
+    A zero vector has no direction. In training mode it raises an error. In evaluation mode it gives
+    the identity ``(1, 0, 0, 0)``, so that a deployed network always returns a unit quaternion. NaN
+    propagates in both modes.
     """
 
     def forward(self, q: Tensor) -> Tensor:
@@ -21,7 +21,7 @@ class QuaternionActivation(nn.Module):
 
         Raises:
             ValueError: The last dimension is not 4, or a row is zero in training mode.
-            TypeError: A dtype that is not floating point.
+            TypeError: The dtype of ``q`` is not floating point.
         """
         if not self.training:
             is_zero = (q == 0).all(dim=-1, keepdim=True)

@@ -1,15 +1,15 @@
-"""A filter's weight for another size: the same kernel in space, on images of another period.
+"""Resampling a filter's weight for another size, keeping its spatial kernel.
 
-A weight on ``n`` points is the response of a kernel of ``n`` taps at the frequencies ``k / n``.
-Taken about its origin, from ``-n/2`` to ``n/2``, the kernel has a response at every frequency, and
-the weight for ``m`` points is this response at ``k / m``. GFNet's paper (Rao et al., 2021) reads
-its filters so, as samples of a continuous response; its code interpolates bilinearly between the
-samples, which changes the kernel. Here it is kept to the last tap:
+A weight for ``n`` points is the frequency response of a kernel of ``n`` taps at the frequencies
+``k / n``. With its taps centered on the origin, from ``-n/2`` to ``n/2``, the kernel has a response
+at every frequency; the weight for ``m`` points is this response at ``k / m``. GFNet's paper (Rao et
+al., 2021) also describes its filters as samples of a continuous response, but its code interpolates
+bilinearly between the samples, which changes the kernel. Here the kernel is exact:
 
-- resized, the filter does to an image what the kernel does to that image repeated without end;
-- where ``m >= n`` no tap changes, and up and down again is where it began;
-- where ``m < n`` taps ``m`` points apart fall together: nothing is cut off, and so the gain at
-  frequency zero is kept.
+- the resized filter equals the convolution of the periodically continued image with the kernel;
+- for ``m >= n`` no tap changes, and resizing back gives the original weight;
+- for ``m < n`` taps that are ``m`` points apart are added: nothing is cut off, and the gain at DC
+  is preserved.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from ffpose.ops import Layout, spectral_filter
 def resample_weight(
     weight: Tensor, size: Sequence[int], plane: Sequence[int], layout: Layout
 ) -> Tensor:
-    """Return the weight of the same filter on planes of another size.
+    """Resample the weight of a filter for planes of another size.
 
     Args:
         weight: ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``, float32 or float64.
-        size: What it is for: ``(X, Y)`` or ``(H, W, C)``.
-        plane: Rows and columns to be: ``(X', Y')`` or ``(H', W')``.
+        size: Current size, ``(X, Y)`` or ``(H, W, C)``.
+        plane: New rows and columns, ``(X', Y')`` or ``(H', W')``.
         layout: ``"tokens"`` or ``"grid"``.
 
     Returns:
-        ``(X', Y'//2+1, 2)`` or ``(H', W'//2+1, C, 2)``, of the dtype and device of ``weight``,
-        computed in float64. In the columns of frequency zero and Nyquist only the Hermitian part
-        of ``weight`` acts, and only that is taken over.
+        ``(X', Y'//2+1, 2)`` or ``(H', W'//2+1, C, 2)``, with the dtype and device of ``weight``,
+        computed in float64. In the DC and Nyquist columns only the Hermitian part of ``weight`` has
+        an effect, and only that part is kept.
     """
     with torch.no_grad():
         impulse = weight.new_zeros(tuple(size), dtype=torch.float64)
@@ -48,9 +48,9 @@ def resample_weight(
 
 
 def _wrap(kernel: Tensor, dim: int, length: int) -> Tensor:
-    """Lay a kernel of one period about the origin of a circle of ``length`` points.
+    """Wrap a kernel of one period, centered on the origin, to a period of ``length`` points.
 
-    The last tap of an even period is as far before the origin as behind it: half goes to each.
+    For an even period the tap at half the period is split equally between both sides.
     """
     period = kernel.shape[dim]
     half = period // 2

@@ -1,7 +1,7 @@
 """Learnable spectral filters: `SpectralFilter`, `SequenceFilter`, and GFNet's `GlobalFilter`.
 
-All compute ``irfft2(rfft2(x) * W)`` by `ffpose.ops.spectral_filter`. GFNet and FMLP-Rec transform
-with ``norm="ortho"``; the norms of the two transforms cancel, so their weights mean the same here.
+All compute ``irfft2(rfft2(x) * W)`` with `ffpose.ops.spectral_filter`. GFNet and FMLP-Rec use
+``norm="ortho"``; the norms of the two transforms cancel, so their weights can be used unchanged.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ INIT_STD = 0.02
 
 
 class SpectralFilter(nn.Module):
-    """Multiplies the half spectrum of its input with a learned weight; keeps shape and dtype.
+    """Learnable filter: multiplies the half spectrum of its input by a weight.
 
     The paper's filter layer (Ye et al., Sensors 2023, 23, 8633, Eq. 1-3) is layout ``"tokens"``.
 
-    The weight starts as small Gaussian noise rather than as ones: within ``x + filter(norm(x))`` a
-    filter near zero leaves a new block near the identity, while ones would double the stream in
-    every block.
+    The weight is initialized to small Gaussian noise rather than ones: with ``x + filter(norm(x))``
+    a filter near zero makes a new block close to the identity, while ones would double the
+    residual stream in every block.
 
     Args:
         size: ``(X, Y)`` in layout ``"tokens"``; ``(H, W, C)`` in layout ``"grid"``.
         layout: ``"tokens"`` or ``"grid"``.
-        std: Standard deviation of real and imaginary part at the start.
-        device: Of the parameter.
-        dtype: Of the parameter: float32, float64 or half precision. Half precision input takes a
-            float32 weight too, as under autocast.
+        std: Standard deviation of the real and imaginary parts at initialization.
+        device: Device of the parameter.
+        dtype: Dtype of the parameter: float32, float64 or half precision. Half precision input
+            takes a float32 weight too, as under autocast.
 
     Attributes:
         weight: Real parameter ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``.
 
     Raises:
-        ValueError: An unknown layout, a wrong number of sizes, or a size below one.
-        TypeError: Another dtype.
+        ValueError: ``layout`` is unknown, or ``size`` has the wrong length or an entry below one.
+        TypeError: ``dtype`` is not one of those above.
 
     Example:
         >>> filter = SpectralFilter((14, 14, 256), layout="grid")
@@ -68,7 +68,7 @@ class SpectralFilter(nn.Module):
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        """Draw the weight anew."""
+        """Reinitialize the weight."""
         nn.init.normal_(self.weight, std=self.std)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -76,7 +76,7 @@ class SpectralFilter(nn.Module):
 
         Raises:
             ValueError: The last dimensions are not ``size``, or the device is not the weight's.
-            TypeError: The dtype does not go with the weight's.
+            TypeError: The dtype of ``x`` does not match the weight's.
         """
         if tuple(x.shape[-len(self.size) :]) != self.size:
             sizes = ", ".join(map(str, self.size))
@@ -84,17 +84,16 @@ class SpectralFilter(nn.Module):
         return spectral_filter(x, self.weight, self.layout)
 
     def resized(self, size: Sequence[int]) -> SpectralFilter:
-        """Return a new filter that acts as this one at another size (`ffpose.nn.resampling`).
+        """Return a new filter with the same kernel for another size (`ffpose.nn.resampling`).
 
         Args:
-            size: As the class takes it; the channels of layout ``"grid"`` stay as they are.
+            size: The new size; layout ``"grid"`` must keep its number of channels.
 
         Returns:
-            A filter with a parameter of its own, whose dtype, device and ``requires_grad`` are
-            this one's.
+            A filter with a new parameter of the same dtype, device and ``requires_grad``.
 
         Raises:
-            ValueError: A wrong number of sizes, a size below one, or other channels.
+            ValueError: ``size`` has the wrong length, an entry below one, or other channels.
         """
         size = _as_tuple(size)
         if len(size) != len(self.size) or min(size) < 1 or size[2:] != self.size[2:]:
@@ -106,30 +105,31 @@ class SpectralFilter(nn.Module):
         return twin.train(self.training)
 
     def extra_repr(self) -> str:
-        """Return what ``print`` shows between the parentheses."""
+        """Return the arguments shown in the representation."""
         return f"{self.size}, layout={self.layout!r}"
 
 
 class SequenceFilter(nn.Module):
-    """Filters along the tokens of a sequence, each channel with a learned half spectrum of its own.
+    """Learnable filter along the tokens of a sequence, with a half spectrum for each channel.
 
-    The filter layer of FMLP-Rec (Zhou et al., "Filter-enhanced MLP is All You Need for Sequential
-    Recommendation", 2022) and of many time-series models. It is layout ``"grid"`` with one row.
+    This is the filter layer of FMLP-Rec (Zhou et al., "Filter-enhanced MLP is All You Need for
+    Sequential Recommendation", 2022) and of many time-series models. It is layout ``"grid"`` with
+    one row.
 
     Args:
-        length: Tokens L of a sequence.
-        dim: Channels C.
-        std: Standard deviation of real and imaginary part at the start.
-        device: Of the parameter.
-        dtype: Of the parameter: float32, float64 or half precision. Half precision input takes a
-            float32 weight too.
+        length: Number of tokens L.
+        dim: Number of channels C.
+        std: Standard deviation of the real and imaginary parts at initialization.
+        device: Device of the parameter.
+        dtype: Dtype of the parameter: float32, float64 or half precision. Half precision input
+            takes a float32 weight too.
 
     Attributes:
         weight: Real parameter ``(L//2+1, C, 2)``.
 
     Raises:
-        ValueError: A size below one.
-        TypeError: Another dtype.
+        ValueError: ``length`` or ``dim`` is below one.
+        TypeError: ``dtype`` is not one of those above.
 
     Example:
         >>> filter = SequenceFilter(50, 64)
@@ -156,7 +156,7 @@ class SequenceFilter(nn.Module):
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        """Draw the weight anew."""
+        """Reinitialize the weight."""
         nn.init.normal_(self.weight, std=self.std)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -164,7 +164,7 @@ class SequenceFilter(nn.Module):
 
         Raises:
             ValueError: The last dimensions are not ``(L, C)``, or the device is not the weight's.
-            TypeError: The dtype does not go with the weight's.
+            TypeError: The dtype of ``x`` does not match the weight's.
         """
         if tuple(x.shape[-2:]) != (self.length, self.dim):
             raise ValueError(
@@ -173,14 +173,13 @@ class SequenceFilter(nn.Module):
         return spectral_filter(x.unsqueeze(-3), self.weight.unsqueeze(0), "grid").squeeze(-3)
 
     def resized(self, length: int) -> SequenceFilter:
-        """Return a new filter that acts as this one at another length (`ffpose.nn.resampling`).
+        """Return a new filter with the same kernel for another length (`ffpose.nn.resampling`).
 
         Returns:
-            A filter with a parameter of its own, whose dtype, device and ``requires_grad`` are
-            this one's.
+            A filter with a new parameter of the same dtype, device and ``requires_grad``.
 
         Raises:
-            ValueError: A length below one.
+            ValueError: ``length`` is below one.
         """
         if length < 1:
             raise ValueError(f"length: expected at least 1, got {length}")
@@ -191,27 +190,27 @@ class SequenceFilter(nn.Module):
         return twin.train(self.training)
 
     def extra_repr(self) -> str:
-        """Return what ``print`` shows between the parentheses."""
+        """Return the arguments shown in the representation."""
         return f"{self.length}, {self.dim}"
 
 
 class GlobalFilter(nn.Module):
-    """Replaces GFNet's class of this name: same arguments, parameter name, forward and numbers.
+    """Drop-in replacement for GFNet's `GlobalFilter`: same arguments, parameter name and forward.
 
-    Rao et al., "Global Filter Networks for Image Classification", 2021. The original turns every
-    input into float32; here the result has the input's dtype. Half precision takes the float32
-    weight too, as under autocast; float64 takes a float64 weight (``filter.double()``).
+    Rao et al., "Global Filter Networks for Image Classification", 2021. The original casts every
+    input to float32; here the output has the input's dtype. Half precision input works with the
+    float32 weight, as under autocast; float64 input needs a float64 weight (``filter.double()``).
 
     Args:
-        dim: Channels C.
-        h: Rows of the grid.
-        w: Columns of its half spectrum, ``columns // 2 + 1``.
+        dim: Number of channels C.
+        h: Number of rows of the grid.
+        w: Number of columns of the half spectrum, ``columns // 2 + 1``.
 
     Attributes:
         complex_weight: Real parameter ``(h, w, dim, 2)``.
 
     Raises:
-        ValueError: An argument below one.
+        ValueError: An argument is below one.
     """
 
     def __init__(self, dim: int, h: int = 14, w: int = 8) -> None:
@@ -223,11 +222,11 @@ class GlobalFilter(nn.Module):
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        """Draw the weight anew."""
+        """Reinitialize the weight."""
         nn.init.normal_(self.complex_weight, std=INIT_STD)
 
     def forward(self, x: Tensor, spatial_size: tuple[int, int] | None = None) -> Tensor:
-        """Filter ``x (B, N, C)``, whose tokens are the rows of a grid one after the other.
+        """Filter ``x (B, N, C)``, whose tokens are a grid in row-major order.
 
         Args:
             x: ``(B, N, C)`` with ``C = dim``.
@@ -238,7 +237,7 @@ class GlobalFilter(nn.Module):
 
         Raises:
             ValueError: The grid does not fit the weight, or ``x`` does not fit the grid.
-            TypeError: The dtype does not go with the weight's.
+            TypeError: The dtype of ``x`` does not match the weight's.
         """
         rows, columns = self._grid(spatial_size)
         if x.dim() != 3 or x.shape[1:] != (rows * columns, self.dim):
@@ -252,19 +251,20 @@ class GlobalFilter(nn.Module):
     def resized(
         self, size: tuple[int, int], spatial_size: tuple[int, int] | None = None
     ) -> GlobalFilter:
-        """Return a new filter that acts as this one on another grid (`ffpose.nn.resampling`).
+        """Return a new filter with the same kernel for another grid (`ffpose.nn.resampling`).
 
         Args:
-            size: ``(rows, columns)`` of the grid to be.
-            spatial_size: ``(rows, columns)`` of the grid that this filter is for; a square when
-                None, as in `forward`. The weight alone does not tell even from odd columns.
+            size: ``(rows, columns)`` of the new grid.
+            spatial_size: ``(rows, columns)`` of this filter's grid; a square when None, as in
+                `forward`. It cannot be inferred, as even and odd columns have equal weight shapes.
 
         Returns:
-            A filter with a parameter of its own, whose dtype, device and ``requires_grad`` are
-            this one's. Where its grid is not square, its `forward` wants ``spatial_size``.
+            A filter with a new parameter of the same dtype, device and ``requires_grad``. If the
+            new grid is not square, its `forward` needs ``spatial_size``.
 
         Raises:
-            ValueError: A size below one, or a ``spatial_size`` that does not fit the weight.
+            ValueError: An entry of ``size`` is below one, or ``spatial_size`` does not match the
+                weight.
         """
         rows, columns = self._grid(spatial_size)
         size_to_be = _as_tuple(size)
@@ -278,7 +278,7 @@ class GlobalFilter(nn.Module):
         return twin.train(self.training)
 
     def _grid(self, spatial_size: tuple[int, int] | None) -> tuple[int, int]:
-        """Return rows and columns of the grid, a square when None, if the weight is for it."""
+        """Return rows and columns of the grid, a square when None, checked against the weight."""
         size = (self.h, self.h) if spatial_size is None else _as_tuple(spatial_size)
         if len(size) != 2:
             raise ValueError(f"spatial_size: expected (rows, columns), got {spatial_size}")
@@ -291,19 +291,19 @@ class GlobalFilter(nn.Module):
         return rows, columns
 
     def extra_repr(self) -> str:
-        """Return what ``print`` shows between the parentheses."""
+        """Return the arguments shown in the representation."""
         return f"{self.dim}, h={self.h}, w={self.w}"
 
 
 def _as_tuple(size: Sequence[int] | int) -> tuple[int, ...]:
-    """Return ``size`` as a tuple; of one number that of one, so that a wrong count is seen."""
+    """Return ``size`` as a tuple; a single number gives length one, which is rejected later."""
     return (size,) if isinstance(size, int) else tuple(size)
 
 
 def _new_parameter(
     shape: Sequence[int], device: torch.device | str | None, dtype: torch.dtype | None
 ) -> nn.Parameter:
-    """Return a parameter without values, of a dtype that the filter takes."""
+    """Return an uninitialized parameter, of a dtype that the filter supports."""
     data = torch.empty(shape, device=device, dtype=dtype)
     check_tensor("dtype", data)
     return nn.Parameter(data)

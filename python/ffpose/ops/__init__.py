@@ -1,10 +1,10 @@
 """Operators on torch tensors, computed by the Rust core on the CPU and by torch.fft elsewhere.
 
 Importing this module registers ``torch.ops.ffpose.spectral_filter``, ``normalize_quaternion`` and
-the backward of each. The functions below are the same operators with less overhead where nothing
-asks for a gradient or a graph; all are differentiable twice.
+the backward of each. The functions below are the same operators, with less overhead where neither a
+gradient nor a graph is needed; all are differentiable twice.
 
-A program that `torch.export` or AOTInductor saved knows the operators by name only: import this
+A program saved by `torch.export` or AOTInductor refers to the operators by name only: import this
 module before loading it.
 """
 

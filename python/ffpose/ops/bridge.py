@@ -1,4 +1,4 @@
-"""Between torch tensors and the NumPy arrays of the Rust core."""
+"""Conversion between torch tensors and NumPy arrays of the Rust core, and checks of tensors."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ DTYPES = (torch.float32, torch.float64, *HALF_DTYPES)
 
 
 def arithmetic_dtype(dtype: torch.dtype) -> torch.dtype:
-    """Return the dtype that is computed in: float32 for half precision, else ``dtype`` itself."""
+    """Return the dtype of the arithmetic: float32 for half precision, else ``dtype`` itself."""
     return torch.float32 if dtype in HALF_DTYPES else dtype
 
 
 def check_tensor(name: str, tensor: object) -> None:
-    """Refuse what is no real floating-point tensor.
+    """Check that an argument is a real floating-point tensor.
 
     Raises:
-        TypeError: Not a tensor, or of a dtype outside `DTYPES`.
+        TypeError: ``tensor`` is not a tensor, or its dtype is not in `DTYPES`.
     """
     if not isinstance(tensor, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
@@ -36,11 +36,11 @@ def check_tensor(name: str, tensor: object) -> None:
 
 
 def check_alike(name: str, tensor: Tensor, like_name: str, like: Tensor) -> None:
-    """Refuse a tensor whose shape, dtype or device is not another's.
+    """Check that a tensor has the shape, dtype and device of another.
 
     Raises:
         ValueError: Shape or device differ.
-        TypeError: The dtype differs, or it is no tensor.
+        TypeError: The dtype differs, or ``tensor`` is not a tensor.
     """
     check_tensor(name, tensor)
     if tensor.dtype != like.dtype:
@@ -57,12 +57,12 @@ def check_alike(name: str, tensor: Tensor, like_name: str, like: Tensor) -> None
 
 
 def is_plain(*tensors: Tensor) -> bool:
-    """Whether Rust may be called at once: the dispatcher costs more than a small call.
+    """Return whether Rust may be called directly, as the dispatcher costs more than a small call.
 
-    Not so for what is not simply numbers in the CPU's memory (no tensor, of a subclass, fake,
-    batched by vmap, tracked by `torch.func`), nor while someone else records what happens:
-    ``torch.compile`` and ``torch.export``, ``torch.jit.trace``, forward-mode derivatives, a
-    dispatch mode. Whether a gradient is asked for is another question.
+    False for anything but ordinary CPU tensors (tensor subclasses, fake tensors, tensors batched by
+    vmap or tracked by `torch.func`), and while operators are being recorded: by ``torch.compile``,
+    ``torch.export``, ``torch.jit.trace``, forward-mode differentiation or a dispatch mode. Whether
+    a gradient is required is not considered.
     """
     if is_compiling() or _dispatch_modes() or _tracing_state() or forward_ad._current_level >= 0:
         return False
@@ -73,17 +73,17 @@ def is_plain(*tensors: Tensor) -> bool:
 
 
 def is_recording() -> bool:
-    """Whether a graph of operators is recorded: torch.compile, torch.export, torch.jit.trace."""
+    """Return whether torch.compile, torch.export or torch.jit.trace is recording a graph."""
     return bool(is_compiling() or _tracing_state())
 
 
 def transforms_at_work() -> bool:
-    """Whether `torch.func` is at work, which records by rules of its own."""
+    """Return whether a transform of `torch.func` is active, which records in its own way."""
     return torch._C._are_functorch_transforms_active()
 
 
 def _plain_keys() -> frozenset[int]:
-    """Return the dispatch keys of CPU tensors that nothing else has a hand in."""
+    """Return the dispatch keys of ordinary CPU tensors, outside and inside inference mode."""
     tensor = torch.empty(0, device="cpu")
     with torch.inference_mode():
         of_inference = torch.empty(0, device="cpu")
@@ -98,25 +98,25 @@ _PLAIN_TYPES = frozenset((Tensor, Parameter))
 
 
 def to_array(tensor: Tensor) -> NDArray[Any]:
-    """Return a C-contiguous array of the arithmetic dtype; a copy only where it must be."""
+    """Return a C-contiguous array of the arithmetic dtype, copied only if necessary."""
     if tensor.dtype in HALF_DTYPES:
         tensor = tensor.float()
     return tensor.contiguous().numpy(force=True)
 
 
 def to_tensor(array: NDArray[Any], dtype: torch.dtype) -> Tensor:
-    """Return a tensor of ``dtype``; shares memory where that is the array's own."""
+    """Return a tensor of ``dtype``, which shares the array's memory if the dtypes are equal."""
     tensor = torch.from_numpy(array)
     return tensor.to(dtype) if dtype in HALF_DTYPES else tensor
 
 
 def below_autograd() -> AbstractContextManager[None]:
-    """Within it operators go to their device's kernel, past the one that records for autograd."""
+    """Return a context in which operators skip autograd and dispatch to the device's kernel."""
     return cast("AbstractContextManager[None]", torch._C._AutoDispatchBelowAutograd())
 
 
 def add(a: Tensor | None, b: Tensor | None) -> Tensor | None:
-    """Return ``a + b`` where None is zero."""
+    """Return ``a + b``, with None as zero."""
     if a is None or b is None:
         return b if a is None else a
     return a + b
@@ -125,14 +125,14 @@ def add(a: Tensor | None, b: Tensor | None) -> Tensor | None:
 def unbatch(
     tensors: Sequence[Tensor], dims: Sequence[int | None], size: int
 ) -> Iterator[tuple[Tensor, ...]]:
-    """Take apart what `torch.vmap` batched: yield the tensors of each of ``size`` samples.
+    """Split tensors that `torch.vmap` batched, and yield the tensors of each sample.
 
-    Where there is no sample, yield one of zeros: `rebatch` reads shapes off its result.
+    If there are no samples, yield one of zeros, from whose result `rebatch` takes the shape.
 
     Args:
-        tensors: Of the samples together.
-        dims: For each tensor, the dimension that counts the samples; None where all share it.
-        size: How many samples.
+        tensors: Tensors batched over the samples.
+        dims: Batch dimension of each tensor; None for a tensor that all samples share.
+        size: Number of samples.
     """
     columns = (
         [tensor] * max(size, 1) if dim is None else tensor.unbind(dim) or [tensor.sum(dim)]
@@ -142,5 +142,5 @@ def unbatch(
 
 
 def rebatch(results: Sequence[Tensor], size: int) -> Tensor:
-    """Put together the results of the ``size`` samples that `unbatch` gave, counted first."""
+    """Stack the results of the ``size`` samples of `unbatch` along a new first dimension."""
     return torch.stack(tuple(results))[:size]

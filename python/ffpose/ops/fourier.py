@@ -1,8 +1,8 @@
-"""The spectral filter by torch.fft: for devices and transforms that Rust does not serve.
+"""The spectral filter with torch.fft, for devices and transforms that Rust does not support.
 
-Same arguments, same numbers as the Rust core; arguments are checked by the caller. Conjugates are
-computed at once (``conj_physical``): what `Tensor.conj` leaves for later is lost where a dispatch
-mode looks on, such as torch's counter of operations.
+Arguments and results are those of the Rust core; the caller checks the arguments. Conjugates are
+materialized (``conj_physical``), because the lazy conjugation of `Tensor.conj` is lost under a
+dispatch mode, such as torch's FLOP counter.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def _inverse(spectrum: Tensor, like: Tensor, layout: Layout) -> Tensor:
 def _complex_weight(weight: Tensor, x: Tensor, layout: Layout) -> Tensor:
     """Return the weight as ``irfft2`` sees it: DC and Nyquist columns made Hermitian.
 
-    The product then is Hermitian there too, and the result does not hang on what an FFT library
-    makes of columns that are not.
+    The product is then Hermitian in these columns too, so that the result does not depend on how an
+    FFT library treats columns that are not.
     """
     weight = weight.to(arithmetic_dtype(weight.dtype))
     spectrum = torch.view_as_complex(weight.contiguous()).clone()

@@ -1,7 +1,6 @@
-"""The spectral filter's two layouts: what is transformed, and what shape the weight has.
+"""The two layouts of the spectral filter, and the checks of its arguments.
 
-Every check of a filter's arguments is here, so that each way to the operator refuses the same
-things in the same words.
+All checks are in this module, so that every path to the operator raises the same errors.
 """
 
 from __future__ import annotations
@@ -17,14 +16,14 @@ Layout = Literal["tokens", "grid"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 RANK = {"tokens": 2, "grid": 3}
-"""Dimensions of one image, the batch left out."""
+"""Number of dimensions of one image, without the batch."""
 
 PLANE = {"tokens": (-2, -1), "grid": (-3, -2)}
-"""The two dimensions that are transformed."""
+"""The two transformed dimensions."""
 
 
 def weight_shape(size: Sequence[int], layout: Layout) -> tuple[int, ...]:
-    """Return the shape of the weight for images of one shape.
+    """Return the shape of the weight for a size of images.
 
     Args:
         size: ``(X, Y)`` in layout ``"tokens"``, ``(H, W, C)`` in layout ``"grid"``.
@@ -34,7 +33,7 @@ def weight_shape(size: Sequence[int], layout: Layout) -> tuple[int, ...]:
         ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``.
 
     Raises:
-        ValueError: An unknown layout, or not as many sizes as it has.
+        ValueError: ``layout`` is unknown, or ``size`` has the wrong length for it.
 
     Example:
         >>> weight_shape((14, 14, 256), "grid")
@@ -52,21 +51,21 @@ def weight_shape(size: Sequence[int], layout: Layout) -> tuple[int, ...]:
 
 
 def check_layout(layout: str) -> None:
-    """Refuse a layout that there is not.
+    """Check that a layout exists.
 
     Raises:
-        ValueError: It is none of `LAYOUTS`.
+        ValueError: ``layout`` is not in `LAYOUTS`.
     """
     if layout not in LAYOUTS:
         raise ValueError(f"layout: expected one of {LAYOUTS}, got {layout!r}")
 
 
 def check_filter(x: Tensor, weight: Tensor, layout: Layout) -> None:
-    """Refuse arguments of a filter that do not fit together.
+    """Check the arguments of a filter.
 
     Raises:
-        ValueError: A rank, size, device or layout that does not fit.
-        TypeError: A dtype that does not fit.
+        ValueError: The layout is unknown, or shapes or devices do not match.
+        TypeError: A dtype is not supported, or the dtypes do not match.
     """
     check_layout(layout)
     check_tensor("x", x)
@@ -90,6 +89,6 @@ def check_filter(x: Tensor, weight: Tensor, layout: Layout) -> None:
 
 
 def check_gradient(grad: Tensor, x: Tensor, weight: Tensor, layout: Layout) -> None:
-    """Refuse arguments of a filter's backward that do not fit; raises as `check_filter`."""
+    """Check the arguments of a filter's backward; raises as `check_filter`."""
     check_filter(x, weight, layout)
     check_alike("grad", grad, "x", x)

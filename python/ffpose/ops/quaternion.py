@@ -1,8 +1,9 @@
 """The quaternion activation ``q / ‖q‖``, differentiable to any order.
 
 Ye et al., Sensors 2023, 23, 8633, Eq. 8 (whose printed form lost the root). With ``u = q / ‖q‖``
-the gradient is ``B(g, q) = (g - u <u, g>) / ‖q‖``, symmetric in what it multiplies. Rust computes
-both on the CPU, torch elsewhere; derivatives of ``B`` are expressed with the two again.
+the gradient is ``B(g, q) = (g - u <u, g>) / ‖q‖``, the product of ``g`` with a symmetric matrix.
+Rust computes both on the CPU, torch elsewhere; derivatives of ``B`` are expressed by the same two
+functions.
 """
 
 from __future__ import annotations
@@ -39,20 +40,20 @@ _backward_op: Callable[..., Tensor] = torch.ops.ffpose.normalize_quaternion_back
 
 
 def normalize_quaternion(q: Tensor) -> Tensor:
-    """Return ``q / ‖q‖``, row by row.
+    """Normalize quaternions: ``q / ‖q‖``, row by row.
 
     Args:
-        q: ``(..., 4)`` quaternions, scalar first. float32, float64, or half precision, which is
-            computed in float32. NaN in a row goes through to its result.
+        q: Quaternions ``(..., 4)``, scalar first. float32, float64, or half precision, which is
+            computed in float32. NaN propagates within its row.
 
     Returns:
-        Unit quaternions of the shape and dtype of ``q``, each with the sign it had; contiguous,
-        differentiable to any order.
+        Unit quaternions with the shape, dtype and signs of ``q``; contiguous, differentiable to any
+        order.
 
     Raises:
-        ValueError: The last dimension is not 4, or a row is zero: it is named, counted over all
-            leading dimensions. On devices other than the CPU that check waits for the device.
-        TypeError: A dtype that does not fit.
+        ValueError: ``q`` is not ``(..., 4)``, or a row is zero; the message has its index over all
+            leading dimensions. On devices other than the CPU this check synchronizes.
+        TypeError: The dtype of ``q`` is not supported.
     """
     _check(q)
     if is_plain(q):
@@ -100,12 +101,12 @@ class _NormalizeQuaternion(Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: Sequence[int | None], q: Tensor) -> tuple[Tensor, int]:
-        """Many are one more leading dimension."""
+        """Treat the batch as one more leading dimension."""
         return normalize_quaternion(_batch_first(q, in_dims[0], info.batch_size)), 0
 
 
 class _NormalizeQuaternionOnCpu(Function):
-    """`_NormalizeQuaternion` where nobody but autograd looks on; see `ffpose.ops.spectral`."""
+    """`_NormalizeQuaternion` for plain autograd, with less overhead; see `ffpose.ops.spectral`."""
 
     @staticmethod
     def forward(ctx: Any, q: Tensor) -> Tensor:
@@ -143,13 +144,13 @@ class _NormalizeQuaternionBackward(Function):
     def vmap(
         info: Any, in_dims: Sequence[int | None], grad: Tensor, q: Tensor
     ) -> tuple[Tensor, int]:
-        """Many are one more leading dimension."""
+        """Treat the batch as one more leading dimension."""
         grad = _batch_first(grad, in_dims[0], info.batch_size)
         return _gradient(grad, _batch_first(q, in_dims[1], info.batch_size)), 0
 
 
 def _second(a: Tensor, b: Tensor, q: Tensor) -> Tensor:
-    """Return the second derivative of ``u(q)``, symmetric in all three slots, with two filled.
+    """Return the second derivative of ``u(q)``, a symmetric trilinear form, in two directions.
 
     It is ``-(u <a, B(b, q)> + B(a, q) <u, b> + B(b, q) <u, a>) / ‖q‖``.
     """

@@ -2,17 +2,17 @@
 
 Ye et al., Sensors 2023, 23, 8633, Eq. 1-3 (layout ``"tokens"``); Rao et al., "Global Filter
 Networks for Image Classification", 2021 (layout ``"grid"``). ``W`` is a half spectrum, held as a
-real tensor ``[..., 2]`` of real and imaginary parts. The numbers are those of torch.fft, for any
-``W``: the inverse is real, so the DC column and (even width) the Nyquist column act by their
-Hermitian part alone.
+real tensor ``[..., 2]`` of real and imaginary parts. Results equal those of torch.fft, for any
+``W``: as the inverse transform is real, only the Hermitian part of the DC column and (for even
+width) of the Nyquist column has an effect.
 
 Forward and gradients are bilinear. With the filter ``F(x, w)``, the conjugate ``w*``, and the
 correlation ``C(g, x)`` that is the gradient for the weight,
 
     <g, F(x, w)> = <x, F(g, w*)> = <w, C(g, x)>.
 
-``spectral_filter_backward`` gives ``F(g, w*)`` and ``C(g, x)``, and its own derivatives are these
-two operators again, so any order needs no more than them.
+``spectral_filter_backward`` returns ``F(g, w*)`` and ``C(g, x)``. Its own derivatives are expressed
+by the same two operators, so they suffice for derivatives of any order.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Ten
         layout: ``"tokens"`` or ``"grid"``.
 
     Returns:
-        A new contiguous tensor of the shape and dtype of ``x``, differentiable to any order.
+        A new contiguous tensor with the shape and dtype of ``x``, differentiable to any order.
 
     Raises:
-        ValueError: A rank, size, device or layout that does not fit.
-        TypeError: A dtype that does not fit.
+        ValueError: The layout is unknown, or shapes or devices do not match.
+        TypeError: A dtype is not supported, or the dtypes do not match.
     """
     if is_plain(x, weight):
         if not (torch.is_grad_enabled() and (x.requires_grad or weight.requires_grad)):
@@ -73,7 +73,7 @@ def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Ten
             except RuntimeError:
                 if not x.is_inference():
                     raise
-                # Autograd saves nothing that inference mode made; the copy is made outside.
+                # Autograd cannot save inference tensors; the copy is made outside inference mode.
                 recorded = _SpectralFilterOnCpu.apply(x.clone(), weight, layout)
             return recorded
     check_filter(x, weight, layout)
@@ -86,7 +86,7 @@ def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Ten
 def _gradients(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, *, need_x: bool, need_weight: bool
 ) -> Gradients:
-    """Return ``F(grad, weight*)`` and ``C(grad, x)``, None in place of one that is not needed."""
+    """Return ``F(grad, weight*)`` and ``C(grad, x)``, with None for one that is not needed."""
     if not (need_x or need_weight):
         return None, None
     arguments = (grad, x, weight, layout, need_x, need_weight)
@@ -129,7 +129,7 @@ class _SpectralFilter(Function):
     def vmap(
         info: Any, in_dims: Sequence[int | None], x: Tensor, weight: Tensor, layout: Layout
     ) -> tuple[Tensor, int]:
-        """A batch of ``x`` with one weight is what the operator takes; all else is a loop."""
+        """Apply the operator to a batch of ``x`` with one weight; loop over samples otherwise."""
         if in_dims[0] is not None and in_dims[1] is None:
             return spectral_filter(x.movedim(in_dims[0], 0), weight, layout), 0
         samples = unbatch((x, weight), in_dims, info.batch_size)
@@ -138,10 +138,10 @@ class _SpectralFilter(Function):
 
 
 class _SpectralFilterOnCpu(Function):
-    """`_SpectralFilter` where nobody but autograd looks on.
+    """`_SpectralFilter` for plain autograd, with less overhead.
 
-    torch takes tens of microseconds longer over `forward` and `setup_context` as separate methods,
-    which `torch.func` asks for, than over both in one.
+    With separate methods `forward` and `setup_context`, which `torch.func` requires, torch needs
+    tens of microseconds more than with a single one.
     """
 
     @staticmethod
@@ -226,7 +226,7 @@ class _SpectralFilterBackward(Function):
         need_x: bool,
         need_weight: bool,
     ) -> tuple[tuple[Tensor, Tensor], tuple[int, int]]:
-        """Each sample has a gradient for the weight of its own, so this is a loop."""
+        """Loop over samples, as each has its own gradient for the weight."""
         samples = unbatch((grad, x, weight), in_dims, info.batch_size)
         gradients = [
             _SpectralFilterBackward.apply(*each, layout, need_x, need_weight) for each in samples

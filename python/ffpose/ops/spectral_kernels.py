@@ -1,7 +1,7 @@
-"""The operators ``spectral_filter`` and ``spectral_filter_backward`` for each device.
+"""Kernels of the operators ``spectral_filter`` and ``spectral_filter_backward`` by device.
 
-On the CPU Rust computes, in torch's own threads, as many as `torch.get_num_threads` says; elsewhere
-torch.fft; for fake tensors, shapes alone. Derivatives are in `ffpose.ops.spectral`.
+Rust on the CPU, in torch's own thread pool with `torch.get_num_threads` threads; torch.fft on other
+devices; only shapes for fake tensors. Derivatives are in `ffpose.ops.spectral`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ torch.library.define(
     "(Tensor x, Tensor weight, str layout) -> Tensor",
     tags=(torch.Tag.pt2_compliant_tag,),
 )
-# A gradient that is not needed comes back as a tensor of shape (0,): operators cannot return None.
+# A gradient that is not needed is returned as a tensor of shape (0,): operators cannot return None.
 torch.library.define(
     BACKWARD,
     "(Tensor grad, Tensor x, Tensor weight, str layout, bool need_x, bool need_weight)"
@@ -37,16 +37,16 @@ backward_op: Callable[..., tuple[Tensor, Tensor]] = (
 
 
 def forward_rust(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
-    """Filter CPU tensors; arguments and errors as in `ffpose.ops.spectral_filter`.
+    """Filter CPU tensors; arguments and errors are those of `ffpose.ops.spectral_filter`.
 
-    Rust checks what it is given, so that a good call pays for no second check in Python.
+    Rust checks the arguments, so that a valid call needs no second check in Python.
     """
     x, weight = x.contiguous(), weight.contiguous()
     y = torch.empty_like(x)
     try:
         _rust.filter_tensors(x, weight, y, layout, torch.get_num_threads())
     except (TypeError, ValueError):
-        check_filter(x, weight, layout)  # says the same in the words of every other device
+        check_filter(x, weight, layout)  # raises the same error as on other devices
         raise
     return y
 
@@ -54,7 +54,7 @@ def forward_rust(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
 def backward_rust(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
 ) -> tuple[Tensor | None, Tensor | None]:
-    """Return both gradients of CPU tensors, None for one not needed; errors as in the forward."""
+    """Return both gradients of CPU tensors, with None for one that is not needed."""
     grad, x, weight = grad.contiguous(), x.contiguous(), weight.contiguous()
     grad_x = torch.empty_like(x) if need_x else None
     grad_weight = torch.empty_like(weight) if need_weight else None

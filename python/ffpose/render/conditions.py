@@ -1,4 +1,4 @@
-"""Under what light, and before what, an image is taken: what errors are broken down by."""
+"""The conditions an image is taken under, by which an evaluation breaks its errors down."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class Conditions(NamedTuple):
     """The conditions of one image.
 
     Attributes:
-        distance_m: from the camera to the object's origin.
-        eclipsed: the Earth hides the sun; a lamp at the camera gives light.
-        sun_angle_deg: angle between the viewing ray, which goes to the object's origin, and the
-            direction to the sun; below 90 the sun is before the camera and a sunlit object is
-            back-lit.
-        earth_behind: the viewing ray goes on to the Earth, and that is what the picture shows
-            there: no wall of clouds (`ffpose.render.Randomization`) is in its place.
-        visible_share: part of the spacecraft's extent, by points of its surface, in the frame.
+        distance_m: Distance from the camera to the object's origin, meters.
+        eclipsed: Whether the Earth hides the sun; a lamp at the camera then gives light.
+        sun_angle_deg: Angle between the viewing ray, which goes to the object's origin, and the
+            direction to the sun; below 90 degrees the sun is in front of the camera and a sunlit
+            object is back-lit.
+        earth_behind: Whether the viewing ray goes on to the Earth, and the image shows the Earth
+            there rather than the random background of `ffpose.render.Randomization`.
+        visible_share: Fraction of points on the spacecraft's surface that lie in the frame.
     """
 
     distance_m: float
@@ -33,7 +33,7 @@ class Conditions(NamedTuple):
 
 
 def conditions_of(scene: Scene | str, seed: int, index: int) -> Conditions:
-    """The conditions of the image that `render` makes of the same arguments, at any size."""
+    """Return the conditions of the image that `render` makes of these arguments, at any size."""
     scene = get_scene(scene) if isinstance(scene, str) else scene
     pose, around, backdrop = situation(scene, seed, index)
     distance = float(np.linalg.norm(pose.t))

@@ -1,4 +1,4 @@
-"""A spacecraft as the renderer sees it: one mesh, its materials, and points known by name."""
+"""The spacecraft that the renderer draws: a mesh, its materials, and named keypoints."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ffpose.render.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Craft:
-    """A spacecraft in its own frame: x forward (docking axis), y starboard, z down; metres.
+    """A spacecraft in its own frame: x forward (docking axis), y starboard, z down; meters.
 
     Attributes:
-        name: what it is called in manifests.
-        mesh: its surface.
-        materials: what the mesh's material numbers stand for.
-        keypoints: named points (3,) of the object frame.
+        name: Name of the spacecraft in manifests.
+        mesh: Surface of the spacecraft.
+        materials: The materials that `Mesh.material` indexes.
+        keypoints: Points (3,) in the object frame, meters, by name.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Craft:
 
     @cached_property
     def outline(self) -> NDArray[np.float64]:
-        """(N, 3) vertices, at most a few hundred, that stand for the whole extent."""
+        """Vertices (N, 3), a few hundred at most, that span the spacecraft's extent."""
         vertices = self.mesh.vertices
         return vertices[:: max(1, len(vertices) // 400)]
 
@@ -46,15 +46,15 @@ def _dragon() -> Craft:
 
 
 BUILDERS: dict[str, Callable[[], Craft]] = {"soyuz": _soyuz, "dragon": _dragon}
-"""The spacecraft that come with ffpose."""
+"""Builders of the spacecraft that ship with ffpose, by name."""
 
 
 @lru_cache(maxsize=4)
 def build_craft(name: str) -> Craft:
-    """Build (once) a spacecraft of `BUILDERS`.
+    """Build a spacecraft of `BUILDERS`; later calls return the same one.
 
     Raises:
-        ValueError: the name is not known; the message lists the known ones.
+        ValueError: `name` is not in `BUILDERS`; the message lists the valid names.
     """
     if name not in BUILDERS:
         raise ValueError(f"unknown spacecraft {name!r}; known: {', '.join(sorted(BUILDERS))}")

@@ -1,7 +1,7 @@
-"""Spacecraft of random parts: what a network for one craft has to tell from its own.
+"""Decoys: random spacecraft, as negative examples for a network trained on one spacecraft.
 
-A bus (box or cylinder), wings of cells, booms, tanks and thrusters, of random sizes and materials.
-None is meant to be any real craft, and each is a pure function of seed and index.
+A decoy has a bus (box or cylinder), solar wings, booms, tanks and thrusters of random sizes and
+materials. None models a real spacecraft. Each is a pure function of seed and index.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ COVERS = (METAL, WHITE, FOIL, BLANKET)
 
 
 def build_decoy(seed: int, index: int) -> Craft:
-    """Build spacecraft ``index`` of a seed.
+    """Build decoy number ``index`` of a seed.
 
     Raises:
-        ValueError: A negative seed or index.
+        ValueError: `seed` or `index` is negative.
     """
     if seed < 0 or index < 0:
         raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
@@ -64,7 +64,7 @@ def _bus(length: float, width: float, rng: np.random.Generator) -> Mesh:
 
 
 def _wings(length: float, width: float, rng: np.random.Generator) -> list[Mesh]:
-    """One wing, or two that face each other."""
+    """Build one wing, or two on opposite sides."""
     span, chord = rng.uniform(1.0, 5.0), rng.uniform(0.5, 2.0)
     place = rng.uniform(-0.4, 0.4) * length
     roll = rng.uniform(0, 360)
@@ -77,7 +77,7 @@ def _wings(length: float, width: float, rng: np.random.Generator) -> list[Mesh]:
 
 
 def _fitting(length: float, width: float, rng: np.random.Generator) -> Mesh:
-    """A tank, a boom or a thruster on the bus."""
+    """Build a tank, a boom or a thruster on the bus."""
     angle = rng.uniform(0, 360)
     place = (rng.uniform(-0.5, 0.5) * length, 0.0, 0.0)
     match int(rng.integers(3)):

@@ -1,10 +1,10 @@
-"""A Dragon-like spacecraft: capsule with an open nose cone, and a trunk with fins and cells.
+"""A Dragon-like spacecraft: a capsule with an open nose cone, and a trunk with solar cells.
 
 Frame: x along the docking axis, forward; y to starboard; z down. The origin lies on the axis where
 capsule and trunk meet. 8 m long with the nose open, 3.7 m across, 4.9 m over the fins.
 
 No view is ambiguous: the trunk carries cells to starboard and radiators to port, the nose cone
-hangs open towards −z, windows and hatch look to +z, and the two upper fins are shorter.
+hangs open toward −z, windows and hatch look to +z, and the two upper fins are shorter.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ CONE_TOP = (2.95, 1.02)
 HINGE = (3.06, 0.0, -0.97)
 OPENING_DEG = 138.0
 FIN_TIPS = {45.0: 2.60, 135.0: 2.60, 225.0: 2.25, 315.0: 2.25}
-"""Distance of each fin's tip from the axis by its angle from +y towards +z."""
+"""Distance of each fin's tip from the axis by its angle from +y toward +z."""
 
 KEYPOINTS = {
     "ring": (3.42, 0.0, 0.0),
@@ -57,7 +57,7 @@ KEYPOINTS = {
 
 
 def build() -> Mesh:
-    """The whole spacecraft as one mesh; material numbers index `MATERIALS`."""
+    """Build the whole spacecraft as one mesh; material numbers index `MATERIALS`."""
     return merge([*_trunk(), *_capsule(), *_nose(), *_engines(), *_openings(), *_lights()])
 
 
@@ -93,7 +93,7 @@ def _capsule() -> list[Mesh]:
 
 
 def _nose() -> list[Mesh]:
-    """Docking ring, and the cone that swung open towards −z."""
+    """Build the docking ring, and the nose cone swung open toward −z."""
     cap = merge(
         [
             lathe(ellipse_arc(0.0, 0.95, 0.90, 90.0, 0.0, 10), SHELL, 48),
@@ -119,7 +119,7 @@ def _nose() -> list[Mesh]:
 
 
 def _engines() -> list[Mesh]:
-    """Four pods with two nozzles each, sunk into the cone."""
+    """Build four pods with two nozzles each, sunk into the cone."""
     slope = np.degrees(np.arctan2(CONE_FOOT[1] - CONE_TOP[1], CONE_TOP[0] - CONE_FOOT[0]))
     # A fairing twice as wide as it is high covers each pair of nozzles.
     fairing = lathe(ellipse_arc(0.0, 0.85, 0.30, 180.0, 0.0, 17), SHELL, 36)
@@ -133,7 +133,7 @@ def _engines() -> list[Mesh]:
 
 
 def _openings() -> list[Mesh]:
-    """Windows and hatch towards +z, a blue mark to port."""
+    """Build windows and hatch toward +z, and a blue mark to port."""
 
     def on_cone(x: float, degrees: float, radius: float, number: int, lift: float) -> Mesh:
         share = (x - CONE_FOOT[0]) / (CONE_TOP[0] - CONE_FOOT[0])

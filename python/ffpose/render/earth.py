@@ -1,4 +1,4 @@
-"""The Earth and its air as seen from a low orbit; the light is worked out in ffpose-core."""
+"""The Earth and its atmosphere seen from low orbit, shaded by ffpose-core."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class Earth(NamedTuple):
     """The Earth in the camera frame; lengths in Earth radii.
 
     Attributes:
-        nadir: (3,) unit vector to its centre.
-        altitude: of the camera.
+        nadir: (3,) unit vector to the Earth's center.
+        altitude: Height of the camera above the ground.
         sun: (3,) unit vector to the sun.
         ground: (3, 3) rotation from the camera frame to the frame of land and clouds.
-        octaves: detail of the clouds; finer images need more.
+        octaves: Noise octaves of the clouds; finer images need more.
     """
 
     nadir: NDArray[np.float64]
@@ -30,15 +30,15 @@ class Earth(NamedTuple):
 
 
 def shade_earth(earth: Earth, rays: Floats, pixel_angle: float) -> tuple[Floats, Floats]:
-    """Light that comes along rays from the Earth and its air.
+    """Compute the radiance that reaches the camera from the Earth and its atmosphere.
 
     Args:
-        earth: where the Earth is.
+        earth: The Earth in the camera frame.
         rays: (3, N) unit vectors, camera frame.
-        pixel_angle: angle of one pixel in radians, over which the limb is smoothed.
+        pixel_angle: Angle that one pixel covers, radians; the limb is smoothed over it.
 
     Returns:
-        radiance (3, N), and (N,) the part of what lies behind that still shows.
+        Radiance (3, N), and the transmittance (N,) for what lies behind the Earth.
     """
     return arrays.shade_earth(
         rays,

@@ -1,8 +1,8 @@
-"""The patterns that are drawn over a material: cells, foil, quilted cloth, plates.
+"""Procedural surface patterns: solar cells, foil, quilted cloth, panels.
 
-A pattern works on the points `at` of a surface. It gets their texture coordinates in units of the
-material's scale, their place in metres, and the width of a pixel in units of the scale: lines
-thinner than a pixel are averaged over it instead of flickering.
+A pattern changes the points `at` of a `Surface`. Texture coordinates and the footprint of a pixel
+are in units of the material's scale, positions in meters. Lines thinner than a pixel are averaged
+over it, so that they do not alias.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Indices = NDArray[np.intp]
 
 
 class Surface(NamedTuple):
-    """What the shader knows of each of N points; arrays (3, N) or (N,)."""
+    """Surface attributes of N shaded points; arrays (3, N) or (N,)."""
 
     color: Floats
     roughness: Floats
@@ -31,11 +31,11 @@ class Surface(NamedTuple):
 
 
 def _lines(coordinate: Floats, width: float, footprint: Floats) -> Floats:
-    """(N,) how much of a pixel lies on the lines of `width` about each whole number."""
+    """Return the fraction (N,) of a pixel on lines of `width` around the whole numbers."""
     offset = np.abs(coordinate - np.round(coordinate))
     soft = np.maximum(footprint, np.float32(1e-4))
     cover = np.clip((np.float32(width / 2) - offset) / soft + np.float32(0.5), 0, 1)
-    # Wide pixels see many lines: their share of the area.
+    # A pixel wider than the spacing covers many lines: the share of the area that they take.
     share = np.float32(width)
     result: Floats = np.where(footprint > 0.5, share, np.minimum(cover, share / soft + share))
     return result
@@ -46,7 +46,7 @@ def _grid(uv: Floats, width: float, footprint: Floats) -> Floats:
 
 
 def _bump(surface: Surface, at: Indices, points: Floats, height: float, octaves: int) -> None:
-    """Disturb the normals by noise over `points` (3, N)."""
+    """Perturb the normals by noise over `points` (3, N)."""
     for axis in range(3):
         wave = fbm(points + np.float32(11.7 * axis), octaves)
         surface.normal[axis, at] += np.float32(height) * wave
@@ -86,4 +86,4 @@ DRAW: dict[Pattern, Callable[[Surface, Indices, Floats, Floats, Floats], None]] 
     Pattern.BLANKET: _blanket,
     Pattern.PANELS: _panels,
 }
-"""How each pattern is drawn; a plain surface has no entry."""
+"""Function that draws each pattern; a plain surface has no entry."""

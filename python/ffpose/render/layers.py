@@ -1,4 +1,4 @@
-"""The exact layers beside an image, at the pixels' centres: mask, depth, keypoints, coordinates."""
+"""Ground truth for every pixel of a rendered image: mask, depth, keypoints, coordinates."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ LABELS = {
     "keypoints": "keypoints.csv",
     "coordinates": "coordinates.png",
 }
-"""The layers that can be written, and what follows `N_` in the names of their files."""
+"""Layers that can be written, each with the part of its file name after `N_`."""
 
 LAYERS = ("mask", "depth", "keypoints")
-"""What ``ffpose render --layers`` writes."""
+"""Layers that ``ffpose render --layers`` writes."""
 
 TOUCH_M = 0.02
-"""A keypoint counts as seen if nothing lies more than this before it."""
+"""Occlusion tolerance: a surface less than this in front of a keypoint does not hide it."""
 
 DEPTH_LIMIT_M = 65.535
-"""What 16 bits of millimetres hold."""
+"""Largest depth that 16 bits of millimeters can hold, meters."""
 
 
 class Keypoint(NamedTuple):
     """A named point of the spacecraft in one image.
 
     Attributes:
-        name: which point.
-        u: pixel coordinate to the right; NaN behind the camera.
-        v: pixel coordinate downwards; NaN behind the camera.
-        depth: z in the camera frame, metres.
-        visible: in the frame, and not hidden by the spacecraft.
+        name: Name of the point.
+        u: Pixel coordinate to the right; NaN behind the camera.
+        v: Pixel coordinate downward; NaN behind the camera.
+        depth: z in the camera frame, meters.
+        visible: Whether the point is in the frame and not hidden by the spacecraft.
     """
 
     name: str
@@ -56,13 +56,13 @@ class Keypoint(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """Truth for each pixel, taken at its centre.
+    """Ground truth for each pixel, sampled at the pixel's center.
 
     Attributes:
         mask: (H, W) bool, True on the spacecraft.
-        depth: (H, W) float32, z in the camera frame in metres; 0 off the spacecraft.
-        keypoints: the spacecraft's named points.
-        coordinates: (H, W, 4) uint8, where on the spacecraft it is (`object_coordinates`).
+        depth: (H, W) float32, z in the camera frame in meters; 0 off the spacecraft.
+        keypoints: Named points of the spacecraft.
+        coordinates: (H, W, 4) uint8, object coordinates (`object_coordinates`).
     """
 
     mask: NDArray[np.bool_]
@@ -74,10 +74,10 @@ class Layers(NamedTuple):
 def render_layers(
     scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None
 ) -> Layers:
-    """The layers of the image that `render` makes of the same arguments.
+    """Compute the ground truth of the image that `render` makes of the same arguments.
 
     Raises:
-        ValueError: as for `render`.
+        ValueError: An argument is invalid, as for `render`.
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera, pose, craft = camera_of(scene, size), label(scene, seed, index), scene.build()
@@ -88,36 +88,36 @@ def render_layers(
 
 
 def object_coordinates(craft: Craft, pose: Pose, camera: Camera) -> NDArray[np.uint8]:
-    """Where on the spacecraft each pixel looks, as a picture; for any pose and any camera.
+    """Encode the point of the spacecraft that each pixel sees as a color image.
 
     A target for dense supervision, as in Wang et al., "Normalized Object Coordinate Space" (CVPR
-    2019), with a cube that is centred on the object's origin.
+    2019), with a cube that is centered on the object's origin.
 
     Args:
-        craft: the spacecraft.
-        pose: where it is.
-        camera: who looks, through the pixels' centres.
+        craft: The spacecraft.
+        pose: Pose of the spacecraft in the camera frame; any pose.
+        camera: Camera whose pixels' centers are sampled; any camera.
 
     Returns:
         (H, W, 4) uint8. On the spacecraft red, green and blue are x, y and z of the surface in the
-        object frame, −L…+L metres mapped to 0…255 and rounded, L being `coordinates_limit`, and
-        alpha is 255; elsewhere all four are 0. So the metres are ``(2 · code / 255 − 1) · L``,
+        object frame, −L…+L meters mapped to 0…255 and rounded, L being `coordinates_limit`, and
+        alpha is 255; elsewhere all four are 0. So the meters are ``(2 · code / 255 − 1) · L``,
         within L / 255.
     """
     return _coordinates(_look(craft, pose, camera), craft, camera)
 
 
 def coordinates_limit(craft: Craft) -> float:
-    """L of `object_coordinates`: the largest absolute vertex coordinate, up to the next 0.1 m."""
+    """Return L of `object_coordinates`: the largest vertex coordinate, rounded up to 0.1 m."""
     largest = float(np.abs(craft.mesh.vertices).max())
     return math.ceil(round(10 * largest, 6)) / 10  # 10 · 1.1 is more than 11
 
 
 def check_labels(labels: Sequence[str]) -> tuple[str, ...]:
-    """The names without repetition, in the order of `LABELS`.
+    """Return the names without repetition, in the order of `LABELS`.
 
     Raises:
-        ValueError: a name is not known; the message lists the known ones.
+        ValueError: A name is not in `LABELS`; the message lists the valid names.
     """
     unknown = [name for name in labels if name not in LABELS]
     if unknown:
@@ -126,25 +126,25 @@ def check_labels(labels: Sequence[str]) -> tuple[str, ...]:
 
 
 def label_files(index: int, labels: Sequence[str]) -> list[str]:
-    """The files of these layers of image `index`."""
+    """Return the file names of these layers of image `index`."""
     return [f"{index}_{LABELS[name]}" for name in labels]
 
 
 def write_layers(folder: Path, index: int, layers: Layers, labels: Sequence[str]) -> None:
     """Write the layers of image `index` that `labels` names.
 
-    ``N_mask.png`` is 255 on the spacecraft and 0 elsewhere; ``N_depth.png`` holds millimetres in 16
+    ``N_mask.png`` is 255 on the spacecraft and 0 elsewhere; ``N_depth.png`` holds millimeters in 16
     bits, 0 off the spacecraft; ``N_keypoints.csv`` has a row for each named point;
     ``N_coordinates.png`` is what `object_coordinates` gives. Its alpha holds the mask, because any
-    colour, black too, may be a place on the spacecraft: one file cannot lose what tells them apart,
+    color, black too, may be a place on the spacecraft: one file cannot lose what tells them apart,
     and readers that weigh by alpha when they resize (Pillow does) blend nothing across the outline.
 
     Raises:
-        ValueError: a depth is beyond the 65.535 m of 16 bits.
+        ValueError: A depth is beyond the 65.535 m of 16 bits.
     """
     writers = {
         "mask": lambda path: _write_image(path, layers.mask.astype(np.uint8) * 255),
-        "depth": lambda path: _write_image(path, _millimetres(layers.depth, index)),
+        "depth": lambda path: _write_image(path, _millimeters(layers.depth, index)),
         "keypoints": lambda path: _write_keypoints(path, layers.keypoints),
         "coordinates": lambda path: _write_image(path, layers.coordinates),
     }
@@ -159,7 +159,7 @@ def _write_image(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> 
     Image.fromarray(pixels).save(path)
 
 
-def _millimetres(depth: Floats, index: int) -> NDArray[np.uint16]:
+def _millimeters(depth: Floats, index: int) -> NDArray[np.uint16]:
     if depth.max() > DEPTH_LIMIT_M:
         raise ValueError(
             f"depth of image {index}: expected at most {DEPTH_LIMIT_M} m, got {depth.max()}"
@@ -175,7 +175,7 @@ def _write_keypoints(path: Path, keypoints: list[Keypoint]) -> None:
 
 
 def _look(craft: Craft, pose: Pose, camera: Camera) -> tuple[Window, View] | None:
-    """What one ray through each pixel's centre meets, None if the spacecraft is out of frame."""
+    """Trace a ray through each pixel's center; None if the spacecraft is out of frame."""
     window = find_window(craft.mesh.vertices, pose, camera)
     if window is None:
         return None
@@ -214,9 +214,9 @@ def _keypoints(craft: Craft, pose: Pose, camera: Camera) -> list[Keypoint]:
     seen = pose.transform(points)
     pixels = camera.project(seen)
     eye = -pose.rotation.T @ pose.t
-    towards = points - eye
-    distance = np.linalg.norm(towards, axis=1)
-    rays = (towards / distance[:, None]).astype(np.float32)
+    toward = points - eye
+    distance = np.linalg.norm(toward, axis=1)
+    rays = (toward / distance[:, None]).astype(np.float32)
     hits = prepared(craft)[0].first_hits(eye.astype(np.float32), rays)
     nearest = np.full(len(points), np.inf)
     nearest[hits.ray] = hits.distance

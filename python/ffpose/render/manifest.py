@@ -1,8 +1,8 @@
-"""What a folder of images was made from, and the fingerprint of every file in it.
+"""The manifest of a rendered set: its parameters, package versions, and a hash of every file.
 
-A run that finds images beside its own in the folder leaves its fingerprints in a part,
-``manifest_FIRST-LAST.json``, until a run over all images writes them into ``manifest.json``: so a
-shard reads and writes no more than its own, and shards never write to one file.
+A run over part of a set (a shard) writes its hashes to a file of its own,
+``manifest_FIRST-LAST.json``. A later run over the whole set merges these into ``manifest.json``.
+So a shard reads and writes its own files alone, and no two shards write to one file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ffpose.render.scene import Scene
 
 FILE_NAME = "manifest.json"
 PACKAGES = ("ffpose", "numpy", "embreex", "pillow")
-"""Their versions are noted, because the exact bytes may depend on them."""
+"""Packages whose versions are recorded, because the exact bytes may depend on them."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Manifest:
     """The contents of `manifest.json`.
 
     Attributes:
-        parameters: scene, seed, size, and which layers are written: with the index, all that the
-            files of an image depend on. With the layer `coordinates`, also the metres that its
+        parameters: Scene, seed, size, and which layers are written: with the index, all that the
+            files of an image depend on. With the layer `coordinates`, also the meters that its
             codes stand for (`ffpose.render.coordinates_limit`).
-        versions: of the packages that made the images.
+        versions: Version of each of `PACKAGES` when the images were made.
         files: SHA-256 of each file by name; empty until a run has finished.
     """
 
@@ -45,7 +45,7 @@ class Manifest:
     def of(
         cls, scene: Scene, seed: int, size: tuple[int, int], labels: tuple[str, ...]
     ) -> Manifest:
-        """The manifest of a set that is about to be made."""
+        """Build the manifest of a set that is about to be rendered."""
         parameters = {
             "scene": scene.parameters(),
             "seed": seed,
@@ -59,10 +59,10 @@ class Manifest:
 
     @classmethod
     def read(cls, path: Path) -> Manifest | None:
-        """The manifest that a file holds, None if there is no such file.
+        """Read a manifest, or return None if there is no such file.
 
         Raises:
-            DataError: the file is not a manifest.
+            DataError: The file is not a manifest.
         """
         if not path.exists():
             return None
@@ -82,12 +82,12 @@ class Manifest:
 
 
 def part_name(indices: range) -> str:
-    """The file of the part that a run over these indices leaves."""
+    """Return the name of the partial manifest that a run over these indices writes."""
     return f"manifest_{indices[0]}-{indices[-1]}.json"
 
 
 def parts(folder: Path, indices: range) -> Iterator[Path]:
-    """The parts in a folder that hold something of these indices."""
+    """Yield the partial manifests in a folder that cover some of these indices."""
     for path in folder.glob("manifest_*.json"):
         match = re.fullmatch(r"manifest_(\d+)-(\d+)\.json", path.name)
         if match and int(match[1]) <= indices[-1] and indices[0] <= int(match[2]):
@@ -95,7 +95,7 @@ def parts(folder: Path, indices: range) -> Iterator[Path]:
 
 
 def difference(old: Manifest, new: Manifest) -> str | None:
-    """What keeps `new` from carrying on with a folder of `old`, None if nothing does."""
+    """Describe why a run with `new` cannot resume a folder of `old`; None if it can."""
     mine, theirs = _flat(new.parameters | new.versions), _flat(old.parameters | old.versions)
     changed = [
         f"{key} {theirs.get(key)!r} there, {mine.get(key)!r} now"

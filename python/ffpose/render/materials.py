@@ -1,7 +1,7 @@
-"""Surface materials: a microfacet description, and the patterns drawn over it.
+"""Surface materials: microfacet parameters and procedural patterns.
 
-Colours are linear RGB reflectances. A metal reflects its own colour, everything else about four
-per cent of white; roughness is that of the GGX distribution (alpha = roughness²).
+Colors are linear RGB reflectances. The specular reflectance is the color for a metal and about
+4 % white for everything else; roughness is that of the GGX distribution (alpha = roughness²).
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from enum import IntEnum
 
 
 class Pattern(IntEnum):
-    """What is drawn over a material's base colour."""
+    """Procedural pattern drawn over a material's base color."""
 
     PLAIN = 0
     CELLS = 1
-    """Solar cells with their gaps, over a texture coordinate in metres."""
+    """Solar cells with gaps between them."""
     FOIL = 2
-    """Crumpled multilayer foil: the normal is disturbed."""
+    """Crumpled multilayer insulation foil: perturbed normals."""
     BLANKET = 3
     """Quilted cloth: seams, stitches and a soft relief."""
     PANELS = 4
-    """Painted plates with thin dark joints."""
+    """Painted panels with thin dark joints."""
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,12 @@ class Material:
     """One surface material.
 
     Attributes:
-        color: linear RGB reflectance, each in 0…1.
+        color: Linear RGB reflectance, each in 0…1.
         roughness: GGX roughness in (0, 1].
         metallic: 0 for paint, glass and cloth, 1 for bare metal.
-        emission: linear RGB radiance given off, in the unit of `ffpose.render.shading`.
-        pattern: what is drawn over the colour.
-        scale: size of the pattern in metres.
+        emission: Emitted linear RGB radiance, in the unit of `ffpose.render.shading`.
+        pattern: Pattern drawn over the color.
+        scale: Size of the pattern in meters.
     """
 
     color: tuple[float, float, float]

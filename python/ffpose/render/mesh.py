@@ -1,7 +1,7 @@
-"""Triangle meshes that carry what the shader needs, and the solids that a spacecraft is built of.
+"""Triangle meshes with texture coordinates and materials, and the solids to build them from.
 
-Everything is in the object frame in metres. A face has a material number, and each of its three
-corners a texture coordinate in metres, so that a pattern has the same scale on every part.
+Coordinates are in the object frame, in meters. Each face has a material number, and each of its
+three corners a texture coordinate in meters, so that a pattern has the same scale on every part.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 MAX_CORNERS = 256
-"""A vertex where more corners meet than this is shaded flat, or its pairs would fill the memory."""
+"""Largest number of corners that may share a vertex with smooth shading; beyond it shading is
+flat, as the pairs of corners would fill the memory."""
 
 CREASE_DEG = 38.0
-"""Two faces that meet at a smaller angle than this are shaded as one smooth surface."""
+"""Crease angle: faces that meet at a smaller angle are shaded as one smooth surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +29,9 @@ class Mesh:
     """A triangle mesh.
 
     Attributes:
-        vertices: (V, 3) metres.
+        vertices: (V, 3) meters.
         faces: (F, 3) vertex numbers, counter-clockwise seen from outside.
-        uv: (F, 3, 2) texture coordinates of each corner, metres along the surface.
+        uv: (F, 3, 2) texture coordinates of each corner, meters along the surface.
         material: (F,) material numbers.
     """
 
@@ -41,18 +42,18 @@ class Mesh:
 
     @cached_property
     def corner_normals(self) -> NDArray[np.float32]:
-        """(F, 3, 3) unit normals of the corners; sharp edges stay sharp (`CREASE_DEG`)."""
+        """Unit normals (F, 3, 3) of the corners; edges beyond `CREASE_DEG` stay sharp."""
         return _corner_normals(self.vertices, self.faces).astype(np.float32)
 
     def moved(self, rotation: ArrayLike | None = None, shift: ArrayLike = (0, 0, 0)) -> Mesh:
-        """The mesh turned (or stretched) by `rotation` (3, 3), then shifted by `shift` (3,)."""
+        """Return the mesh transformed by `rotation` (3, 3), then shifted by `shift` (3,)."""
         turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
         vertices = self.vertices @ turn.T + np.asarray(shift, dtype=np.float64)
         return Mesh(vertices, self.faces, self.uv, self.material)
 
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
-    """One mesh of all `meshes`."""
+    """Join `meshes` into one."""
     parts = list(meshes)
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return Mesh(
@@ -66,7 +67,7 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def turn(axis: str, degrees: float) -> Floats:
-    """(3, 3) rotation by `degrees` about the axis "x", "y" or "z", right-handed."""
+    """Return the right-handed rotation (3, 3) by `degrees` about the axis "x", "y" or "z"."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     matrix = np.eye(3)
@@ -81,14 +82,14 @@ def lathe(
     segments: int = 64,
     arc_deg: tuple[float, float] = (0.0, 360.0),
 ) -> Mesh:
-    """A surface of revolution about the x axis.
+    """Build a surface of revolution about the x axis.
 
     Args:
-        profile: points (x, radius) in metres, in the order of growing x for an outer surface;
+        profile: Points (x, radius) in meters, in the order of growing x for an outer surface;
             the reverse order gives an inner one.
-        material: number of its material.
-        segments: how many flat strips approximate the arc.
-        arc_deg: from where to where it turns, from +y towards +z.
+        material: Material number.
+        segments: Number of flat strips that approximate the arc.
+        arc_deg: Start and end of the arc, degrees from +y toward +z.
     """
     outline = np.asarray(profile, dtype=np.float64)
     angle = np.radians(np.linspace(*arc_deg, segments + 1))
@@ -102,17 +103,17 @@ def lathe(
 
 
 def ellipse_arc(
-    centre: float, half_length: float, radius: float, start_deg: float, stop_deg: float, steps: int
+    center: float, half_length: float, radius: float, start_deg: float, stop_deg: float, steps: int
 ) -> list[tuple[float, float]]:
-    """Profile points of an ellipse about (centre, 0): 180° is its aft pole, 0° its forward one."""
+    """Return profile points of an ellipse about (center, 0); 180° is aft, 0° forward."""
     angles = np.radians(np.linspace(start_deg, stop_deg, steps))
-    return [(centre + half_length * np.cos(a), radius * np.sin(a)) for a in angles]
+    return [(center + half_length * np.cos(a), radius * np.sin(a)) for a in angles]
 
 
 def tube(
     start: ArrayLike, stop: ArrayLike, radius: float, material: int, segments: int = 12
 ) -> Mesh:
-    """A closed cylinder from `start` (3,) to `stop` (3,)."""
+    """Build a closed cylinder from `start` (3,) to `stop` (3,)."""
     first, last = np.asarray(start, dtype=np.float64), np.asarray(stop, dtype=np.float64)
     length = float(np.linalg.norm(last - first))
     shape = lathe([(0, 0), (0, radius), (length, radius), (length, 0)], material, segments)
@@ -120,22 +121,22 @@ def tube(
 
 
 def path_tube(points: Sequence[ArrayLike], radius: float, material: int) -> Mesh:
-    """Cylinders along a chain of points, with a ball on each inner one."""
+    """Build cylinders along a chain of points, with a ball on each inner one."""
     chain = [np.asarray(point, dtype=np.float64) for point in points]
     rods = [tube(a, b, radius, material) for a, b in pairwise(chain)]
     return merge([*rods, *(ball(point, radius, material, 10) for point in chain[1:-1])])
 
 
-def ball(centre: ArrayLike, radius: float, material: int, segments: int = 24) -> Mesh:
-    """A sphere."""
+def ball(center: ArrayLike, radius: float, material: int, segments: int = 24) -> Mesh:
+    """Build a sphere."""
     profile = ellipse_arc(0.0, radius, radius, 180.0, 0.0, max(5, segments // 2 + 1))
-    return lathe(profile, material, segments).moved(shift=centre)
+    return lathe(profile, material, segments).moved(shift=center)
 
 
 def dish(
-    centre: ArrayLike, axis: ArrayLike, radius: float, depth: float, front: int, back: int
+    center: ArrayLike, axis: ArrayLike, radius: float, depth: float, front: int, back: int
 ) -> Mesh:
-    """A paraboloid reflector open towards `axis`; `centre` is the middle of its rim."""
+    """Build a paraboloid reflector open toward `axis`; `center` is the middle of its rim."""
     r = np.linspace(0.0, radius, 7)
     x = depth * ((r / radius) ** 2 - 1.0)
     thickness = 0.03 * radius
@@ -143,15 +144,15 @@ def dish(
     inner = list(zip(x[::-1], r[::-1], strict=True))
     rim = [outer[-1], inner[0]]
     shape = merge([lathe(outer, back, 32), lathe(rim, back, 32), lathe(inner, front, 32)])
-    return shape.moved(_frame_along(axis), centre)
+    return shape.moved(_frame_along(axis), center)
 
 
 def box(size: ArrayLike, materials: int | Sequence[int]) -> Mesh:
-    """A box about the origin with edges along the axes.
+    """Build a box about the origin with edges along the axes.
 
     Args:
         size: (3,) edge lengths.
-        materials: one number, or six for the faces −x, +x, −y, +y, −z, +z.
+        materials: One number, or six for the faces −x, +x, −y, +y, −z, +z.
     """
     half = np.asarray(size, dtype=np.float64) / 2
     numbers = [materials] * 6 if isinstance(materials, int) else list(materials)
@@ -171,7 +172,7 @@ def box(size: ArrayLike, materials: int | Sequence[int]) -> Mesh:
 
 
 def _grid(points: Floats, uv: Floats, material: int) -> Mesh:
-    """Two triangles for each cell of a (rows, columns, 3) grid; cells without area are left out."""
+    """Triangulate a (rows, columns, 3) grid; cells without area are left out."""
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
@@ -190,7 +191,7 @@ def _grid(points: Floats, uv: Floats, material: int) -> Mesh:
 
 
 def _frame_along(direction: ArrayLike) -> Floats:
-    """(3, 3) rotation that carries the x axis to `direction`."""
+    """Return a rotation (3, 3) that takes the x axis to `direction`."""
     x = np.asarray(direction, dtype=np.float64)
     x = x / np.linalg.norm(x)
     helper = np.eye(3)[np.argmin(np.abs(x))]
@@ -200,24 +201,24 @@ def _frame_along(direction: ArrayLike) -> Floats:
 
 
 def _corner_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
-    """Area-weighted mean, at each corner, of the faces there that meet at less than the crease."""
+    """Average, at each corner and by area, the face normals there within the crease angle."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     flat = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    corner, neighbour = _neighbours(vertices, faces)
-    smooth = (flat[corner // 3] * flat[neighbour // 3]).sum(axis=1) > np.cos(np.radians(CREASE_DEG))
+    corner, neighbor = _neighbors(vertices, faces)
+    smooth = (flat[corner // 3] * flat[neighbor // 3]).sum(axis=1) > np.cos(np.radians(CREASE_DEG))
     total = np.zeros((faces.size, 3))
-    np.add.at(total, corner[smooth], normal[neighbour[smooth] // 3])
+    np.add.at(total, corner[smooth], normal[neighbor[smooth] // 3])
     length = np.linalg.norm(total, axis=1, keepdims=True)
-    # A face without area has no neighbours and keeps whatever its plane is.
+    # A face without area has no neighbors and keeps whatever its plane is.
     total = np.where(length > 1e-12, total / np.maximum(length, 1e-300), flat.repeat(3, axis=0))
     return np.asarray(total.reshape(-1, 3, 3))
 
 
-def _neighbours(
+def _neighbors(
     vertices: Floats, faces: NDArray[np.int32]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """All ordered pairs of corners (3 · face + k) at one place, each with itself too."""
+    """Return all ordered pairs of corners (3 · face + k) at one place, each with itself too."""
     # Places are compared after rounding, because seams repeat vertices.
     _, place = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
     place = place.reshape(-1)[faces.reshape(-1)]

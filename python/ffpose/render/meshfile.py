@@ -1,8 +1,8 @@
-"""A user's own spacecraft from a mesh file.
+"""Loading a spacecraft from a mesh file.
 
-The file's axes are taken as the object frame, so the label's pose is that of the file's origin and
-axes. Any triangle mesh works: rays need neither closed nor manifold surfaces, and a face is lit on
-the side from which it is seen. Colours of faces or vertices are kept; everything is matt paint.
+The file's origin and axes are the object frame that labels refer to. Any triangle mesh works: it
+need be neither closed nor manifold, and a face is lit on the side from which it is seen. Colors of
+faces or vertices are kept; every surface is matte paint.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ MAX_FACES = 2_000_000
 MAX_BYTES = 1 << 30
 ROUGHNESS = 0.55
 COLOR_STEP = 8
-"""Colours are rounded to multiples of this (of 255), so that a picture does not become millions."""
+"""Quantization step of colors, out of 255: limits the number of materials of a textured mesh."""
 
 
 def load_craft(path: str | Path, scale: float = 1.0) -> Craft:
     """Read a spacecraft from a mesh file.
 
     Args:
-        path: a file of one of `FORMATS`.
-        scale: metres for each unit of the file.
+        path: A file of one of `FORMATS`.
+        scale: Meters per unit of the file.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: unknown format, or a scale that is not positive.
-        DataError: the file is broken, empty, holds numbers that are not finite, has more than
+        FileNotFoundError: There is no such file.
+        ValueError: The format is not in `FORMATS`, or `scale` is not positive.
+        DataError: The file is broken, empty, holds numbers that are not finite, has more than
             `MAX_FACES` faces or is larger than `MAX_BYTES`.
-        MissingExtraError: trimesh is not installed.
+        MissingExtraError: Trimesh is not installed.
     """
     source = Path(path)
     if source.suffix.lower() not in FORMATS:
@@ -58,7 +58,7 @@ def load_craft(path: str | Path, scale: float = 1.0) -> Craft:
         np.zeros((len(faces), 3, 2)),
         material.reshape(-1).astype(np.int32),
     )
-    # The name goes into the manifest, and stands for all that the images depend on.
+    # The name goes into the manifest, so it must identify everything the images depend on.
     digest = hashlib.sha256(content).hexdigest()
     return Craft(f"{source.name} sha256:{digest} scale:{scale!r}", mesh, paints)
 
@@ -66,7 +66,7 @@ def load_craft(path: str | Path, scale: float = 1.0) -> Craft:
 def _read(
     source: Path,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint8]]:
-    """Vertices (V, 3), faces (F, 3) and colours of the faces (F, 3)."""
+    """Read vertices (V, 3), faces (F, 3) and colors of the faces (F, 3)."""
     trimesh = require("trimesh", "render")
     try:
         mesh = trimesh.load(source, force="mesh", process=False)
@@ -94,7 +94,7 @@ def _check(source: Path, vertices: NDArray[np.float64], faces: NDArray[np.int64]
 
 
 def _linear(code: NDArray[np.uint8]) -> tuple[float, float, float]:
-    """Linear reflectance of an sRGB colour that was divided by `COLOR_STEP`."""
+    """Convert an sRGB color divided by `COLOR_STEP` to linear reflectance."""
     value = (code.astype(float) + 0.5) * COLOR_STEP / 255
     red, green, blue = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     return float(red), float(green), float(blue)

@@ -1,4 +1,4 @@
-"""Fractal noise in three dimensions: smooth, seamless on a sphere, the same on every machine."""
+"""Three-dimensional fractal noise, with the same values on every machine."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from ffpose.render.vectors import Floats
 
 
 def fbm(points: Floats, octaves: int, gain: float = 0.5) -> Floats:
-    """Sum of `octaves` of noise, each of about twice the frequency and `gain` times the height.
+    """Sum octaves of noise, each at about twice the frequency and `gain` times the amplitude.
 
     Args:
-        points: (3, N) float32; random values are 1 apart in the first octave.
-        octaves: how many, at least 1.
-        gain: ratio of successive amplitudes.
+        points: (3, N) float32; the first octave has its lattice points 1 apart.
+        octaves: Number of octaves, at least 1.
+        gain: Ratio of successive amplitudes.
 
     Returns:
         (N,) float32, scaled to lie within −1…1 (most of it within ±0.5).

@@ -1,6 +1,6 @@
-"""Who renders the images of a set: this process, several on this machine, or a Ray cluster.
+"""Rendering a set in this process, in several processes, or on a Ray cluster.
 
-All of them call one pure function, so that the bytes do not depend on who did it.
+All three call the same pure function, so the bytes do not depend on which of them is used.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from ffpose.render.scene import Scene
 from ffpose.render.tables import image_name
 
 PNG_LEVEL = 3
-"""Noise hardly compresses; higher levels cost time and save nothing."""
+"""Compression level of the PNG files; noise hardly compresses, so more costs time alone."""
 
 RAY_TASKS_PER_CORE = 2
-"""Tasks that are under way at once: enough to keep every core busy, few enough for any memory."""
+"""Ray tasks in flight per core: enough to keep all cores busy, few enough to fit in memory."""
 
 
 class Job(NamedTuple):
-    """What every image of a run has in common.
+    """Parameters that all images of a run share.
 
     Attributes:
-        scene: the set.
-        seed: its seed.
+        scene: The set to render.
+        seed: Seed of the set.
         size: (width, height) of the images.
-        folder: where they are written.
-        labels: the layers that are written beside them, names of `ffpose.render.layers.LABELS`.
+        folder: Folder to write to.
+        labels: Layers to write beside each image, names in `ffpose.render.layers.LABELS`.
     """
 
     scene: Scene
@@ -50,10 +50,10 @@ class Job(NamedTuple):
 
 
 def prepare(ray: bool) -> None:
-    """Check that what renders is installed, and join the Ray cluster, before a file is written.
+    """Check that the renderer's packages are installed, and connect to Ray if it is used.
 
     Raises:
-        MissingExtraError: a package of the extra `render`, or `ray`, is not installed.
+        MissingExtraError: A package of the extra `render`, or `ray`, is not installed.
     """
     for package in ("embreex", "PIL", "rich"):
         require(package, "render")
@@ -64,13 +64,13 @@ def prepare(ray: bool) -> None:
 def render_all(
     job: Job, indices: Sequence[int], workers: int, ray: bool
 ) -> Iterator[tuple[int, str]]:
-    """Render and write images; yields index and SHA-256 of each as it is done.
+    """Render and write images; yield the index and SHA-256 of each as it is done.
 
     Args:
-        job: the set.
-        indices: which images.
-        workers: processes on this machine.
-        ray: use a Ray cluster instead.
+        job: Parameters of the run.
+        indices: Indices of the images.
+        workers: Number of processes on this machine.
+        ray: Use a Ray cluster instead.
     """
     if ray:
         return _on_ray(job, indices)
@@ -80,16 +80,16 @@ def render_all(
 
 
 def render_one(job: Job, index: int) -> str:
-    """Render and write one image, and the layers that the job names; returns its SHA-256."""
+    """Render and write one image and its layers, and return the image's SHA-256."""
     from PIL import Image
 
     frame = render(job.scene, job.seed, index, job.size)
     if job.labels:
-        # Before the image, so that where an image is its layers are.
+        # Layers first: an image that exists then has its layers.
         layers = render_layers(job.scene, job.seed, index, job.size)
         write_layers(job.folder, index, layers, job.labels)
     target = job.folder / image_name(index)
-    with atomic_write(target, durable=False) as path:  # a later run makes again what is damaged
+    with atomic_write(target, durable=False) as path:  # a later run rerenders damaged files
         Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
         return sha256(path)
 
@@ -114,22 +114,22 @@ def _in_processes(job: Job, indices: Sequence[int], workers: int) -> Iterator[tu
 
 
 _worker_job: list[Job] = []
-"""The job of this worker process; sent once, because a spacecraft may be a large mesh."""
+"""Job of this worker process; sent once, because a spacecraft may be a large mesh."""
 
 
 _busy = threading.Lock()
-"""Held by this worker process while it writes."""
+"""Lock that this worker process holds while it writes."""
 
 
 def _start_worker(job: Job) -> None:
     _worker_job[:] = [job]
-    # The parent alone answers to Ctrl-C: it lets every worker finish its image.
+    # Only the parent handles Ctrl-C: it lets every worker finish its image.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
 def _end_with_parent() -> None:
-    """End this worker, between two images, when its parent has ended in whatever way."""
+    """Exit this worker between two images once its parent has exited for any reason."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -143,7 +143,7 @@ def _worker_render(index: int) -> str:
 
 
 def _on_ray(job: Job, indices: Sequence[int]) -> Iterator[tuple[int, str]]:
-    """The tasks give the files' bytes back, so that the nodes need no common folder."""
+    """Render on Ray; tasks return the files' bytes, so the nodes need no shared folder."""
     ray = _joined_ray()
     task = ray.remote(_rendered_files)
     shared = ray.put(job)
@@ -164,7 +164,7 @@ def _on_ray(job: Job, indices: Sequence[int]) -> Iterator[tuple[int, str]]:
 
 
 def _joined_ray() -> Any:
-    """The module `ray`, this process being part of a cluster."""
+    """Return the module `ray`, connected to a cluster."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     ray = require("ray", "ray")
     if not ray.is_initialized():
@@ -173,7 +173,7 @@ def _joined_ray() -> Any:
 
 
 def _rendered_files(job: Job, index: int) -> dict[str, bytes]:
-    """The files of an image by name, the image itself last."""
+    """Render the files of an image and return their bytes by name, the image itself last."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         render_one(job._replace(folder=folder), index)
@@ -183,7 +183,7 @@ def _rendered_files(job: Job, index: int) -> dict[str, bytes]:
 
 
 def _write_files(folder: Path, files: dict[str, bytes]) -> str:
-    """Write files in order; returns the SHA-256 of the last."""
+    """Write files in order and return the SHA-256 of the last."""
     for name, content in files.items():
         with atomic_write(folder / name, durable=False) as path:
             path.write_bytes(content)
@@ -193,7 +193,7 @@ def _write_files(folder: Path, files: dict[str, bytes]) -> str:
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Workers started inside use one thread; more would only contend."""
+    """Limit workers started in this context to one thread each; more would only contend."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, "1"))

@@ -1,7 +1,7 @@
-"""Domain randomisation: pictures that leave what is real, so that a network cannot lean on it.
+"""Domain randomization: unrealistic variation that keeps a network from overfitting the renderer.
 
 Tobin et al. 2017, "Domain randomization for transferring deep neural networks from simulation to
-the real world". All strengths are zero by default, which changes no pixel. Labels stay exact.
+the real world". The default strengths are zero, which changes no pixel. Labels stay exact.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from ffpose.render.vectors import Floats, column, rotate
 
 @dataclass(frozen=True)
 class Randomization:
-    """How far each part of the picture may stray; a zero switches it off.
+    """Strength of each kind of randomization; zero switches it off.
 
     Attributes:
-        light: standard deviation of the sun's colour and of the Earth's light, in stops.
-        exposure: standard deviation of the exposure, in stops, beside that of the sensor.
-        background: share of the images that have coloured clouds in place of stars and Earth.
-        materials: standard deviation of each material's colour and roughness, in stops.
+        light: Standard deviation of the sun's color and of the Earth's light, in stops.
+        exposure: Standard deviation of the exposure in stops, in addition to the sensor's.
+        background: Fraction of images with colored clouds in place of stars and Earth.
+        materials: Standard deviation of each material's color and roughness, in stops.
     """
 
     light: float = 0.0
@@ -38,17 +38,17 @@ class Randomization:
 
     @classmethod
     def of_strength(cls, strength: float) -> Randomization:
-        """All parts together: 0 is none, 1 a stop of everything and no real background at all."""
+        """Set every kind at once: 0 is none, 1 is one stop each and no real background."""
         return cls(strength, strength, strength, strength)
 
 
 def stops(spread: float, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    """Random factors about one whose logarithm to base 2 has the standard deviation `spread`."""
+    """Draw random factors around one; their base-2 logarithm has standard deviation `spread`."""
     return np.exp2(spread * rng.standard_normal(shape)).astype(np.float32)
 
 
 def backdrop(rays: Floats, rng: np.random.Generator) -> Floats:
-    """Light (3, N) along unit rays (3, N) of a wall of clouds in two random colours."""
+    """Draw clouds in two random colors: radiance (3, N) along unit rays (3, N)."""
     first, second = (column(rng.uniform(0.0, 1.0, 3)) for _ in range(2))
     scale = np.exp2(rng.uniform(1.0, 6.0))
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]

@@ -1,4 +1,4 @@
-"""One image: a pure function of the scene, the seed, the image's index and its size."""
+"""Rendering one image, as a pure function of the scene, the seed, the index and the size."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
 from ffpose.render.scene import Scene, get_scene
 from ffpose.render.sensor import Sensor, choose_gain, expose
 from ffpose.render.shading import Finish, Light, earth_visible, reflected, sun_visible
-from ffpose.render.sky import draw_stars, sun_disc
+from ffpose.render.sky import draw_stars, sun_disk
 from ffpose.render.tracer import Tracer
 from ffpose.render.vectors import Floats
 from ffpose.render.view import View, Window, find_window, look, pixel_rays, smoothed
 
 MIN_SIDE, MAX_SIDE = 16, 8192
 BLOCK = 8192
-"""Pixels of background computed at once: their temporaries stay in the processor's cache."""
+"""Background pixels per block: small enough that the temporaries stay in the CPU's cache."""
 
 BAND = 1 << 16
-"""Samples of the spacecraft computed at once, for the same reason."""
+"""Spacecraft samples per block: small enough that the temporaries stay in the CPU's cache."""
 
 LAMP = 30.0
-"""The camera's lamp in eclipse: at 10 m it gives a surface a third of the sun's light. No lamp is
-so strong: the number stands for a longer exposure too."""
+"""Strength of the camera's lamp in eclipse: at 10 m it gives a surface a third of the sun's light.
+No real lamp is so strong; the value also stands for a longer exposure."""
 
 SAMPLES = ((0.02, 4), (0.06, 3), (1.0, 2))
-"""Samples along each side of a pixel, by how much of the frame the spacecraft's rectangle fills."""
+"""Samples along each side of a pixel, by the fraction of the frame that the spacecraft fills."""
 
 
 class Frame(NamedTuple):
@@ -44,8 +44,8 @@ class Frame(NamedTuple):
 
     Attributes:
         image: (H, W, 3) uint8, RGB.
-        pose: the spacecraft's exact pose.
-        camera: the camera that took the image.
+        pose: The spacecraft's exact pose.
+        camera: The camera that took the image.
     """
 
     image: NDArray[np.uint8]
@@ -57,13 +57,14 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
     """Render one image; the same arguments give the same bytes.
 
     Args:
-        scene: a set, or the name of one (`ffpose.render.SCENES`).
-        seed: seed of the whole set, at least 0.
-        index: number of the image in the set, at least 0.
+        scene: A set, or the name of one (`ffpose.render.SCENES`).
+        seed: Seed of the whole set, at least 0.
+        index: Number of the image in the set, at least 0.
         size: (width, height) in pixels; default is that of the scene's camera.
 
     Raises:
-        ValueError: unknown set, negative seed or index, absurd size.
+        ValueError: `scene` is not in `SCENES`, `seed` or `index` is negative, or a side of `size`
+            is not within `MIN_SIDE`…`MAX_SIDE`.
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera = camera_of(scene, size)
@@ -74,17 +75,17 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
 def render_empty(
     scene: Scene | str, seed: int, index: int, size: tuple[int, int] | None = None
 ) -> NDArray[np.uint8]:
-    """The picture that `render` makes of the same arguments, but without the spacecraft.
+    """Render the image that `render` makes of the same arguments, without the spacecraft.
 
-    Earth, stars, sun and the sensor's noise are the same, drawn from the same generators; the
-    exposure is chosen by the background alone. For what has to tell whether the spacecraft is
-    there.
+    Earth, stars, sun and sensor noise come from the same random generators; the exposure is chosen
+    from the background alone. Such images are negatives for detecting whether the spacecraft is
+    present.
 
     Returns:
         (H, W, 3) uint8, RGB.
 
     Raises:
-        ValueError: as for `render`.
+        ValueError: An argument is invalid, as for `render`.
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera = camera_of(scene, size)
@@ -92,12 +93,12 @@ def render_empty(
 
 
 class Shot(NamedTuple):
-    """A picture that a camera took of a scene.
+    """An image that a camera took of a scene, with its exposure.
 
     Attributes:
         image: (H, W, 3) uint8, RGB.
-        pose: the spacecraft's exact pose.
-        gain: the exposure; a radiance of 1/gain is full scale.
+        pose: The spacecraft's exact pose.
+        gain: The exposure; a radiance of 1/gain is full scale.
     """
 
     image: NDArray[np.uint8]
@@ -115,19 +116,19 @@ def shoot(
     gain: float | None = None,
     empty: bool = False,
 ) -> Shot:
-    """Take a picture of scene `index` with any camera at the place of the scene's own.
+    """Render scene `index` with any camera at the position of the scene's own.
 
     Args:
-        scene: a set.
-        seed: seed of the whole set, at least 0.
-        index: number of the scene in the set, at least 0.
-        camera: whose view is rendered; pose and lights are those of the scene's own camera.
-        sensor: what turns the light into numbers.
-        gain: the exposure; None chooses it by what the camera sees.
-        empty: leave the spacecraft out.
+        scene: A set.
+        seed: Seed of the whole set, at least 0.
+        index: Number of the scene in the set, at least 0.
+        camera: Camera to render; pose and lights are those of the scene's own camera.
+        sensor: Sensor that turns radiance into pixel values.
+        gain: Exposure; None chooses it from what the camera sees.
+        empty: Leave the spacecraft out.
 
     Raises:
-        ValueError: negative seed or index.
+        ValueError: `seed` or `index` is negative.
     """
     return shoot_each(scene, seed, index, camera, (sensor,), gain=gain, empty=empty)[0]
 
@@ -142,9 +143,9 @@ def shoot_each(
     gain: float | None = None,
     empty: bool = False,
 ) -> list[Shot]:
-    """Take the same picture with each of several sensors, as `shoot` would with each alone.
+    """Render with each of several sensors; each image equals that of `shoot` with that sensor.
 
-    The light, which takes nearly all of the time, is computed once.
+    The radiance, which takes nearly all of the time, is computed once.
     """
     pose_rng, light_rng, star_rng, sensor_rng, surface_rng, odd_rng = _streams(seed, index)
     craft = scene.build()
@@ -169,18 +170,18 @@ def shoot_each(
 
 
 def label(scene: Scene | str, seed: int, index: int) -> Pose:
-    """The pose of image `index`, without rendering it; equal to that of `render`."""
+    """Return the pose of image `index` without rendering it; equal to that of `render`."""
     scene = get_scene(scene) if isinstance(scene, str) else scene
     return sample_pose(scene, scene.build(), _streams(seed, index)[0])
 
 
 class Situation(NamedTuple):
-    """What is where in one image.
+    """The arrangement of one image: pose, sun and Earth.
 
     Attributes:
-        pose: the spacecraft's, as in `Frame`.
-        around: sun and Earth.
-        backdrop: whether a wall of coloured clouds stands in place of stars and Earth.
+        pose: Pose of the spacecraft, as in `Frame`.
+        around: Directions and state of sun and Earth.
+        backdrop: Whether colored clouds replace stars and Earth.
     """
 
     pose: Pose
@@ -189,7 +190,7 @@ class Situation(NamedTuple):
 
 
 def situation(scene: Scene | str, seed: int, index: int) -> Situation:
-    """What is where in image `index`, without rendering it."""
+    """Return the arrangement of image `index` without rendering it."""
     scene = get_scene(scene) if isinstance(scene, str) else scene
     pose_rng, light_rng, _, _, _, odd_rng = _streams(seed, index)
     pose = sample_pose(scene, scene.build(), pose_rng)
@@ -198,10 +199,10 @@ def situation(scene: Scene | str, seed: int, index: int) -> Situation:
 
 
 def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
-    """The scene's camera at `size` (width, height).
+    """Return the scene's camera at `size` (width, height).
 
     Raises:
-        ValueError: a side is not within `MIN_SIDE`…`MAX_SIDE`.
+        ValueError: A side is not within `MIN_SIDE`…`MAX_SIDE`.
     """
     if size is None:
         size = (scene.camera.width, scene.camera.height)
@@ -214,12 +215,12 @@ def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
 
 @lru_cache(maxsize=4)
 def prepared(craft: Craft) -> tuple[Tracer, Finish]:
-    """Search tree and material tables of a spacecraft, made once for each."""
+    """Return ray tracer and material tables of a spacecraft, built once for each."""
     return Tracer(craft.mesh), Finish(craft)
 
 
 def _streams(seed: int, index: int) -> list[np.random.Generator]:
-    """Independent generators for pose, light, stars, sensor, surface and randomisation."""
+    """Seed independent generators for pose, light, stars, sensor, surface and randomization."""
     if seed < 0 or index < 0:
         raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
     return np.random.default_rng([seed, index]).spawn(6)
@@ -232,7 +233,7 @@ def _background(
     star_rng: np.random.Generator,
     odd_rng: np.random.Generator,
 ) -> Floats:
-    """(H, W, 3) radiance of all that is behind the spacecraft."""
+    """Compute the radiance (H, W, 3) of everything behind the spacecraft."""
     if odd_rng.random() < scene.randomization.background:
         return _draw_backdrop(camera, odd_rng)
     radiance = draw_stars(camera, star_rng)
@@ -241,13 +242,13 @@ def _background(
 
 
 def _draw_backdrop(camera: Camera, rng: np.random.Generator) -> Floats:
-    """(H, W, 3) radiance of coloured clouds, in place of stars and Earth."""
+    """Compute the radiance (H, W, 3) of colored clouds in place of stars and Earth."""
     wall = backdrop(pixel_rays(camera), rng)
     return np.ascontiguousarray(wall.T).reshape(camera.height, camera.width, 3)
 
 
 def _draw_background(radiance: Floats, camera: Camera, around: Surroundings) -> None:
-    """Lay sun, Earth and air over the stars in `radiance` (H, W, 3)."""
+    """Composite sun, Earth and atmosphere over the stars in `radiance` (H, W, 3)."""
     rays = pixel_rays(camera)
     pixel_angle = 1.0 / camera.fx
     octaves = int(np.clip(round(math.log2(camera.fx)), 5, 9))
@@ -255,7 +256,7 @@ def _draw_background(radiance: Floats, camera: Camera, around: Surroundings) -> 
     flat = radiance.reshape(-1, 3)
     for start in range(0, len(flat), BLOCK):
         pixels, through = flat[start : start + BLOCK], rays[:, start : start + BLOCK]
-        pixels += sun_disc(around.sun, through, pixel_angle)[:, None]
+        pixels += sun_disk(around.sun, through, pixel_angle)[:, None]
         glow, behind = shade_earth(earth, through, pixel_angle)
         pixels *= behind[:, None]
         pixels += glow.T
@@ -270,7 +271,7 @@ def _draw_craft(
     light: Light,
     rng: np.random.Generator,
 ) -> Floats:
-    """Lay the spacecraft over `radiance`; returns (3, H) radiance of its samples."""
+    """Composite the spacecraft over `radiance` and return the radiance (3, H) of its samples."""
     window = find_window(craft.mesh.vertices, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
@@ -293,11 +294,11 @@ def _shade(
     light: Light,
     rng: np.random.Generator,
 ) -> Floats:
-    """(3, H) radiance of what a view met."""
+    """Compute the radiance (3, H) of the points that a view hit."""
     surface = finish.surface(view, view.hits.distance * np.float32(1 / camera.fx))
     place = view.place
     sunlit = sun_visible(tracer, place, surface.normal, light)
-    # About one sample of each pixel is enough, as the rays are few and their mean is smoothed.
+    # About one sample per pixel is enough, as the mean over the pixels around is taken.
     some = slice(None, None, samples**2)
     earthlit = earth_visible(tracer, place[:, some], surface.normal[:, some], light, rng)
     earthlit = smoothed(earthlit, view.hits.ray[some], view.hits.ray, window, samples)
@@ -305,7 +306,7 @@ def _shade(
 
 
 def _sample_count(window: Window, camera: Camera) -> int:
-    """A distant spacecraft is small and gets more samples, at little cost."""
+    """Choose samples per pixel side; a distant, small spacecraft gets more at little cost."""
     share = math.prod(window.shape) / (camera.width * camera.height)
     return next(samples for most, samples in SAMPLES if share <= most)
 
@@ -313,10 +314,10 @@ def _sample_count(window: Window, camera: Camera) -> int:
 def _object_light(
     pose: Pose, around: Surroundings, spread: float, rng: np.random.Generator
 ) -> Light:
-    """The lights in the object frame, off by random stops of standard deviation `spread`."""
+    """Return the lights in the object frame, varied by stops of standard deviation `spread`."""
     back = pose.rotation.T
     horizon = math.sqrt(1 - 1 / (1 + around.altitude) ** 2)
-    # The lit part of the Earth's disc grows with the sun's height over the ground below.
+    # The lit part of the Earth's disk grows with the sun's height over the ground below.
     above = float(-around.sun @ around.nadir)
     return Light(
         sun=(back @ around.sun).astype(np.float32),
@@ -332,7 +333,7 @@ def _object_light(
 def _composite(
     radiance: Floats, window: Window, ray: NDArray[np.intp], color: Floats, samples: int
 ) -> None:
-    """Average the samples of each pixel over what lies behind."""
+    """Average the samples of each pixel and composite them over the background."""
     rows, columns = window.shape
     layer = np.zeros((rows * columns * samples**2, 4), dtype=np.float32)
     layer[ray, :3] = color.T

@@ -1,6 +1,6 @@
-"""From radiance to numbers: optics, exposure, noise, response curve, eight bits.
+"""Camera sensor model: optics, exposure, noise, response curve, 8-bit quantization.
 
-Every random step draws from the generator that is handed in.
+Every random step draws from the generator that the caller passes.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ CRAFT_LEVEL = 0.55
 FRAME_LEVEL = 0.9
 BLOOM_LIMIT = 200.0
 BLOOM_CELL = 4
-"""Glare is computed on a grid this much coarser than the pixels."""
+"""Pixels per cell of the coarse grid on which glare is computed."""
 BLUR_LIMIT = 20.0
-"""Of `Sensor.blur_px`: no camera that is in use is so far out of focus."""
+"""Largest `Sensor.blur_px`: no camera in use is farther out of focus."""
 MOTION_LIMIT = 200.0
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """How light becomes numbers. A zero switches the effect off.
+    """Parameters of a camera sensor; zero switches an effect off.
 
     Attributes:
-        blur_px: standard deviation of the optics' blur, in pixels of an image 1280 wide; at most
+        blur_px: Standard deviation of the optics' blur, in pixels of an image 1280 wide; at most
             `BLUR_LIMIT`.
-        vignette: part of the light that is lost in the corners.
-        bloom: part of the light beyond full scale that glare spreads around.
-        full_well: electrons at full scale, at least 1; sets the shot noise.
-        read_noise: standard deviation in electrons.
-        exposure_spread: standard deviation of the exposure's error, in stops.
-        motion_px: longest way that the picture moves while the shutter is open, in pixels of an
-            image 1280 wide; way and direction are random. The label is that of the middle.
-        jpeg_quality: 1…100: the picture goes through a JPEG file of this quality.
+        vignette: Fraction of the light lost in the corners.
+        bloom: Fraction of the light beyond full scale that glare spreads around.
+        full_well: Electrons at full scale, at least 1; sets the shot noise.
+        read_noise: Standard deviation in electrons.
+        exposure_spread: Standard deviation of the exposure error, in stops.
+        motion_px: Largest motion blur, in pixels of an image 1280 wide; length and direction are
+            random. The label is the pose at the middle of the exposure.
+        jpeg_quality: Quality 1…100 of a JPEG compression that the image goes through.
     """
 
     blur_px: float = 0.7
@@ -71,15 +71,15 @@ class Sensor:
 
 
 def choose_gain(radiance: Floats, craft: Floats, spread: float, rng: np.random.Generator) -> float:
-    """Exposure for a picture, as its operators would set it, with their error.
+    """Choose an exposure as a camera operator would, with a random error.
 
-    The spacecraft's brighter parts come near full scale, unless much of the frame would burn out.
+    The spacecraft's brighter parts come near full scale, unless much of the frame would saturate.
 
     Args:
         radiance: (H, W, 3) of the whole frame.
-        craft: (3, N) of samples on the spacecraft; N may be 0.
-        spread: standard deviation of the error, in stops.
-        rng: source of the error.
+        craft: (3, N) radiance of samples on the spacecraft; N may be 0.
+        spread: Standard deviation of the error, in stops.
+        rng: Generator of the error.
     """
     frame = _luminance(np.moveaxis(radiance[::4, ::4], -1, 0).reshape(3, -1))
     gain = FRAME_LEVEL / max(_quantile(frame, 0.85), 1e-6)
@@ -91,16 +91,16 @@ def choose_gain(radiance: Floats, craft: Floats, spread: float, rng: np.random.G
 def expose(
     radiance: Floats, gain: float, sensor: Sensor, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Take the picture.
+    """Turn radiance into 8-bit pixel values.
 
     Args:
         radiance: (H, W, 3) linear; sunlit white paint is about 1.
-        gain: exposure; a radiance of 1/gain is full scale.
-        sensor: the sensor's numbers.
-        rng: source of the noise.
+        gain: Exposure; a radiance of 1/gain is full scale.
+        sensor: Parameters of the sensor.
+        rng: Generator of the noise.
 
     Returns:
-        (H, W, 3) uint8, sRGB response with a soft shoulder.
+        (H, W, 3) uint8; the response is sRGB with a soft shoulder.
     """
     signal = radiance * np.float32(gain)
     if sensor.bloom > 0:
@@ -128,7 +128,7 @@ def _quantile(values: Floats, part: float) -> float:
 
 
 def _add_noise(signal: Floats, sensor: Sensor, rng: np.random.Generator) -> None:
-    """Shot noise by its normal approximation, and read noise, in one draw for each value."""
+    """Add read noise and shot noise (normal approximation), in one draw for each value."""
     spread = np.maximum(signal, 0)
     spread *= np.float32(1 / sensor.full_well)
     spread += np.float32((sensor.read_noise / sensor.full_well) ** 2)
@@ -138,7 +138,7 @@ def _add_noise(signal: Floats, sensor: Sensor, rng: np.random.Generator) -> None
 
 
 def _blur(image: Floats, sigma: float) -> Floats:
-    """Convolve with a bell along each axis; beyond the border stand the border's pixels."""
+    """Blur by a separable kernel of standard deviation `sigma`, replicating the border."""
     center, *sides = _bell(sigma)
     reach = len(sides)
     for axis in (0, 1):
@@ -154,9 +154,10 @@ def _blur(image: Floats, sigma: float) -> Floats:
 
 
 def _bell(sigma: float) -> Floats:
-    """Weights at 0, 1, 2, … pixels of a bell whose variance is sigma².
+    """Return blur weights at 0, 1, 2, … pixels with variance sigma².
 
-    Three taps where they can be a bell, which suits blurs below a pixel; a sampled Gaussian beyond.
+    Three taps where three can have that variance, as for blurs below a pixel; a sampled Gaussian
+    beyond.
     """
     if sigma * sigma / 2 <= 1 / 3:
         side = np.float32(sigma * sigma / 2)
@@ -166,7 +167,7 @@ def _bell(sigma: float) -> Floats:
 
 
 def _smear(image: Floats, longest: float, rng: np.random.Generator) -> Floats:
-    """Mean of the picture along a random way of at most `longest` pixels, about its middle."""
+    """Apply motion blur along a random segment of at most `longest` pixels, about its middle."""
     length, angle = rng.uniform(0.0, longest), rng.uniform(0.0, math.pi)
     reach = math.ceil(length / 2) + 1
     padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="edge")
@@ -179,7 +180,7 @@ def _smear(image: Floats, longest: float, rng: np.random.Generator) -> Floats:
 
 
 def _moved(padded: Floats, reach: int, x: float, y: float, shape: tuple[int, ...]) -> Floats:
-    """The inner part, of the given shape, of a padded picture moved by (x, y) pixels."""
+    """Return the inner part, of the given shape, of a padded image shifted by (x, y) pixels."""
     column, row = math.floor(x), math.floor(y)
     right, down = x - column, y - row
     moved = np.zeros(shape, dtype=np.float32)
@@ -191,7 +192,7 @@ def _moved(padded: Floats, reach: int, x: float, y: float, shape: tuple[int, ...
 
 
 def _through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    """What is left of a picture after a JPEG file of this quality."""
+    """Compress and decompress an image as JPEG of this quality."""
     pillow = require("PIL.Image", "render")
     file = io.BytesIO()
     pillow.fromarray(image).save(file, "JPEG", quality=quality)
@@ -200,7 +201,7 @@ def _through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
 
 
 def _add_bloom(signal: Floats, share: float) -> None:
-    """Spread light beyond full scale over a wide halo, in place."""
+    """Spread the light beyond full scale over a wide halo, in place."""
     if signal.max() <= 1:
         return
     height, width = (side // BLOOM_CELL for side in signal.shape[:2])
@@ -217,7 +218,7 @@ def _add_bloom(signal: Floats, share: float) -> None:
 
 
 def _stretch(coarse: Floats, size: int, axis: int) -> Floats:
-    """Linear interpolation of one axis of (h, w, 3), `BLOOM_CELL` pixels for each cell."""
+    """Interpolate one axis of (h, w, 3) linearly, `BLOOM_CELL` pixels for each cell."""
     place = (np.arange(size) + 0.5) / BLOOM_CELL - 0.5
     place = np.clip(place, 0, coarse.shape[axis] - 1.001).astype(np.float32)
     low = place.astype(np.intp)
@@ -232,7 +233,7 @@ def _stretch(coarse: Floats, size: int, axis: int) -> Floats:
 
 @lru_cache(maxsize=4)
 def _halo_spectrum(height: int, width: int) -> NDArray[np.complex128]:
-    """Spectrum of a halo of weight one: a narrow and a wide bell, on twice the size."""
+    """Return the spectrum of a halo of weight one, a narrow and a wide bell, at twice the size."""
     y = np.fft.fftfreq(2 * height, 1 / (2 * height))[:, None]
     x = np.fft.fftfreq(2 * width, 1 / (2 * width))[None, :]
     distance = (x * x + y * y) / width**2
@@ -256,7 +257,7 @@ def _vignette(height: int, width: int, loss: float) -> Floats:
 
 @lru_cache(maxsize=1)
 def _curve() -> NDArray[np.uint8]:
-    """Radiance 0…`CURVE_TOP` to 8 bits: sRGB, with a shoulder from 0.7 up."""
+    """Tabulate the response from radiance 0…`CURVE_TOP` to 8 bits: sRGB, a shoulder above 0.7."""
     x = (np.arange(CURVE_STEPS) + 0.5) * CURVE_TOP / CURVE_STEPS
     knee = 0.7
     x = np.where(x < knee, x, knee + (1 - knee) * (1 - np.exp(-(x - knee) / (1 - knee))))

@@ -1,4 +1,4 @@
-"""Light on the spacecraft's surface: Lambert's law under a GGX microfacet layer.
+"""Shading of the spacecraft: a Lambertian diffuse term under a GGX microfacet layer.
 
 Radiance is in units of that of a white diffuse surface facing the sun, so the sun's irradiance is
 pi. Sources: Walter et al. 2007 (GGX with Smith's shadowing), Schlick 1994 (Fresnel).
@@ -19,32 +19,32 @@ from ffpose.render.vectors import Floats, column, dot, unit
 from ffpose.render.view import View
 
 EARTH_COLOR = (0.26, 0.31, 0.38)
-"""Radiance of the sunlit Earth below, clouds and sea together."""
+"""Mean radiance of the sunlit Earth below, clouds and sea together."""
 
 HIGHLIGHT_LIMIT = 12.0
-"""Largest radiance of one sample, so that a glint does not outweigh all others of its pixel."""
+"""Largest radiance of one sample, so that a glint does not dominate its pixel."""
 
 BOUNCE = 0.2
-"""Part of the Earth's light that comes back from the spacecraft where it hides the Earth."""
+"""Fraction of the Earth's light reflected by the spacecraft where it occludes the Earth."""
 
 EDGE_ON = 0.25
-"""A smoothed normal may lean this far away from the eye on a face that is seen from outside."""
+"""Cosine up to which a smoothed normal may face away from the camera on a front face."""
 
 LIFT_M = 2e-3
-"""How far a shadow ray starts above the surface, so that no point shadows itself."""
+"""Offset of a shadow ray's origin from the surface, so that no point shadows itself, meters."""
 
 
 class Light(NamedTuple):
-    """Directions (3,) in the object frame, and how strong each light is.
+    """Lights: directions (3,) in the object frame, and intensities.
 
     Attributes:
-        sun: to the sun.
-        nadir: to the Earth's centre.
-        earth: radiance of the Earth below, as a part of `EARTH_COLOR`.
-        horizon: cosine of the angle between nadir and horizon.
+        sun: Unit vector to the sun.
+        nadir: Unit vector to the Earth's center.
+        earth: Radiance of the Earth below, relative to `EARTH_COLOR`.
+        horizon: Cosine of the angle between nadir and horizon.
         sunlight: 1, or 0 in the Earth's shadow.
-        lamp: strength of a lamp at the eye, as a part of the sun's, at a distance of 1 m.
-        tint: (3, 1) colour of the sun's light.
+        lamp: Irradiance of a lamp at the camera, relative to the sun's, at a distance of 1 m.
+        tint: (3, 1) color of the sun's light.
     """
 
     sun: Floats
@@ -57,7 +57,7 @@ class Light(NamedTuple):
 
 
 class Finish:
-    """The spacecraft's materials as tables, to look up for many points at once."""
+    """Lookup tables of the spacecraft's materials, for many points at once."""
 
     def __init__(self, craft: Craft) -> None:
         table = craft.materials
@@ -72,7 +72,7 @@ class Finish:
         self._scale = np.array([m.scale for m in table], dtype=np.float32)
 
     def varied(self, spread: float, rng: np.random.Generator) -> Finish:
-        """The same with every material's colour and roughness off by random stops."""
+        """Return a copy with every material's color and roughness varied by random stops."""
         other = copy.copy(self)
         other._color = np.minimum(self._color * stops(spread, self._color.shape, rng), 1)
         rough = self._roughness * stops(spread, self._roughness.shape, rng)
@@ -80,11 +80,11 @@ class Finish:
         return other
 
     def surface(self, view: View, footprint: Floats) -> Surface:
-        """Look up and draw the materials at the points of a view.
+        """Evaluate materials and patterns at the points of a view.
 
         Args:
-            view: what the rays met.
-            footprint: (N,) width of a pixel at each point, metres: finer detail is averaged.
+            view: The hit points.
+            footprint: (N,) width of a pixel at each point, meters; finer detail is averaged.
         """
         face = view.hits.face
         second, third = view.hits.barycentric
@@ -110,7 +110,7 @@ class Finish:
 
 
 def sun_visible(tracer: Tracer, place: Floats, normal: Floats, light: Light) -> Floats:
-    """(N,) 1 where the sun reaches the points (3, N), else 0."""
+    """Return 1 where the sun reaches the points (3, N), else 0; (N,)."""
     lit = np.zeros(place.shape[1], dtype=np.float32)
     turned = np.flatnonzero(dot(light.sun, normal) > 0)
     if light.sunlight > 0 and turned.size:
@@ -122,10 +122,10 @@ def sun_visible(tracer: Tracer, place: Floats, normal: Floats, light: Light) -> 
 def earth_visible(
     tracer: Tracer, place: Floats, normal: Floats, light: Light, rng: np.random.Generator
 ) -> Floats:
-    """(N,) part of the Earth's light that reaches the points (3, N), by two random rays for each.
+    """Estimate the fraction (N,) of the Earth's light that reaches the points (3, N).
 
-    The rays scatter about the middle of nadir and normal, where most of that light comes from.
-    A blocked point still gets `BOUNCE` from the lit surfaces around it.
+    Two random rays for each point scatter about the bisector of nadir and normal, where most of
+    that light comes from. An occluded point still gets `BOUNCE` from the lit surfaces around it.
     """
     if light.earth == 0:
         return np.zeros(place.shape[1], dtype=np.float32)
@@ -133,8 +133,8 @@ def earth_visible(
     scatter = np.float32(0.4) * rng.standard_normal(place.shape, dtype=np.float32)
     middle = light.nadir[:, None] + normal
     blocked = np.zeros(place.shape[1], dtype=np.float32)
-    for towards in (middle + scatter, middle - scatter):
-        blocked += tracer.blocked(start.T, unit(towards).T)
+    for toward in (middle + scatter, middle - scatter):
+        blocked += tracer.blocked(start.T, unit(toward).T)
     result: Floats = 1 - np.float32((1 - BOUNCE) / 2) * blocked
     return result
 
@@ -142,14 +142,14 @@ def earth_visible(
 def reflected(
     surface: Surface, view: View, light: Light, sunlit: Floats, earthlit: Floats
 ) -> Floats:
-    """Radiance (3, N) towards the eye.
+    """Compute the radiance (3, N) reflected toward the camera.
 
     Args:
-        surface: the points.
-        view: the rays that met them.
-        light: the lights.
-        sunlit: (N,) part of the sun that each point sees, 0…1.
-        earthlit: (N,) part of the Earth's light that reaches each point, 0…1.
+        surface: Surface attributes of the points.
+        view: The rays that hit them.
+        light: The lights.
+        sunlit: (N,) fraction of the sun that each point sees, 0…1.
+        earthlit: (N,) fraction of the Earth's light that reaches each point, 0…1.
     """
     rays = view.rays
     plain = surface.color * (1 - surface.metallic)
@@ -168,7 +168,7 @@ def reflected(
 
 
 def _highlight(surface: Surface, rays: Floats, sun: Floats, mirror: Floats) -> Floats:
-    """GGX lobe times pi, because the sun's irradiance is pi."""
+    """Evaluate the GGX lobe times pi, because the sun's irradiance is pi."""
     half = unit(sun[:, None] - rays)
     facing = np.maximum(dot(half, surface.normal), 0)
     cos_view = np.maximum(-dot(rays, surface.normal), np.float32(1e-3))
@@ -180,20 +180,20 @@ def _highlight(surface: Surface, rays: Floats, sun: Floats, mirror: Floats) -> F
 
 
 def _lamp_glint(surface: Surface, facing: Floats, mirror: Floats) -> Floats:
-    """The GGX lobe seen from the light itself, times pi."""
+    """Evaluate the GGX lobe seen from the light itself, times pi."""
     lobe: Floats = _lobe(surface, facing) / _reach(surface, facing) ** 2
     return mirror * lobe
 
 
 def _lobe(surface: Surface, facing: Floats) -> Floats:
-    """GGX's share of microfacets that face the half vector, times pi."""
+    """Evaluate GGX's density of microfacets that face the half vector, times pi."""
     slope = surface.roughness**4
     result: Floats = slope / (facing * facing * (slope - 1) + 1) ** 2
     return result
 
 
 def _reach(surface: Surface, cosine: Floats) -> Floats:
-    """What Smith's shadowing divides by for one direction, twice the cosine already taken out."""
+    """Evaluate the denominator of Smith's shadowing for one direction, without twice the cosine."""
     slope = surface.roughness**4
     result: Floats = cosine + np.sqrt(slope + (1 - slope) * cosine * cosine)
     return result
@@ -202,7 +202,7 @@ def _reach(surface: Surface, cosine: Floats) -> Floats:
 def _earth_shine(
     surface: Surface, rays: Floats, light: Light, plain: Floats, mirror: Floats
 ) -> Floats:
-    """The Earth below: a wide lamp to the diffuse part, a blurred disc to the mirror."""
+    """Compute the Earth's light: a wide lamp for the diffuse term, a blurred disk in the mirror."""
     wide = np.float32(0.5 * (1 - light.horizon))
     diffuse = np.clip(dot(light.nadir, surface.normal) * (1 - wide) + wide, 0, 1)
     cos_view = dot(rays, surface.normal)
@@ -218,13 +218,13 @@ def _earth_shine(
 
 
 def _face_eye(normal: Floats, rays: Floats) -> Floats:
-    """Bend unit normals (3, N) that lean away from the eye until they are seen edge-on."""
+    """Bend unit normals (3, N) that face away from the camera until they are seen edge-on."""
     lean = np.maximum(dot(normal, rays) + np.float32(0.02), 0)
     return unit(normal - lean * rays)
 
 
 def _blend(corners: Floats, weights: Floats) -> Floats:
-    """Corner values (N, 3, K) weighted by (3, N): (K, N)."""
+    """Interpolate corner values (N, 3, K) by barycentric weights (3, N); returns (K, N)."""
     first, second, third = weights
     result: Floats = first * corners[:, 0].T + second * corners[:, 1].T + third * corners[:, 2].T
     return result

@@ -1,4 +1,4 @@
-"""Stars and the sun's disc."""
+"""Stars and the sun's disk."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from ffpose.render.vectors import Floats
 
 SUN_RADIUS_RAD = 0.00465
 SUN_RADIANCE = 150.0
-"""Far above full scale at any exposure; the true disc would be a thousand times brighter."""
+"""Radiance of the sun's disk: saturated at any exposure, though a thousandth of the true one."""
 
 STARS_TO_MAGNITUDE_ZERO = 5.0
-"""Stars over the whole sky brighter than magnitude 0; each magnitude has 3.2 times as many."""
+"""Number of stars in the whole sky brighter than magnitude 0; 3.2 times more per magnitude."""
 FAINTEST = 6.0
 STAR_FLUX = 0.25
 """Radiance of a star of magnitude zero, collected in one pixel at 640 pixels of focal length."""
 
 
 def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
-    """(H, W, 3) radiance of stars uniform over the sky with the true count for each magnitude."""
+    """Draw stars uniformly over the sky with the true count per magnitude: radiance (H, W, 3)."""
     total = rng.poisson(STARS_TO_MAGNITUDE_ZERO * 10 ** (0.5 * FAINTEST))
     rays = rng.standard_normal((total, 3))
     # Counts grow as 10^(0.5 m), so a uniform share of them gives a magnitude.
@@ -31,7 +31,7 @@ def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
     flux = STAR_FLUX * 10 ** (-0.4 * magnitude[ahead]) * (camera.fx / 640.0) ** 0.5
     tint = np.stack([1 + warmth, np.ones_like(warmth), 1 - warmth], axis=1)[ahead]
     light = flux[:, None] * np.clip(tint, 0.4, 1.6)
-    # A star falls on four pixels, shared as its place between their centres says.
+    # A star is splatted on four pixels with bilinear weights.
     base = np.floor(pixel - 0.5).astype(np.int64)
     part = pixel - 0.5 - base
     image = np.zeros((camera.height * camera.width, 3), dtype=np.float32)
@@ -45,10 +45,10 @@ def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
     return image.reshape(camera.height, camera.width, 3)
 
 
-def sun_disc(sun: NDArray[np.float64], rays: Floats, pixel_angle: float) -> Floats:
-    """(N,) radiance of the sun itself along unit rays (3, N), its rim smoothed over a pixel."""
-    towards = np.asarray(sun, dtype=np.float32)[:, None]
-    offset = np.sqrt(((rays - towards) ** 2).sum(axis=0))
+def sun_disk(sun: NDArray[np.float64], rays: Floats, pixel_angle: float) -> Floats:
+    """Compute the sun's radiance (N,) along unit rays (3, N), its rim smoothed over a pixel."""
+    toward = np.asarray(sun, dtype=np.float32)[:, None]
+    offset = np.sqrt(((rays - toward) ** 2).sum(axis=0))
     radius = max(SUN_RADIUS_RAD, 0.5 * pixel_angle)
     inside = np.clip(0.5 - (offset - radius) / pixel_angle, 0, 1)
     result: Floats = (inside * np.float32(SUN_RADIANCE)).astype(np.float32)

@@ -81,7 +81,7 @@ KEYPOINTS = {
 
 
 def build() -> Mesh:
-    """The whole spacecraft as one mesh; material numbers index `MATERIALS`."""
+    """Build the whole spacecraft as one mesh; material numbers index `MATERIALS`."""
     return merge(
         [
             *_service_module(),
@@ -196,7 +196,7 @@ def _docking_probe() -> list[Mesh]:
 
 
 def _wing(side: float) -> list[Mesh]:
-    """One solar wing; `side` is +1 to starboard, −1 to port."""
+    """Build one solar wing; `side` is +1 to starboard, −1 to port."""
     length = (WING_TIP - WING_ROOT) / WING_SEGMENTS
     gap = 0.05
     parts = []

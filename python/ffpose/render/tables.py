@@ -1,7 +1,7 @@
-"""The label files of URSO's layout: one table of all poses, names and poses of each split.
+"""Label files in URSO's layout: a table of all poses, and names and poses of each split.
 
-Labels are in URSO's own frame (`ffpose.geometry`), with every digit of the numbers. Beside them
-stand the conditions of each image, which URSO's layout does not have.
+Labels are in URSO's own frame (`ffpose.geometry`) and keep every digit. A table of each image's
+conditions, which URSO's layout does not have, stands beside them.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
 
 
 def split_of(index: int) -> str:
-    """The split of image `index`: of ten in a row, eight train, one validates, one tests.
+    """Return the split of image `index`: of ten in a row, eight train, one val, one test.
 
-    So a longer set never moves an image from one split to another.
+    A longer set therefore never moves an image from one split to another.
     """
     return {1: "val", 2: "test"}.get(index % 10, "train")
 
 
 def image_name(index: int) -> str:
-    """File name of image `index`."""
+    """Return the file name of image `index`."""
     return f"{index}_rgb.png"
 
 
 def index_of(name: str) -> int | None:
-    """The index of the image of this file name, None if it is no image's."""
+    """Return the index of the image with this file name, None if it is no image's name."""
     match = re.fullmatch(r"(\d+)_rgb\.png", name)
     return int(match[1]) if match else None
 
@@ -43,16 +43,16 @@ def index_of(name: str) -> int | None:
 def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> list[str]:
     """Write labels, splits and camera of a set.
 
-    A split without images has no file. Row N of ``gt.csv`` is that of image N, so a set that does
-    not begin with image 0 has none.
+    A split without images has no files. Row N of ``gt.csv`` is that of image N, so a set that does
+    not begin with image 0 has no ``gt.csv``.
 
     Args:
-        folder: where the images are.
-        poses: the label of each image by its index, without gaps, in order.
-        camera: the camera of the images.
+        folder: Folder of the images.
+        poses: Label of each image by its index, in order and without gaps.
+        camera: The camera of the images.
 
     Returns:
-        The names of the files.
+        The names of the files written.
     """
     _write_text(folder / "camera.json", json.dumps(asdict(camera), indent=1) + "\n")
     names = ["camera.json"]
@@ -69,7 +69,7 @@ def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> lis
 
 
 def write_conditions(folder: Path, conditions: Mapping[int, Conditions]) -> str:
-    """Write the conditions of images, by their indices, and return the name of the file."""
+    """Write the conditions of images, given by index, and return the name of the file."""
     target = folder / "conditions.csv"
     with atomic_write(target) as path, path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -1,7 +1,7 @@
-"""Ray casting against one spacecraft by Embree, in the spacecraft's own frame.
+"""Ray casting against one spacecraft with Embree, in the object frame.
 
-The rays move into the object frame instead of the mesh into the camera's, so that the search tree
-is built once for a spacecraft and used for every image of it.
+Rays are transformed into the object frame, rather than the mesh into the camera frame, so that the
+bounding volume hierarchy (BVH) is built once for a spacecraft and serves every image of it.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from ffpose.render.vectors import Floats
 
 
 class Hits(NamedTuple):
-    """The rays that met the surface, H of N.
+    """The H of N rays that hit the surface.
 
     Attributes:
-        ray: (H,) which rays.
-        face: (H,) which face each met first.
-        distance: (H,) along the ray, metres for unit directions.
-        barycentric: (2, H) weights of the face's second and third corner.
+        ray: (H,) indices of the rays.
+        face: (H,) index of the face that each hit first.
+        distance: (H,) along the ray, meters for unit directions.
+        barycentric: (2, H) weights of the face's second and third corners.
     """
 
     ray: NDArray[np.intp]
@@ -33,13 +33,13 @@ class Hits(NamedTuple):
 
 
 class Tracer:
-    """Embree's search tree over one mesh.
+    """Embree's BVH of one mesh.
 
     Args:
-        mesh: the surface, in metres.
+        mesh: The surface, in meters.
 
     Raises:
-        MissingExtraError: embreex is not installed.
+        MissingExtraError: Embreex is not installed.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -51,10 +51,10 @@ class Tracer:
         TriangleMesh(self._scene, mesh.vertices.astype(np.float32), mesh.faces)
 
     def first_hits(self, origin: Floats, directions: Floats) -> Hits:
-        """Where rays from one point first meet the surface.
+        """Find the first hits of rays from one point.
 
         Args:
-            origin: (3,) object frame, metres.
+            origin: (3,) object frame, meters.
             directions: (N, 3) unit vectors, object frame.
         """
         origins = np.broadcast_to(origin, directions.shape).astype(np.float32)
@@ -68,10 +68,10 @@ class Tracer:
         )
 
     def blocked(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
-        """Whether anything lies along each ray.
+        """Return whether each ray hits anything; (N,) bool.
 
         Args:
-            origins: (N, 3) object frame, metres.
+            origins: (N, 3) object frame, meters.
             directions: (N, 3) or (3,) unit vectors, object frame.
         """
         rays = np.ascontiguousarray(np.broadcast_to(directions, origins.shape), dtype=np.float32)

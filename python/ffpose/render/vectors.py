@@ -1,6 +1,6 @@
-"""Small vector algebra on float32 arrays that hold one row for each component.
+"""Vector algebra on float32 arrays with one row per component.
 
-Sums are written out: BLAS may round differently with another number of threads, and the same
+Sums are written out, because BLAS may round differently with another number of threads and the same
 arguments must give the same bytes.
 """
 
@@ -13,32 +13,32 @@ Floats = NDArray[np.float32]
 
 
 def column(values: ArrayLike) -> Floats:
-    """(K,) numbers as float32 (K, 1), to stand beside (K, N)."""
+    """Return K values as a float32 column (K, 1), which broadcasts with (K, N)."""
     result: Floats = np.asarray(values, dtype=np.float32).reshape(-1, 1)
     return result
 
 
 def dot(first: ArrayLike, second: Floats) -> Floats:
-    """Products (N,) of the columns of (3, N), or of one vector (3,), with those of (3, N)."""
+    """Return the dot products (N,) of the columns of (3, N), or of one (3,), with (3, N)."""
     a, b, c = np.asarray(first, dtype=np.float32)
     result: Floats = a * second[0] + b * second[1] + c * second[2]
     return result
 
 
 def rotate(matrix: NDArray[np.float64], vectors: Floats) -> Floats:
-    """(3, 3) matrix times (3, N)."""
+    """Multiply vectors (3, N) by a matrix (3, 3)."""
     return np.stack([dot(row, vectors) for row in matrix])
 
 
 def unit(vectors: Floats) -> Floats:
-    """(3, N) scaled to length one; zero stays zero."""
+    """Scale vectors (3, N) to length one; zero stays zero."""
     length: Floats = np.sqrt(dot(vectors, vectors))
     length += np.float32(1e-12)
     return np.divide(vectors, length, dtype=np.float32)
 
 
 def smoothstep(values: Floats, low: float, high: float) -> Floats:
-    """0 below `low`, 1 above `high`, smooth between."""
+    """Interpolate smoothly from 0 below `low` to 1 above `high`."""
     part = np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)
     result: Floats = part * part * (3 - 2 * part)
     return result

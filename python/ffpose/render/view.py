@@ -1,4 +1,4 @@
-"""The camera's rays, and which pixels a spacecraft may touch."""
+"""Camera rays, and the rectangle of pixels that a spacecraft may cover."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ffpose.render.vectors import Floats, rotate
 
 NEAR_M = 0.05
 LEAST_ROWS = 8
-"""Of a band: what is smoothed over neighbours has some."""
+"""Least height of a band, so that smoothing over neighboring pixels has some."""
 
 
 class Window(NamedTuple):
@@ -30,11 +30,11 @@ class Window(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
+        """Number of (rows, columns)."""
         return self.bottom - self.top, self.right - self.left
 
     def bands(self, pixels: int) -> Iterator[Window]:
-        """Cut into whole rows, of about as many pixels each, but at least `LEAST_ROWS` high."""
+        """Cut into bands of whole rows, about `pixels` each and at least `LEAST_ROWS` high."""
         rows, columns = self.shape
         count = max(1, rows // max(LEAST_ROWS, pixels // columns))
         edges = [self.top + rows * n // count for n in range(count + 1)]
@@ -42,12 +42,12 @@ class Window(NamedTuple):
 
 
 class View(NamedTuple):
-    """What rays through a window met, all in the object frame.
+    """Hits of the rays through a window, in the object frame.
 
     Attributes:
-        eye: (3,) the camera.
-        rays: (3, H) unit vectors of the rays that met the spacecraft.
-        hits: where they did; `hits.ray` numbers the samples row by row.
+        eye: (3,) position of the camera.
+        rays: (3, H) unit vectors of the rays that hit the spacecraft.
+        hits: Where they hit; `hits.ray` indexes the samples row by row.
     """
 
     eye: Floats
@@ -56,19 +56,19 @@ class View(NamedTuple):
 
     @property
     def place(self) -> Floats:
-        """(3, H) points that were met, metres."""
+        """Hit points (3, H), meters."""
         result: Floats = self.eye[:, None] + self.rays * self.hits.distance
         return result
 
 
 @lru_cache(maxsize=4)
 def pixel_rays(camera: Camera) -> Floats:
-    """(3, H·W) unit vectors through the pixels' centres, row by row, camera frame."""
+    """Return unit vectors (3, H·W) through the pixels' centers, row by row, camera frame."""
     return _unit_rays(camera, _samples(0, camera.width, 1), _samples(0, camera.height, 1))
 
 
 def find_window(vertices: NDArray[np.float64], pose: Pose, camera: Camera) -> Window | None:
-    """The pixels that a surface with these vertices (V, 3) may touch, None if out of frame."""
+    """Return the pixels that a mesh of vertices (V, 3) may cover, None if out of frame."""
     points = pose.transform(vertices)
     if points[:, 2].min() < NEAR_M:
         return Window(0, 0, camera.width, camera.height)
@@ -99,17 +99,17 @@ def smoothed(
     window: Window,
     samples: int,
 ) -> Floats:
-    """Mean of a noisy quantity over the neighbourhood of each sample's pixel, 5 pixels wide.
+    """Average a noisy quantity over the 5 x 5 pixels around each sample.
 
     Args:
-        values: (K,) at some of the samples.
-        known: (K,) the numbers of these.
-        ray: (H,) the numbers of all samples, as in `View`.
-        window: the pixels.
-        samples: samples along each side of a pixel.
+        values: (K,) values at some of the samples.
+        known: (K,) indices of these samples.
+        ray: (H,) indices of all samples, as in `View`.
+        window: The rectangle of pixels.
+        samples: Samples along each side of a pixel.
 
     Returns:
-        (H,) means; 1 where no value is near.
+        Means (H,); 1 where no value is near.
     """
     rows, columns = window.shape
     cells = rows * columns
@@ -122,13 +122,13 @@ def smoothed(
 
 
 def _pixel(ray: NDArray[np.intp], columns: int, samples: int) -> NDArray[np.intp]:
-    """Numbers of the pixels that samples lie in."""
+    """Return the indices of the pixels that samples lie in."""
     row, column = np.divmod(ray, columns * samples)
     return np.asarray(row // samples * columns + column // samples)
 
 
 def _box(grids: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums over 3 x 3 cells of (2, rows, columns); nothing lies outside."""
+    """Sum (2, rows, columns) over 3 x 3 cells, with zeros outside."""
     across = grids.copy()
     across[..., 1:] += grids[..., :-1]
     across[..., :-1] += grids[..., 1:]
@@ -139,12 +139,12 @@ def _box(grids: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _samples(start: int, stop: int, samples: int) -> NDArray[np.float64]:
-    """Pixel coordinates of `samples` evenly spaced points in each pixel of start … stop − 1."""
+    """Return `samples` evenly spaced coordinates in each pixel of start … stop − 1."""
     return (np.arange(start * samples, stop * samples) + 0.5) / samples
 
 
 def _unit_rays(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]) -> Floats:
-    """(3, len(v)·len(u)) unit vectors through the pixel coordinates u and v, row by row."""
+    """Return unit vectors (3, len(v)·len(u)) through pixel coordinates u, v, row by row."""
     x = ((u - camera.cx) / camera.fx).astype(np.float32)
     y = ((v - camera.cy) / camera.fy).astype(np.float32)
     columns, rows = np.meshgrid(x, y)

@@ -1,9 +1,9 @@
-"""Views for training, rendered as such: the small frame and the window, not the whole image.
+"""Rendering training views directly: the small frame and the window, not the whole image.
 
-A network with a second look reads two pieces of an image (`ffpose.views`). Rendering the image to
-cut them out of it spends most of the time on pixels that are averaged away. Here each piece is
-rendered at its own resolution: the same scene, light and exposure, and a sensor whose blur and
-noise are those of the pixels' means. It takes a tenth of the time of a 1280 x 960 image.
+A network with a second look reads two pieces of an image (`ffpose.views`). Rendering the image and
+cutting them out would spend most of the time on pixels that are averaged away. Instead each piece
+is rendered at its own resolution, with the same scene, light and exposure, and with a sensor whose
+blur and noise are those of averaged pixels: a tenth of the time of a 1280 x 960 image.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ffpose.render.sensor import Sensor
 from ffpose.views import WINDOW, Content, Pieces, ViewSpec, in_frame
 
 CHUNK = 8
-"""Views that a process renders before it reports."""
+"""Views per task of a worker process."""
 
 
 def render_view(
@@ -34,15 +34,15 @@ def render_view(
     """Render the pieces of one image that a network with a second look reads.
 
     Args:
-        scene: a set.
-        seed: seed of the whole set.
-        index: number of the image in the set.
-        spec: how the network looks.
-        content: "object": the set's spacecraft; "empty": none, and the window is where it would be;
-            "decoy": another one in its place (`ffpose.render.decoys`).
+        scene: A set.
+        seed: Seed of the whole set.
+        index: Number of the image in the set.
+        spec: Geometry of the network's two views.
+        content: "object": the set's spacecraft; "empty": no spacecraft, the window where it would
+            be; "decoy": another spacecraft in its place (`ffpose.render.decoys`).
 
     Raises:
-        ValueError: an unknown content.
+        ValueError: `content` is none of these.
     """
     if content not in get_args(Content):
         raise ValueError(f"content: expected one of {get_args(Content)}, got {content!r}")
@@ -70,16 +70,16 @@ def render_view(
 
 
 def averaging(sensor: Sensor, side: int) -> Sensor:
-    """The sensor whose pixels are means of ``side`` x ``side`` of this one's."""
+    """Return the sensor whose pixels are means of ``side`` x ``side`` pixels of this one."""
     return replace(
         sensor, full_well=sensor.full_well * side**2, read_noise=sensor.read_noise * side
     )
 
 
 def in_window(sensor: Sensor, width: int) -> Sensor:
-    """The sensor for a window of an image ``width`` pixels wide, whose corners are not dark.
+    """Return the sensor for a window of an image ``width`` pixels wide, without vignetting.
 
-    A sensor counts blur and motion in parts of the picture's width, and the window is a part of it.
+    Blur and motion are relative to the image's width, of which the window covers a part.
     """
     scale = width / WINDOW
     return replace(
@@ -88,19 +88,19 @@ def in_window(sensor: Sensor, width: int) -> Sensor:
 
 
 def describe(scene: Scene, seed: int, spec: ViewSpec, content: Content) -> dict[str, object]:
-    """All that views depend on, but for their indices, as plain values."""
+    """Return all parameters that views depend on, except their indices, as plain values."""
     return {"scene": scene.parameters(), "seed": seed, "spec": asdict(spec), "content": content}
 
 
 def render_views(
     scene: Scene, seed: int, indices: range, spec: ViewSpec, content: Content, workers: int
 ) -> Iterator[Pieces]:
-    """Render views in order, by as many processes as are asked for."""
+    """Render views in order with several processes."""
     make = partial(_render_one, scene, seed, spec, content)
     if workers <= 1 or len(indices) < 2 * CHUNK:
         yield from map(make, indices)
         return
-    prepared(scene.build())  # forked workers share the search tree
+    prepared(scene.build())  # forked workers share the BVH
     context = multiprocessing.get_context("fork" if os.name == "posix" else "spawn")
     with context.Pool(min(workers, len(indices))) as pool:
         yield from pool.imap(make, indices, CHUNK)

@@ -1,10 +1,10 @@
-"""Writes sets of images in URSO's layout, by any number of processes, and carries on after a kill.
+"""Writing sets of images in URSO's layout, in parallel and resumably.
 
 A folder holds ``N_rgb.png``, the label files of `ffpose.render.tables` and ``manifest.json``. Runs
-over parts of a set may share it: each costs what its own images cost, and writes no file that
-another of them writes, so they need no lock. The run whose range holds every image in the folder
-closes the set with the label files of all; of runs that end at once at most one sees no image but
-its own.
+over parts of a set (shards) may share a folder without a lock: no two of them write the same file,
+and each does the work of its own images alone. The run whose range covers every image in the folder
+closes the set: it writes the label files of all images. Of shards that end at the same time at most
+one sees no images but its own.
 """
 
 from __future__ import annotations
@@ -30,19 +30,20 @@ from ffpose.render.tables import image_name, index_of, write_conditions, write_t
 
 MAX_COUNT = 10_000_000
 LEAST_BYTES_PER_PIXEL = 0.4
-"""Noise keeps images above this; a usual set takes two or three times as much."""
+"""Lower bound on the size of an image file, given its noise; typical sets take two to three times
+as much."""
 
 
 class Written(NamedTuple):
-    """What a run did.
+    """Result of a run.
 
     Attributes:
-        folder: where the set is.
-        rendered: images made now.
-        kept: valid images of earlier runs that were left as they were.
-        seconds: wall time.
-        closed: the label files and the manifest hold the images of this run. False where the folder
-            has images of other runs too: a run over the whole range then closes the set.
+        folder: Folder of the set.
+        rendered: Number of images rendered by this run.
+        kept: Number of valid images of earlier runs that were kept.
+        seconds: Wall time.
+        closed: Whether label files and manifest include the images of this run. False where the
+            folder has images of other runs too: a run over the whole range then closes the set.
     """
 
     folder: Path
@@ -67,38 +68,39 @@ def write_dataset(
 ) -> Written:
     """Render the images `start` … `start + count − 1` of a set into a folder.
 
-    The same arguments give the same bytes, whatever the number of workers and however often the
-    run was killed and begun again; images that are already there are checked and kept. Shards of
-    one set may write to one folder, at the same time; afterwards one run over the whole range
-    (which finds all images there) closes the set: it writes the label files and the manifest. A
-    shard in a folder of its own is closed at once.
+    The same arguments give the same bytes, for any number of workers and however often the run was
+    killed and resumed; valid images in the folder are kept. Shards of one set may write to one
+    folder at the same time; afterward one run over the whole range, which finds all images there,
+    closes the set: it writes the label files and the manifest. A shard in a folder of its own is
+    closed at once.
 
     Args:
-        scene: a set, or the name of one (`ffpose.render.SCENES`).
-        out: the folder; it is made if it does not exist.
-        count: number of images, at least 1.
-        seed: seed of the set, at least 0.
-        start: index of the first image.
+        scene: A set, or the name of one (`ffpose.render.SCENES`).
+        out: Folder to write to; created if it does not exist.
+        count: Number of images, at least 1.
+        seed: Seed of the set, at least 0.
+        start: Index of the first image.
         size: (width, height) in pixels; default is that of the scene's camera.
-        workers: processes; 1 renders in this one.
-        labels: layers to write beside each image, names of `ffpose.render.layers.LABELS`.
-        progress: show images per second and the time left on standard error.
-        ray: render on the Ray cluster of this process, which ``RAY_ADDRESS`` names; without it on
-            one that is begun on this machine. Every node needs ffpose, none the folder.
+        workers: Number of processes; 1 renders in the calling process.
+        labels: Layers to write beside each image, names in `ffpose.render.layers.LABELS`.
+        progress: Show images per second and the remaining time on standard error.
+        ray: Render on the Ray cluster that ``RAY_ADDRESS`` names, or on one started on this
+            machine where that is not set. Every node needs ffpose; none needs the folder.
 
     Raises:
-        ValueError: unknown set or label, absurd number, or a folder that holds another set.
-        DataError: the folder's manifest cannot be read.
-        OSError: the folder cannot be written to, or the disk has no room for the set. What was
-            written stays, and the next run carries on with it.
-        MissingExtraError: a package of the extra `render`, or `ray`, is not installed.
+        ValueError: `scene` or one of `labels` is unknown, a number is out of range, or the folder
+            holds another set.
+        DataError: The folder's manifest cannot be read.
+        OSError: The folder cannot be written to, or the disk is full. Images already written stay,
+            and the next run resumes from them.
+        MissingExtraError: A package of the extra `render`, or `ray`, is not installed.
     """
     begin = time.perf_counter()
     scene = get_scene(scene) if isinstance(scene, str) else scene
     _check_range(count=(count, 1, MAX_COUNT), start=(start, 0, MAX_COUNT))
     _check_range(seed=(seed, 0, 2**63 - 1), workers=(workers, 1, 1024))
     camera = camera_of(scene, size)
-    label(scene, seed, start)  # a scene that allows no pose fails here, before a file is written
+    label(scene, seed, start)  # a scene that allows no pose fails before a file is written
     prepare(ray)
     job = Job(scene, seed, (camera.width, camera.height), Path(out), check_labels(labels))
     manifest = Manifest.of(scene, seed, job.size, job.labels)
@@ -109,7 +111,7 @@ def write_dataset(
     missing = [index for index in wanted if index not in hashes]
     least = int(LEAST_BYTES_PER_PIXEL * camera.width * camera.height * len(missing))
     expect_room(job.folder, least, f"{len(missing)} images")
-    if begun is None:  # last, as a folder with a manifest takes no other set
+    if begun is None:  # last of the checks, as a folder with a manifest accepts no other set
         job.folder.mkdir(parents=True, exist_ok=True)
         manifest.write(job.folder / FILE_NAME)
     remove_leftovers(job.folder)
@@ -129,15 +131,15 @@ def write_dataset(
 
 
 def _check_range(**values: tuple[int, int, int]) -> None:
-    """Check each (value, least, most)."""
+    """Check that each value of (value, least, most) is within its bounds."""
     for name, (value, least, most) in values.items():
         if not least <= value <= most:
             raise ValueError(f"{name}: expected {least}…{most}, got {value}")
 
 
 def _begun(job: Job, manifest: Manifest) -> Manifest | None:
-    """The manifest in the folder, checked to be of the same set; None where nothing was begun."""
-    # Images first: another shard that begins just now writes its manifest before its images.
+    """Return the folder's manifest, checked to be of the same set; None for a new set."""
+    # Images first: another shard that starts right now writes its manifest before its images.
     images = _holds_images(job.folder)
     old = Manifest.read(job.folder / FILE_NAME)
     if old is None:
@@ -154,7 +156,7 @@ def _begun(job: Job, manifest: Manifest) -> Manifest | None:
 
 
 def _fingerprints(job: Job, hashes: dict[int, str]) -> dict[str, str]:
-    """SHA-256 by name of the images of this run, whose `hashes` are known, and of their layers."""
+    """Return the SHA-256 by name of this run's images, given in `hashes`, and their layers."""
     indices = sorted(hashes)
     layers = [name for index in indices for name in label_files(index, job.labels)]
     return {image_name(index): hashes[index] for index in indices} | {
@@ -165,7 +167,7 @@ def _fingerprints(job: Job, hashes: dict[int, str]) -> dict[str, str]:
 def _close_set(
     job: Job, manifest: Manifest, files: dict[str, str], indices: range, camera: Camera
 ) -> None:
-    """Write the label files and the manifest of a folder that holds these images alone."""
+    """Write label files and manifest of a folder that holds these images and no others."""
     poses = {index: label(job.scene, job.seed, index) for index in indices}
     conditions = {index: conditions_of(job.scene, job.seed, index) for index in indices}
     tables = [
@@ -179,7 +181,7 @@ def _close_set(
 
 
 def _holds_images(folder: Path, but: range = range(0)) -> bool:
-    """Whether a folder holds images, those of a range aside; looks no farther than the first."""
+    """Return whether a folder holds images outside a range; stops at the first."""
     if not folder.is_dir():
         return False
     with os.scandir(folder) as entries:
@@ -188,7 +190,7 @@ def _holds_images(folder: Path, but: range = range(0)) -> bool:
 
 
 def _known_files(job: Job, indices: range, closed: dict[str, str]) -> dict[str, str]:
-    """SHA-256 by name of the files of these images, as finished runs left them."""
+    """Return the SHA-256 by name of these images' files, as finished runs recorded them."""
     known = dict(closed)
     for path in parts(job.folder, indices):
         part = Manifest.read(path)
@@ -197,7 +199,7 @@ def _known_files(job: Job, indices: range, closed: dict[str, str]) -> dict[str, 
 
 
 def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> Iterator[tuple[int, str]]:
-    """Index and SHA-256 of the images that are there and whole."""
+    """Yield index and SHA-256 of the images that exist and are intact."""
     known = _known_files(job, indices, closed)
     for index in indices:
         path = job.folder / image_name(index)
@@ -210,7 +212,7 @@ def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> Iterator[
 
 
 def _has_layers(job: Job, index: int, known: dict[str, str]) -> bool:
-    """Whether the layers of an image are there, and as the manifest says."""
+    """Return whether the layers of an image exist and match the manifest."""
     for path in (job.folder / name for name in label_files(index, job.labels)):
         if not path.exists() or (path.name in known and known[path.name] != sha256(path)):
             return False

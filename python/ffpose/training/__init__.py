@@ -1,6 +1,6 @@
-"""Training: configuration, stages, the loop, and taking a run up again.
+"""Training: configuration, stages, the training loop, checkpoints.
 
-The names are imported when they are asked for, so that the configuration alone does not load torch.
+Names are imported on first access, so that reading a configuration does not load torch.
 """
 
 from __future__ import annotations

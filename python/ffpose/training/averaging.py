@@ -1,8 +1,9 @@
-"""The exponential moving average of the weights, which is what is validated and saved.
+"""Exponential moving average (EMA) of the weights, which is what is validated and saved.
 
 Polyak and Juditsky, "Acceleration of Stochastic Approximation by Averaging", 1992: the average of
 the last steps lies nearer to the minimum than any one of them. Batch norm's running statistics are
-averaged with the weights. The first steps count in full, so that the start is soon forgotten.
+averaged with the weights. The decay is smaller in the first steps, so that the initial weights are
+soon forgotten.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ Model = TypeVar("Model", bound=nn.Module)
 
 
 class AveragedModel(Generic[Model]):
-    """A copy of a network whose weights follow it.
+    """A copy of a network whose weights are the moving average of the network's.
 
     Args:
-        model: The network that is trained.
-        decay: Share of the average that stays at each step; 0 keeps no average.
+        model: The network being trained.
+        decay: Weight of the old average in each step; 0 keeps no average.
 
     Attributes:
-        model: What to validate and save.
-        steps: How many steps have been averaged.
+        model: The averaged network, to validate and save.
+        steps: Number of steps averaged so far.
     """
 
     def __init__(self, model: Model, decay: float) -> None:
@@ -38,7 +39,7 @@ class AveragedModel(Generic[Model]):
 
     @torch.no_grad()
     def update(self) -> None:
-        """Follow the network by one step."""
+        """Update the average after a step of the optimizer."""
         if self.decay == 0:
             return
         self.steps += 1
@@ -56,11 +57,11 @@ class AveragedModel(Generic[Model]):
         torch._foreach_lerp_(averages, values, weight)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what `load_state_dict` takes: the average and how many steps it holds."""
+        """Return the average and the number of steps, as `load_state_dict` takes them."""
         return {"steps": self.steps, "model": self.model.state_dict()} if self.decay > 0 else {}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a `state_dict`."""
+        """Restore what `state_dict` returned."""
         if self.decay > 0:
             self.steps = state["steps"]
             self.model.load_state_dict(state["model"])

@@ -1,10 +1,9 @@
-"""Set a network's own word on its errors right, on images that it has not learned from.
+"""Calibration of a network's uncertainty on held-out images.
 
-A covariance that is too small or too large by one factor is mended by that factor, one for
-translation and one for rotation: the regions of 90 % are made to hold 90 % of the truths of the
-validation split, as temperature scaling does for probabilities (Guo et al., "On Calibration of
-Modern Neural Networks", ICML 2017). Coverage of other levels, and under other conditions, then
-follows from the network alone.
+The covariances of translation and of rotation are scaled by one factor each, such that the 90 %
+confidence regions contain 90 % of the ground truth of the validation split. This is the analog of
+temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML
+2017). Coverage at other levels, and under other conditions, is up to the network.
 """
 
 from __future__ import annotations
@@ -26,15 +25,15 @@ FloatArray = NDArray[np.float64]
 
 LEVEL = 0.9
 CHI_SQUARE_90 = 6.251388631170325
-"""What chi-square with three degrees of freedom exceeds in one case of ten."""
+"""The 90 % quantile of the chi-square distribution with three degrees of freedom."""
 
 
 class Calibration(NamedTuple):
-    """What was found on the validation split.
+    """Calibration parameters found on the validation split.
 
     Attributes:
         variance_scales: ``(2,)`` float32, for the network's buffer of that name.
-        in_view_threshold: For the header: an image with a lower probability is flagged.
+        in_view_threshold: Images with a lower probability of the object being in view are flagged.
     """
 
     variance_scales: Tensor
@@ -42,28 +41,29 @@ class Calibration(NamedTuple):
 
 
 def calibrate(
-    model: FilterformerPose, labelled: Iterable[Sample], empty: Iterable[Tensor]
+    model: FilterformerPose, labeled: Iterable[Sample], empty: Iterable[Tensor]
 ) -> Calibration:
-    """Find the scales of a network's variances, and the threshold that flags by its presence.
+    """Find the scales of a network's variances and the threshold that flags empty images.
 
-    The scale of a variance is what it has now times `variance_scale`, so that a network which is
-    calibrated already keeps it. The threshold is `ffpose.calibration.choose_threshold`: the least
-    sum of false alarms and misses. The network is left as it is but for its mode: evaluation.
+    The new scale of a variance is the current one times `variance_scale`, so a network that is
+    already calibrated keeps it. The threshold is that of `ffpose.calibration.choose_threshold`:
+    the smallest sum of false-alarm and miss rates. The network is put in evaluation mode and
+    otherwise left as it is.
 
     Args:
         model: A network with a second look.
-        labelled: Batches of the validation split, as a DataLoader of a `PoseDataset` gives them.
-        empty: Batches ``(B, 3, H, W)``, standardised, of images that do not show the object.
+        labeled: Batches of the validation split, as a DataLoader of a `PoseDataset` yields them.
+        empty: Standardized batches ``(B, 3, H, W)`` of images that do not show the object.
 
     Raises:
-        ValueError: A network that gives no uncertainty, no images of one kind, or a covariance that
-            is not positive definite.
+        ValueError: The network predicts no uncertainty, ``labeled`` or ``empty`` has no images, or
+            a covariance is not positive definite.
     """
     if model.config.orientation_view != "object":
         raise ValueError("model: expected one with orientation_view 'object', got 'frame'")
     model.eval()
     translation, rotation, shown = [], [], []
-    for batch in labelled:
+    for batch in labeled:
         pose = _see(model, batch.image)
         truth_t, truth_q = _array(batch.translation), _array(batch.orientation)
         translation.append(squared_mahalanobis(truth_t - pose[0], pose[2]))
@@ -80,16 +80,16 @@ def calibrate(
 
 
 def variance_scale(squared_distance: ArrayLike) -> float:
-    """Return the factor of a variance that makes its region of 90 % hold 90 % of the truths.
+    """Return the factor on a covariance that makes its 90 % region cover 90 % of the truths.
 
-    A covariance C times s has the squared distances d² / s, so that the quantile of 90 % comes to
-    that of chi-square with three degrees of freedom by ``s = q90(d²) / 6.2514``.
+    Scaling the covariance C by s scales the squared distances by 1 / s, so the 90 % quantile equals
+    that of chi-square with three degrees of freedom for ``s = q90(d²) / 6.2514``.
 
     Args:
         squared_distance: ``eᵀ C⁻¹ e`` of each truth ``(N,)``.
 
     Raises:
-        ValueError: There are none, or one is negative or not finite.
+        ValueError: ``squared_distance`` is empty, or a value is negative or not finite.
     """
     d2 = np.asarray(squared_distance, np.float64)
     if d2.ndim != 1 or len(d2) == 0 or not (np.isfinite(d2) & (d2 >= 0)).all():

@@ -1,8 +1,9 @@
-"""The folder of a training run, and how a run is taken up again.
+"""The folder of a training run, with the checkpoint that a run is resumed from.
 
-Every file is written whole under another name and then renamed, and `RunFolder.save_state` comes
-last in an epoch: it is what makes the epoch count. A run killed at any moment is therefore taken up
-at the last epoch that it finished, and that epoch's files are there or are written again, the same.
+Every file is written under a temporary name and then renamed, and `RunFolder.save_state` comes last
+in an epoch: an epoch counts as finished once its state is saved. A run killed at any moment is
+therefore resumed after its last finished epoch, whose files are complete or are rewritten with the
+same contents.
 """
 
 from __future__ import annotations
@@ -21,25 +22,25 @@ from ffpose.training.config import TrainConfig
 from ffpose.training.config_file import dump_config, flatten, load_config
 
 Row = dict[str, float | str]
-"""One epoch in the table of results: column name to value."""
+"""One epoch in the table of results, value by column name."""
 
 FREE_FIELDS = {"out", "epochs", "stages", "device", "data.root", "data.cache", "data.workers"}
-"""Fields that may change when a run is taken up: where it runs, and for how long."""
+"""Fields that may change when a run is resumed: where it runs, and for how long."""
 
 
 @dataclass
 class TrainState:
-    """All that the next epoch depends on, beside the configuration.
+    """Checkpoint: the state that the next epoch depends on, besides the configuration.
 
-    The order of the images and the random numbers of an epoch come from the seed and the number of
-    the epoch, so no generator's state is kept.
+    The order of the images and the random numbers of an epoch follow from the seed and the epoch's
+    number, so no generator's state is kept.
 
     Attributes:
         model: The model's `state_dict`.
         average: The `state_dict` of the weights' moving average.
-        loss: The loss's `state_dict`: the learnable weights.
-        optimizer: The optimiser's `state_dict`.
-        history: The rows of all finished epochs.
+        loss: The `state_dict` of the loss: its learnable weights.
+        optimizer: The optimizer's `state_dict`.
+        history: Rows of all finished epochs.
         best_epoch: Number of the epoch with the lowest validation score; 0 before the first.
     """
 
@@ -63,47 +64,47 @@ class RunFolder:
 
     @property
     def config(self) -> Path:
-        """The configuration, which ``ffpose train --config`` reads."""
+        """Path of the configuration, which ``ffpose train --config`` reads."""
         return self.root / "config.yaml"
 
     @property
     def results(self) -> Path:
-        """The table of results, a row an epoch."""
+        """Path of the table of results, one row per epoch."""
         return self.root / "results.csv"
 
     @property
     def last(self) -> Path:
-        """The weights after the last finished epoch."""
+        """Path of the weights after the last finished epoch."""
         return self.root / "last.safetensors"
 
     @property
     def best(self) -> Path:
-        """The weights with the lowest validation score."""
+        """Path of the weights with the lowest validation score."""
         return self.root / "best.safetensors"
 
     @property
     def state(self) -> Path:
-        """What a run is taken up from."""
+        """Path of the checkpoint that a run is resumed from."""
         return self.root / "state.pt"
 
     @property
     def curves(self) -> Path:
-        """The drawing of the table of results."""
+        """Path of the plot of loss and errors over the epochs."""
         return self.root / "curves.png"
 
     def open(self, config: TrainConfig, *, resume: bool) -> TrainState:
-        """Read what there is to go on from; nothing is written (`begin` does).
+        """Load the state to start from; writes nothing (`begin` does).
 
         Args:
-            config: What the run is asked to do.
-            resume: Go on from the state in the folder, where there is one.
+            config: Configuration of the run.
+            resume: Resume from the checkpoint in the folder, where there is one.
 
         Returns:
-            The state to go on from; its history is empty where a run begins.
+            The state to start from; its history is empty for a new run.
 
         Raises:
             FileExistsError: The folder holds a run, and ``resume`` is false.
-            ValueError: ``config`` is not that of the run to resume.
+            ValueError: ``config`` differs from that of the run to resume.
             ffpose.DataError: A file of that run cannot be read.
         """
         state = TrainState()
@@ -117,30 +118,30 @@ class RunFolder:
         return state
 
     def begin(self, config: TrainConfig) -> None:
-        """Make the folder and write the configuration, once nothing speaks against the run."""
+        """Create the folder and write the configuration, after all checks have passed."""
         self.root.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(self.root, older_than=0.0)  # one process alone writes a run's files
+        remove_leftovers(self.root, older_than=0.0)  # only one process writes a run's files
         with atomic_write(self.config) as path:
             path.write_text(dump_config(config))
 
     def save_state(self, state: TrainState) -> None:
-        """Write ``state``; from then on its last epoch is done."""
+        """Write the checkpoint; its last epoch then counts as finished."""
         with atomic_write(self.state) as path:
             torch.save(asdict(state), path)
 
     def load_state(self) -> TrainState:
-        """Read what `save_state` wrote.
+        """Read the checkpoint that `save_state` wrote.
 
         Raises:
-            ffpose.DataError: The file is truncated or is something else.
+            ffpose.DataError: The file is truncated or not a checkpoint.
         """
         try:
             return TrainState(**torch.load(self.state, map_location="cpu", weights_only=True))
         except (RuntimeError, EOFError, TypeError, pickle.UnpicklingError) as error:
-            raise DataError(f"not a training state: {error}", self.state) from error
+            raise DataError(f"not a checkpoint: {error}", self.state) from error
 
     def save_results(self, history: list[Row]) -> None:
-        """Write the table of results; NaN where a run of an older version has no such column."""
+        """Write the table of results; NaN where an older version's rows lack a column."""
         with atomic_write(self.results) as path, path.open("w", newline="") as file:
             writer = csv.DictWriter(file, fieldnames=list(history[-1]), restval="nan")
             writer.writeheader()
@@ -157,7 +158,7 @@ class RunFolder:
 
 
 def read_results(path: Path) -> list[Row]:
-    """Read a table of results: figures as floats, and the stage's name.
+    """Read a table of results: values as floats, and the stage's name.
 
     Raises:
         FileNotFoundError: There is no such file.

@@ -1,4 +1,4 @@
-"""Pictures that are no scene: charts, blocks, gradients and noise, for a network to refuse."""
+"""Out-of-distribution images: random charts, blocks, gradients and noise, as negatives."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ MOST_SHAPES = 8
 
 
 def clutter(count: int, size: tuple[int, int], generator: torch.Generator) -> Tensor:
-    """Return random pictures ``(count, 3, h, w)`` in [0, 1].
+    """Return random images ``(count, 3, h, w)`` in [0, 1].
 
-    Each is a gradient, a number of filled rectangles and bars over it, and noise of any grain.
+    Each is a gradient with filled rectangles and bars over it, and noise of a random grain size.
     """
     height, width = size
     y = torch.linspace(-1, 1, height)[None, None, :, None]

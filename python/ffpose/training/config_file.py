@@ -1,4 +1,4 @@
-"""A training configuration as YAML, as ``ffpose train --config`` reads it."""
+"""Reading and writing a training configuration as YAML, for ``ffpose train --config``."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ def _parser() -> ArgumentParser:
 
 
 def dump_config(config: TrainConfig) -> str:
-    """Return ``config`` as YAML, every field written out."""
+    """Return ``config`` as YAML, with every field."""
     parser = _parser()
     return str(parser.dump(parser.parse_object(asdict(config))))
 
 
 def load_config(path: Path) -> TrainConfig:
-    """Read what `dump_config` wrote.
+    """Read a configuration that `dump_config` wrote.
 
     Raises:
         FileNotFoundError: There is no such file.
-        ffpose.DataError: The file is no training configuration.
+        ffpose.DataError: The file is not a training configuration.
     """
     from jsonargparse import ArgumentError
 

@@ -1,10 +1,9 @@
-"""The training loop: a plain one.
+"""The training loop.
 
-The loss is that of equations 9 to 11, the optimiser Adam, the stages those of
-`ffpose.training.stages`. Every random number of an epoch (the order of the images, augmentation,
-dropout) comes from the run's seed and the number of the epoch alone, so a run that was interrupted
-and taken up gives the weights of one that was not, bit for bit on the same machine and number of
-threads.
+The loss is Eq. 9-11 of the paper, the optimizer Adam, and the stages are those of
+`ffpose.training.stages`. All random numbers of an epoch (order of the images, augmentation,
+dropout) come from the run's seed and the epoch's number alone, so a resumed run gives bit for bit
+the weights of an uninterrupted one, on the same machine with the same number of threads.
 """
 
 from __future__ import annotations
@@ -33,22 +32,22 @@ from ffpose.training.stages import Epoch, enter_stage, plan
 from ffpose.training.tasks import trained_together
 
 SELECTED_BY = "val_esa_score"
-"""The column whose lowest value makes the best epoch: it weighs both errors without units."""
+"""Column whose lowest value selects the best epoch; it combines both errors without units."""
 
 
 class NonFiniteLossError(RuntimeError):
-    """The loss is not a number any more; the text names the images of the batch."""
+    """The loss is infinite or NaN; the message names the images of the batch."""
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What a training run came to.
+    """Result of a training run.
 
     Attributes:
-        folder: Its files.
-        history: The table of results, a row an epoch.
-        best_epoch: Number of the epoch whose weights are the best.
-        seconds: Time spent in epochs, those before an interruption included.
+        folder: Files of the run.
+        history: The table of results, one row per epoch.
+        best_epoch: Number of the epoch with the best weights.
+        seconds: Time spent in epochs, including those before an interruption.
     """
 
     folder: RunFolder
@@ -58,22 +57,23 @@ class TrainResult:
 
 
 def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> TrainResult:
-    """Train a model and leave its weights, its table of results and its configuration.
+    """Train a model, and write its weights, table of results and configuration.
 
     Args:
         config: What to train, on which images, and where to write.
-        resume: Take up the run in ``config.out`` after its last finished epoch; where there is
-            none, begin one.
+        resume: Resume the run in ``config.out`` after its last finished epoch; start a new run
+            where there is none.
         quiet: Print nothing.
 
     Returns:
-        The run's files and figures.
+        The run's files and results.
 
     Raises:
         FileExistsError: ``config.out`` holds a run, and ``resume`` is false.
-        ValueError: An unknown name in ``config``, or a configuration other than the run's.
+        ValueError: A name in ``config`` is unknown, or ``config`` differs from that of the run to
+            resume.
         ffpose.DataError: An image or a label cannot be used.
-        NonFiniteLossError: The loss is infinite or not a number.
+        NonFiniteLossError: The loss is infinite or NaN.
     """
     folder = RunFolder(config.out)
     folder.open(config, resume=resume)  # what is refused is refused before others are started
@@ -116,7 +116,7 @@ def _train_in(
 
 
 def _header(run: Run) -> dict[str, Any]:
-    """Return what the weights say of themselves."""
+    """Return the metadata for the header of the weights file."""
     return {
         "preprocessing": run.task.preprocessing,
         "backbone_source": run.average.model.backbone.source,
@@ -127,12 +127,12 @@ def _header(run: Run) -> dict[str, Any]:
 
 
 def _calibrate(run: Run, folder: RunFolder) -> None:
-    """Set the uncertainty of the best weights right, and the threshold that flags empty images."""
+    """Calibrate the uncertainty of the best weights, and the threshold that flags empty images."""
     empty = run.task.empty()
     if empty is None:
         return
     model = FilterformerPose.from_pretrained(folder.best)
-    model.variance_scales.fill_(1)  # a run that is taken up finds the same scales again
+    model.variance_scales.fill_(1)  # so that a resumed run finds the same scales
     found = calibrate(model, run.task.validation(whole=True), empty)
     model.variance_scales.copy_(found.variance_scales)
     header = _header(run) | {"in_view_threshold": found.in_view_threshold}
@@ -140,7 +140,7 @@ def _calibrate(run: Run, folder: RunFolder) -> None:
 
 
 def _restore(run: Run, state: TrainState, epochs: Sequence[Epoch]) -> None:
-    """Bring ``run`` to where ``state`` left it, and check that the plan agrees with the history."""
+    """Restore ``run`` from ``state``, and check that the planned stages agree with its history."""
     done = [(row["epoch"], row["stage"]) for row in state.history]
     if done != [(epoch.number, epoch.stage.name) for epoch in epochs[: len(done)]]:
         raise ValueError(
@@ -154,7 +154,7 @@ def _restore(run: Run, state: TrainState, epochs: Sequence[Epoch]) -> None:
 
 
 def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
-    """Return the epoch's row of results."""
+    """Train one epoch, validate, and return the epoch's row of results."""
     began = time.perf_counter()
     reporter.epoch_begins(epoch)
     row: Row = {"epoch": epoch.number, "stage": epoch.stage.name}
@@ -165,7 +165,7 @@ def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
 
 
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
-    """Write the files of the last epoch in ``state``; its own comes last, and makes it count."""
+    """Write the files of the last epoch in ``state``, the checkpoint last."""
     header = _header(run)
     best = min(state.history, key=lambda row: float(row[SELECTED_BY]))
     if best is state.history[-1]:
@@ -185,14 +185,14 @@ def _epoch_seed(seed: int, epoch: int) -> int:
 
 
 def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
-    """Pass once over the training split.
+    """Train for one pass over the training split.
 
     Returns:
         The epoch's last learning rate, the means of the loss and its terms over the images, and
-        the loss weights.
+        the weights of the loss terms.
 
     Raises:
-        NonFiniteLossError: The loss is infinite or not a number; nothing was written.
+        NonFiniteLossError: The loss is infinite or NaN; nothing was written.
     """
     seed = _epoch_seed(run.config.seed, epoch.number)
     torch.manual_seed(seed + run.processes.rank)
@@ -204,7 +204,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     for step, batch in enumerate(run.task.batches(seed), start=1):
         position = epoch.index + (step - 0.5) / steps  # the step's middle
         rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
-        # Of the batches whose gradients make one step; the last ones may be fewer.
+        # Number of batches whose gradients make one step; the last step may have fewer.
         share = min(every, steps - (step - 1) // every * every)
         values = _gradients(run, batch, epoch, share)
         if step % every == 0 or step == steps:
@@ -223,7 +223,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
 
 
 def _gradients(run: Run, batch: Any, epoch: Epoch, share: int) -> Tensor:
-    """Add a batch's gradients, over ``share``; return its loss and two terms ``(3,)``, float64."""
+    """Accumulate a batch's gradients, divided by ``share``; return its loss terms ``(3,)``."""
     with torch.autocast(run.device.type, torch.bfloat16, enabled=run.config.autocast == "bfloat16"):
         terms = run.task.terms(run.model, batch, run.device)
     values = torch.stack(terms).detach().double().cpu()
@@ -251,7 +251,7 @@ def _step(run: Run, rate: float) -> None:
 
 @torch.no_grad()
 def validate(run: Run) -> Row:
-    """Return the errors on the validation split, by the names of `PoseError` after ``val_``.
+    """Return the errors on the validation split, named as in `PoseError` with prefix ``val_``.
 
     Each process computes its share; the metric brings them together.
     """

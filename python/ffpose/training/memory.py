@@ -1,8 +1,8 @@
-"""Keeping freed memory in the process, for a training whose every step asks for the same again.
+"""Keeping freed memory in the process, as every training step allocates the same sizes again.
 
-glibc gives large blocks back to the system when they are freed, and each step's temporaries then
-fault in page by page anew: a third of the time of a small network's training step. Elsewhere than
-with glibc this does nothing.
+glibc returns large freed blocks to the system, and the page faults of each step's temporaries then
+take a third of the time of a small network's training step. With other C libraries this does
+nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ PAD_BYTES = 1 << 28
 
 
 def keep_freed_memory() -> bool:
-    """Ask malloc to keep what is freed; return whether it agreed."""
+    """Make malloc keep freed memory; return whether it accepted."""
     if not sys.platform.startswith("linux"):
         return False
     try:

@@ -1,4 +1,4 @@
-"""What a training run tells the person who waits for it, on standard error."""
+"""Progress of a training run on standard error."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class Reporter:
-    """A progress bar for the steps and one line for every finished epoch.
+    """A progress bar over the steps, and one line per finished epoch.
 
     Args:
-        epochs: Epochs of the whole run.
-        finished: How many of them a run that is taken up has behind it.
-        steps: Steps an epoch.
+        epochs: Number of epochs of the whole run.
+        finished: Number of epochs already finished, in a resumed run.
+        steps: Number of steps per epoch.
         quiet: Whether to print nothing.
     """
 
@@ -69,19 +69,19 @@ class Reporter:
         self._console.print(text, highlight=False)
 
     def epoch_begins(self, epoch: Epoch) -> None:
-        """Show which epoch runs, and count its images anew."""
+        """Show the current epoch, and reset the count of images."""
         self._images, self._began = 0, time.perf_counter()
         self._bar.update(self._task, epoch=f"{epoch.number}/{self._epochs} {epoch.stage.name}")
 
     def step(self, loss: float, learning_rate: float, images: int) -> None:
-        """Count one step and show its figures."""
+        """Count one step, and show its loss and rates."""
         self._images += images
         rate = self._images / max(time.perf_counter() - self._began, 1e-9)
         figures = f"loss {loss:.4g}  lr {learning_rate:.2e}  {rate:.0f} images/s"
         self._bar.update(self._task, advance=1, figures=figures)
 
     def epoch_ends(self, row: Row) -> None:
-        """Print what the epoch came to."""
+        """Print the results of the epoch."""
         self.notice(
             f"epoch {row['epoch']}/{self._epochs}  loss {row['train_loss']:.4g}  "
             f"lr {row['learning_rate']:.2e}  "

@@ -1,4 +1,4 @@
-"""What a run's weights say of how they were made."""
+"""Provenance of trained weights: the configuration and data that their header records."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ffpose.files import sha256
 from ffpose.training.config import TrainConfig
 
 OF_THIS_MACHINE = ("out", "device", "backbone_weights")
-"""Fields that tell nothing to another machine; the weights say what the backbone began from."""
+"""Fields specific to this machine, left out; the header records the backbone's initial weights."""
 
 
 def recipe(config: TrainConfig) -> dict[str, Any]:
-    """Return the configuration as JSON can hold it, without paths and names of this machine.
+    """Return the configuration as a JSON document, without paths and names of this machine.
 
-    ``init`` is the SHA-256 of the weights that the network began from.
+    ``init`` is the SHA-256 of the initial weights.
 
     Raises:
-        FileNotFoundError: There are no such weights.
+        FileNotFoundError: The file of the initial weights does not exist.
     """
     fields = {name: value for name, value in asdict(config).items() if name not in OF_THIS_MACHINE}
     fields["init"] = None if config.init is None else sha256(config.init)
@@ -31,10 +31,10 @@ def recipe(config: TrainConfig) -> dict[str, Any]:
 
 
 def describe_data(dataset: PoseDataset, kind: str) -> dict[str, Any]:
-    """Return which images those of a run are: kind, how many, their size, and a digest.
+    """Describe the images of a run: kind, number, size, and a digest.
 
-    The digest is the SHA-256, in hexadecimal, of each image's name, a newline and its label
-    ``[t, q]`` as little-endian float64, image after image.
+    The digest is the SHA-256, in hexadecimal, of the concatenation over all images of the name, a
+    newline, and the label ``[t, q]`` as little-endian float64.
     """
     digest = hashlib.sha256()
     for name, pose in zip(dataset.names, dataset.poses, strict=True):

@@ -1,4 +1,4 @@
-"""The learning rate as a pure function of the epoch: a resumed run needs no memory of it."""
+"""The learning rate as a pure function of the epoch, so that checkpoints need no scheduler."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from ffpose.training.config import OptimizerConfig
 def learning_rate(optimizer: OptimizerConfig, position: float, epochs: int) -> float:
     """Return the learning rate at a point of a stage.
 
-    The warm-up rises linearly and multiplies what the schedule gives.
+    The warm-up factor rises linearly and multiplies the schedule's rate.
 
     Args:
-        optimizer: The schedule and its figures.
-        position: Epochs since the stage began, with a fraction; ``0 <= position <= epochs``. The
-            engine takes the middle of a step, where no step has the rate of another epoch, and
-            neither warm-up nor cosine a rate of zero.
-        epochs: How many epochs the stage has.
+        optimizer: The schedule and its parameters.
+        position: Epochs since the start of the stage, fractional; ``0 <= position <= epochs``. The
+            engine passes the middle of a step, so that each step has its own epoch's rate and
+            neither warm-up nor cosine gives a rate of zero.
+        epochs: Number of epochs in the stage.
 
     Example:
         >>> paper = OptimizerConfig()

@@ -1,10 +1,10 @@
-"""The stages of a training run, as data.
+"""The stages of a training run.
 
-The paper (section 4.3) trains three times in a row: everything for 500 epochs; then, with the
-orientation branch frozen, 150 epochs for the translation; then, with the translation branch frozen,
-150 epochs for the orientation. It does not say what becomes of the backbone that both branches
-share. It is read as fixed in the last two stages, its batch norm included: were it to move, it
-would move under the branch that is frozen, and spoil it.
+The paper (section 4.3) trains in three stages: everything for 500 epochs; then the translation for
+150 epochs with the orientation branch frozen; then the orientation for 150 epochs with the
+translation branch frozen. It does not say whether the shared backbone is trained in the last two.
+Here it is frozen there, including its batch norm: training it would change the features that the
+frozen branch relies on.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from torch import nn
 
 PARTS = ("backbone", "object_backbone", "translation_branch", "orientation_branch")
-"""The submodules of a model that a stage may freeze; the second is of one that looks twice."""
+"""Submodules that a stage may freeze; only a network with a second look has the second one."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A number of epochs during which some parts of the model stand still.
+    """A number of epochs during which some parts of the model are frozen.
 
     Attributes:
-        name: What the stage is called in the table of results.
-        epochs: How many passes over the training split.
-        freeze: Names out of `PARTS`: submodules that get no gradient and stay in evaluation mode.
+        name: Name of the stage in the table of results.
+        epochs: Number of passes over the training split.
+        freeze: Names in `PARTS`: submodules that get no gradient and stay in evaluation mode.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Stage:
 
 
 JOINT_STAGE = Stage("joint", 500)
-"""The first stage of the paper: everything is trained."""
+"""First stage of the paper: everything is trained."""
 
 PAPER_STAGES = (
     JOINT_STAGE,
@@ -60,9 +60,9 @@ class Epoch:
     """One epoch of a plan.
 
     Attributes:
-        number: Counts from 1 through all stages.
-        stage: The stage that it belongs to.
-        index: Counts from 0 within the stage.
+        number: Number of the epoch in the whole run, counted from 1.
+        stage: The stage of the epoch.
+        index: Index of the epoch within its stage, counted from 0.
     """
 
     number: int
@@ -76,7 +76,7 @@ class Epoch:
 
 
 def plan(stages: tuple[Stage, ...]) -> list[Epoch]:
-    """Lay the epochs of all stages in a row.
+    """List the epochs of all stages in order.
 
     Example:
         >>> [(e.number, e.stage.name, e.index) for e in plan((Stage("a", 2), Stage("b", 1)))]
@@ -87,10 +87,10 @@ def plan(stages: tuple[Stage, ...]) -> list[Epoch]:
 
 
 def check_stages(model: nn.Module, stages: Sequence[Stage]) -> None:
-    """Check that each stage freezes parts that ``model`` has, and leaves one to train.
+    """Check that each stage freezes only parts that ``model`` has, and not all of them.
 
     Raises:
-        ValueError: It does not; the message names the stage.
+        ValueError: A stage freezes a part that the model lacks, or all parts.
     """
     parts = [part for part in PARTS if getattr(model, part, None) is not None]
     for stage in stages:
@@ -107,10 +107,10 @@ def check_stages(model: nn.Module, stages: Sequence[Stage]) -> None:
 
 
 def enter_stage(model: nn.Module, stage: Stage) -> None:
-    """Put ``model`` in training mode, all but the parts that ``stage`` freezes.
+    """Put ``model`` in training mode, except for the parts that ``stage`` freezes.
 
-    A frozen part gets no gradient and runs as in evaluation: no dropout, and batch norm keeps its
-    running statistics. Safe to call again at every epoch.
+    A frozen part gets no gradient and stays in evaluation mode: no dropout, and batch norm uses its
+    running statistics unchanged. Safe to call at every epoch.
     """
     model.train()
     model.requires_grad_(True)

@@ -1,8 +1,8 @@
-"""What a network learns from and is judged by: batches of a split, the loss of one, the validation.
+"""Training tasks: the batches, the loss and the validation data of a network.
 
-The loop (`ffpose.training.engine`) knows no data and no loss; it steps through a task. `FrameTask`
-is the paper's: whole images and its joint loss. `ObjectTask` trains a network with a second look on
-stored views. Both are judged alike: by the poses of whole images of the validation split.
+The training loop (`ffpose.training.engine`) is independent of data and loss; a task supplies both.
+`FrameTask` is the paper's: whole images and the joint loss. `ObjectTask` trains a network with a
+second look on stored views. Both are validated alike, on the poses of whole images.
 """
 
 from __future__ import annotations
@@ -29,53 +29,53 @@ from ffpose.training.views import ViewBatch, ViewBatches
 from ffpose.transforms import Preprocessing
 
 VALIDATION_BATCH = 20
-"""Whole images of a network with a second look that are validated at once."""
+"""Batch size for validating a network with a second look on whole images."""
 
 
 class Task(Protocol):
-    """What the loop needs to train a network.
+    """Interface between the training loop and the data and loss of a network.
 
     Attributes:
-        preprocessing: From an image to the network's input.
+        preprocessing: Conversion from an image to the network's input.
     """
 
     preprocessing: Preprocessing
 
     @property
     def loss(self) -> nn.Module:
-        """Its parameters are trained beside the network's, without weight decay, and not saved."""
+        """The loss; its parameters are trained without weight decay and not saved with weights."""
 
     @property
     def images(self) -> int:
-        """Images of the training split that an epoch uses, in all processes."""
+        """Number of training images that an epoch uses, over all processes."""
 
     @property
     def steps(self) -> int:
-        """Batches of this process an epoch."""
+        """Number of batches per epoch in this process."""
 
     def batches(self, seed: int) -> Iterator[Any]:
-        """Pass once over the training split, in an order drawn from ``seed``."""
+        """Iterate once over the training split, in an order drawn from ``seed``."""
 
     def terms(self, model: FilterformerPose, batch: Any, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
 
     def size(self, batch: Any) -> int:
-        """Images of a batch."""
+        """Return the number of images in a batch."""
 
     def names(self, batch: Any) -> str:
-        """Return the images of a batch, for an error."""
+        """Return the names of a batch's images, for error messages."""
 
     def weights(self) -> dict[str, float]:
         """Return the learnable weights of the loss, for the table of results."""
 
     def validation(self, *, whole: bool = False) -> Iterator[Sample]:
-        """Pass over this process's share of the validation split, or the whole."""
+        """Iterate over this process's share of the validation split, or over the whole."""
 
     def describe(self, kind: str) -> dict[str, Any]:
-        """Return which images these are, for the header of the weights."""
+        """Describe the training images, for the header of the weights."""
 
     def empty(self) -> Iterator[Tensor] | None:
-        """Pass over images without an object, standardized; None for a network that cannot tell."""
+        """Iterate over standardized images without an object; None for a network without flag."""
 
 
 def _loader(dataset: PoseDataset, batch_size: int, workers: int, **options: Any) -> Any:
@@ -92,11 +92,11 @@ class FrameTask:
     """Pose from whole images, with the paper's joint loss.
 
     Args:
-        train_set: Images to learn from.
-        val_set: Images that choose the best epoch.
+        train_set: Training images.
+        val_set: Validation images, which select the best epoch.
         loss: The joint loss.
-        batch_size: Images a step.
-        workers: Processes that read images beside this one.
+        batch_size: Images per batch.
+        workers: Additional processes that read images.
         processes: This process's place among those that train together.
     """
 
@@ -116,17 +116,17 @@ class FrameTask:
 
     @property
     def images(self) -> int:
-        """Images of the training split that an epoch uses, in all processes."""
+        """Number of training images that an epoch uses, over all processes."""
         world = self.processes.world
         return len(self.train_set) // world * world
 
     @property
     def steps(self) -> int:
-        """Batches of this process an epoch."""
+        """Number of batches per epoch in this process."""
         return -(-(self.images // self.processes.world) // self.batch_size)
 
     def batches(self, seed: int) -> Iterator[Sample]:
-        """Pass once over the training split, in an order drawn from ``seed``."""
+        """Iterate once over the training split, in an order drawn from ``seed``."""
         generator = torch.Generator().manual_seed(seed)
         order = torch.randperm(len(self.train_set), generator=generator)
         own = order[self.processes.share(self.images)].tolist()
@@ -147,7 +147,7 @@ class FrameTask:
         return self.loss.joined(distance, model.orientation.loss(numbers, q).mean())
 
     def size(self, batch: Sample) -> int:
-        """Images of a batch."""
+        """Return the number of images in a batch."""
         return len(batch.image)
 
     def names(self, batch: Sample) -> str:
@@ -159,7 +159,7 @@ class FrameTask:
         return {"s_t": self.loss.s_t.item(), "s_q": self.loss.s_q.item()}
 
     def validation(self, *, whole: bool = False) -> Iterator[Sample]:
-        """Pass over this process's share of the validation split, or the whole."""
+        """Iterate over this process's share of the validation split, or over the whole."""
         own = ALONE if whole else self.processes
         return _validation(self.val_set, own, self.batch_size, self.workers)
 
@@ -168,17 +168,17 @@ class FrameTask:
         return describe_data(self.train_set, kind)
 
     def empty(self) -> None:
-        """Return nothing: the network does not tell."""
+        """Return None: the network does not predict whether the object is in view."""
 
 
 class ObjectTask:
-    """Pose by a second look, from stored views.
+    """Pose with a second look, trained on stored views.
 
     Args:
-        views: Makes batches of the training split.
-        val_set: Whole images that choose the best epoch.
-        loss: The terms and their weights.
-        batch_size: Images a step.
+        views: Source of the training batches.
+        val_set: Whole validation images, which select the best epoch.
+        loss: The loss terms and their weights.
+        batch_size: Images per batch.
         empty_images: Whole images without an object ``(N, H, W, 3)``, uint8; None for none.
         processes: This process's place among those that train together.
     """
@@ -199,16 +199,16 @@ class ObjectTask:
 
     @property
     def images(self) -> int:
-        """Images of the training split that an epoch uses, in all processes: whole batches."""
+        """Number of training images that an epoch uses, over all processes: whole batches only."""
         return self.steps * self.batch_size * self.processes.world
 
     @property
     def steps(self) -> int:
-        """Batches of this process an epoch."""
+        """Number of batches per epoch in this process."""
         return len(self.views) // self.processes.world // self.batch_size
 
     def batches(self, seed: int) -> Iterator[ViewBatch]:
-        """Pass once over the training split, in an order drawn from ``seed``."""
+        """Iterate once over the training split, in an order drawn from ``seed``."""
         return prefetched(self.views.epoch(seed, self.batch_size, self.processes))
 
     def terms(self, model: FilterformerPose, batch: ViewBatch, device: torch.device) -> LossTerms:
@@ -217,19 +217,19 @@ class ObjectTask:
         return result
 
     def size(self, batch: ViewBatch) -> int:
-        """Images of a batch."""
+        """Return the number of images in a batch."""
         return len(batch.crops)
 
     def names(self, batch: ViewBatch) -> str:
-        """Return the numbers of a batch's views."""
+        """Return the indices of a batch's views."""
         return ", ".join(map(str, batch.index.tolist()))
 
     def weights(self) -> dict[str, float]:
-        """Return no weights: they are fixed."""
+        """Return no weights, as they are fixed."""
         return {}
 
     def validation(self, *, whole: bool = False) -> Iterator[Sample]:
-        """Pass over this process's share of the validation split, or the whole."""
+        """Iterate over this process's share of the validation split, or over the whole."""
         return _validation(
             self.val_set, ALONE if whole else self.processes, VALIDATION_BATCH, workers=0
         )
@@ -248,21 +248,21 @@ class ObjectTask:
         }
 
     def empty(self) -> Iterator[Tensor] | None:
-        """Pass over whole images without an object."""
+        """Iterate over whole images without an object."""
         if self.empty_images is None:
             return None
         return standardized(self.empty_images, self.preprocessing)
 
 
 def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Iterator[Tensor]:
-    """Yield images ``(N, H, W, 3)`` of the input's size as the network takes them, in batches."""
+    """Yield images ``(N, H, W, 3)`` as standardized batches of the network's input size."""
     for start in range(0, len(images), VALIDATION_BATCH):
         part = images[start : start + VALIDATION_BATCH]
         yield torch.stack([preprocessing(Image.fromarray(image)) for image in part])
 
 
 def prefetched(batches: Iterator[ViewBatch]) -> Iterator[ViewBatch]:
-    """Yield batches, the next one made by a thread while one is trained on."""
+    """Yield batches, and prepare the next one in a thread meanwhile."""
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, batches, None)
         while (batch := upcoming.result()) is not None:
@@ -271,5 +271,5 @@ def prefetched(batches: Iterator[ViewBatch]) -> Iterator[ViewBatch]:
 
 
 def trained_together(model: nn.Module, loss: nn.Module) -> list[Tensor]:
-    """Return the parameters of network and loss."""
+    """Return all parameters of network and loss."""
     return [*model.parameters(), *loss.parameters()]

@@ -1,12 +1,12 @@
-"""Batches for a network with a second look, made from stored views: exact augmentation in one step.
+"""Training batches for a network with a second look: stored views with geometric augmentation.
 
-A training sample is drawn anew each time: the camera of the first look is turned about its axis,
-the virtual camera of the second look is turned to where a first look might have found the object,
-and about the viewing ray by any angle. Each is one homography of the stored pixels, and the label
-moves with it exactly (`ffpose.models.virtual_camera`). Brightness, blur and noise follow.
+Each sample is augmented anew: the camera of the first look is rotated about its boresight; the
+virtual camera of the second look is pointed to where a first look might have found the object, and
+rotated about the viewing ray by any angle. Each is one homography of the stored pixels, and the
+label changes exactly with it (`ffpose.models.virtual_camera`). Brightness, blur and noise follow.
 
-Some samples show no object: empty frames, and pictures that are no scene at all, so that the
-network learns to say so.
+Some samples are negatives, so that the network learns whether the object is in view: empty scenes,
+and images that are not scenes at all.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from ffpose.training.processes import ALONE, Processes
 from ffpose.views import Arrays
 
 SUPPLY = 1 << 21
-"""Normal numbers that are drawn once, for the noise."""
+"""Number of stored normal random numbers, from which noise is taken."""
 
 FRAME_MARGIN = 0.02
-"""Part of the frame that the object's origin keeps from the border when the camera is turned."""
+"""Least distance of the object's origin from the border after a rotation, relative to the frame."""
 
 
 class ViewBatch(NamedTuple):
-    """What both looks see in ``B`` samples, and what they should say.
+    """Inputs and targets of both looks for ``B`` samples.
 
     Attributes:
-        frames: ``(F, 3, h, w)``, standardised: of the first F samples.
-        location: ``(F, 3)``, as `FilterformerPose.location`.
-        crops: ``(B, 3, h, w)``, standardised: the object's view.
-        orientation: ``(B, 4)`` unit quaternions in the virtual camera's frame.
+        frames: ``(F, 3, h, w)``, standardized input of the first look for the first F samples.
+        location: ``(F, 3)``, target of the first look, as `FilterformerPose.location`.
+        crops: ``(B, 3, h, w)``, standardized input of the second look.
+        orientation: ``(B, 4)``, unit quaternions in the virtual camera's frame.
         offset: ``(B, 3)``, as `ffpose.models.object_look.offset_of`.
-        coordinates: ``(B, 4, rows, columns)``: the object's coordinates in [-1, 1], and whether the
-            place shows the object, 0 or 1.
-        present: ``(B,)`` bool.
-        index: ``(B,)`` places in the set.
+        coordinates: ``(B, 4, rows, columns)``: object coordinates in [-1, 1], and a mask of the
+            object, 0 or 1.
+        present: ``(B,)`` bool, whether the sample shows the object.
+        index: ``(B,)``, indices of the samples in the set.
     """
 
     frames: Tensor
@@ -70,19 +70,19 @@ class ViewBatch(NamedTuple):
 
 
 class ViewBatches:
-    """Makes batches of stored views for one network.
+    """A set of stored views, and its augmented batches for one network.
 
     Args:
-        model: Says how it looks.
-        arrays: The views of one or several sets, as `ffpose.views.open_arrays` gives them.
-        empty: Views without an object; may be none.
-        augmentation: How samples vary.
-        std: Of the input's preprocessing, whose mean is zero, so that what lies outside an image is
-            zero too.
-        cells: Rows and columns of the coordinates.
+        model: The network; its configuration gives the geometry of both looks.
+        arrays: Views of one or several sets, as `ffpose.views.open_arrays` returns them.
+        empty: Views without an object; may be empty.
+        augmentation: Ranges of the augmentation.
+        std: Standard deviation of the input's preprocessing, whose mean is zero, so that pixels
+            outside an image are zero as well.
+        cells: Rows and columns of the coordinate map.
 
     Raises:
-        ValueError: The network looks once.
+        ValueError: The network has no second look.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class ViewBatches:
     ) -> None:
         self.model, self.sets, self.empty = model, tuple(arrays), tuple(empty)
         self.augmentation, self.cells = augmentation, cells
-        self.unit = (1 / torch.tensor(std))[:, None, None]  # what white is, standardised
+        self.unit = (1 / torch.tensor(std))[:, None, None]  # white, standardized
         self.scale = self.unit / 255
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
@@ -114,10 +114,10 @@ class ViewBatches:
     def epoch(
         self, seed: int, batch_size: int, processes: Processes = ALONE
     ) -> Iterator[ViewBatch]:
-        """Pass once over a process's share, in an order drawn from ``seed``; a rest is left out.
+        """Iterate once over a process's share, in an order drawn from ``seed``, in whole batches.
 
         Raises:
-            ValueError: Less than one sample a batch, or more than there are.
+            ValueError: ``batch_size`` is less than one or more than the number of samples.
         """
         most = len(self) // processes.world
         if not 1 <= batch_size <= most:
@@ -131,7 +131,7 @@ class ViewBatches:
             yield self.batch(own[start : start + batch_size], generator)
 
     def batch(self, index: Tensor, generator: torch.Generator) -> ViewBatch:
-        """Return the samples ``index``, varied by numbers drawn from ``generator``."""
+        """Return the samples ``index``, augmented with ``generator``."""
         a, count = self.augmentation, len(index)
         labels = torch.from_numpy(self._gather("labels", index)).float()
         t, rotation = labels[:, :3], quaternion_to_matrix(labels[:, 3:7])
@@ -166,7 +166,7 @@ class ViewBatches:
     def _turned_frames(
         self, index: Tensor, t: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """Turn the first look's camera about its axis, where the object stays in the frame."""
+        """Rotate the first look's camera about its boresight where the object stays in frame."""
         frames = _images(self._gather("frames", index))
         height, width = frames.shape[-2:]
         limit = math.radians(self.augmentation.roll_deg)
@@ -182,7 +182,7 @@ class ViewBatches:
         return sample(frames, pixels) * self.scale, torch.where(inside[:, None], moved, t)
 
     def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
-        """Return where a first look might have found objects at ``t (B, 3)``."""
+        """Return positions where a first look might have found objects at ``t (B, 3)``."""
         a = self.augmentation
         outlier = torch.rand(len(t), generator=generator) < a.look_outliers
         scale = 1 + 2 * outlier[:, None].float()
@@ -193,7 +193,7 @@ class ViewBatches:
         return self.model.in_front(points * torch.exp(a.look_distance * error[:, 2:]))
 
     def _empty_crops(self, count: int, generator: torch.Generator) -> Tensor:
-        """Return views without an object: half of empty scenes, half of no scene at all."""
+        """Return views without an object: half empty scenes, half images that are not scenes."""
         size = self.model.config.object_size
         crops = clutter(count, size, generator) * self.unit
         scenes = count - count // 2 if self.empty else 0
@@ -221,7 +221,7 @@ class ViewBatches:
         return values
 
     def _varied(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Vary brightness, sharpness and noise of standardised images whose black is zero."""
+        """Vary brightness, blur and noise of standardized images whose black is zero."""
         a, shape = self.augmentation, (len(images), 1, 1, 1)
         if a.blur > 0:
             share = a.blur * torch.rand(shape, generator=generator).square()
@@ -236,7 +236,7 @@ class ViewBatches:
         return images.contiguous(memory_format=torch.channels_last)
 
     def _normal(self, shape: torch.Size, generator: torch.Generator) -> Tensor:
-        """Return normal numbers: a piece of a stored supply, which costs less than drawing them."""
+        """Return a slice of the stored normal random numbers, which is cheaper than drawing."""
         count = shape.numel()
         if count > len(self.supply) // 2:
             return torch.randn(shape, generator=generator)
@@ -245,11 +245,11 @@ class ViewBatches:
 
 
 def _rolled_pixels(turn: Tensor, camera: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return where the pixels of a camera that was turned about its axis lie in its old image.
+    """Return where the pixels of a camera rotated about its boresight lie in the original image.
 
     Args:
-        turn: ``(B, 3, 3)``, rotations about the z axis from the old frame to the new.
-        camera: ``(4,)``: fx, fy, cx, cy, before and after.
+        turn: ``(B, 3, 3)``, rotations about the z axis from the original frame to the new one.
+        camera: ``(4,)``, fx, fy, cx, cy of both.
         size: ``(height, width)`` of the image.
 
     Returns:
@@ -282,5 +282,5 @@ def _rows(
 
 
 def _images(pixels: NDArray[np.uint8]) -> Tensor:
-    """Return uint8 pixels ``(B, H, W, 3)`` as images ``(B, 3, H, W)`` of 0 ... 255."""
+    """Convert uint8 pixels ``(B, H, W, 3)`` to float images ``(B, 3, H, W)`` in [0, 255]."""
     return torch.from_numpy(pixels).permute(0, 3, 1, 2).float()
