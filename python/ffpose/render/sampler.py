@@ -54,9 +54,8 @@ def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
             if _acceptable(pose, scene, craft):
                 return pose
     raise ValueError(
-        f"{scene.name}: found no pose with {scene.min_visible:.0%} to {scene.max_visible:.0%} of the "
-        f"spacecraft in frame "
-        f"at {scene.distance_m} m within {scene.lateral_m} m of the axis"
+        f"{scene.name}: found no pose with {scene.min_visible:.0%} to {scene.max_visible:.0%} "
+        f"of the spacecraft in frame at {scene.distance_m} m within {scene.lateral_m} m of the axis"
     )
 
 
