@@ -9,6 +9,7 @@ threads.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,7 +46,8 @@ class TrainResult:
 
     Attributes:
         folder: Its files.
-        history: The table of results, a row an epoch.
+        history: The table of results, a row an epoch; ``samples`` and ``cpu_seconds`` are of its
+            training, without the validation.
         best_epoch: Number of the epoch whose weights are the best.
         seconds: Time spent in epochs, those before an interruption included.
     """
@@ -56,7 +58,13 @@ class TrainResult:
     seconds: float
 
 
-def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> TrainResult:
+def train(
+    config: TrainConfig,
+    *,
+    resume: bool = False,
+    quiet: bool = False,
+    cpu_minutes: float | None = None,
+) -> TrainResult:
     """Train a model and leave its weights, its table of results and its configuration.
 
     Args:
@@ -64,6 +72,7 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
         resume: Take up the run in ``config.out`` after its last finished epoch; where there is
             none, begin one.
         quiet: Print nothing.
+        cpu_minutes: Begin no epoch once training has taken as many minutes of CPU time.
 
     Returns:
         The run's files and figures.
@@ -86,6 +95,8 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
     done, steps = len(state.history), run.task.steps
     with Reporter(len(epochs), done, steps, quiet=quiet) as reporter:
         for epoch in epochs[done:]:
+            if cpu_minutes is not None and _cpu_seconds_of(state) >= 60 * cpu_minutes:
+                break
             row = _train_and_validate(run, epoch, reporter)
             state.history.append(row)
             _write(run, state, folder)
@@ -93,6 +104,10 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
     _calibrate(run, folder)
     seconds = sum(float(row["seconds"]) for row in state.history)
     return TrainResult(folder, state.history, state.best_epoch, seconds)
+
+
+def _cpu_seconds_of(state: TrainState) -> float:
+    return sum(float(row["cpu_seconds"]) for row in state.history)
 
 
 def _header(run: Run) -> dict[str, Any]:
@@ -135,13 +150,21 @@ def _restore(run: Run, state: TrainState, epochs: Sequence[Epoch]) -> None:
 
 def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     """Return the epoch's row of results."""
-    began = time.perf_counter()
+    began, cpu_began = time.perf_counter(), cpu_seconds()
     reporter.epoch_begins(epoch)
     row: Row = {"epoch": epoch.number, "stage": epoch.stage.name}
     row |= train_epoch(run, epoch, reporter)
     rate = run.task.images / (time.perf_counter() - began)
+    cost: Row = {"samples": run.task.images, "cpu_seconds": cpu_seconds() - cpu_began}
     row |= validate(run)
-    return row | {"images_per_second": rate, "seconds": time.perf_counter() - began}
+    seconds = time.perf_counter() - began
+    return row | cost | {"images_per_second": rate, "seconds": seconds}
+
+
+def cpu_seconds() -> float:
+    """Return the CPU time of this process and of the workers that it has ended."""
+    times = os.times()
+    return time.process_time() + times.children_user + times.children_system
 
 
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
