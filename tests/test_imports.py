@@ -52,6 +52,7 @@ ALLOWED = {
         *("card_figures", "card_tables", "pictures", "prediction", "models", "geometry"),
         *("baseline", "evaluation", "render", "training"),
     },
+    "ablation": {"datasets", "evaluation", "models", "training", "transforms"},
     "report_tables": set(),
     "report": {"evaluation", "plots", "report_tables", "geometry"},
     "demo_config": {"datasets", "render", "training"},

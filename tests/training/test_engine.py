@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from ffpose.losses import PoseLoss
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training import DataConfig, NonFiniteLossError, OptimizerConfig, Stage, train
 from ffpose.training.checkpoint import RunFolder, read_results
+from ffpose.training.engine import cpu_seconds
 from ffpose.training.progress import Reporter
 from ffpose.training.run import build_optimizer, build_run, translation_statistics
 from ffpose.training.tasks import trained_together
@@ -44,7 +47,7 @@ def same_files(first, second):
 
 
 def without_times(path):
-    times = ("seconds", "images_per_second")
+    times = ("seconds", "cpu_seconds", "images_per_second")
     return [{k: v for k, v in row.items() if k not in times} for row in read_results(path)]
 
 
@@ -114,6 +117,22 @@ def test_what_a_killed_training_left_is_removed_at_the_next_start(image_set, tmp
 def test_resume_where_no_epoch_was_finished_begins(image_set, tmp_path):
     result = run_quietly(train_config(image_set, tmp_path / "new", epochs=1), resume=True)
     assert len(result.history) == 1
+
+
+def test_no_epoch_begins_once_the_time_is_used_up(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=3)
+    assert len(run_quietly(config, cpu_minutes=1e-6).history) == 1
+    row = run_quietly(config, resume=True, cpu_minutes=1e-6).history[-1]
+    assert (row["epoch"], row["samples"]) == (1, 10)
+    assert row["cpu_seconds"] > 0
+    assert len(run_quietly(config, resume=True, cpu_minutes=60.0).history) == 3
+
+
+def test_the_time_of_workers_counts_once_they_have_ended():
+    before = cpu_seconds()
+    code = "import time\nwhile time.process_time() < 0.3: pass"
+    subprocess.run([sys.executable, "-S", "-c", code], check=True)
+    assert cpu_seconds() - before > 0.25
 
 
 def test_resuming_a_finished_run_changes_nothing(image_set, tmp_path):

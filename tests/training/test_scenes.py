@@ -9,9 +9,10 @@ import torch
 from safetensors.torch import load_file
 
 from ffpose.models import CONFIGS, FilterformerPose, read_metadata
-from ffpose.render import views, writer
+from ffpose.render import label, views, writer
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, data, train
 from ffpose.training.config import TEST_SEEDS
+from ffpose.training.run import build_run
 from ffpose.transforms import Preprocessing
 
 VALIDATION = 4
@@ -125,10 +126,21 @@ def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path):
     assert all(bool(part.isfinite().all()) for part in pose)
 
 
-def test_a_network_that_looks_once_is_told_to_render_a_set(root, tmp_path):
-    config = scenes_config(root, tmp_path / "run", model="tiny", model_fields={})
-    with pytest.raises(ValueError, match=r"data\.kind: scenes are views for a network with"):
-        train(config, quiet=True)
+def test_a_network_that_looks_once_learns_from_whole_images_of_the_same_scenes(tmp_path, rendered):
+    root, fields = tmp_path / "images", {**FIELDS, "orientation_view": "frame"}
+    config = scenes_config(root, tmp_path / "run", model_fields=fields, epochs=1)
+    seen = build_run(config).task.train_set
+    scene = data.find_scene("soyuz_easy", (180.0, 90.0, 180.0))
+    indices = [int(name.removesuffix("_rgb.png")) for name in seen.names]
+    assert sorted(indices) == list(range(12))
+    poses = [label(scene, 3, index).vector for index in indices]
+    np.testing.assert_allclose(seen.poses, poses, atol=1e-9)
+    assert seen.camera == scene.camera.resized(128, 96)
+    assert seen[0].image.shape == (3, 96, 128)
+    assert len(rendered) == 12 + VALIDATION
+    rendered.clear()
+    assert len(train(config, quiet=True).history) == 1
+    assert rendered == []
 
 
 def test_a_set_smaller_than_a_batch_is_refused(root, tmp_path):

@@ -117,21 +117,60 @@ def open_validation(
     root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing, *, workers: int
 ) -> PoseDataset:
     """Return ``count`` held-out whole images of the network's input size."""
+    indices = range(VALIDATION_START, VALIDATION_START + count)
+    folder = render_images(root, "images", scene, seed, indices, preprocessing, workers=workers)
+    return open_dataset("urso", folder, "all", preprocessing)
+
+
+def open_frames(
+    root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing, *, workers: int
+) -> PoseDataset:
+    """Return the scenes 0 ... ``count - 1`` as whole images of the network's input size."""
+    folder = render_images(
+        root, "frames", scene, seed, range(count), preprocessing, workers=workers
+    )
+    return open_dataset("urso", folder, "all", preprocessing)
+
+
+def render_images(
+    root: Path,
+    name: str,
+    scene: Scene,
+    seed: int,
+    indices: range,
+    preprocessing: Preprocessing,
+    *,
+    workers: int,
+) -> Path:
+    """Render whole images of a network's input size where they are not there yet.
+
+    Args:
+        root: The folder that keeps them.
+        name: What the folder's name begins with; images of other indices have another.
+        scene: The set.
+        seed: Of the set.
+        indices: The scenes, one after the other.
+        preprocessing: From an image to the network's input; says the size.
+        workers: Processes that render.
+
+    Returns:
+        The folder, a set in URSO's layout.
+    """
     from ffpose.render.writer import write_dataset
 
-    height, width = preprocessing.size
+    height, width = preprocessing.frame_size(scene.camera.width, scene.camera.height)
     described = {"scene": scene.parameters(), "seed": seed, "size": (width, height)}
-    folder = root / f"images-{_digest({**described, 'count': count})}"
+    folder = root / f"{name}-{_digest({**described, 'count': len(indices)})}"
     write_dataset(
         scene,
         folder,
-        count,
+        len(indices),
         seed,
-        start=VALIDATION_START,
+        start=indices.start,
         size=(width, height),
         workers=max(1, workers),
     )
-    return open_dataset("urso", folder, "all", preprocessing)
+    return folder
 
 
 def open_empty_images(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.datasets import PoseDataset, Record, open_dataset
-from ffpose.datasets.scenes import find_scene, open_empty_images, open_validation, open_views
+from ffpose.datasets.scenes import (
+    find_scene,
+    open_empty_images,
+    open_frames,
+    open_validation,
+    open_views,
+)
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
 from ffpose.images import open_image
@@ -86,27 +92,28 @@ def _scenes(
     config: DataConfig, model: FilterformerPoseConfig, preprocessing: Preprocessing
 ) -> TrainingData:
     """Render what is not there yet."""
-    if model.orientation_view == "frame":
-        raise ValueError(
-            "data.kind: scenes are views for a network with orientation_view 'object'; for one "
-            "that looks at the frame alone render a set (ffpose render) and name it as urso"
-        )
     scenes = [find_scene(name, config.attitude_range_deg) for name in config.scene.split("+")]
     camera = preprocessing.camera(scenes[0].camera)
-    spec = view_spec(model, camera)
     workers = config.workers
+    val_set = open_validation(
+        config.root, scenes[0], config.seed, config.validation, preprocessing, workers=workers
+    )
     kinds = [
         *((scene, 0, config.count) for scene in scenes),
         *((scene.cut(*CUT_SHARE), CUT_SEEDS, config.cut) for scene in scenes),
         *((s.randomized(RANDOMIZATION), RANDOMIZED_SEEDS, config.randomized) for s in scenes),
     ]
-    views: list[Arrays] = [
-        open_views(
-            config.root, scene, (config.seed + other) % TEST_SEEDS, count, spec, workers=workers
-        )
+    parts = [
+        (scene, (config.seed + other) % TEST_SEEDS, count)
         for scene, other, count in kinds
         if count > 0
     ]
+    if model.orientation_view == "frame":
+        frames = [open_frames(config.root, *part, preprocessing, workers=workers) for part in parts]
+        train_set = _joined(frames, config)
+        return TrainingData(train_set.poses, val_set, camera, train_set)
+    spec = view_spec(model, camera)
+    views: list[Arrays] = [open_views(config.root, *part, spec, workers=workers) for part in parts]
     seed = (config.seed + EMPTY_SEEDS) % TEST_SEEDS
     others: tuple[tuple[Content, int], ...] = (("empty", config.empty), ("decoy", config.decoys))
     empty: list[Arrays] = [
@@ -114,12 +121,16 @@ def _scenes(
         for content, count in others
         if count > 0
     ]
-    val_set = open_validation(
-        config.root, scenes[0], config.seed, config.validation, preprocessing, workers=workers
-    )
     poses = np.concatenate([arrays["labels"][:, :7] for arrays in views])
     empty_images = open_empty_images(config.root, scenes[0], config.seed, preprocessing)
     return TrainingData(poses, val_set, camera, None, views, empty, empty_images)
+
+
+def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:
+    """Return the images of several sets of one camera as one training split."""
+    records = [record for each in sets for record in each.records]
+    augmentation = _augmentation(config.augmentation) if config.augment else None
+    return PoseDataset(records, sets[0].camera, sets[0].preprocessing, augmentation, config.cache)
 
 
 def cut_views(dataset: PoseDataset, spec: ViewSpec, *, dense: bool) -> Arrays:

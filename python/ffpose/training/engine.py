@@ -8,6 +8,7 @@ the weights of an uninterrupted one, on the same machine with the same number of
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,7 +46,8 @@ class TrainResult:
 
     Attributes:
         folder: Files of the run.
-        history: The table of results, one row per epoch.
+        history: The table of results, one row per epoch; ``samples`` and ``cpu_seconds`` count its
+            training without the validation.
         best_epoch: Number of the epoch with the best weights.
         seconds: Time spent in epochs, including those before an interruption.
     """
@@ -56,7 +58,13 @@ class TrainResult:
     seconds: float
 
 
-def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> TrainResult:
+def train(
+    config: TrainConfig,
+    *,
+    resume: bool = False,
+    quiet: bool = False,
+    cpu_minutes: float | None = None,
+) -> TrainResult:
     """Train a model, and write its weights, table of results and configuration.
 
     Args:
@@ -64,6 +72,7 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
         resume: Resume the run in ``config.out`` after its last finished epoch; start a new run
             where there is none.
         quiet: Print nothing.
+        cpu_minutes: Begin no epoch once training has taken as many minutes of CPU time.
 
     Returns:
         The run's files and results.
@@ -77,19 +86,26 @@ def train(config: TrainConfig, *, resume: bool = False, quiet: bool = False) -> 
     """
     folder = RunFolder(config.out)
     folder.open(config, resume=resume)  # what is refused is refused before others are started
-    with started(config.processes, _train, config, resume, True):
-        return _train(config, resume, quiet)
+    with started(config.processes, _train, config, resume, True, cpu_minutes):
+        return _train(config, resume, quiet, cpu_minutes)
 
 
-def _train(config: TrainConfig, resume: bool, quiet: bool) -> TrainResult:
+def _train(
+    config: TrainConfig, resume: bool, quiet: bool, cpu_minutes: float | None
+) -> TrainResult:
     """Do what `train` does, as one of the processes that train together."""
     keep_freed_memory()
     with joined(config.device) as processes:
-        return _train_in(processes, config, resume=resume, quiet=quiet or not processes.leads)
+        quiet = quiet or not processes.leads
+        return _train_in(processes, config, resume, quiet, cpu_minutes)
 
 
 def _train_in(
-    processes: Processes, config: TrainConfig, *, resume: bool, quiet: bool
+    processes: Processes,
+    config: TrainConfig,
+    resume: bool,
+    quiet: bool,
+    cpu_minutes: float | None,
 ) -> TrainResult:
     folder = RunFolder(config.out)
     state = folder.open(config, resume=resume)
@@ -103,6 +119,8 @@ def _train_in(
     done, steps = len(state.history), run.task.steps
     with Reporter(len(epochs), done, steps, quiet=quiet) as reporter:
         for epoch in epochs[done:]:
+            if cpu_minutes is not None and _cpu_seconds_of(state) >= 60 * cpu_minutes:
+                break
             row = _train_and_validate(run, epoch, reporter)
             state.history.append(row)
             if processes.leads:
@@ -113,6 +131,10 @@ def _train_in(
     processes.wait()
     seconds = sum(float(row["seconds"]) for row in state.history)
     return TrainResult(folder, state.history, state.best_epoch, seconds)
+
+
+def _cpu_seconds_of(state: TrainState) -> float:
+    return sum(float(row["cpu_seconds"]) for row in state.history)
 
 
 def _header(run: Run) -> dict[str, Any]:
@@ -155,13 +177,22 @@ def _restore(run: Run, state: TrainState, epochs: Sequence[Epoch]) -> None:
 
 def _train_and_validate(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     """Train one epoch, validate, and return the epoch's row of results."""
-    began = time.perf_counter()
+    began, cpu_began = time.perf_counter(), cpu_seconds()
     reporter.epoch_begins(epoch)
     row: Row = {"epoch": epoch.number, "stage": epoch.stage.name}
     row |= train_epoch(run, epoch, reporter)
     rate = run.task.images / (time.perf_counter() - began)
+    spent = run.processes.total(torch.tensor(cpu_seconds() - cpu_began, dtype=torch.float64))
+    cost: Row = {"samples": run.task.images, "cpu_seconds": float(spent)}
     row |= validate(run)
-    return row | {"images_per_second": rate, "seconds": time.perf_counter() - began}
+    seconds = time.perf_counter() - began
+    return row | cost | {"images_per_second": rate, "seconds": seconds}
+
+
+def cpu_seconds() -> float:
+    """Return the CPU time of this process and of the workers that it has ended."""
+    times = os.times()
+    return time.process_time() + times.children_user + times.children_system
 
 
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:

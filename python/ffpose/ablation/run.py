@@ -1,0 +1,287 @@
+"""Running a study: every variant with every seed, trained and tested as any other network.
+
+A run is a folder, ``VARIANT-seedK``, with the files of a training and, once it is finished,
+``results.json``. Finished runs are skipped and interrupted ones taken up after their last epoch, so
+a study may be stopped at any moment. Several processes, on one machine or more, may work on one
+folder: each claims a run before it begins (`ffpose.ablation.claims`).
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import statistics
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import ffpose
+from ffpose.ablation.claims import claimed, claimed_in_turn
+from ffpose.ablation.study import Study, Variant, changed
+from ffpose.ablation.table import RESULTS, read_run, write_tables
+from ffpose.datasets import Part
+from ffpose.datasets.scenes import find_scene, render_images
+from ffpose.evaluation import evaluate
+from ffpose.files import atomic_write, remove_leftovers
+from ffpose.models import CONFIGS, FilterformerPose, FilterformerPoseConfig
+from ffpose.models.config import check_names
+from ffpose.training import Stage, TrainConfig, TrainResult, train
+from ffpose.training.checkpoint import FREE_FIELDS
+from ffpose.training.config import TEST_SEEDS
+from ffpose.training.config_file import flatten
+from ffpose.training.run import UNKNOWN_CAMERA, build_run
+from ffpose.transforms import Preprocessing
+
+TEST_SEED = TEST_SEEDS + 100
+"""Of the rendered test images: no training, demo or model card shows them."""
+
+ENDLESS = 10_000
+"""Epochs of a run that ends by time."""
+
+TIMED_CALLS = 15
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a call came to.
+
+    Attributes:
+        table: The file ``ablation.md``.
+        done: Runs that this call finished.
+        left: Runs that other processes have claimed and not finished.
+    """
+
+    table: Path
+    done: tuple[str, ...]
+    left: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training of one variant.
+
+    Attributes:
+        variant: The variant.
+        config: The training, its seed and folder among it.
+        cpu_minutes: After which no epoch begins; None for all epochs.
+        test_images: Rendered images to test on; None for the test split of a set on disk.
+    """
+
+    variant: Variant
+    config: TrainConfig
+    cpu_minutes: float | None
+    test_images: int | None
+
+    @property
+    def folder(self) -> Path:
+        """Its files."""
+        return self.config.out
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the result depends on, as JSON can hold it; not where and how it is computed."""
+        free = FREE_FIELDS - {"epochs", "stages"}
+        values = {name: v for name, v in flatten(self.config).items() if name not in free}
+        values |= {"cpu_minutes": self.cpu_minutes, "test_images": self.test_images}
+        plain: dict[str, Any] = json.loads(json.dumps(values, default=str))
+        return plain
+
+    def finished(self) -> bool:
+        """Return whether its result is there.
+
+        Raises:
+            ValueError: It is that of other settings.
+        """
+        if not (self.folder / RESULTS).exists():
+            return False
+        before = read_run(self.folder)["settings"]
+        for name, value in self.settings.items():
+            if before.get(name) != value:
+                raise ValueError(
+                    f"{self.folder}: expected {name} {before.get(name)} as when it ran, got "
+                    f"{value}; remove the folder, or write to another with --out"
+                )
+        return True
+
+
+def ablate(
+    study: Study,
+    out: Path,
+    *,
+    seeds: int = 2,
+    epochs: int | None = None,
+    cpu_minutes: float | None = None,
+    variants: Sequence[str] = (),
+    changes: Mapping[str, Any] | None = None,
+    sets: Path | None = None,
+    test_images: int = 500,
+    steal: bool = False,
+    quiet: bool = False,
+) -> Outcome:
+    """Train and test what is not there yet, and write the table after each run.
+
+    Args:
+        study: What to train.
+        out: The folder to write; one that was begun is gone on with.
+        seeds: Runs a variant, with the seeds 0 ... ``seeds - 1`` of weights, order and
+            augmentation. All see the same images.
+        epochs: Budget of a run: epochs of one stage, in place of the study's.
+        cpu_minutes: The same in minutes of the training's CPU time, whole epochs.
+        variants: Names of those to run; all for none.
+        changes: Fields of the study's base to change, nested: ``{"data": {"count": 1000}}``.
+        sets: Folder of sets in URSO's layout, each named as its scene, to train and test on in
+            place of rendered scenes.
+        test_images: How many images the rendered test set has.
+        steal: Take over the runs that other hosts have claimed.
+        quiet: Print nothing.
+
+    Raises:
+        ValueError: An unknown name, two budgets, or runs of other settings in ``out``.
+        ffpose.DataError: An image or a label cannot be used.
+        ffpose.training.NonFiniteLossError: A training failed; the other runs can go on.
+    """
+    _expect_count("seeds", seeds)
+    _expect_count("test_images", test_images)
+    study = replace(study, base=changed(study.base, changes or {}))
+    runs = [
+        Run(variant, config, cpu_minutes, None if sets else test_images)
+        for seed in range(seeds)
+        for variant in study.choose(variants)
+        for config in [_training(study, variant, seed, out, epochs, cpu_minutes, sets)]
+    ]
+    waiting = [run for run in runs if not run.finished()]
+    out.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(out)
+    done = []
+    for number, run in enumerate(waiting, start=1):
+        with claimed(out / f"{run.folder.name}.lock", steal=steal) as mine:
+            if not mine or run.finished():
+                continue
+            _say(f"{number} of {len(waiting)}: {run.folder.name}, {run.variant.about}", quiet=quiet)
+            _finish(study, run, steal=steal, quiet=quiet)
+        write_tables(study, out)
+        done.append(run.folder.name)
+    left = tuple(run.folder.name for run in runs if not run.finished())
+    return Outcome(write_tables(study, out), tuple(done), left)
+
+
+def _say(text: str, *, quiet: bool) -> None:
+    if not quiet:
+        print(text, file=sys.stderr, flush=True)
+
+
+def _expect_count(name: str, value: int) -> None:
+    if value < 1:
+        raise ValueError(f"{name}: expected at least 1, got {value}")
+
+
+def _training(
+    study: Study,
+    variant: Variant,
+    seed: int,
+    out: Path,
+    epochs: int | None,
+    cpu_minutes: float | None,
+    sets: Path | None,
+) -> TrainConfig:
+    """Return the training of a run, once its network is known to be one that can be built."""
+    if epochs is not None and cpu_minutes is not None:
+        raise ValueError(f"budget: expected epochs or minutes, got {epochs} and {cpu_minutes}")
+    if cpu_minutes is not None and not cpu_minutes > 0:
+        raise ValueError(f"minutes: expected more than 0, got {cpu_minutes}")
+    config = study.config(variant)
+    network(config)
+    if cpu_minutes is not None and config.optimizer.schedule == "cosine":
+        raise ValueError("minutes: expected optimizer.schedule step, for cosine ends with an epoch")
+    if epochs is not None or cpu_minutes is not None:
+        stage = Stage("joint", ENDLESS if epochs is None else epochs)
+        config = replace(config, stages=(stage,), epochs=None)
+    data = replace(config.data, root=out / config.data.root)
+    if sets is not None:
+        data = replace(data, kind="urso", root=sets / data.scene)
+    return replace(config, data=data, out=out / f"{variant.name}-seed{seed}", seed=seed)
+
+
+def network(config: TrainConfig) -> FilterformerPoseConfig:
+    """Return the network of a training; its camera comes with the images.
+
+    Raises:
+        ValueError: An unknown field, or a value that cannot be.
+    """
+    fields = {"camera": UNKNOWN_CAMERA, **config.model_fields}
+    check_names(fields)
+    return replace(CONFIGS[config.model], **fields)
+
+
+def _finish(study: Study, run: Run, *, steal: bool, quiet: bool) -> None:
+    """Train what is left of a run, test its last weights, and write the result."""
+    with claimed_in_turn(run.folder.parent / "images.lock", steal=steal):
+        kind, root, split = _test_set(run)
+        build_run(run.config)  # renders and caches what is not there yet, for all processes once
+    trained = train(run.config, resume=True, quiet=quiet, cpu_minutes=run.cpu_minutes)
+    evaluation = evaluate(trained.folder.last, kind, root, split)
+    summary = evaluation.summary()
+    summary.pop("uncertainty", None)  # the last weights are not calibrated
+    model = FilterformerPose.from_pretrained(trained.folder.last)
+    result = {
+        "study": study.name,
+        "variant": run.variant.name,
+        "seed": run.config.seed,
+        "scene": run.config.data.scene,
+        **_cost(trained),
+        "parameters": sum(parameter.numel() for parameter in model.parameters()),
+        "latency_ms": latency_ms(model),
+        "threads": torch.get_num_threads(),
+        "machine": platform.processor() or platform.machine(),
+        "versions": {"ffpose": ffpose.__version__, "torch": torch.__version__},
+        "settings": run.settings,
+        "test": summary,
+    }
+    with atomic_write(run.folder / RESULTS) as path:
+        path.write_text(json.dumps(result, indent=2) + "\n")
+
+
+def _test_set(run: Run) -> tuple[str, Path, Part]:
+    """Return kind, folder and split of the images to test on, rendered where they are not there.
+
+    They are whole images of the network's input size, of the same scenes for every network.
+    """
+    data = run.config.data
+    if run.test_images is None:
+        return data.kind, data.root, "test"
+    scene = find_scene(data.scene.split("+")[0], data.attitude_range_deg)
+    preprocessing = Preprocessing(network(run.config).image_size, data.mode)
+    indices = range(run.test_images)
+    workers = data.workers
+    folder = render_images(
+        data.root, "test", scene, TEST_SEED, indices, preprocessing, workers=workers
+    )
+    return "urso", folder, "all"
+
+
+def _cost(trained: TrainResult) -> dict[str, float]:
+    """Return what a training took."""
+    totals = {
+        name: sum(float(row[name]) for row in trained.history)
+        for name in ("samples", "cpu_seconds", "seconds")
+    }
+    return {"epochs": len(trained.history), **totals}
+
+
+def latency_ms(model: FilterformerPose) -> float:
+    """Return the median time of one image's pose, in milliseconds, on torch's threads."""
+    model.eval()
+    image = torch.zeros(1, 3, *model.config.image_size)
+    times = []
+    with torch.inference_mode():
+        model(image)
+        for _ in range(TIMED_CALLS):
+            began = time.perf_counter()
+            model(image)
+            times.append(time.perf_counter() - began)
+    return 1000 * statistics.median(times)

@@ -1,0 +1,230 @@
+"""Studies are worked off run by run: stopped, gone on with, and shared."""
+
+import csv
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from ffpose.ablation import get_study, run
+from ffpose.cli import main
+from ffpose.training import Stage, train
+from tiny_ablation import tiny_study, write_sets
+
+RUNS = ("grid-seed0", "none-seed0", "grid-seed1", "none-seed1")
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory):
+    return write_sets(tmp_path_factory.mktemp("sets"))
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """The names of the runs that were trained since."""
+    names = []
+
+    def counted(config, **options):
+        names.append(config.out.name)
+        return train(config, **options)
+
+    monkeypatch.setattr(run, "train", counted)
+    return names
+
+
+def ablated(out, sets, **options):
+    return run.ablate(tiny_study(), out, sets=sets, quiet=True, **options)
+
+
+def rows_of(out):
+    with (out / "ablation.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_study_is_gone_on_with_after_the_runs_that_are_there(tmp_path, sets, trained):
+    out = tmp_path / "study"
+    assert ablated(out, sets, seeds=1).done == RUNS[:2]
+    before = (out / "grid-seed0/results.json").read_bytes()
+    outcome = ablated(out, sets, seeds=2)
+    assert (outcome.done, outcome.left) == (RUNS[2:], ())
+    assert tuple(trained) == RUNS
+    assert (out / "grid-seed0/results.json").read_bytes() == before
+    assert [f"{row['variant']}-seed{row['seed']}" for row in rows_of(out)] == sorted(RUNS)
+    assert {row["samples"] for row in rows_of(out)} == {"20.0"}  # two epochs of ten images
+    assert outcome.table.read_text().startswith("# Ablation: tiny")
+    assert not list(out.glob("*.lock"))
+
+
+def test_an_interrupted_run_is_taken_up_after_its_last_epoch(tmp_path, sets, monkeypatch):
+    def interrupted(config, **options):
+        train(replace(config, stages=(Stage("joint", 1),), epochs=None), **options)
+        raise KeyboardInterrupt
+
+    out, whole = tmp_path / "study", tmp_path / "whole"
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "train", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            ablated(out, sets, seeds=1, variants=["none"], epochs=2)
+    first = (out / "none-seed0/results.csv").read_text().splitlines()
+    assert not (out / "none-seed0/results.json").exists()
+    ablated(out, sets, seeds=1, variants=["none"], epochs=2)
+    again = (out / "none-seed0/results.csv").read_text().splitlines()
+    assert (again[:2], len(again)) == (first, 3)
+    ablated(whole, sets, seeds=1, variants=["none"], epochs=2)
+    one, other = (load_file(each / "none-seed0/last.safetensors") for each in (out, whole))
+    assert all(torch.equal(value, other[name]) for name, value in one.items())
+
+
+def test_runs_that_another_process_has_claimed_are_left_to_it(tmp_path, sets, trained):
+    out = tmp_path / "study"
+    out.mkdir()
+    (out / "grid-seed0.lock").write_text(json.dumps({"host": "elsewhere", "pid": 1}))
+    outcome = ablated(out, sets, seeds=1)
+    assert (outcome.done, outcome.left) == (("none-seed0",), ("grid-seed0",))
+    assert ablated(out, sets, seeds=1, steal=True).left == ()
+    assert trained == ["none-seed0", "grid-seed0"]
+
+
+WORKER = """
+import sys, time
+from pathlib import Path
+sys.path[:0] = {path}
+import torch
+from ffpose.ablation import run
+from tiny_ablation import tiny_study
+torch.set_num_threads(1)
+out, train = Path({out!r}), run.train
+def counted(config, **options):
+    with (out.parent / "trained").open("a") as file:
+        file.write(config.out.name + chr(10))
+    return train(config, **options)
+run.train = counted
+(out.parent / "ready-{number}").touch()
+while len(list(out.parent.glob("ready-*"))) < 2:
+    time.sleep(0.01)
+run.ablate(tiny_study(), out, sets=Path({sets!r}), seeds=2, quiet=True)
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_share_a_folder_and_do_no_run_twice(tmp_path, sets):
+    out = tmp_path / "study"
+    processes = [
+        subprocess.Popen(
+            [
+                sys.executable,
+                "-c",
+                WORKER.format(path=sys.path, out=str(out), sets=str(sets), number=number),
+            ]
+        )
+        for number in range(2)
+    ]
+    assert [process.wait() for process in processes] == [0, 0]
+    assert sorted((tmp_path / "trained").read_text().split()) == sorted(RUNS)
+    assert len(rows_of(out)) == 4
+
+
+@pytest.mark.parametrize(
+    "options", [{"epochs": 3}, {"changes": {"batch_size": 5}}, {"cpu_minutes": 1.0}]
+)
+def test_runs_of_other_settings_are_not_mixed(tmp_path, sets, trained, options):
+    ablated(tmp_path, sets, seeds=1, variants=["none"])
+    with pytest.raises(ValueError, match=r"none-seed0: expected (stages|epochs|batch_size) "):
+        ablated(tmp_path, sets, **options)
+    assert trained == ["none-seed0"]
+
+
+def test_a_budget_of_time_ends_after_the_epoch_that_uses_it_up(tmp_path, sets):
+    ablated(tmp_path, sets, seeds=1, variants=["none"], cpu_minutes=1e-6)
+    assert rows_of(tmp_path)[0]["epochs"] == "1"
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"epochs": 1, "cpu_minutes": 1.0}, "budget: expected epochs or minutes"),
+        ({"cpu_minutes": 0.0}, "minutes: expected more than 0"),
+        (
+            {"cpu_minutes": 1.0, "changes": {"optimizer": {"schedule": "cosine"}}},
+            "minutes: expected optimizer.schedule step",
+        ),
+        ({"seeds": 0}, "seeds: expected at least 1, got 0"),
+        ({"variants": ["nothing"]}, "variant: expected one of grid, none, got 'nothing'"),
+        ({"changes": {"model_fields": {"depths": 1}}}, "expected fields out of"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anything_is_written(tmp_path, sets, options, text):
+    with pytest.raises(ValueError, match=text):
+        ablated(tmp_path / "study", sets, **options)
+    assert not (tmp_path / "study").exists()
+
+
+SMALL = {
+    "data": {"count": 8, "empty": 2, "decoys": 2, "validation": 4, "workers": 0},
+    "batch_size": 4,
+    "epochs": 1,
+    "device": "cpu",
+    "model_fields": {
+        "image_size": [96, 128],
+        "first_stride": 4,
+        "object_size": [16, 16],
+        "object_backbone": "compact_resnet_narrow",
+        "dim": 16,
+        "head_hidden": 16,
+        "bins": 300,
+        "bins_degree": 2,
+    },
+}
+
+
+@pytest.mark.slow
+def test_both_views_train_and_are_tested_on_the_same_scenes(tmp_path, monkeypatch):
+    monkeypatch.setattr("ffpose.datasets.scenes.EMPTY_IMAGES", 4)
+    run.ablate(
+        get_study("attitude"),
+        tmp_path,
+        seeds=1,
+        variants=["base", "view-frame"],
+        changes=SMALL,
+        test_images=5,
+        quiet=True,
+    )
+    first, second = (
+        json.loads((tmp_path / f"{name}-seed0/results.json").read_text())["test"]
+        for name in ("base", "view-frame")
+    )
+    assert first["images"] == second["images"] == 5
+    assert first["mean_pose_baseline"] == second["mean_pose_baseline"]
+    assert first["median_rotation_error_deg"] != second["median_rotation_error_deg"]
+
+
+def test_the_command_prints_the_table(tmp_path, sets, monkeypatch, capsys):
+    study = tiny_study()
+    monkeypatch.setattr("ffpose.ablation.STUDIES", {"tiny": study})
+    words = ["ablate", "tiny", "--out", str(tmp_path / "study"), "--sets", str(sets)]
+    changes = ["--changes", '{"model_fields": {"dropout": 0.0}}']
+    assert main([*words, *changes, "--seeds", "1", "--epochs", "1", "--variants", "none"]) == 0
+    said = capsys.readouterr()
+    assert said.out == (tmp_path / "study/ablation.md").read_text()
+    assert "1 of 1: none-seed0, no filter" in said.err
+    result = json.loads((tmp_path / "study/none-seed0/results.json").read_text())
+    assert result["settings"]["model_fields"]["dropout"] == 0.0
+
+
+def test_the_command_lists_the_studies(tmp_path, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main(["ablate", "attitudes", "--out", str(tmp_path)])
+    assert leaving.value.code == 2
+    assert "'attitude', 'filters', 'table1', 'table2', 'table3'" in capsys.readouterr().err

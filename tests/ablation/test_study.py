@@ -1,0 +1,110 @@
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from ffpose.ablation import STUDIES, Study, Variant, get_study
+from ffpose.ablation.run import network
+from ffpose.ablation.study import changed
+from ffpose.models import FilterformerPose
+from ffpose.training import DataConfig, TrainConfig
+
+BASE = TrainConfig(DataConfig("urso", Path("a")), Path("b"), model_fields={"depth": 2})
+
+VARIANTS = [(study, variant) for study in STUDIES.values() for variant in study.variants]
+IDS = [f"{study.name}-{variant.name}" for study, variant in VARIANTS]
+
+
+def test_a_change_reaches_into_the_parts_and_leaves_the_rest():
+    new = changed(
+        BASE,
+        {
+            "epochs": 3,
+            "data": {"root": "elsewhere", "attitude_range_deg": [1.0, 2.0, 3.0]},
+            "model_fields": {"dim": 8},
+            "views": {"noise": 0.0},
+        },
+    )
+    assert (new.epochs, new.data.root, new.views.noise) == (3, Path("elsewhere"), 0.0)
+    assert new.data.attitude_range_deg == (1.0, 2.0, 3.0)
+    assert new.model_fields == {"depth": 2, "dim": 8}
+    same = {field.name for field in fields(TrainConfig)} - {"epochs", "data", "model_fields"}
+    same -= {"views"}
+    assert all(getattr(new, name) == getattr(BASE, name) for name in same)
+    assert new.data.kind == "urso"
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"epoch": 3}, "expected a field such as epochs, got 'epoch'"),
+        ({"data": {"cuont": 3}}, "expected a field such as data.count, got 'cuont'"),
+        ({"data": 3}, "data: expected a mapping of fields, got 3"),
+        ({"views": {"noise": 3}}, "noise: expected a number from 0 to 1, got 3"),
+    ],
+)
+def test_what_cannot_be_changed_is_refused(changes, text):
+    with pytest.raises(ValueError, match=text):
+        changed(BASE, changes)
+
+
+def test_an_unknown_study_or_variant_is_told_the_names():
+    with pytest.raises(ValueError, match=r"attitude, filters, table1, .*got 'attitudes'"):
+        get_study("attitudes")
+    with pytest.raises(ValueError, match=r"expected one of base, .*transformer, got 'bas'"):
+        get_study("attitude").choose(["bas"])
+
+
+def test_variants_have_names_of_their_own():
+    with pytest.raises(ValueError, match="expected distinct names, got a, a"):
+        Study("s", "", BASE, (Variant("a", ""), Variant("a", "")))
+
+
+def test_variants_come_in_the_order_of_the_study():
+    chosen = get_study("attitude").choose(["no-dense", "base"])
+    assert [variant.name for variant in chosen] == ["base", "no-dense"]
+
+
+@pytest.mark.parametrize(("study", "variant"), VARIANTS, ids=IDS)
+def test_every_variant_is_a_network_that_can_be(study, variant):
+    network(study.config(variant))
+
+
+@pytest.mark.parametrize("variant", STUDIES["attitude"].variants, ids=lambda v: v.name)
+def test_every_variant_of_the_attitude_study_is_built(variant):
+    config = STUDIES["attitude"].config(variant)
+    fields = {"camera": (1.0, 1.0, 0.0, 0.0), **config.model_fields}
+    model = FilterformerPose.from_config(config.model, backbone_weights="none", **fields)
+    blocks = 0 if model.orientation_branch.encoder is None else model.config.depth
+    assert blocks == (2 if "former" in variant.name else 0)
+    assert (model.object_backbone is None) == (variant.name == "view-frame")
+    assert config.object_loss.dense == (variant.name != "no-dense")
+
+
+@pytest.mark.parametrize("name", ["attitude", "filters"])
+def test_the_learning_rate_of_a_study_by_seconds_stays(name):
+    study = STUDIES[name]
+    for variant in study.variants:
+        optimizer = study.config(variant).optimizer
+        assert optimizer.schedule == "step"
+        assert optimizer.step_epochs >= 100_000
+
+
+def test_table_2_is_the_papers():
+    """Sensors 2023, 23, 8633, Table 2; N = 7 is the network of Tables 3 and 4."""
+    study = STUDIES["table2"]
+    depths = [study.config(variant).model_fields["depth"] for variant in study.variants]
+    assert depths == [3, 4, 5, 6, 7, 8, 9]
+    assert study.variants[4].paper == (0.7541, 5.2023, 74.73)
+    with_filter = next(v for v in STUDIES["table3"].variants if v.name == "soyuz_hard-tokens")
+    assert with_filter.paper[:2] == study.variants[4].paper[:2]
+
+
+def test_table_3_changes_scene_and_filter():
+    study = STUDIES["table3"]
+    pairs = [
+        (config.data.scene, config.model_fields["filter"])
+        for config in map(study.config, study.variants)
+    ]
+    scenes = ("soyuz_easy", "soyuz_hard", "dragon_hard")
+    assert pairs == [(scene, filter) for scene in scenes for filter in ("tokens", "none")]
