@@ -164,8 +164,9 @@ def train(options: Namespace) -> None:
     fields = vars(options)
     resume, _ = fields.pop("resume"), fields.pop("config")
     result = run(TrainConfig(**fields), resume=resume)
-    save_figure(training_curves(result.history), result.folder.curves)
-    say(f"best epoch {result.best_epoch}: {result.folder.best}")
+    if result.leads:
+        save_figure(training_curves(result.history), result.folder.curves)
+        say(f"best epoch {result.best_epoch}: {result.folder.best}")
 
 
 def data_arguments(parser: ArgumentParser) -> None:

@@ -50,12 +50,14 @@ class TrainResult:
             training without the validation.
         best_epoch: Number of the epoch with the best weights.
         seconds: Time spent in epochs, including those before an interruption.
+        leads: Whether this is the process, of several, that wrote the files.
     """
 
     folder: RunFolder
     history: list[Row]
     best_epoch: int
     seconds: float
+    leads: bool = True
 
 
 def train(
@@ -130,7 +132,7 @@ def _train_in(
         _calibrate(run, folder)
     processes.wait()
     seconds = sum(float(row["seconds"]) for row in state.history)
-    return TrainResult(folder, state.history, state.best_epoch, seconds)
+    return TrainResult(folder, state.history, state.best_epoch, seconds, processes.leads)
 
 
 def _cpu_seconds_of(state: TrainState) -> float:
