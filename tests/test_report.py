@@ -9,9 +9,9 @@ import pytest
 from ffpose.baseline import mean_pose
 from ffpose.datasets import open_dataset
 from ffpose.evaluation import Evaluation
+from ffpose.preprocessing import Preprocessing
 from ffpose.report import Report, write_report
 from ffpose.report_tables import comparison, conditions_table, figures_table, headline
-from ffpose.transforms import Preprocessing
 from tiny_runs import write_set
 
 HISTORY = [

@@ -178,7 +178,10 @@ def data_arguments(parser: ArgumentParser) -> None:
 def weights_argument(parser: ArgumentParser) -> None:
     """Declare which weights a command reads, and that it may read images of another camera."""
     parser.add_argument(
-        "weights", type=Path, help="weights as training left them, or a name such as soyuz-easy"
+        "weights",
+        type=Path,
+        help="weights as training left them, a name such as soyuz-easy; or, to predict, an"
+        " exported .onnx",
     )
     parser.add_argument(
         "--any-camera", action="store_true", help="take images of a camera unlike the weights'"
@@ -238,14 +241,14 @@ def predict(options: Namespace) -> None:
     --camera says which, and resized to it if --any-camera lets them be.
     """
     from ffpose.geometry import Camera
-    from ffpose.models import read_metadata
+    from ffpose.prediction import describe as describe_weights
     from ffpose.prediction import expect_distinct_overlays, write_overlay
     from ffpose.prediction import predict as run
 
     if options.overlay is not None:
         expect_folder(options.overlay)
         expect_distinct_overlays(options.images, options.overlay)
-    elif options.camera is not None and read_metadata(options.weights).camera is None:
+    elif options.camera is not None and describe_weights(options.weights).camera is None:
         raise ValueError("--camera: expected with --overlay, for these weights know no camera")
     camera = None if options.camera is None else Camera.read(options.camera)
     predictions = []
@@ -258,6 +261,28 @@ def predict(options: Namespace) -> None:
             say(str(write_overlay(prediction, options.overlay)))
     if options.json:
         show({"predictions": predictions})
+
+
+def export_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `export`."""
+    parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz-easy")
+    parser.add_argument("--out", type=Path, required=True, help="ONNX file to write")
+    parser.add_argument(
+        "--filter",
+        choices=["custom", "matmul"],
+        default="custom",
+        help="filters by ffpose's operator, or by standard ones alone (default: custom)",
+    )
+
+
+def export(options: Namespace) -> None:
+    """Write a network as an ONNX graph, and check it against torch on random images."""
+    from ffpose.onnx.pose_graph import export_weights
+
+    exported = export_weights(options.weights, options.out, options.filter, say=say)
+    for name, difference in exported.differences.items():
+        print(f"largest difference of {name}: {difference:.2g}")
+    say(f"{exported.path}: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
 
 
 def inspect_arguments(parser: ArgumentParser) -> None:
@@ -275,7 +300,7 @@ def inspect(options: Namespace) -> None:
     """
     from ffpose.datasets import list_splits, open_dataset
     from ffpose.inspection import inspect_dataset
-    from ffpose.transforms import Preprocessing
+    from ffpose.preprocessing import Preprocessing
 
     expect_folder(options.out)
     kind, root = options.data.kind, options.data.root
@@ -364,6 +389,7 @@ COMMANDS = {
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labelled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
+    "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
     "inspect": Command("count, check and draw a set of images", inspect_arguments, inspect),
     "bench": Command("measure the filter, or the networks", bench_arguments, bench),

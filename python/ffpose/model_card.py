@@ -1,7 +1,7 @@
 """The measurements of a model card: weights under the conditions of their training, and others.
 
 Each condition is a set of rendered scenes that no training sees (`ffpose.render.variations`), and
-goes the way of any image (`ffpose.prediction.Predictor`). Where the errors grow, the uncertainty
+goes the way of any image (`ffpose.predictor.Predictor`). Where the errors grow, the uncertainty
 should say so, and pictures that do not show the object should be flagged: the coverage of the
 regions and the rates of the flag stand beside the errors. Rendering needs the extra `render`.
 """
@@ -31,7 +31,7 @@ from ffpose.geometry import Pose
 from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
 from ffpose.models.zoo import resolve
 from ffpose.pictures import PICTURES, draw_picture
-from ffpose.prediction import Predictor
+from ffpose.predictor import Predictor
 from ffpose.training.config import TEST_SEEDS
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ import torch
 from safetensors.torch import load_file
 
 from ffpose.models import CONFIGS, FilterformerPose, read_metadata
+from ffpose.preprocessing import Preprocessing
 from ffpose.render import views, writer
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, data, train
 from ffpose.training.config import TEST_SEEDS
-from ffpose.transforms import Preprocessing
 
 VALIDATION = 4
 FIELDS = {

@@ -35,7 +35,7 @@ class NetworkCase:
     """One measurement of a network.
 
     Attributes:
-        model: A name in `ffpose.models.config.CONFIGS`.
+        model: A name in `ffpose.config.CONFIGS`.
         batch: Images.
         task: ``"inference"``: images to poses; ``"training step"``: forward, backward and AdamW.
         precision: ``"bfloat16"`` is autocast; parameters stay float32.
