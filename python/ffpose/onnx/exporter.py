@@ -34,6 +34,9 @@ OPSET = 18
 TOLERANCE = 1e-4
 """Largest difference between graph and module that is taken for rounding."""
 
+FOLDED = 1 << 26
+"""Constants of up to so many bytes are computed beforehand, the weights of filters among them."""
+
 FilterChoice = Literal["custom", "matmul"]
 Say = Callable[[str], None]
 
@@ -174,7 +177,7 @@ def _record(
     output_names: Sequence[str] | None,
 ) -> Any:
     """Return the `onnx_ir.Model` of a module, its batch of any size."""
-    require("onnxscript", "export")
+    optimizer = require("onnxscript.optimizer", "export")
     shapes = tuple({0: torch.export.Dim.DYNAMIC} for _ in args)
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), torch.no_grad():
         warnings.simplefilter("ignore")  # of torch's exporter, about itself
@@ -188,17 +191,12 @@ def _record(
             output_names=output_names,
             dynamic_shapes=shapes,
             custom_translation_table=translations(),
+            optimize=False,
         )
-    assert program is not None
-    _fold_weights(program.model)
+        assert program is not None
+        limits = {"input_size_limit": FOLDED, "output_size_limit": FOLDED}
+        optimizer.optimize_ir(program.model, **limits)
     return program.model
-
-
-def _fold_weights(model: Any) -> None:
-    """Compute what is left to compute of constants: a filter's weight is to be one."""
-    optimizer = require("onnxscript.optimizer", "export")
-    limit = 1 << 26
-    optimizer.optimize_ir(model, input_size_limit=limit, output_size_limit=limit)
 
 
 def _compare(
