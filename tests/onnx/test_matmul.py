@@ -34,21 +34,16 @@ def draw_weight(size, seed=0):
 
 def filter_graph(layout, size, weights, lead=("batch",)):
     """One filter after the other; `lead` are the dimensions before those of the filter."""
+    names = ["x", "y", *(f"y_{n}" for n in range(1, len(weights)))]  # as torch counts them
     nodes = [
         onnx.helper.make_node(
-            "SpectralFilter", [f"x{n}", f"w{n}"], [f"x{n + 1}"], domain="ffpose", layout=layout
+            "SpectralFilter", [names[n], f"w{n}"], [names[n + 1]], domain="ffpose", layout=layout
         )
         for n in range(len(weights))
     ]
-    names = [f"x{n}" for n in range(len(weights) + 1)]
-    graph = onnx.helper.make_graph(
-        nodes,
-        "filters",
-        [value(names[0], [*lead, *size])],
-        [value(names[-1], [*lead, *size])],
-        [onnx.numpy_helper.from_array(w, f"w{n}") for n, w in enumerate(weights)],
-        value_info=[value(name, [*lead, *size]) for name in names[1:-1]],
-    )
+    first, *between, last = (value(name, [*lead, *size]) for name in names)
+    tensors = [onnx.numpy_helper.from_array(w, f"w{n}") for n, w in enumerate(weights)]
+    graph = onnx.helper.make_graph(nodes, "g", [first], [last], tensors, value_info=between)
     opsets = [onnx.helper.make_opsetid("", 18), onnx.helper.make_opsetid("ffpose", 1)]
     return ir.from_proto(onnx.helper.make_model(graph, opset_imports=opsets, ir_version=10))
 
@@ -58,7 +53,7 @@ def run(model, x):
     options.intra_op_num_threads = 1
     data = ir.to_proto(model).SerializeToString()
     session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    return session.run(None, {"x0": x})[0]
+    return session.run(None, {"x": x})[0]
 
 
 def by_fft(x, weight, layout):

@@ -114,7 +114,7 @@ class _Replacement:
 
     def _op(self, kind: str, *inputs: Any, **attributes: Any) -> Any:
         node = self.ir.node(kind, inputs, attributes)
-        node.outputs[0].name = f"{self.node.outputs[0].name}_{len(self.nodes)}"
+        node.outputs[0].name = f"{self.node.outputs[0].name}/{len(self.nodes)}"
         node.outputs[0].dtype = self.x.dtype
         self.nodes.append(node)
         return node.outputs[0]
