@@ -150,10 +150,12 @@ class OpenVinoSession:
         if threads is not None:
             settings["INFERENCE_NUM_THREADS"] = threads
         try:
-            self.compiled = core.compile_model(str(model), "CPU", settings)
+            graph = core.read_model(str(model))
+            self.compiled = core.compile_model(graph, "CPU", settings)
         except RuntimeError as error:
             raise RuntimeError(f"OpenVINO cannot load {model}: {error}") from error
-        self.outputs = [output.any_name for output in self.compiled.outputs]
+        # The compiled graph's outputs bear names of what was fused into them as well.
+        self.outputs = [output.any_name for output in graph.outputs]
 
     def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Return the graph's outputs by name, for its inputs in order."""
