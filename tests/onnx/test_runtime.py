@@ -14,6 +14,7 @@ from ffpose.cli import main
 from ffpose.geometry import Camera
 from ffpose.images import read_rgb
 from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models.zoo import names
 from ffpose.onnx.metadata import read_model_metadata
 from ffpose.onnx.runtime import PoseEstimator
 from ffpose.predictor import Predictor
@@ -287,3 +288,25 @@ def test_bfloat16_where_the_cpu_has_it(files, picture):
     pose = PoseEstimator(graph, backend="openvino", precision="bfloat16")(picture)
     expected = Predictor.from_weights(weights)(read_rgb(picture))
     np.testing.assert_allclose(pose.t, expected.t, rtol=0.05, atol=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", names())
+def test_shipped_weights_export_whole(name, picture, tmp_path):
+    graph = tmp_path / "shipped.onnx"
+    assert main(["export", name, "--out", str(graph)]) == 0
+    assert read_model_metadata(graph).in_view_threshold == read_metadata(name).in_view_threshold
+    patches = Image.open(picture).resize((8, 6)).resize((640, 480), Image.Resampling.NEAREST)
+    expected = Predictor.from_weights(name)(patches)
+    assert_same_pose(PoseEstimator(graph)(patches), expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["base", "small", "tiny"])
+def test_presets_export(preset, tmp_path):
+    torch.manual_seed(0)
+    weights, graph = tmp_path / "new.safetensors", tmp_path / "new.onnx"
+    model = FilterformerPose.from_config(preset, backbone_weights="none", depth=1)
+    model.save_pretrained(weights)
+    assert main(["export", str(weights), "--out", str(graph), "--filter", "matmul"]) == 0
+    assert read_model_metadata(graph).filter == "matmul"

@@ -25,7 +25,7 @@ def get_library_path() -> str:
     path = (folder / NAMES.get(sys.platform, ELF_NAME)).absolute()
     if not path.is_file():
         raise FileNotFoundError(
-            f"expected the library of the custom operator at {path}, got none: build it with"
-            " `make ort`, or export a graph of standard operators alone with --filter matmul"
+            f"expected the library of the custom operator at {path}, got none: install a"
+            " wheel that holds it, or export standard operators alone with --filter matmul"
         )
     return str(path)
