@@ -16,9 +16,9 @@ from ffpose.demo_config import DemoConfig
 from ffpose.demo_record import FOLDERS
 from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.models import FilterformerPose, zoo
+from ffpose.preprocessing import Preprocessing
 from ffpose.render.renderer import label
 from ffpose.training.config import TEST_SEEDS
-from ffpose.transforms import Preprocessing
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "python" / "ffpose"
 
 # Each room and the rooms of ffpose that it may import. Leaves are open to all.
-LEAVES = {"errors", "files", "images"}
+LEAVES = {"errors", "files", "images", "choices"}
 ALLOWED = {
     "__init__": {"arrays", "geometry"},
     "errors": set(),
@@ -22,25 +22,30 @@ ALLOWED = {
     "baseline": {"attitude"},
     "ops": {"_rust"},
     "nn": {"ops", "geometry"},
-    "models": {"nn", "transforms", "geometry"},
-    "transforms": {"geometry", "arrays"},
-    "reprojection": {"geometry", "transforms"},
+    "choices": set(),
+    "config": {"geometry"},
+    "models": {"nn", "preprocessing", "geometry", "config"},
+    "preprocessing": {"geometry"},
+    "transforms": {"geometry", "arrays", "preprocessing"},
+    "reprojection": {"geometry", "preprocessing"},
     "views": {"geometry"},
-    "datasets": {"geometry", "transforms", "views", "render"},
+    "datasets": {"geometry", "preprocessing", "transforms", "views", "render"},
     "losses": {"ops", "geometry"},
     "metrics": {"arrays", "attitude", "ops", "geometry"},
     "breakdown": {"metrics", "datasets"},
     "training": {
         *("models", "nn", "losses", "metrics", "datasets", "transforms", "geometry", "views"),
-        *("attitude", "calibration"),
+        *("attitude", "calibration", "config", "preprocessing"),
     },
     "evaluation": {
-        *("models", "metrics", "datasets", "geometry", "transforms", "reprojection", "arrays"),
+        *("models", "metrics", "datasets", "geometry", "preprocessing", "reprojection", "arrays"),
         *("attitude", "baseline", "breakdown", "calibration", "significance"),
     },
     "results": {"evaluation"},
     "overlay": {"geometry"},
-    "prediction": {"models", "geometry", "transforms", "reprojection", "arrays", "overlay"},
+    "prediction": {"models", "onnx", "predictor", "geometry", "arrays", "overlay"},
+    "predictor": {"models", "geometry", "preprocessing", "reprojection"},
+    "onnx": {"ops", "models", "config", "geometry", "preprocessing", "reprojection"},
     "plots": {"evaluation", "calibration", "geometry", "datasets", "overlay"},
     "inspection": {"datasets", "geometry", "arrays", "overlay"},
     "pictures": set(),
@@ -49,21 +54,37 @@ ALLOWED = {
         *("geometry", "attitude", "calibration", "significance", "metrics", "prediction"),
     },
     "model_card": {
-        *("card_figures", "card_tables", "pictures", "prediction", "models", "geometry"),
+        *("card_figures", "card_tables", "pictures", "predictor", "models", "geometry"),
         *("baseline", "evaluation", "render", "training"),
     },
-    "ablation": {"datasets", "evaluation", "models", "training", "transforms"},
+    "ablation": {
+        "config",
+        "datasets",
+        "evaluation",
+        "models",
+        "preprocessing",
+        "training",
+        "transforms",
+    },
     "report_tables": set(),
     "report": {"evaluation", "plots", "report_tables", "geometry"},
     "demo_config": {"datasets", "render", "training"},
     "demo_record": set(),
     "demo_report": {"arrays", "demo_config", "evaluation", "report", "training"},
     "render": {"geometry", "arrays", "views"},
-    "bench": {"ops", "arrays", "models", "nn"},
+    "bench": {"ops", "arrays", "models", "nn", "config"},
     "info": {"arrays"},
 }
 COMPOSE = {"cli", "demo"}  # these two put the others together
-LAZY = {"matplotlib", "timm"}  # never at import time
+LAZY = {
+    "matplotlib",
+    "timm",
+    "onnx",
+    "onnxruntime",
+    "onnxscript",
+    "onnx_ir",
+    "openvino",
+}  # never at import time
 
 
 def room(path: Path) -> str:

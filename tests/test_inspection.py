@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ffpose.datasets import open_dataset
 from ffpose.errors import DataError
 from ffpose.inspection import contact_sheet, inspect_dataset
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 from urso_sets import LABELS, POSES, SPLITS, table, write_set
 
 

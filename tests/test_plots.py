@@ -21,7 +21,7 @@ from ffpose.plots import (
     worst_gallery,
     write_evaluation_figures,
 )
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 from tiny_runs import write_set
 
 OFFSETS = np.array([0.5, 3.0, 1.0, 2.0])

@@ -10,9 +10,10 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, PoseUncertainty
 from ffpose.images import read_rgb
 from ffpose.models import FilterformerPose
-from ffpose.prediction import Prediction, Predictor, predict, standard_deviations, write_overlay
+from ffpose.prediction import Prediction, predict, standard_deviations, write_overlay
+from ffpose.predictor import Predictor
+from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import reproject
-from ffpose.transforms import Preprocessing
 
 VIEW = Camera(64, 64, 50.0, 60.0, 30.0, 33.0)
 """Camera of the network's input: 128x96 pixels of the images, squeezed."""

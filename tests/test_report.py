@@ -9,9 +9,9 @@ import pytest
 from ffpose.baseline import mean_pose
 from ffpose.datasets import open_dataset
 from ffpose.evaluation import Evaluation
+from ffpose.preprocessing import Preprocessing
 from ffpose.report import Report, write_report
 from ffpose.report_tables import comparison, conditions_table, figures_table, headline
-from ffpose.transforms import Preprocessing
 from tiny_runs import write_set
 
 HISTORY = [
@@ -88,7 +88,7 @@ def test_the_page_shows_parts_conditions_and_uncertainty(dataset, tmp_path):
     evaluation = moved(dataset, 0.1, mean_pose(dataset.poses))
     plain = page(evaluation, tmp_path / "plain.html")
     assert "oracle: in-plane known" in plain
-    assert "What the network says" not in plain
+    assert "Predicted uncertainty" not in plain
     sure = replace(
         evaluation,
         translation_covariance=np.tile(np.eye(3), (5, 1, 1)),
@@ -96,7 +96,7 @@ def test_the_page_shows_parts_conditions_and_uncertainty(dataset, tmp_path):
         in_view_empty=np.array([0.1]),
     )
     told = page(sure, tmp_path / "told.html")
-    assert "What the network says" in told
+    assert "Predicted uncertainty" in told
     assert "<td>truths in the 90 % region of translation</td><td>100.0 %</td>" in told
     assert "region of rotation" not in told
     assert "<td>images with it that are flagged</td><td>40.0 %</td>" in told

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import Reprojection, reproject
-from ffpose.transforms import Preprocessing
 
 SOURCE = Camera(width=320, height=240, fx=210.0, fy=214.0, cx=150.5, cy=127.25)
 POINTS = np.array([[0.1, -0.05, 1.0], [-1.2, 0.8, 5.0], [2.0, 1.0, 9.0]])

@@ -14,14 +14,15 @@ from scipy.spatial.transform import Rotation
 from torchvision.transforms import v2
 
 from ffpose.geometry import URSO_CAMERA, Pose
+from ffpose.preprocessing import Preprocessing
 from ffpose.render import get_scene, object_coordinates
 from ffpose.render.sensor import Sensor, expose
 from ffpose.transforms import (
     Augmentation,
-    Preprocessing,
     _blur,
     _sensor_noise,
     camera_turn,
+    random_window,
     turn_camera,
 )
 
@@ -98,7 +99,7 @@ def test_the_camera_goes_with_the_image(mode, size):
 def test_windows_lie_in_the_frame_and_reach_its_edges():
     preprocessing = Preprocessing((4, 6), "center_crop")
     torch.manual_seed(0)
-    drawn = [preprocessing.random_window((6, 7)) for _ in range(100)]
+    drawn = [random_window(preprocessing, (6, 7)) for _ in range(100)]
     assert set(drawn) == {(top, left) for top in range(3) for left in range(2)}
     assert preprocessing.center_window((6, 10)) == (1, 2)
 

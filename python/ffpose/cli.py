@@ -177,7 +177,8 @@ def data_arguments(parser: ArgumentParser) -> None:
 
 def weights_argument(parser: ArgumentParser) -> None:
     """Declare the arguments that choose a command's weights, and allow images of any camera."""
-    parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz-easy")
+    text = "weights file, or a name such as soyuz-easy; to predict, an exported .onnx too"
+    parser.add_argument("weights", type=Path, help=text)
     parser.add_argument(
         "--any-camera", action="store_true", help="accept images of a camera unlike the weights'"
     )
@@ -236,14 +237,14 @@ def predict(options: Namespace) -> None:
     names it, and resized to the network's input with --any-camera.
     """
     from ffpose.geometry import Camera
-    from ffpose.models import read_metadata
+    from ffpose.prediction import describe as describe_weights
     from ffpose.prediction import expect_distinct_overlays, write_overlay
     from ffpose.prediction import predict as run
 
     if options.overlay is not None:
         expect_folder(options.overlay)
         expect_distinct_overlays(options.images, options.overlay)
-    elif options.camera is not None and read_metadata(options.weights).camera is None:
+    elif options.camera is not None and describe_weights(options.weights).camera is None:
         raise ValueError("--camera: expected with --overlay, for these weights know no camera")
     camera = None if options.camera is None else Camera.read(options.camera)
     predictions = []
@@ -256,6 +257,28 @@ def predict(options: Namespace) -> None:
             say(str(write_overlay(prediction, options.overlay)))
     if options.json:
         show({"predictions": predictions})
+
+
+def export_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `export`."""
+    parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz-easy")
+    parser.add_argument("--out", type=Path, required=True, help="ONNX file to write")
+    parser.add_argument(
+        "--filter",
+        choices=["custom", "matmul"],
+        default="custom",
+        help="filters by ffpose's operator, or by standard ones alone (default: custom)",
+    )
+
+
+def export(options: Namespace) -> None:
+    """Write a network as an ONNX graph, and check it against torch on random images."""
+    from ffpose.onnx.pose_graph import export_weights
+
+    exported = export_weights(options.weights, options.out, options.filter, say=say)
+    for name, difference in exported.differences.items():
+        print(f"largest difference of {name}: {difference:.2g}")
+    say(f"{exported.path}: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
 
 
 def inspect_arguments(parser: ArgumentParser) -> None:
@@ -273,7 +296,7 @@ def inspect(options: Namespace) -> None:
     """
     from ffpose.datasets import list_splits, open_dataset
     from ffpose.inspection import inspect_dataset
-    from ffpose.transforms import Preprocessing
+    from ffpose.preprocessing import Preprocessing
 
     expect_folder(options.out)
     kind, root = options.data.kind, options.data.root
@@ -409,6 +432,7 @@ COMMANDS = {
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
+    "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
     "ablate": Command(
         "train the variants of a study, and compare", ablate_arguments, ablate, "pose,render"

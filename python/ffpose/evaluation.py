@@ -40,9 +40,9 @@ from ffpose.datasets import Conditions, Part, PoseDataset, open_dataset, read_co
 from ffpose.geometry import Camera, Pose
 from ffpose.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
 from ffpose.models import FilterformerPose, PosePrediction, WeightsMetadata, read_metadata
+from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import Reprojection
 from ffpose.significance import circular_correlation, correlation, median_interval
-from ffpose.transforms import Preprocessing
 
 FloatArray = NDArray[np.float64]
 

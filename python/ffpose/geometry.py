@@ -322,3 +322,36 @@ class Pose:
     def project(self, points: ArrayLike, camera: Camera) -> FloatArray:
         """Project points of the object ``(..., 3)`` to pixels ``(..., 2)``, as `Camera.project`."""
         return camera.project(self.transform(points))
+
+
+def poses(
+    translation: ArrayLike,
+    orientation: ArrayLike,
+    translation_covariance: ArrayLike | None = None,
+    rotation_covariance: ArrayLike | None = None,
+    in_view: ArrayLike | None = None,
+) -> list[Pose]:
+    """Return the poses of a batch, as a network gives it.
+
+    Args:
+        translation: ``(B, 3)``, as `Pose`.
+        orientation: ``(B, 4)``, as `Pose`.
+        translation_covariance: ``(B, 3, 3)``, as `PoseUncertainty`; None where the network has no
+            uncertainty, and so the next two.
+        rotation_covariance: ``(B, 3, 3)``, as `PoseUncertainty`.
+        in_view: ``(B,)``, as `PoseUncertainty`.
+
+    Raises:
+        TypeError: As `Pose`.
+        ValueError: As `Pose` and `PoseUncertainty`: a value that is not finite, for one.
+    """
+    rows = zip(np.asarray(translation), np.asarray(orientation), strict=True)
+    if translation_covariance is None or rotation_covariance is None or in_view is None:
+        return [Pose(t, q) for t, q in rows]
+    uncertainties = map(
+        PoseUncertainty,
+        np.asarray(translation_covariance),
+        np.asarray(rotation_covariance),
+        np.asarray(in_view, np.float64).tolist(),
+    )
+    return [Pose(t, q, u) for (t, q), u in zip(rows, uncertainties, strict=True)]

@@ -1,7 +1,7 @@
 """Measurements for a model card: weights under the conditions of their training and others.
 
 Each condition is a set of held-out rendered scenes (`ffpose.render.variations`), whose images pass
-through `ffpose.prediction.Predictor` like any other. Where errors grow, the predicted uncertainty
+through `ffpose.predictor.Predictor` like any other. Where errors grow, the predicted uncertainty
 should grow, and images that do not show the object should be flagged; so coverage and flag rates
 are reported with the errors. Rendering needs the extra `render`.
 """
@@ -31,7 +31,7 @@ from ffpose.geometry import Pose
 from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
 from ffpose.models.zoo import resolve
 from ffpose.pictures import PICTURES, draw_picture
-from ffpose.prediction import Predictor
+from ffpose.predictor import Predictor
 from ffpose.training.config import TEST_SEEDS
 
 if TYPE_CHECKING:

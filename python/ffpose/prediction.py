@@ -1,14 +1,13 @@
-"""Pose prediction for image files."""
+"""Pose prediction for image files, as data and as text; imports torch only for weights."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-import torch
 from PIL import Image
 
 from ffpose.arrays import quaternion_to_euler
@@ -16,10 +15,7 @@ from ffpose.errors import DataError
 from ffpose.files import atomic_write
 from ffpose.geometry import URSO_CAMERA, Camera, FloatArray, Pose, PoseUncertainty
 from ffpose.images import read_rgb
-from ffpose.models import FilterformerPose, PosePrediction, read_metadata
 from ffpose.overlay import draw_axes
-from ffpose.reprojection import Reprojection
-from ffpose.transforms import Preprocessing
 
 
 @dataclass(frozen=True)
@@ -94,100 +90,62 @@ def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[fl
     return float(distance), float(np.degrees(angle))
 
 
-class Predictor:
-    """A trained model with its preprocessing: predicts the pose in an image.
-
-    Args:
-        model: The network; it is put in evaluation mode.
-        preprocessing: Conversion from image to network input.
-        camera: Camera of the images, at any image size; None accepts images of any camera.
-
-    Attributes:
-        model: The network.
-        preprocessing: Conversion from image to network input.
-        camera: Camera of the images, or None.
-
-    Example:
-        ``Predictor.from_weights("soyuz-easy")(Image.open("0_rgb.png").convert("RGB"))``
-    """
-
-    def __init__(
-        self, model: FilterformerPose, preprocessing: Preprocessing, camera: Camera | None = None
-    ) -> None:
-        self.model = model.eval()
-        self.preprocessing = preprocessing
-        self.camera = camera
-
-    @classmethod
-    def from_weights(
-        cls, weights: str | Path, *, camera: Camera | None = None, any_camera: bool = False
-    ) -> Predictor:
-        """Load weights.
-
-        Weights that have no camera in their header accept any image, resized to their input.
-
-        Args:
-            weights: Weights file, or the name of shipped weights.
-            camera: Camera of the images, which are reprojected to the network's view; None for
-                the weights' own camera.
-            any_camera: Resize any image to the network's input, as if taken by the weights' camera.
-
-        Raises:
-            FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
-            ValueError: The weights were altered or are of another kind of network, or both
-                ``camera`` and ``any_camera`` are given.
-        """
-        if camera is not None and any_camera:
-            raise ValueError("expected --camera or --any-camera, got both")
-        metadata = read_metadata(weights)
-        preprocessing, view = metadata.preprocessing, metadata.config.view_camera
-        expected = None if any_camera or camera is not None else metadata.camera
-        if camera is not None and view is not None:
-            preprocessing = Reprojection.of(preprocessing, camera, view)
-        return cls(FilterformerPose.from_pretrained(weights), preprocessing, expected)
+class Network(Protocol):
+    """A network that poses images: by torch (`ffpose.predictor`) or without (`ffpose.onnx`)."""
 
     def __call__(self, image: Image.Image) -> Pose:
-        """Predict the pose of the spacecraft in an RGB image, with uncertainty if available.
-
-        Raises:
-            ValueError: The aspect ratio of the image differs from its camera's.
-        """
-        return self.batch([image])[0]
-
-    def batch(self, images: Sequence[Image.Image]) -> list[Pose]:
-        """Predict the poses in RGB images, at least one, as one batch.
-
-        Raises:
-            ValueError: The aspect ratio of an image differs from its camera's.
-        """
-        for image in images:
-            self._check_aspect(*image.size)
-        with torch.inference_mode():
-            return _poses(self.model(torch.stack([self.preprocessing(i) for i in images])))
-
-    def _check_aspect(self, width: int, height: int) -> None:
-        if self.camera is not None and not self.camera.has_aspect(width, height):
-            raise ValueError(
-                f"expected the aspect ratio of the weights' camera, {self.camera}, got an image of "
-                f"{width}x{height} pixels, which another camera took: name it "
-                "(--camera FILE), or resize any image to the network's input (--any-camera)"
-            )
+        """Return the pose of the spacecraft in an RGB image."""
 
 
-def _poses(prediction: PosePrediction) -> list[Pose]:
-    """Return the poses of a batch, with uncertainties if the network predicts them."""
-    poses = zip(_rows(prediction.translation), _rows(prediction.orientation), strict=True)
-    in_view = getattr(prediction, "in_view", None)
-    if in_view is None:
-        return [Pose(t, q) for t, q in poses]
-    names = ("translation_covariance", "rotation_covariance")
-    covariances = (_rows(getattr(prediction, name)) for name in names)
-    uncertainties = map(PoseUncertainty, *covariances, _rows(in_view).tolist())
-    return [Pose(t, q, u) for (t, q), u in zip(poses, uncertainties, strict=True)]
+class Description(Protocol):
+    """What weights and exported graphs say of themselves."""
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera of the images trained on; None where it is not known."""
+
+    @property
+    def in_view_threshold(self) -> float | None:
+        """As `Prediction`."""
 
 
-def _rows(values: torch.Tensor) -> FloatArray:
-    return np.asarray(values.double().cpu().numpy())
+def open_network(
+    weights: str | Path, *, camera: Camera | None = None, any_camera: bool = False
+) -> Network:
+    """Open weights or, by the suffix ``.onnx``, an exported graph; torch is only for the former.
+
+    Args:
+        weights: Of `ffpose.predictor.Predictor.from_weights`, or `ffpose.onnx.runtime`'s model.
+        camera: As there, and so is the next.
+        any_camera: Take images of any camera, resized.
+
+    Raises:
+        FileNotFoundError: There is no such file or name.
+        ValueError: It cannot be used, or both a camera and any are asked for.
+    """
+    if is_graph(weights):
+        from ffpose.onnx.runtime import PoseEstimator
+
+        return PoseEstimator(weights, camera=camera, any_camera=any_camera)
+    from ffpose.predictor import Predictor
+
+    return Predictor.from_weights(weights, camera=camera, any_camera=any_camera)
+
+
+def describe(weights: str | Path) -> Description:
+    """Read what weights, or an exported graph, say of themselves; raises as `open_network`."""
+    if is_graph(weights):
+        from ffpose.onnx.metadata import read_model_metadata
+
+        return read_model_metadata(weights)
+    from ffpose.models import read_metadata
+
+    return read_metadata(weights)
+
+
+def is_graph(weights: str | Path) -> bool:
+    """Whether a path is that of an exported graph."""
+    return Path(weights).suffix.lower() == ".onnx"
 
 
 def predict(
@@ -200,7 +158,7 @@ def predict(
     """Predict the pose in each image file, lazily.
 
     Args:
-        weights: Weights file, or the name of shipped weights.
+        weights: Weights file, name of shipped weights, or exported ``.onnx`` graph.
         images: Image files.
         camera: Camera of the images, if other than the weights'.
         any_camera: Resize images of any camera to the network's input.
@@ -210,15 +168,15 @@ def predict(
         ValueError: The weights cannot be used.
         ffpose.DataError: An image cannot be read, or its aspect ratio differs from its camera's.
     """
-    metadata = read_metadata(weights)
-    predictor = Predictor.from_weights(weights, camera=camera, any_camera=any_camera)
+    description = describe(weights)
+    network = open_network(weights, camera=camera, any_camera=any_camera)
     for path in images:
         image = read_rgb(path)
         try:
-            pose = predictor(image)
+            pose = network(image)
         except ValueError as error:
             raise DataError(str(error), path) from error
-        yield Prediction(path, pose, camera or metadata.camera, metadata.in_view_threshold)
+        yield Prediction(path, pose, camera or description.camera, description.in_view_threshold)
 
 
 def overlay_path(image: Path, folder: Path) -> Path:

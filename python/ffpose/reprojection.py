@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ffpose.geometry import Camera
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 
 SNAP = 1e-6
 """Rounding tolerance: an edge this close to a pixel border, in pixels, is taken to be on it."""
@@ -152,3 +152,48 @@ class Reprojection(Preprocessing):
         """Return the fields as a JSON document."""
         cameras = {"source": asdict(self.source), "view": asdict(self.view)}
         return super().to_dict() | cameras
+
+
+def for_images(
+    preprocessing: Preprocessing,
+    view: Camera | None,
+    expected: Camera | None,
+    *,
+    camera: Camera | None = None,
+    any_camera: bool = False,
+) -> tuple[Preprocessing, Camera | None]:
+    """Return what brings the images to come to a network's input.
+
+    Args:
+        preprocessing: Of the network.
+        view: The camera of the network's input; None where it is not known.
+        expected: The camera of the images trained on; None where it is not known.
+        camera: The camera of the images to come; None: they are of the expected one.
+        any_camera: They are resized, as if the expected camera had taken them.
+
+    Returns:
+        The preprocessing, which turns images of ``camera`` by geometry, and the camera whose aspect
+        ratio an image must have (`expect_aspect`), None for any.
+
+    Raises:
+        ValueError: Both a camera and any are asked for.
+    """
+    if camera is not None and any_camera:
+        raise ValueError("expected --camera or --any-camera, got both")
+    if camera is not None and view is not None:
+        preprocessing = Reprojection.of(preprocessing, camera, view)
+    return preprocessing, None if any_camera or camera is not None else expected
+
+
+def expect_aspect(camera: Camera | None, width: int, height: int) -> None:
+    """Refuse an image of ``width`` x ``height`` that a camera cannot have taken; None: any could.
+
+    Raises:
+        ValueError: Its aspect ratio is another; the text says what can be done.
+    """
+    if camera is not None and not camera.has_aspect(width, height):
+        raise ValueError(
+            f"expected the aspect ratio of the weights' camera, {camera}, got an image of "
+            f"{width}x{height} pixels, which another camera took: name it "
+            "(--camera FILE), or resize any image to the network's input (--any-camera)"
+        )

@@ -1,189 +1,46 @@
-"""From an image to the network's input, and augmentations that leave the label true.
-
-`Preprocessing` is what training, testing and deployment share, and what a weights file records. By
-default it resizes the *whole* frame: the target of an object pose may stand anywhere in it, and a
-crop that moves the target without its label teaches a wrong position. Ye et al. (Sensors 2023, 23,
-8633, section 4.3) do crop: mode ``"center_crop"``, trained with ``Augmentation(random_crop=True)``.
+"""Augmentations that leave the label true.
 
 `Augmentation` changes brightness, contrast, saturation and adds blur and noise, which no pose
 depends on. Its one geometric change is a turn of the camera about its centre (pan, tilt and roll),
 under which image and label move together exactly. A mirrored image is no view of the same craft: no
 flips.
 
-Images here are Pillow's RGB, or tensors ``(3, h, w)``; sizes are ``(height, width)``.
+Images here are tensors ``(3, h, w)``; `ffpose.preprocessing` makes and standardises them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import roma
 import torch
-from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 from torchvision.transforms import v2
 
 from ffpose.arrays import canonical_quaternion
 from ffpose.geometry import Camera, FloatArray
-
-Mode = Literal["resize", "center_crop"]
-Interpolation = Literal["bilinear", "bicubic"]
-
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
-
-CROP_MARGIN = 256 / 224
-"""Frame over crop: the usual 256 pixels that a crop of 224 is cut from; the paper names neither."""
+from ffpose.preprocessing import Preprocessing, Window
 
 TURN_ATTEMPTS = 10
 
 
-class Window(NamedTuple):
-    """A crop: the frame's rows ``top`` and columns ``left`` onwards."""
+def random_window(preprocessing: Preprocessing, frame_size: tuple[int, int]) -> Window:
+    """Draw a window anywhere in a frame of ``(height, width)``, from torch's generator."""
+    top, left = (
+        int(torch.randint(frame - size + 1, ()))
+        for frame, size in zip(frame_size, preprocessing.size, strict=True)
+    )
+    return Window(top, left)
 
-    top: int
-    left: int
 
-
-@dataclass(frozen=True)
-class Preprocessing:
-    """Turns an image into the network's input: frame, crop, scale, standardise.
-
-    Attributes:
-        size: ``(height, width)`` of the network's input.
-        mode: ``"resize"`` brings the whole image to ``size``, each axis by its own factor.
-            ``"center_crop"`` is the paper's: the image is resized, its aspect kept, until it
-            exceeds ``size`` by `CROP_MARGIN`, and the centre is cut out.
-        mean: Of red, green and blue in [0, 1], subtracted.
-        std: Of the same, divided by.
-        interpolation: Of the resize: ``"bilinear"`` or ``"bicubic"``, both antialiased.
-
-    Raises:
-        ValueError: A size below one, an unknown mode or interpolation, or a mean or std that cannot
-            be used.
-    """
-
-    size: tuple[int, int] = (224, 224)
-    mode: Mode = "resize"
-    mean: tuple[float, float, float] = IMAGENET_MEAN
-    std: tuple[float, float, float] = IMAGENET_STD
-    interpolation: Interpolation = "bilinear"
-
-    def __post_init__(self) -> None:
-        if len(self.size) != 2 or min(self.size) < 1:
-            raise ValueError(f"size: expected (height, width), each at least 1, got {self.size}")
-        if self.mode not in get_args(Mode):
-            raise ValueError(f"mode: expected one of {get_args(Mode)}, got {self.mode!r}")
-        if self.interpolation not in get_args(Interpolation):
-            known = get_args(Interpolation)
-            raise ValueError(f"interpolation: expected one of {known}, got {self.interpolation!r}")
-        if len(self.mean) != 3 or not all(map(math.isfinite, self.mean)):
-            raise ValueError(f"mean: expected three finite numbers, got {self.mean}")
-        if len(self.std) != 3 or not all(math.isfinite(s) and s > 0 for s in self.std):
-            raise ValueError(f"std: expected three finite numbers above 0, got {self.std}")
-
-    def frame_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return ``(height, width)`` of the frame for an image of ``width`` x ``height``."""
-        if self.mode == "resize":
-            return self.size
-        scale = CROP_MARGIN * max(self.size[0] / height, self.size[1] / width)
-        return round(height * scale), round(width * scale)
-
-    def frame(self, image: Image.Image) -> NDArray[np.uint8]:
-        """Resize an RGB image, antialiased, to the frame ``(frame height, frame width, 3)``.
-
-        All that follows is cheap and may be random, so the frame is what a data set caches.
-        """
-        height, width = self.frame_size(*image.size)
-        filter = Image.Resampling[self.interpolation.upper()]
-        return np.asarray(image.resize((width, height), filter))
-
-    def center_window(self, frame_size: tuple[int, int]) -> Window:
-        """Return the window in the middle of a frame of ``(height, width)``."""
-        return Window((frame_size[0] - self.size[0]) // 2, (frame_size[1] - self.size[1]) // 2)
-
-    def random_window(self, frame_size: tuple[int, int]) -> Window:
-        """Draw a window anywhere in a frame of ``(height, width)``, from torch's generator."""
-        top, left = (
-            int(torch.randint(frame - size + 1, ()))
-            for frame, size in zip(frame_size, self.size, strict=True)
-        )
-        return Window(top, left)
-
-    def cut(self, frame: NDArray[np.uint8], window: Window) -> Tensor:
-        """Return the window of a frame ``(H, W, 3)`` as float32 ``(3, h, w)`` in [0, 1]."""
-        rows = slice(window.top, window.top + self.size[0])
-        columns = slice(window.left, window.left + self.size[1])
-        pixels = torch.from_numpy(frame[rows, columns].astype(np.float32) / 255)
-        return pixels.permute(2, 0, 1).contiguous()
-
-    def standardize(self, image: Tensor) -> Tensor:
-        """Return ``(image - mean) / std`` of an image ``(3, h, w)`` in [0, 1]."""
-        standardized: Tensor = v2.functional.normalize(image, list(self.mean), list(self.std))
-        return standardized
-
-    def __call__(self, image: Image.Image) -> Tensor:
-        """Return the network's input, float32 ``(3, h, w)``.
-
-        Raises:
-            ValueError: The image is not RGB.
-        """
-        if image.mode != "RGB":
-            raise ValueError(f"image: expected mode RGB, got {image.mode}")
-        frame = self.frame(image)
-        return self.standardize(self.cut(frame, self.center_window(frame.shape[:2])))
-
-    def camera(self, camera: Camera) -> Camera:
-        """Return the camera that sees the network's input, given that of the image."""
-        height, width = self.frame_size(camera.width, camera.height)
-        window = self.center_window((height, width))
-        resized = camera.resized(width, height)
-        return resized.cropped(window.left, window.top, self.size[1], self.size[0])
-
-    def image_camera(self, view: Camera, width: int, height: int) -> Camera:
-        """Return the camera of an image of ``width`` x ``height``: the inverse of `camera`.
-
-        Args:
-            view: The camera that sees the network's input.
-            width: Of the image, in pixels.
-            height: Of the image, in pixels.
-        """
-        frame_height, frame_width = self.frame_size(width, height)
-        window = self.center_window((frame_height, frame_width))
-        return view.cropped(-window.left, -window.top, frame_width, frame_height).resized(
-            width, height
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON can hold them; `from_dict` reads them back."""
-        return {
-            "size": list(self.size),
-            "mode": self.mode,
-            "mean": list(self.mean),
-            "std": list(self.std),
-            "interpolation": self.interpolation,
-        }
-
-    @classmethod
-    def from_dict(cls, fields: Mapping[str, Any]) -> Preprocessing:
-        """Build from what `to_dict` returned; without interpolation, as it once was, bilinear.
-
-        Raises:
-            ValueError: A field is missing, unknown or not usable.
-        """
-        if set(fields) - {"interpolation"} != {"size", "mode", "mean", "std"}:
-            raise ValueError(
-                "preprocessing: expected size, mode, mean, std, interpolation, "
-                f"got {sorted(fields)}"
-            )
-        size, mean, std = (tuple(fields[name]) for name in ("size", "mean", "std"))
-        return cls(size, fields["mode"], mean, std, fields.get("interpolation", "bilinear"))
+def standardize(image: Tensor, preprocessing: Preprocessing) -> Tensor:
+    """Return ``(image - mean) / std`` of an image ``(3, h, w)`` in [0, 1]."""
+    mean, std = list(preprocessing.mean), list(preprocessing.std)
+    standardized: Tensor = v2.functional.normalize(image, mean, std)
+    return standardized
 
 
 def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:

@@ -23,7 +23,7 @@ from ffpose.bench.networks import (
 )
 from ffpose.bench.timing import Timing
 from ffpose.cli import main
-from ffpose.models.config import CONFIGS
+from ffpose.config import CONFIGS
 from ffpose.nn.filterformer import SelfAttention
 
 

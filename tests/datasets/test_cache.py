@@ -15,7 +15,7 @@ from ffpose.datasets import PoseDataset, Record, open_dataset
 from ffpose.datasets.cache import MappedFrames, cache_folder, cached_frames
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 from urso_sets import write_set
 
 PREPROCESSING = Preprocessing((24, 32))

@@ -6,7 +6,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample, open_dataset
-from ffpose.transforms import Augmentation, Preprocessing
+from ffpose.preprocessing import Preprocessing
+from ffpose.transforms import Augmentation
 from urso_sets import POSES, SPLITS, write_set
 
 SIZE = (24, 32)

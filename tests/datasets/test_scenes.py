@@ -9,8 +9,8 @@ import pytest
 
 from ffpose.datasets.scenes import VALIDATION_START, find_scene, open_validation, open_views
 from ffpose.errors import DataError
+from ffpose.preprocessing import Preprocessing
 from ffpose.render import label, views
-from ffpose.transforms import Preprocessing
 from ffpose.views import LABELS, ViewSpec
 
 ALL = (180.0, 90.0, 180.0)

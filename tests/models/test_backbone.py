@@ -11,7 +11,7 @@ import torch
 
 from ffpose import DataError
 from ffpose.models import backbone_preprocessing, build_backbone, pretrained
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 
 NAME = "test_efficientnet"
 

@@ -15,7 +15,7 @@ from ffpose import DataError
 from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
 from ffpose.models.weights import checksum_path, load_weights
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 
 FIELDS = {
     "backbone": "test_efficientnet",

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from ffpose.config import check_names
 from ffpose.models import CONFIGS
-from ffpose.models.config import check_names
 from ffpose.training.config_file import load_config
 
 FILES = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))

@@ -24,18 +24,18 @@ import ffpose
 from ffpose.ablation.claims import claimed, claimed_in_turn
 from ffpose.ablation.study import Study, Variant, changed
 from ffpose.ablation.table import RESULTS, read_run, write_tables
+from ffpose.config import check_names
 from ffpose.datasets import Part
 from ffpose.datasets.scenes import find_scene, render_images
 from ffpose.evaluation import evaluate
 from ffpose.files import atomic_write, remove_leftovers
 from ffpose.models import CONFIGS, FilterformerPose, FilterformerPoseConfig
-from ffpose.models.config import check_names
+from ffpose.preprocessing import Preprocessing
 from ffpose.training import Stage, TrainConfig, TrainResult, train
 from ffpose.training.checkpoint import FREE_FIELDS
 from ffpose.training.config import TEST_SEEDS
 from ffpose.training.config_file import flatten
 from ffpose.training.run import UNKNOWN_CAMERA, build_run
-from ffpose.transforms import Preprocessing
 
 TEST_SEED = TEST_SEEDS + 100
 """Of the rendered test images: no training, demo or model card shows them."""

@@ -35,7 +35,7 @@ class NetworkCase:
     """A benchmark case of a network.
 
     Attributes:
-        model: A name in `ffpose.models.config.CONFIGS`.
+        model: A name in `ffpose.config.CONFIGS`.
         batch: Images per batch.
         task: ``"inference"``: images to poses; ``"training step"``: forward, backward and AdamW.
         precision: ``"bfloat16"`` is autocast; parameters stay float32.

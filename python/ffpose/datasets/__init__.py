@@ -8,7 +8,8 @@ from ffpose.datasets import urso
 from ffpose.datasets.base import SPLITS, Part, PoseDataset, Reader, Sample, Split
 from ffpose.datasets.conditions import Conditions, read_conditions
 from ffpose.datasets.records import Record
-from ffpose.transforms import Augmentation, Preprocessing
+from ffpose.preprocessing import Preprocessing
+from ffpose.transforms import Augmentation
 
 __all__ = [
     "KINDS",

@@ -16,7 +16,8 @@ from torch.utils.data import Dataset
 from ffpose.datasets.cache import cached_frames
 from ffpose.datasets.records import Record
 from ffpose.geometry import Camera
-from ffpose.transforms import Augmentation, Preprocessing, Window
+from ffpose.preprocessing import Preprocessing, Window
+from ffpose.transforms import Augmentation, random_window, standardize
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -114,7 +115,7 @@ class PoseDataset(Dataset[Sample]):
         """
         index = range(len(self))[index]
         frame = self._frame(index) if self._frames is None else self._frames[index]
-        image = self.preprocessing.cut(frame, self._window(frame))
+        image = torch.from_numpy(self.preprocessing.cut(frame, self._window(frame)))
         pose = torch.from_numpy(self.poses[index]).float()
         translation, orientation = pose[:3], pose[3:]
         if self.augmentation is not None:
@@ -122,7 +123,7 @@ class PoseDataset(Dataset[Sample]):
             image, translation, orientation = self.augmentation(
                 image, translation, orientation, camera
             )
-        return Sample(self.preprocessing.standardize(image), translation, orientation, index)
+        return Sample(standardize(image, self.preprocessing), translation, orientation, index)
 
     def load_image(self, index: int) -> Image.Image:
         """Decode image ``index`` as RGB at its size on disk.
@@ -138,5 +139,5 @@ class PoseDataset(Dataset[Sample]):
 
     def _window(self, frame: NDArray[np.uint8]) -> Window:
         if self.augmentation is not None and self.augmentation.random_crop:
-            return self.preprocessing.random_window(frame.shape[:2])
+            return random_window(self.preprocessing, frame.shape[:2])
         return self.preprocessing.center_window(frame.shape[:2])

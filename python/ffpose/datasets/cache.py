@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ffpose.datasets.records import Record
 from ffpose.files import atomic_write, expect_room, remove_leftovers
 from ffpose.geometry import Camera
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 
 FOLDER_VARIABLE = "FFPOSE_CACHE"
 

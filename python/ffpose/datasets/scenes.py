@@ -23,7 +23,7 @@ from ffpose import __version__
 from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.errors import DataError, require
 from ffpose.files import atomic_write, expect_room, remove_leftovers
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 from ffpose.views import Content, Pieces, ViewSpec, make_arrays, open_arrays
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """FilterformerPose: the network, its configurations, and its weights files."""
 
+from ffpose.config import CONFIGS, FilterformerPoseConfig
 from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
-from ffpose.models.config import CONFIGS, FilterformerPoseConfig
 from ffpose.models.filterformer_pose import FilterformerPose, PosePrediction
 from ffpose.models.weights import WeightsMetadata, read_metadata
 

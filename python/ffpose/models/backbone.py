@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from ffpose.errors import require
 from ffpose.models.compact_resnet import EXTRA_BLOCKS, REDUCTIONS, WIDTHS, CompactResNet
 from ffpose.models.pretrained import BackboneSource, load_backbone_weights
-from ffpose.transforms import Mode, Preprocessing
+from ffpose.preprocessing import Mode, Preprocessing
 
 COMPACT_STD = (0.25, 0.25, 0.25)
 """Standard deviation of the input of `ffpose.models.compact_resnet`, whose mean is zero."""

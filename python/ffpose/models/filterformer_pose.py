@@ -24,15 +24,15 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.utils import _pytree
 
-from ffpose.errors import DataError
-from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
-from ffpose.models.config import (
+from ffpose.config import (
     CONFIGS,
     FLAT_CHANNELS,
     FLAT_LATENT,
     FilterformerPoseConfig,
     check_names,
 )
+from ffpose.errors import DataError
+from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
 from ffpose.models.object_look import (
     SMALL_NUMBERS,
     LookHead,
@@ -55,7 +55,7 @@ from ffpose.nn.orientation import (
     mean_quaternion,
     quaternion_to_matrix,
 )
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 
 TOKEN_STD = 0.02
 

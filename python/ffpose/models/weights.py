@@ -21,14 +21,14 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from ffpose import __version__
+from ffpose.config import FilterformerPoseConfig
 from ffpose.errors import DataError
 from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Camera
 from ffpose.models.compact_resnet import EXTRA_PART
-from ffpose.models.config import FilterformerPoseConfig
 from ffpose.models.pretrained import BackboneSource
 from ffpose.models.zoo import resolve
-from ffpose.transforms import Preprocessing
+from ffpose.preprocessing import Preprocessing
 
 logger = logging.getLogger(__name__)
 

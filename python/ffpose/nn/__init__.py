@@ -1,15 +1,14 @@
 """Layers: the spectral filter as a module, and the parts of the filterformer built on it."""
 
+from ffpose.choices import FilterKind, NormPlace, PositionKind
 from ffpose.nn.filterformer import (
     FILTERS,
     Filterformer,
     FilterformerBlock,
-    FilterKind,
-    NormPlace,
     make_filter,
 )
 from ffpose.nn.heads import HyperHead
-from ffpose.nn.position import PositionCode, PositionKind
+from ffpose.nn.position import PositionCode
 from ffpose.nn.quaternion import QuaternionActivation
 from ffpose.nn.spectral import GlobalFilter, SequenceFilter, SpectralFilter
 

@@ -11,18 +11,16 @@ filter, multi-head attention, feed-forward. Two details that the paper leaves op
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, scaled_dot_product_attention
 
+from ffpose.choices import FilterKind, NormPlace
 from ffpose.nn.spectral import INIT_STD, SpectralFilter
 
-FilterKind = Literal["tokens", "grid", "none"]
 FILTERS: tuple[FilterKind, ...] = get_args(FilterKind)
-
-NormPlace = Literal["pre", "post"]
 
 
 def make_filter(

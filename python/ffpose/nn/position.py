@@ -6,12 +6,12 @@ multi-scene transformer that the paper builds on (reference 36).
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 from torch import Tensor, nn
 
-PositionKind = Literal["learned", "sinusoidal"]
+from ffpose.choices import PositionKind
 
 LEARNED_STD = 0.02
 LONGEST_WAVE = 10_000.0  # Vaswani et al., 2017, section 3.5

@@ -21,8 +21,9 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
 from ffpose.images import open_image
 from ffpose.models import FilterformerPoseConfig
+from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import TEST_SEEDS, DataConfig
-from ffpose.transforms import Augmentation, Preprocessing
+from ffpose.transforms import Augmentation
 from ffpose.views import Arrays, Bytes, Content, ViewSpec, cut_pieces, nearest_pixels
 
 EMPTY_SEEDS, CUT_SEEDS, RANDOMIZED_SEEDS = 500_000, 300_000, 400_000

@@ -10,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from ffpose.config import check_names
 from ffpose.losses import PoseLoss
 from ffpose.models import CONFIGS, FilterformerPose, backbone_preprocessing
-from ffpose.models.config import check_names
 from ffpose.models.weights import load_weights
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.config import OptimizerConfig, TrainConfig

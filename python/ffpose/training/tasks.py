@@ -22,11 +22,11 @@ from torch.utils.data import DataLoader
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.losses import LossTerms, PoseLoss
 from ffpose.models import FilterformerPose
+from ffpose.preprocessing import Preprocessing
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
 from ffpose.training.provenance import describe_data
 from ffpose.training.views import ViewBatch, ViewBatches
-from ffpose.transforms import Preprocessing
 
 VALIDATION_BATCH = 20
 """Batch size for validating a network with a second look on whole images."""

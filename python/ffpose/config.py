@@ -2,7 +2,7 @@
 
 Ye et al., Sensors 2023, 23, 8633, leave gaps; the network's ancestors (MS-Transformer, HyperPose)
 fill most. ``base`` is the paper's network so read. ``small`` and ``tiny`` keep its structure at
-other sizes.
+other sizes. Nothing here needs torch.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, get_args
 
+from ffpose.choices import FilterKind, NormPlace, PositionKind
 from ffpose.geometry import Camera
-from ffpose.nn import FilterKind, NormPlace, PositionKind
 
 Pooling = Literal["token", "mean", "flatten"]
 OrientationView = Literal["frame", "object"]

@@ -1,0 +1,167 @@
+"""The runtimes that compute a graph: ONNX Runtime and OpenVINO, behind one call."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, Protocol, get_args
+
+from numpy.typing import NDArray
+
+from ffpose.errors import require
+from ffpose.onnx.library import get_library_path
+from ffpose.onnx.metadata import Filter
+
+Backend = Literal["onnxruntime", "openvino"]
+Precision = Literal["float32", "bfloat16"]
+
+DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
+
+
+class Session(Protocol):
+    """A graph that is ready to run."""
+
+    def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """Return the graph's outputs by name, for its inputs in order."""
+
+
+def open_session(
+    model: Path,
+    filter: Filter,
+    *,
+    backend: Backend = "onnxruntime",
+    threads: int | None = None,
+    providers: Sequence[str] | None = None,
+    precision: Precision = "float32",
+) -> Session:
+    """Open a graph.
+
+    Args:
+        model: The ONNX file.
+        filter: How the graph computes spectral filters; the library is loaded for ``"custom"``.
+        backend: ``"onnxruntime"`` or ``"openvino"``.
+        threads: That an image is computed with; None: as many as the backend finds good.
+        providers: ONNX Runtime's execution providers, the first that can is taken for each node;
+            None for the CPU's.
+        precision: ``"float32"``, or ``"bfloat16"`` for matrix products where the CPU has
+            instructions for it.
+
+    Raises:
+        MissingExtraError: The backend is not installed.
+        ValueError: An unknown choice, or one that the backend or this CPU cannot do.
+        FileNotFoundError: The library of the operator is not installed.
+        RuntimeError: The backend cannot load graph or library.
+    """
+    for name, value, known in (
+        ("backend", backend, get_args(Backend)),
+        ("precision", precision, get_args(Precision)),
+    ):
+        if value not in known:
+            raise ValueError(f"{name}: expected one of {known}, got {value!r}")
+    if threads is not None and threads < 1:
+        raise ValueError(f"threads: expected at least 1, got {threads}")
+    if backend == "onnxruntime":
+        return OnnxRuntimeSession(model, filter, threads, providers, precision)
+    if providers is not None:
+        raise ValueError("providers: expected with backend 'onnxruntime', got backend 'openvino'")
+    return OpenVinoSession(model, filter, threads, precision)
+
+
+class OnnxRuntimeSession:
+    """A graph in ONNX Runtime; the arguments are those of `open_session`."""
+
+    def __init__(
+        self,
+        model: Path,
+        filter: Filter,
+        threads: int | None = None,
+        providers: Sequence[str] | None = None,
+        precision: Precision = "float32",
+    ) -> None:
+        self.runtime = require("onnxruntime", "onnx")
+        providers = self._known_providers(providers)
+        options = self.runtime.SessionOptions()
+        if threads is not None:
+            options.intra_op_num_threads = threads
+        if precision == "bfloat16":
+            if platform.machine() not in ("aarch64", "arm64"):
+                raise ValueError(
+                    "precision: expected float32, ONNX Runtime computes in bfloat16 on ARM alone;"
+                    " on x86-64, backend 'openvino' does"
+                )
+            options.add_session_config_entry("mlas.enable_gemm_fastmath_arm64_bfloat16", "1")
+        if filter == "custom":
+            self._register(options)
+        try:
+            self.session = self.runtime.InferenceSession(str(model), options, providers=providers)
+        except Exception as error:  # of ONNX Runtime, whose classes share no base of their own
+            raise RuntimeError(f"ONNX Runtime cannot load {model}: {error}") from error
+        self.inputs = [value.name for value in self.session.get_inputs()]
+        self.outputs = [output.name for output in self.session.get_outputs()]
+
+    def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """Return the graph's outputs by name, for its inputs in order."""
+        results = self.session.run(self.outputs, dict(zip(self.inputs, inputs, strict=True)))
+        return dict(zip(self.outputs, results, strict=True))
+
+    def _known_providers(self, providers: Sequence[str] | None) -> list[str]:
+        wanted = list(DEFAULT_PROVIDERS if providers is None else providers)
+        known = self.runtime.get_available_providers()
+        unknown = [name for name in wanted if name not in known]
+        if unknown or not wanted:
+            raise ValueError(f"providers: expected some of {known}, got {wanted}")
+        return wanted
+
+    def _register(self, options: Any) -> None:
+        library = get_library_path()
+        try:
+            options.register_custom_ops_library(library)
+        except Exception as error:  # as above
+            raise RuntimeError(
+                f"ONNX Runtime cannot load the custom operator's library {library}, which must be"
+                f" of this architecture ({platform.machine()}): {error}"
+            ) from error
+
+
+class OpenVinoSession:
+    """A graph in OpenVINO; the arguments are those of `open_session`."""
+
+    def __init__(
+        self,
+        model: Path,
+        filter: Filter,
+        threads: int | None = None,
+        precision: Precision = "float32",
+    ) -> None:
+        openvino = require("openvino", "openvino")
+        if filter == "custom":
+            raise ValueError(
+                "backend: OpenVINO expected a graph of standard operators, as"
+                " `ffpose export --filter matmul` writes it, got one with a custom operator"
+            )
+        core = openvino.Core()
+        if precision == "bfloat16" and "BF16" not in self._capabilities(core):
+            raise ValueError("precision: expected float32, this CPU has no bfloat16 instructions")
+        settings: dict[str, Any] = {
+            "INFERENCE_PRECISION_HINT": "bf16" if precision == "bfloat16" else "f32",
+            "PERFORMANCE_HINT": "LATENCY",
+        }
+        if threads is not None:
+            settings["INFERENCE_NUM_THREADS"] = threads
+        try:
+            graph = core.read_model(str(model))
+            self.compiled = core.compile_model(graph, "CPU", settings)
+        except RuntimeError as error:
+            raise RuntimeError(f"OpenVINO cannot load {model}: {error}") from error
+        # The compiled graph's outputs bear names of what was fused into them as well.
+        self.outputs = [output.any_name for output in graph.outputs]
+
+    def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """Return the graph's outputs by name, for its inputs in order."""
+        results = self.compiled.create_infer_request().infer(list(inputs), share_outputs=False)
+        return {name: results[place] for place, name in enumerate(self.outputs)}
+
+    @staticmethod
+    def _capabilities(core: Any) -> list[str]:
+        return list(core.get_property("CPU", "OPTIMIZATION_CAPABILITIES"))

@@ -1,0 +1,231 @@
+"""Writes torch modules with spectral filters as ONNX graphs, and checks what was written.
+
+torch's own exporter turns ``torch.fft`` into DFT nodes, which runtimes compute slowly or refuse.
+Here a filter becomes one node of our own domain (``filter="custom"``), or products with real
+matrices (``"matmul"``, see `ffpose.onnx.matrices`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.utils import _pytree
+
+from ffpose.errors import require
+from ffpose.files import atomic_write
+from ffpose.onnx.backends import open_session
+from ffpose.onnx.matmul import filters_of, replace_filters
+from ffpose.onnx.metadata import Filter, sealed
+from ffpose.onnx.operators import translations
+
+OPSET = 18
+"""Of ONNX's standard operators, which ONNX Runtime 1.17 and OpenVINO 2024 and later know."""
+
+TOLERANCE = 1e-4
+"""Largest difference between graph and module that is taken for rounding."""
+
+FOLDED = 1 << 26
+"""Constants of up to so many bytes are computed beforehand, the weights of filters among them."""
+
+FilterChoice = Literal["custom", "matmul"]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        path: The ONNX file.
+        filter: How the graph computes its filters; ``"none"`` where it has none.
+        bytes: Length of the file.
+        differences: By output, the largest difference between graph and module.
+    """
+
+    path: Path
+    filter: Filter
+    bytes: int
+    differences: Mapping[str, float] = field(default_factory=dict)
+
+
+def export(
+    module: nn.Module,
+    args: Sequence[Tensor],
+    path: str | Path,
+    filter: FilterChoice = "custom",
+    *,
+    input_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
+    tolerance: float = TOLERANCE,
+) -> Exported:
+    """Write a module with spectral filters as an ONNX graph that takes batches of any size.
+
+    The graph is run in ONNX Runtime on ``args``, and on ``args`` twice over as one batch, before
+    the file appears; differences are relative to the output's largest number where that exceeds 1.
+
+    Args:
+        module: On the CPU, in evaluation mode; ``SpectralFilter``, ``GlobalFilter`` and
+            ``SequenceFilter`` of `ffpose.nn` may be in it.
+        args: Of its forward: tensors whose first dimension is the batch.
+        path: The ONNX file to write; its folder must exist.
+        filter: ``"custom"``: filters call the operator of `ffpose.onnx.get_library_path`;
+            ``"matmul"``: standard operators alone.
+        input_names: Of the graph's inputs, in order; those of forward when None.
+        output_names: Of the graph's outputs, in order.
+        tolerance: Largest difference that is taken for rounding.
+
+    Raises:
+        MissingExtraError: onnx, onnxscript or onnxruntime is not installed.
+        ValueError: An unknown filter, a module in training mode, or a filter whose weight or size
+            is not known.
+        FileNotFoundError: The operator's library, which the check needs, is not installed.
+        RuntimeError: The graph differs from the module by more than ``tolerance``, or torch cannot
+            export the module.
+    """
+    batches = [tuple(args), tuple(torch.cat([arg, arg]) for arg in args)]
+    return write_graph(
+        module,
+        batches,
+        path,
+        filter,
+        lambda _: {},
+        lambda got, expected: relative_differences(got, expected),
+        input_names=input_names,
+        output_names=output_names,
+        tolerance=tolerance,
+    )
+
+
+def write_graph(
+    module: nn.Module,
+    batches: Sequence[tuple[Tensor, ...]],
+    path: str | Path,
+    filter: FilterChoice,
+    entries: Callable[[Filter], Mapping[str, str]],
+    differences: Callable[[Outputs, Outputs], Mapping[str, float]],
+    *,
+    input_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
+    tolerance: float = TOLERANCE,
+    say: Say = lambda _: None,
+) -> Exported:
+    """Write a graph, run it on every batch against the module, and rename it to ``path``.
+
+    Args:
+        module: As `export`, and so are the arguments that are not named here.
+        batches: Arguments of forward, of batches of several sizes; the first is exported with.
+        path: As `export`.
+        filter: As `export`.
+        entries: Gives the file's metadata, for how the graph computes its filters.
+        differences: Compares outputs of graph and module, by name.
+        input_names: As `export`.
+        output_names: As `export`.
+        tolerance: As `export`.
+        say: Is told what is under way.
+    """
+    if filter not in get_args(FilterChoice):
+        raise ValueError(f"filter: expected one of {get_args(FilterChoice)}, got {filter!r}")
+    if module.training:
+        raise ValueError("module: expected evaluation mode, got training; call module.eval()")
+    say("recording the graph")
+    model = _record(module, batches[0], input_names, output_names)
+    kind: Filter = filter if filters_of(model) else "none"
+    if kind == "matmul":
+        say(f"replacing {len(filters_of(model))} filters by matrices")
+        replace_filters(model)
+    model.metadata_props.clear()
+    model.metadata_props.update(entries(kind))
+    data = sealed(require("onnx_ir", "export").to_proto(model).SerializeToString())
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(data)
+        say(f"comparing with torch, batches of {', '.join(str(len(b[0])) for b in batches)}")
+        found = _compare(module, batches, temporary, kind, differences)
+        _expect_rounding(found, tolerance)
+    return Exported(Path(path), kind, len(data), found)
+
+
+Outputs = Mapping[str, NDArray[Any]]
+
+
+def relative_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
+    """Return the largest differences by output, over its largest number where that exceeds 1."""
+    return {
+        name: _largest(got[name] - values) / max(1.0, _largest(values))
+        for name, values in expected.items()
+    }
+
+
+def _largest(values: NDArray[Any]) -> float:
+    """Return the largest magnitude; NaN where there is one, 0 of nothing."""
+    return float(np.max(np.abs(values), initial=0.0))
+
+
+def _record(
+    module: nn.Module,
+    args: tuple[Tensor, ...],
+    input_names: Sequence[str] | None,
+    output_names: Sequence[str] | None,
+) -> Any:
+    """Return the `onnx_ir.Model` of a module, its batch of any size."""
+    optimizer = require("onnxscript.optimizer", "export")
+    shapes = tuple({0: torch.export.Dim.DYNAMIC} for _ in args)
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), torch.no_grad():
+        warnings.simplefilter("ignore")  # of torch's exporter, about itself
+        program = torch.onnx.export(
+            module,
+            args,
+            dynamo=True,
+            verbose=False,
+            opset_version=OPSET,
+            input_names=input_names,
+            output_names=output_names,
+            dynamic_shapes=shapes,
+            custom_translation_table=translations(),
+            optimize=False,
+        )
+        assert program is not None
+        limits = {"input_size_limit": FOLDED, "output_size_limit": FOLDED}
+        optimizer.optimize_ir(
+            program.model, num_iterations=1, **limits
+        )  # a second finds next to nothing
+    return program.model
+
+
+def _compare(
+    module: nn.Module,
+    batches: Sequence[tuple[Tensor, ...]],
+    path: Path,
+    kind: Filter,
+    differences: Callable[[Outputs, Outputs], Mapping[str, float]],
+) -> dict[str, float]:
+    """Return the largest difference of each output over all batches."""
+    session = open_session(path, kind)
+    largest: dict[str, float] = {}
+    for args in batches:
+        got = session.run(*(arg.detach().numpy() for arg in args))
+        with torch.no_grad():
+            leaves = _pytree.tree_leaves(module(*args))
+        expected = dict(zip(got, (leaf.numpy() for leaf in leaves), strict=True))
+        for name, value in differences(got, expected).items():
+            largest[name] = float(np.maximum(value, largest.get(name, 0.0)))  # NaN stays
+    return largest
+
+
+def _expect_rounding(differences: Mapping[str, float], tolerance: float) -> None:
+    beyond = {name: value for name, value in differences.items() if not value <= tolerance}
+    if beyond:
+        found = ", ".join(f"{name} {value:.3g}" for name, value in beyond.items())
+        raise RuntimeError(
+            f"export: expected graph and module to differ by at most {tolerance:g}, got {found};"
+            " no file was written"
+        )

@@ -1,0 +1,216 @@
+"""What an exported graph says of itself, in the ``metadata_props`` of its ONNX file.
+
+Each is a string: ``ffpose_format`` (of these entries), ``ffpose_version``, ``architecture``,
+``quaternion_order``, ``filter``, ``weights_sha256``; and, as JSON, ``config``, ``preprocessing``,
+``camera`` (of the images trained on), ``view_camera`` (of the network's input) and
+``in_view_threshold``.
+
+The last record of the file is the entry ``ffpose_sha256``: the SHA-256 of all bytes before it, by
+which an altered file is known, with nothing beside it. ONNX is protobuf, whose records may stand in
+any order, so that every reader takes such a file; `read_entries` reads the few that matter here,
+and needs no library.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from ffpose import __version__
+from ffpose.config import FilterformerPoseConfig
+from ffpose.errors import DataError
+from ffpose.geometry import Camera
+from ffpose.preprocessing import Preprocessing
+
+FORMAT = 1
+"""Version of the entries; one more whenever older code could not read them rightly."""
+
+ARCHITECTURE = "FilterformerPose"
+QUATERNION_ORDER = "wxyz"
+CHECKSUM = "ffpose_sha256"
+
+Filter = Literal["custom", "matmul", "none"]
+"""How the graph computes its spectral filters: by the library's operator, by standard ones; none
+are in it."""
+
+METADATA_PROPS = 14
+"""Number of the field in ONNX's ModelProto; within an entry, 1 is the key and 2 the value."""
+
+
+@dataclass(frozen=True)
+class ModelMetadata:
+    """What an exported graph says of itself; what it does not know is None.
+
+    Attributes:
+        config: Of the network.
+        preprocessing: Turns an image into the input ``images``.
+        filter: How the spectral filters are computed.
+        camera: Of the images trained on.
+        in_view_threshold: An image whose probability that the object is in view lies below this is
+            flagged.
+        weights_sha256: Of the weights file that the graph was made of.
+        version: Of ffpose that wrote the graph.
+    """
+
+    config: FilterformerPoseConfig
+    preprocessing: Preprocessing
+    filter: Filter
+    camera: Camera | None = None
+    in_view_threshold: float | None = None
+    weights_sha256: str | None = None
+    version: str = __version__
+
+    def to_entries(self) -> dict[str, str]:
+        """Return the entries but for the checksum."""
+        view = self.config.view_camera
+        values = {
+            "preprocessing": self.preprocessing.to_dict(),
+            "camera": None if self.camera is None else asdict(self.camera),
+            "view_camera": None if view is None else asdict(view),
+            "in_view_threshold": self.in_view_threshold,
+        }
+        return {
+            "ffpose_format": str(FORMAT),
+            "ffpose_version": self.version,
+            "architecture": ARCHITECTURE,
+            "quaternion_order": QUATERNION_ORDER,
+            "filter": self.filter,
+            "weights_sha256": self.weights_sha256 or "",
+            "config": self.config.to_json(),
+            **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
+        }
+
+    @classmethod
+    def from_entries(cls, entries: Mapping[str, str]) -> ModelMetadata:
+        """Return what `to_entries` wrote.
+
+        Raises:
+            KeyError: An entry is missing.
+            ValueError: One cannot be.
+        """
+        expected = {"architecture": (ARCHITECTURE,), "quaternion_order": (QUATERNION_ORDER,)}
+        for name, known in {**expected, "filter": get_args(Filter)}.items():
+            if entries[name] not in known:
+                raise ValueError(f"{name}: expected one of {known}, got {entries[name]!r}")
+        camera = json.loads(entries["camera"])
+        filter: Any = entries["filter"]
+        return cls(
+            FilterformerPoseConfig.from_json(entries["config"]),
+            Preprocessing.from_dict(json.loads(entries["preprocessing"])),
+            filter,
+            None if camera is None else Camera(**camera),
+            json.loads(entries["in_view_threshold"]),
+            entries["weights_sha256"] or None,
+            entries["ffpose_version"],
+        )
+
+
+def read_model_metadata(path: str | Path) -> ModelMetadata:
+    """Read what an exported graph says of itself, and check that its file is as it was written.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ffpose.DataError: It is no ONNX file, not of ``ffpose export``, altered, or newer than this
+            version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"model: expected a file, got {path}")
+    data = path.read_bytes()
+    try:
+        entries = dict(read_entries(data))
+    except ValueError as error:
+        raise DataError(
+            f"expected an ONNX file, got one that is cut short or none: {error}", path
+        ) from error
+    if "ffpose_format" not in entries:
+        raise DataError(
+            "expected a graph that `ffpose export` wrote, got one without its metadata", path
+        )
+    version = entries.get("ffpose_version", "unknown")
+    if entries["ffpose_format"] != str(FORMAT):
+        raise DataError(
+            f"expected a graph of format {FORMAT}, which ffpose {__version__} reads; got format"
+            f" {entries['ffpose_format']}, written by ffpose {version}",
+            path,
+        )
+    _check_bytes(data, entries.get(CHECKSUM), path)
+    try:
+        return ModelMetadata.from_entries(entries)
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"expected metadata that ffpose {version} wrote: {error}", path) from error
+
+
+def sealed(data: bytes) -> bytes:
+    """Return an ONNX file with the record of its checksum behind it."""
+    return data + _checksum_record(hashlib.sha256(data).hexdigest())
+
+
+def _check_bytes(data: bytes, expected: str | None, path: Path) -> None:
+    if expected is None:
+        raise DataError("the file was altered: expected its SHA-256 in it, got none", path)
+    record = _checksum_record(expected)
+    got = hashlib.sha256(data.removesuffix(record)).hexdigest()
+    if not data.endswith(record) or got != expected:
+        raise DataError(f"the file was altered: expected SHA-256 {expected}, got {got}", path)
+
+
+def _checksum_record(digest: str) -> bytes:
+    """Return the record of ``ffpose_sha256``; all its lengths are below 128, a byte each."""
+    key, value = CHECKSUM.encode(), digest.encode()
+    entry = bytes([1 << 3 | 2, len(key)]) + key + bytes([2 << 3 | 2, len(value)]) + value
+    return bytes([METADATA_PROPS << 3 | 2, len(entry)]) + entry
+
+
+def read_entries(data: bytes) -> Iterator[tuple[str, str]]:
+    """Yield keys and values of ``metadata_props`` of the bytes of an ONNX file.
+
+    Raises:
+        ValueError: They are no protobuf.
+    """
+    for field, entry in _records(memoryview(data)):
+        if field == METADATA_PROPS:
+            parts = {number: bytes(part).decode() for number, part in _records(entry)}
+            yield parts.get(1, ""), parts.get(2, "")
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Yield number and bytes of each length-delimited field; the others are skipped.
+
+    See https://protobuf.dev/programming-guides/encoding, "Message Structure".
+    """
+    place = 0
+    while place < len(data):
+        key, place = _varint(data, place)
+        field, kind = key >> 3, key & 7
+        match kind:
+            case 0:
+                _, place = _varint(data, place)
+            case 1 | 5:
+                place += 8 if kind == 1 else 4
+            case 2:
+                length, place = _varint(data, place)
+                if place + length <= len(data):
+                    yield field, data[place : place + length]
+                place += length
+            case _:
+                raise ValueError(f"unknown wire type {kind} at byte {place}")
+        if field == 0 or place > len(data):
+            raise ValueError(f"a record of field {field} ends at byte {place} of {len(data)}")
+
+
+def _varint(data: memoryview, place: int) -> tuple[int, int]:
+    """Return the number at ``place``, seven bits a byte, and the place behind it."""
+    value = 0
+    for shift in range(0, 70, 7):
+        if place >= len(data):
+            break
+        value |= (data[place] & 0x7F) << shift
+        place += 1
+        if data[place - 1] < 0x80:
+            return value, place
+    raise ValueError(f"a number does not end at byte {place}")

@@ -1,0 +1,111 @@
+"""``ffpose export``: the network of a weights file as an ONNX graph that knows what it is."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ffpose.files import sha256
+from ffpose.models import FilterformerPose, PosePrediction, read_metadata
+from ffpose.models.filterformer_pose import UncertainPose
+from ffpose.models.zoo import resolve
+from ffpose.onnx.exporter import (
+    TOLERANCE,
+    Exported,
+    FilterChoice,
+    Outputs,
+    Say,
+    relative_differences,
+    write_graph,
+)
+from ffpose.onnx.metadata import Filter, ModelMetadata
+from ffpose.preprocessing import Preprocessing
+
+BATCHES = (2, 1, 3)
+"""Sizes of the batches that graph and network are compared on; the first is exported with."""
+
+PATCHES = 8
+"""Of a random image, along each side."""
+
+
+def export_weights(
+    weights: str | Path,
+    path: str | Path,
+    filter: FilterChoice = "custom",
+    *,
+    tolerance: float = TOLERANCE,
+    say: Say = lambda _: None,
+) -> Exported:
+    """Write the network of a weights file as an ONNX graph for `ffpose.onnx.runtime`.
+
+    Args:
+        weights: A weights file, or the name of weights that come with the package.
+        path: The ONNX file to write; its folder must exist.
+        filter: ``"custom"`` or ``"matmul"``, as `ffpose.onnx.export`.
+        tolerance: Largest difference of graph and network, on random images, that is taken for
+            rounding.
+        say: Is told what is under way.
+
+    Raises:
+        FileNotFoundError: No such weights, or the operator's library is not installed.
+        ffpose.DataError: The weights cannot be used.
+        ValueError: An unknown filter.
+        RuntimeError: Graph and network differ by more than ``tolerance``.
+    """
+    if Path(path).suffix != ".onnx":
+        raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
+    source = read_metadata(weights)
+    model = FilterformerPose.from_pretrained(weights)
+    digest = sha256(resolve(weights))
+
+    def entries(kind: Filter) -> dict[str, str]:
+        return ModelMetadata(
+            source.config,
+            source.preprocessing,
+            kind,
+            source.camera,
+            source.in_view_threshold,
+            digest,
+        ).to_entries()
+
+    names = UncertainPose if source.config.orientation_view == "object" else PosePrediction
+    return write_graph(
+        model,
+        [(random_images(source.preprocessing, count),) for count in BATCHES],
+        path,
+        filter,
+        entries,
+        pose_differences,
+        input_names=["images"],
+        output_names=list(names._fields),
+        tolerance=tolerance,
+        say=say,
+    )
+
+
+def random_images(preprocessing: Preprocessing, count: int) -> torch.Tensor:
+    """Return standardised images of random patches, ``(count, 3, h, w)``, always the same.
+
+    Not of random pixels: on those a network that looks twice loses three of float32's digits, in
+    torch as in any runtime (against float64), and a graph could not be told from a wrong one.
+    """
+    height, width = preprocessing.size
+    sides = (math.ceil(height / PATCHES), math.ceil(width / PATCHES))
+    colours = np.random.default_rng(count).random((count, 3, PATCHES, PATCHES), np.float32)
+    pixels = np.kron(colours, np.ones(sides, np.float32))[..., :height, :width]
+    mean, std = np.array((preprocessing.mean, preprocessing.std), np.float32)[:, :, None, None]
+    return torch.from_numpy((pixels - mean) / std)
+
+
+def pose_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
+    """Return the largest differences: metres, of quaternions of one sign, and relative ones."""
+    sign = np.sign((got["orientation"] * expected["orientation"]).sum(-1, keepdims=True))
+    aligned = {**got, "orientation": got["orientation"] * sign}
+    absolute = {
+        name: float(np.abs(aligned[name] - expected[name]).max())
+        for name in ("translation", "orientation")
+    }
+    return relative_differences(aligned, expected) | absolute

@@ -1,0 +1,150 @@
+"""Any module with spectral filters as a graph, against torch in float64."""
+
+from copy import deepcopy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import ffpose.onnx
+from ffpose.nn import GlobalFilter, QuaternionActivation, SequenceFilter, SpectralFilter
+from ffpose.onnx.library import ELF_NAME, NAMES
+
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxscript")
+runtime = pytest.importorskip("onnxruntime")
+exporter = pytest.importorskip("ffpose.onnx.exporter")
+
+LIBRARY = Path(ffpose.onnx.__file__).parent
+needs_library = pytest.mark.skipif(
+    not any((LIBRARY / name).is_file() for name in (ELF_NAME, *NAMES.values())),
+    reason="the custom operator's library is not built",
+)
+
+
+class Mixed(nn.Module):
+    """A filter of each kind, and the quaternion activation, on tokens (B, 36, 8)."""
+
+    def __init__(self):
+        super().__init__()
+        self.grid = GlobalFilter(8, h=6, w=4)
+        self.sequence = SequenceFilter(36, 8)
+        self.tokens = SpectralFilter((36, 8))
+        self.norm = nn.LayerNorm(8)
+        self.head = nn.Linear(8, 4)
+        self.activation = QuaternionActivation()
+        for parameter in (self.grid.complex_weight, self.sequence.weight, self.tokens.weight):
+            nn.init.normal_(parameter)
+
+    def forward(self, x):
+        for layer in (self.grid, self.sequence, self.tokens):
+            x = x + self.norm(layer(x))
+        return x, self.activation(self.head(x.mean(1)))
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    torch.manual_seed(0)
+    return Mixed().eval()
+
+
+@pytest.fixture(scope="module")
+def by_matrices(mixed, tmp_path_factory):
+    path = tmp_path_factory.mktemp("graphs") / "mixed.onnx"
+    return ffpose.onnx.export(
+        mixed, (torch.randn(2, 36, 8),), path, "matmul", output_names=["tokens", "quaternion"]
+    )
+
+
+def in_float64(module, x):
+    with torch.no_grad():
+        return [y.numpy() for y in deepcopy(module).double()(x.double())]
+
+
+@pytest.mark.parametrize("batch", [1, 2, 5])
+def test_matrices_give_what_torch_gives(mixed, by_matrices, batch):
+    x = torch.randn(batch, 36, 8)
+    session = runtime.InferenceSession(by_matrices.path, providers=["CPUExecutionProvider"])
+    got = session.run(None, {session.get_inputs()[0].name: x.numpy()})
+    for values, expected in zip(got, in_float64(mixed, x), strict=True):
+        np.testing.assert_allclose(values, expected, rtol=0, atol=2e-5)
+
+
+def test_matrices_are_standard_operators(by_matrices):
+    model = onnx.load(by_matrices.path)
+    onnx.checker.check_model(model, full_check=True)
+    assert {opset.domain: opset.version for opset in model.opset_import} == {"": exporter.OPSET}
+    assert by_matrices.filter == "matmul"
+    assert by_matrices.bytes == by_matrices.path.stat().st_size
+    assert set(by_matrices.differences) == {"tokens", "quaternion"}
+    assert max(by_matrices.differences.values()) < 1e-5
+
+
+def test_the_operator_computes_the_graph_with_constant_weights(mixed):
+    """By onnx's reference evaluator, with the operator in NumPy."""
+
+    class SpectralFilterByNumpy(onnx.reference.op_run.OpRun):
+        op_domain = "ffpose"
+
+        def _run(self, x, weight, layout=None):
+            axes = (-2, -1) if layout == "tokens" else (-3, -2)
+            spectrum = np.fft.rfft2(x, axes=axes) * (weight[..., 0] + 1j * weight[..., 1])
+            size = [x.shape[axis] for axis in axes]
+            return (np.fft.irfft2(spectrum, s=size, axes=axes).astype(x.dtype),)
+
+    SpectralFilterByNumpy.__name__ = "SpectralFilter"
+    x = torch.randn(3, 36, 8)
+    ir_model = exporter._record(mixed, (torch.randn(2, 36, 8),), None, None)
+    model = pytest.importorskip("onnx_ir").to_proto(ir_model)
+    constants = {tensor.name for tensor in model.graph.initializer}
+    nodes = [node for node in model.graph.node if node.domain == "ffpose"]
+    assert [node.attribute[0].s for node in nodes] == [b"grid", b"grid", b"tokens"]
+    assert {node.input[1] for node in nodes} <= constants
+    evaluator = onnx.reference.ReferenceEvaluator(model, new_ops=[SpectralFilterByNumpy])
+    got = evaluator.run(None, {model.graph.input[0].name: x.numpy()})
+    for values, expected in zip(got, in_float64(mixed, x), strict=True):
+        np.testing.assert_allclose(values, expected, rtol=0, atol=2e-5)
+
+
+@needs_library
+def test_the_library_gives_what_torch_gives(mixed, tmp_path):
+    exported = ffpose.onnx.export(mixed, (torch.randn(2, 36, 8),), tmp_path / "mixed.onnx")
+    assert exported.filter == "custom"
+    options = runtime.SessionOptions()
+    options.register_custom_ops_library(ffpose.onnx.get_library_path())
+    session = runtime.InferenceSession(exported.path, options, providers=["CPUExecutionProvider"])
+    x = torch.randn(5, 36, 8)
+    got = session.run(None, {session.get_inputs()[0].name: x.numpy()})
+    for values, expected in zip(got, in_float64(mixed, x), strict=True):
+        np.testing.assert_allclose(values, expected, rtol=0, atol=2e-5)
+
+
+def test_a_graph_that_differs_is_not_written(tmp_path):
+    with pytest.raises(RuntimeError, match=r"at most -1, got .*; no file was written"):
+        ffpose.onnx.export(
+            nn.Linear(8, 4).eval(), (torch.randn(2, 8),), tmp_path / "a.onnx", tolerance=-1
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_module_without_filters_needs_no_library(tmp_path, monkeypatch):
+    monkeypatch.setattr("ffpose.onnx.library.ELF_NAME", "nowhere.so")
+    exported = ffpose.onnx.export(nn.Tanh().eval(), (torch.randn(2, 8),), tmp_path / "a.onnx")
+    assert exported.filter == "none"
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path):
+    x = torch.randn(2, 8)
+    with pytest.raises(ValueError, match="evaluation mode, got training"):
+        ffpose.onnx.export(nn.Tanh(), (x,), tmp_path / "a.onnx")
+    with pytest.raises(ValueError, match=r"filter: expected one of .*, got 'fft'"):
+        ffpose.onnx.export(nn.Tanh().eval(), (x,), tmp_path / "a.onnx", "fft")
+
+
+def test_a_missing_library_is_named(monkeypatch):
+    monkeypatch.setattr("ffpose.onnx.library.ELF_NAME", "nowhere.so")
+    monkeypatch.setattr("ffpose.onnx.library.NAMES", {})
+    with pytest.raises(FileNotFoundError, match=r"operator at .*nowhere\.so.*--filter matmul"):
+        ffpose.onnx.get_library_path()

@@ -1,0 +1,106 @@
+"""What an exported graph says of itself, against onnx's own reader; what is altered is refused."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ffpose.config import CONFIGS
+from ffpose.errors import DataError
+from ffpose.geometry import URSO_CAMERA
+from ffpose.onnx.metadata import ModelMetadata, read_entries, read_model_metadata, sealed
+from ffpose.preprocessing import Preprocessing
+
+onnx = pytest.importorskip("onnx")
+
+METADATA = ModelMetadata(
+    CONFIGS["compact"],
+    Preprocessing((384, 512), interpolation="bicubic"),
+    "matmul",
+    URSO_CAMERA,
+    0.25,
+    64 * "a",
+)
+
+
+def graph_bytes(entries):
+    """An ONNX file with these entries: one node that gives its input."""
+    shape = ["batch", 3]
+    ends = [
+        onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape) for name in "xy"
+    ]
+    node = onnx.helper.make_node("Identity", ["x"], ["y"])
+    model = onnx.helper.make_model(onnx.helper.make_graph([node], "g", ends[:1], ends[1:]))
+    onnx.helper.set_model_props(model, entries)
+    return model.SerializeToString()
+
+
+FILE = sealed(graph_bytes(METADATA.to_entries()))
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(data):
+        path = tmp_path / "model.onnx"
+        path.write_bytes(data)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    "metadata",
+    [METADATA, replace(METADATA, camera=None, in_view_threshold=None, weights_sha256=None)],
+)
+def test_what_is_written_is_read(metadata, written):
+    assert read_model_metadata(written(sealed(graph_bytes(metadata.to_entries())))) == metadata
+
+
+def test_onnx_reads_the_same_entries_and_the_graph():
+    model = onnx.load_from_string(FILE)
+    onnx.checker.check_model(model, full_check=True)
+    assert {entry.key: entry.value for entry in model.metadata_props} == dict(read_entries(FILE))
+
+
+@given(st.integers(0, len(FILE) - 1), st.integers(1, 255))
+def test_a_changed_byte_is_refused(place, change):
+    altered = bytearray(FILE)
+    altered[place] ^= change
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pathlib.Path.is_file", lambda self: True)
+        patch.setattr("pathlib.Path.read_bytes", lambda self: bytes(altered))
+        with pytest.raises(DataError, match=r"^model\.onnx: "):
+            read_model_metadata("model.onnx")
+
+
+@given(st.integers(0, len(FILE) - 1))
+def test_a_file_that_is_cut_short_is_refused(length):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pathlib.Path.is_file", lambda self: True)
+        patch.setattr("pathlib.Path.read_bytes", lambda self: FILE[:length])
+        with pytest.raises(DataError, match=r"^model\.onnx: "):
+            read_model_metadata("model.onnx")
+
+
+def test_the_errors_say_what_is_wrong(written, tmp_path):
+    with pytest.raises(DataError, match="one without its metadata"):
+        read_model_metadata(written(graph_bytes({"author": "someone else"})))
+    with pytest.raises(DataError, match="altered: expected its SHA-256 in it"):
+        read_model_metadata(written(graph_bytes(METADATA.to_entries())))
+    middle = len(FILE) // 4  # in the value of an entry
+    altered = FILE[:middle] + bytes([FILE[middle] ^ 1]) + FILE[middle + 1 :]
+    with pytest.raises(DataError, match=r"altered: expected SHA-256 \w{64}, got \w{64}"):
+        read_model_metadata(written(altered))
+    with pytest.raises(DataError, match="altered: expected SHA-256"):
+        read_model_metadata(written(FILE + graph_bytes({})))
+    newer = METADATA.to_entries() | {"ffpose_format": "2", "ffpose_version": "9.9"}
+    with pytest.raises(DataError, match=r"format 1, .* got format 2, written by ffpose 9\.9"):
+        read_model_metadata(written(sealed(graph_bytes(newer))))
+    other = METADATA.to_entries() | {"quaternion_order": "xyzw"}
+    with pytest.raises(DataError, match=r"quaternion_order: expected .*'wxyz'.*, got 'xyzw'"):
+        read_model_metadata(written(sealed(graph_bytes(other))))
+    with pytest.raises(DataError, match="expected an ONNX file"):
+        read_model_metadata(written(b"\x89PNG\r\n\x1a\n"))
+    with pytest.raises(FileNotFoundError, match="model: expected a file"):
+        read_model_metadata(tmp_path / "nowhere.onnx")

@@ -1,0 +1,312 @@
+"""Poses by an exported graph: those of torch, from every kind of image, without torch."""
+
+import json
+import subprocess
+import sys
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from ffpose.cli import main
+from ffpose.geometry import Camera
+from ffpose.images import read_rgb
+from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models.zoo import names
+from ffpose.onnx.metadata import read_model_metadata
+from ffpose.onnx.runtime import PoseEstimator
+from ffpose.predictor import Predictor
+from ffpose.preprocessing import Preprocessing
+
+pytest.importorskip("onnxscript")
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+
+VIEW = Camera(64, 64, 50.0, 60.0, 30.0, 33.0)
+"""Camera of the network's input: 128x96 pixels of the images, squeezed."""
+
+SMALL = {
+    "image_size": (64, 64),
+    "camera": astuple(VIEW)[2:],
+    "dim": 16,
+    "depth": 1,
+    "heads": 2,
+    "feed_forward": 16,
+    "head_hidden": 16,
+    "translation_mlp_dim": 4,
+    "orientation_mlp_dim": 4,
+}
+NETWORKS = {
+    "tokens": ("tiny", {**SMALL, "filter": "tokens", "orientation_head": "quaternion"}),
+    "twice": (
+        "compact",
+        {
+            **SMALL,
+            "pooling": "token",
+            "filter": "grid",
+            "bins": 300,
+            "bins_degree": 3,
+            "first_stride": 2,
+            "object_size": (32, 32),
+            "looks": 2,
+            "turns": 2,
+        },
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("graphs")
+
+
+@pytest.fixture(scope="module", params=list(NETWORKS))
+def files(request, folder):
+    """Weights, and the graph of standard operators that was made of them."""
+    torch.manual_seed(0)
+    weights = folder / f"{request.param}.safetensors"
+    graph = weights.with_suffix(".onnx")
+    if not graph.is_file():
+        preset, fields = NETWORKS[request.param]
+        model = FilterformerPose.from_config(preset, backbone_weights="none", **fields)
+        model.save_pretrained(
+            weights,
+            preprocessing=Preprocessing((64, 64)),
+            data={"image_size": [128, 96]},
+            in_view_threshold=0.5,
+        )
+        arguments = [str(weights), "--out", str(graph), "--filter", "matmul"]
+        assert main(["export", *arguments]) == 0
+    return weights, graph
+
+
+@pytest.fixture
+def picture(tmp_path):
+    path = tmp_path / "view.png"
+    pixels = np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(path)
+    return path
+
+
+def assert_same_pose(pose, expected):
+    np.testing.assert_allclose(pose.t, expected.t, rtol=0, atol=1e-4)
+    assert abs(pose.q @ expected.q) == pytest.approx(1, abs=1e-6)
+    assert (pose.uncertainty is None) == (expected.uncertainty is None)
+    if expected.uncertainty is not None:
+        for name in ("translation_covariance", "rotation_covariance", "in_view"):
+            got, wanted = (getattr(p.uncertainty, name) for p in (pose, expected))
+            np.testing.assert_allclose(got, wanted, rtol=1e-3, atol=1e-4)
+
+
+def test_the_pose_is_that_of_torch(files, picture):
+    weights, graph = files
+    expected = Predictor.from_weights(weights)(read_rgb(picture))
+    assert_same_pose(PoseEstimator(graph, threads=1)(picture), expected)
+
+
+def test_the_graph_knows_what_it_is_of(files):
+    weights, graph = files
+    source, metadata = read_metadata(weights), read_model_metadata(graph)
+    assert (metadata.config, metadata.preprocessing) == (source.config, source.preprocessing)
+    assert (metadata.camera, metadata.in_view_threshold) == (source.camera, 0.5)
+    digest = weights.with_suffix(".safetensors.sha256").read_text().split()[0]
+    assert metadata.weights_sha256 == digest
+    model = onnx.load(graph)
+    onnx.checker.check_model(model)
+    assert {opset.domain for opset in model.opset_import} == {""}
+    assert model.graph.input[0].type.tensor_type.shape.dim[0].dim_param  # any batch
+
+
+def test_every_kind_of_image_gives_one_pose(files, picture):
+    estimator = PoseEstimator(files[1])
+    expected = estimator(picture)
+    image = read_rgb(picture)
+    array = np.asarray(image)
+    assert estimator(str(picture)) == estimator(image) == estimator(array) == expected
+    flipped = np.ascontiguousarray(array[:, ::-1])
+    for poses in (estimator.batch([picture, flipped]), estimator.batch(np.stack([array, flipped]))):
+        assert_same_pose(poses[0], expected)
+        assert_same_pose(poses[1], estimator(flipped))
+    assert estimator.batch([]) == []
+
+
+def test_the_input_is_that_of_training(files, picture):
+    weights, graph = files
+    expected = Predictor.from_weights(weights).preprocessing(read_rgb(picture))
+    got = PoseEstimator(graph).preprocess(picture)
+    np.testing.assert_allclose(got, expected.numpy(), rtol=0, atol=1e-5)
+
+
+def test_the_camera_is_checked_and_turned_as_with_torch(files, picture):
+    weights, graph = files
+    wide = Image.open(picture).resize((128, 64))
+    with pytest.raises(ValueError, match=r"aspect ratio .* 128x64 pixels"):
+        PoseEstimator(graph)(wide)
+    camera = Camera(128, 64, 90.0, 95.0, 60.0, 31.0)
+    for options in ({"camera": camera}, {"any_camera": True}):
+        expected = Predictor.from_weights(weights, **options)(wide)
+        assert_same_pose(PoseEstimator(graph, **options)(wide), expected)
+    with pytest.raises(ValueError, match="--camera or --any-camera, got both"):
+        PoseEstimator(graph, camera=camera, any_camera=True)
+
+
+@pytest.mark.parametrize(
+    ("image", "error", "message"),
+    [
+        (np.zeros((96, 128, 3)), TypeError, "array of uint8, got float64"),
+        (np.full((96, 128, 3), np.nan, np.float32), TypeError, "array of uint8, got float32"),
+        (np.zeros((96, 128), np.uint8), ValueError, r"\(H, W, 3\), got shape \(96, 128\)"),
+        (np.zeros((96, 128, 4), np.uint8), ValueError, r"got shape \(96, 128, 4\)"),
+        (np.zeros((0, 128, 3), np.uint8), ValueError, r"got shape \(0, 128, 3\)"),
+        (np.zeros((96, 96, 3), np.uint8), ValueError, "aspect ratio .* 96x96"),
+        (Image.new("L", (128, 96)), ValueError, "mode RGB, got L"),
+        (7, TypeError, "a path, a Pillow image or an array, got int"),
+        ("nowhere.png", FileNotFoundError, "nowhere.png"),
+    ],
+)
+def test_what_is_no_image_is_refused(files, image, error, message):
+    with pytest.raises(error, match=message):
+        PoseEstimator(files[1])(image)
+
+
+def test_what_is_no_input_is_refused(files):
+    estimator = PoseEstimator(files[1])
+    good = np.zeros((1, 3, 64, 64), np.float32)
+    for inputs, error, message in (
+        (good.astype(np.float64), TypeError, "expected float32, got float64"),
+        (good[:, :, 1:], ValueError, r"\(B, 3, 64, 64\), got \(1, 3, 63, 64\)"),
+        (good[0], ValueError, r"got \(3, 64, 64\)"),
+        (good + np.float32("nan"), ValueError, "got NaN or infinity"),
+    ):
+        with pytest.raises(error, match=message):
+            estimator.run(inputs)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"backend": "tensorrt"}, r"backend: expected one of .*, got 'tensorrt'"),
+        ({"precision": "int4"}, r"precision: expected one of .*, got 'int4'"),
+        ({"threads": 0}, "threads: expected at least 1, got 0"),
+        ({"providers": ["MadeUp"]}, r"providers: expected some of .*, got \['MadeUp'\]"),
+        (
+            {"backend": "openvino", "providers": ["CPUExecutionProvider"]},
+            "providers: expected with",
+        ),
+    ],
+)
+def test_unknown_choices_are_refused(files, options, message):
+    with pytest.raises(ValueError, match=message):
+        PoseEstimator(files[1], **options)
+
+
+def test_a_missing_library_is_named(files, folder, monkeypatch):
+    _, graph = files
+    metadata = replace(read_model_metadata(graph), filter="custom")
+    model = onnx.load(graph)
+    onnx.helper.set_model_props(model, metadata.to_entries())
+    path = folder / "custom.onnx"
+    from ffpose.onnx.metadata import sealed
+
+    path.write_bytes(sealed(model.SerializeToString()))
+    monkeypatch.setattr("ffpose.onnx.library.ELF_NAME", "nowhere.so")
+    monkeypatch.setattr("ffpose.onnx.library.NAMES", {})
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.so.*--filter matmul"):
+        PoseEstimator(path)
+    wrong = folder / "wrong.so"
+    wrong.write_bytes(b"no library")
+    monkeypatch.setattr("ffpose.onnx.backends.get_library_path", lambda: str(wrong))
+    with pytest.raises(RuntimeError, match=r"cannot load the custom operator.*wrong\.so"):
+        PoseEstimator(path)
+    with pytest.raises(ValueError, match="OpenVINO expected a graph of standard operators"):
+        PoseEstimator(path, backend="openvino")
+
+
+def test_predict_takes_graph_and_weights_alike(files, picture, tmp_path, capsys):
+    documents = []
+    for network in files:
+        arguments = [str(network), str(picture), "--json", "--overlay", str(tmp_path / "drawn")]
+        assert main(["predict", *arguments]) == 0
+        (found,) = json.loads(capsys.readouterr().out)["predictions"]
+        documents.append(found)
+        assert (tmp_path / "drawn" / "view_pose.png").is_file()
+    by_torch, by_graph = documents
+    assert by_graph.keys() == by_torch.keys()
+    np.testing.assert_allclose(by_graph["translation_m"], by_torch["translation_m"], atol=1e-4)
+
+
+WITHOUT_TORCH = """
+import sys
+
+class NoTorch:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"torch", "torchvision", "timm", "roma", "safetensors"}:
+            raise ImportError(f"{name} was imported")
+
+sys.meta_path.insert(0, NoTorch())
+from ffpose.onnx.runtime import PoseEstimator
+
+graph, picture, backend = sys.argv[1:]
+print(*PoseEstimator(graph, backend=backend)(picture).vector)
+from ffpose.cli import main
+
+assert main(["predict", graph, picture]) == 0
+assert not {"torch", "torchvision", "timm"} & set(sys.modules)
+"""
+
+
+def test_no_torch_is_needed(files, picture):
+    weights, graph = files
+    command = [sys.executable, "-c", WITHOUT_TORCH, str(graph), str(picture), "onnxruntime"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    first, second = done.stdout.splitlines()
+    expected = Predictor.from_weights(weights)(read_rgb(picture))
+    np.testing.assert_allclose([*map(float, first.split())][:3], expected.t, rtol=0, atol=1e-4)
+    assert second.startswith(str(picture))
+
+
+def test_openvino_gives_the_same_pose(files, picture):
+    pytest.importorskip("openvino")
+    weights, graph = files
+    expected = Predictor.from_weights(weights)(read_rgb(picture))
+    estimator = PoseEstimator(graph, backend="openvino", threads=1)
+    assert_same_pose(estimator(picture), expected)
+    for pose in estimator.batch([picture, picture, picture]):
+        assert_same_pose(pose, expected)
+
+
+def test_bfloat16_where_the_cpu_has_it(files, picture):
+    openvino = pytest.importorskip("openvino")
+    weights, graph = files
+    if "BF16" not in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES"):
+        with pytest.raises(ValueError, match="this CPU has no bfloat16"):
+            PoseEstimator(graph, backend="openvino", precision="bfloat16")
+        return
+    pose = PoseEstimator(graph, backend="openvino", precision="bfloat16")(picture)
+    expected = Predictor.from_weights(weights)(read_rgb(picture))
+    np.testing.assert_allclose(pose.t, expected.t, rtol=0.05, atol=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", names())
+def test_shipped_weights_export_whole(name, picture, tmp_path):
+    graph = tmp_path / "shipped.onnx"
+    assert main(["export", name, "--out", str(graph)]) == 0
+    assert read_model_metadata(graph).in_view_threshold == read_metadata(name).in_view_threshold
+    patches = Image.open(picture).resize((8, 6)).resize((640, 480), Image.Resampling.NEAREST)
+    expected = Predictor.from_weights(name)(patches)
+    assert_same_pose(PoseEstimator(graph)(patches), expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["base", "small", "tiny"])
+def test_presets_export(preset, tmp_path):
+    torch.manual_seed(0)
+    weights, graph = tmp_path / "new.safetensors", tmp_path / "new.onnx"
+    model = FilterformerPose.from_config(preset, backbone_weights="none", depth=1)
+    model.save_pretrained(weights)
+    assert main(["export", str(weights), "--out", str(graph), "--filter", "matmul"]) == 0
+    assert read_model_metadata(graph).filter == "matmul"
