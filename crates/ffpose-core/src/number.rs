@@ -79,6 +79,9 @@ macro_rules! computed_in_f32 {
                 kernel: &'a dyn Kernel<f32>,
                 widened: &'a Widened<'a, f32>,
             ) -> &'a dyn Kernel<Self> {
+                if !cfg!(feature = "half") {
+                    return widened;
+                }
                 match kernel.takes_half() {
                     Some(TakesHalf::Grid(grid)) => grid,
                     Some(TakesHalf::Sequence(sequence)) => sequence,

@@ -24,7 +24,7 @@ pub(crate) struct Columns<T> {
 impl<T: Element> Columns<T> {
     pub(crate) fn new(isa: Isa, length: usize, count: usize, packed_pair: bool) -> Self {
         let transform = Transform::new(isa, length);
-        Self { isa, fused: Fused::of(&transform), transform, count, packed_pair }
+        Self { isa, fused: Fused::of(isa, &transform), transform, count, packed_pair }
     }
 
     pub(crate) fn transform(&self) -> &Transform<T> {
@@ -97,7 +97,20 @@ impl<T: Element> Columns<T> {
                 let product = Product::<T, true> { weight, places };
                 self.through::<_, true>(grad, (accumulate, product), work);
             }
-            None => self.through::<_, false>(grad, accumulate, work),
+            None => self.look(grad, accumulate, work),
+        }
+    }
+
+    /// Forward transform, then `middle` on the spectrum, which stays. The gradient of the weight alone, without that of the image, is
+    /// rare, and not worth kernels of its own.
+    pub(crate) fn look<M: Middle<T>>(&self, spectrum: &mut [T], mut middle: M, work: &mut [T]) {
+        self.through::<_, false>(spectrum, (), work);
+        let layout = self.layout();
+        for (column, vector) in layout.lines(spectrum.len() / self.numbers(layout.pitch)) {
+            let at = layout.at(column, vector);
+            let places = if column == 0 { self.first_places() } else { self.transform.len() };
+            let line = &mut spectrum[self.numbers(at.position)..][..self.numbers(places)];
+            self.isa.run(Step { line, middle: &mut middle, at });
         }
     }
 

@@ -31,8 +31,11 @@ macro_rules! with_radices {
 }
 
 impl Fused {
-    /// How `transform` is fused, if it is short.
-    pub(crate) fn of<T: Element>(transform: &Transform<T>) -> Option<Self> {
+    /// How `transform` is fused, if it is short and `isa` has codelets for that.
+    pub(crate) fn of<T: Element>(isa: Isa, transform: &Transform<T>) -> Option<Self> {
+        if !isa.is_tuned::<T>() {
+            return None;
+        }
         let radices = match transform.passes() {
             [last] => (1, last.radix()),
             [first, last] => (first.radix(), last.radix()),
@@ -49,7 +52,7 @@ impl Fused {
         columns: Through<'_, T, M>,
     ) {
         with_radices!(self.radices, (P, Q) => {
-            isa.run(Run::<T, M, INVERSE, P, Q> { passes, columns });
+            isa.run_tuned(Run::<T, M, INVERSE, P, Q> { passes, columns });
         }, _ => unreachable!("supported pairs only"));
     }
 }

@@ -278,7 +278,7 @@ impl<T: Element> Grid<T> {
         let spectrum = &mut spectrum[..self.spectra(x.ncols())];
         let place = self.place_of_one(&x);
         self.rows_forward(place, x, spectrum, work, padded);
-        self.columns.through::<_, true>(spectrum, self.product::<false>(weight), work);
+        self.columns.through::<_, true>(spectrum, self.product(weight, false), work);
         self.rows_inverse(place, spectrum, y, work, padded);
     }
 
@@ -297,7 +297,7 @@ impl<T: Element> Grid<T> {
         if grad_weight.is_some() {
             self.rows_forward(place, x, other, work, padded);
         }
-        let product = self.product::<true>(weight);
+        let product = self.product(weight, true);
         match grad_weight {
             None => self.columns.through::<_, true>(spectrum, product, work),
             Some(gradient) => {
@@ -310,7 +310,7 @@ impl<T: Element> Grid<T> {
                 if grad_x.is_some() {
                     self.columns.through::<_, true>(spectrum, (gradient, product), work);
                 } else {
-                    self.columns.through::<_, false>(spectrum, gradient, work);
+                    self.columns.look(spectrum, gradient, work);
                 }
             }
         }
@@ -319,11 +319,8 @@ impl<T: Element> Grid<T> {
         }
     }
 
-    fn product<'a, const CONJUGATE: bool>(
-        &'a self,
-        weight: ArrayView3<'a, T>,
-    ) -> NaturalProduct<'a, T, CONJUGATE> {
-        NaturalProduct { packing: &self.packing, weight: Tile::of_complex(weight) }
+    fn product<'a>(&'a self, weight: ArrayView3<'a, T>, conjugate: bool) -> NaturalProduct<'a, T> {
+        NaturalProduct { packing: &self.packing, weight: Tile::of_complex(weight), conjugate }
     }
 
     /// `weight` `(bins, lanes, 2)` with zeros up to whole vectors.

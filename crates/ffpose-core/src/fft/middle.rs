@@ -115,13 +115,14 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
 }
 
 /// As [`Product`], with a weight in natural order.
-pub(crate) struct NaturalProduct<'a, T, const CONJUGATE: bool> {
+pub(crate) struct NaturalProduct<'a, T> {
     pub(crate) packing: &'a Packing<T>,
     /// Of complex numbers.
     pub(crate) weight: Tile<'a, T>,
+    pub(crate) conjugate: bool,
 }
 
-impl<T: Element, const CONJUGATE: bool> Middle<T> for NaturalProduct<'_, T, CONJUGATE> {
+impl<T: Element> Middle<T> for NaturalProduct<'_, T> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
@@ -129,9 +130,8 @@ impl<T: Element, const CONJUGATE: bool> Middle<T> for NaturalProduct<'_, T, CONJ
         mut spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
         let weight = self.weight.skip_lanes(2 * at.vector * V::LANES);
-        self.packing.read::<V, R>(weight, at.place, |i, weight| {
-            let z = spectrum[i];
-            spectrum[i] = if CONJUGATE { z.times_conj(weight) } else { z.times(weight) };
+        self.packing.read::<V, R>(weight, self.conjugate, at.place, |i, weight| {
+            spectrum[i] = spectrum[i].times(weight);
         });
         spectrum
     }

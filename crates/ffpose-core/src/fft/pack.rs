@@ -66,29 +66,31 @@ impl<T: Element> Packing<T> {
         self.hermitian.len() + self.plain.len()
     }
 
-    /// Gives `each`, in turn, the weight of `R` places of one column, `first` and following, from natural order.
+    /// Gives `each`, in turn, the weight of `R` places of one column, `first` and following, from natural order; or its conjugate.
     #[inline(always)]
     pub(crate) fn read<V: Vector<Element = T>, const R: usize>(
         &self,
         weight: Tile<'_, T>,
+        conjugate: bool,
         first: usize,
         mut each: impl FnMut(usize, Complex<V>),
     ) {
         if let Some(first) = first.checked_sub(self.hermitian.len()) {
             let scale = V::splat(self.weight.plain);
             let places = &self.plain[first..first + R];
-            let im_scale = if places[0].1 { -scale } else { scale };
+            let im_scale = if places[0].1 == conjugate { scale } else { -scale };
             for i in 0..R {
                 let z = weight.complex::<V>(places[i].0);
                 each(i, Complex::new(z.re * scale, z.im * im_scale));
             }
         } else {
             let mean = V::splat(self.weight.hermitian);
+            let im_mean = if conjugate { -mean } else { mean };
             let places = &self.hermitian[first..first + R];
             for i in 0..R {
                 let (bin, mirror) = places[i];
                 let (z, mirror) = (weight.complex::<V>(bin), weight.complex::<V>(mirror));
-                each(i, Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * mean));
+                each(i, Complex::new((z.re + mirror.re) * mean, (z.im - mirror.im) * im_mean));
             }
         }
     }
@@ -159,7 +161,7 @@ impl<T: Element> Algorithm<T> for Pack<'_, T> {
                 let weight = self.weight.skip_lanes(2 * i * V::LANES);
                 self.packing.prefetch::<V>(weight, place + AHEAD);
                 let mut packed = TileMut::dense(packed, V::LANES);
-                self.packing.read::<V, 1>(weight, place, |_, z| {
+                self.packing.read::<V, 1>(weight, false, place, |_, z| {
                     packed.scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
                 });
             }

@@ -64,7 +64,7 @@ macro_rules! with_codelet {
 impl<T: Element> Rows<T> {
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
         match length {
-            7 | 8 | 14 | 16 | 28 | 32 | 56 | 64 => Self::Codelet(length),
+            7 | 8 | 14 | 16 | 28 | 32 | 56 | 64 if isa.is_tuned::<T>() => Self::Codelet(length),
             _ => Self::Pairs(Transform::new(isa, length)),
         }
     }
@@ -115,13 +115,9 @@ impl<T: Element> Rows<T> {
         work: &mut [T],
     ) {
         match self {
-            // half precision has the one form, for fewer kernels
-            Self::Codelet(length) if X::HALF || place.far => {
-                codelet_forward::<X, true>(isa, *length, image, place, spectrum, work);
-            }
-            Self::Codelet(length) => {
-                codelet_forward::<X, false>(isa, *length, image, place, spectrum, work);
-            }
+            Self::Codelet(length) => with_codelet!(*length,
+                (N, S) => isa.run_tuned(Forward::<X, N, S> { image, place, spectrum }),
+                (P, Q, ROWS) => isa.run_tuned(ForwardLines::<X, P, Q, ROWS> { image, place, spectrum, work })),
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
                     (transform.outputs(), transform.len(), isa.lanes::<T>());
@@ -157,13 +153,9 @@ impl<T: Element> Rows<T> {
         work: &mut [T],
     ) {
         match self {
-            // half precision has the one form, for fewer kernels
-            Self::Codelet(length) if X::HALF || place.far => {
-                codelet_inverse::<X, true>(isa, *length, spectrum, place, image, work);
-            }
-            Self::Codelet(length) => {
-                codelet_inverse::<X, false>(isa, *length, spectrum, place, image, work);
-            }
+            Self::Codelet(length) => with_codelet!(*length,
+                (N, S) => isa.run_tuned(Inverse::<X, N, S> { image, place, spectrum }),
+                (P, Q, ROWS) => isa.run_tuned(InverseLines::<X, P, Q, ROWS> { image, place, spectrum, work })),
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
                     (transform.outputs(), transform.len(), isa.lanes::<T>());
@@ -190,53 +182,24 @@ impl<T: Element> Rows<T> {
     }
 }
 
-/// [`Rows::forward`] by codelets.
-fn codelet_forward<X: Stored, const FAR: bool>(
-    isa: Isa,
-    length: usize,
-    image: Tile<'_, X>,
-    place: Place<'_>,
-    spectrum: &mut [X::Real],
-    work: &mut [X::Real],
-) {
-    with_codelet!(length,
-        (N, S) => isa.run(Forward::<X, N, S, FAR> { image, place, spectrum }),
-        (P, Q, ROWS) => isa.run(ForwardLines::<X, P, Q, ROWS, FAR> { image, place, spectrum, work }));
-}
-
-/// [`Rows::inverse`] by codelets.
-fn codelet_inverse<X: Stored, const FAR: bool>(
-    isa: Isa,
-    length: usize,
-    spectrum: &mut [X::Real],
-    place: Place<'_>,
-    image: TileMut<'_, X>,
-    work: &mut [X::Real],
-) {
-    with_codelet!(length,
-        (N, S) => isa.run(Inverse::<X, N, S, FAR> { image, place, spectrum }),
-        (P, Q, ROWS) => isa.run(InverseLines::<X, P, Q, ROWS, FAR> { image, place, spectrum, work }));
-}
-
-struct Forward<'a, X: Stored, const N: usize, const S: usize, const FAR: bool> {
+struct Forward<'a, X: Stored, const N: usize, const S: usize> {
     image: Tile<'a, X>,
     place: Place<'a>,
     spectrum: &'a mut [X::Real],
 }
 
-impl<X: Stored, const N: usize, const S: usize, const FAR: bool> Algorithm<X::Real>
-    for Forward<'_, X, N, S, FAR>
+impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for Forward<'_, X, N, S>
 where
     Codelet: RealDft<N, S>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
-        let Place { positions, pitch, set, .. } = self.place;
+        let Place { positions, pitch, set, far } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
         let vectors = spectrum.len() / set;
         for (row, &position) in positions.iter().enumerate() {
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
-                if FAR {
+                if far {
                     self.image.prefetch_share(row * N + AHEAD.max(N), N, i, vectors);
                 }
                 let image = self.image.skip_lanes(i * V::LANES);
@@ -247,35 +210,28 @@ where
     }
 }
 
-struct ForwardLines<
-    'a,
-    X: Stored,
-    const P: usize,
-    const Q: usize,
-    const ROWS: usize,
-    const FAR: bool,
-> {
+struct ForwardLines<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     image: Tile<'a, X>,
     place: Place<'a>,
     spectrum: &'a mut [X::Real],
     work: &'a mut [X::Real],
 }
 
-impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool>
-    Algorithm<X::Real> for ForwardLines<'_, X, P, Q, ROWS, FAR>
+impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
+    for ForwardLines<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
-        let Place { positions, pitch, set, .. } = self.place;
+        let Place { positions, pitch, set, far } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
         let vectors = spectrum.len() / set;
         for (row, &position) in positions.iter().enumerate() {
             let first = row * P * Q;
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
-                if FAR {
+                if far {
                     self.image.prefetch_share(first + AHEAD.max(P * Q), P * Q, i, vectors);
                 }
                 let image = self.image.skip_lanes(i * V::LANES);
@@ -285,35 +241,28 @@ where
     }
 }
 
-struct InverseLines<
-    'a,
-    X: Stored,
-    const P: usize,
-    const Q: usize,
-    const ROWS: usize,
-    const FAR: bool,
-> {
+struct InverseLines<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     image: TileMut<'a, X>,
     place: Place<'a>,
     spectrum: &'a mut [X::Real],
     work: &'a mut [X::Real],
 }
 
-impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize, const FAR: bool>
-    Algorithm<X::Real> for InverseLines<'_, X, P, Q, ROWS, FAR>
+impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
+    for InverseLines<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(mut self) {
-        let Place { positions, pitch, set, .. } = self.place;
+        let Place { positions, pitch, set, far } = self.place;
         let (spectrum, work) =
             (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
         let vectors = spectrum.len() / set;
         for (row, &position) in positions.iter().enumerate() {
             let first = row * P * Q;
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
-                if FAR {
+                if far {
                     let image = self.image.reader();
                     image.prefetch_share(first + AHEAD.max(P * Q), P * Q, i, vectors);
                 }
@@ -324,25 +273,24 @@ where
     }
 }
 
-struct Inverse<'a, X: Stored, const N: usize, const S: usize, const FAR: bool> {
+struct Inverse<'a, X: Stored, const N: usize, const S: usize> {
     image: TileMut<'a, X>,
     place: Place<'a>,
     spectrum: &'a mut [X::Real],
 }
 
-impl<X: Stored, const N: usize, const S: usize, const FAR: bool> Algorithm<X::Real>
-    for Inverse<'_, X, N, S, FAR>
+impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for Inverse<'_, X, N, S>
 where
     Codelet: RealDft<N, S>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(mut self) {
-        let Place { positions, pitch, set, .. } = self.place;
+        let Place { positions, pitch, set, far } = self.place;
         let spectrum = complex_vectors::<V>(self.spectrum);
         let vectors = spectrum.len() / set;
         for (row, &position) in positions.iter().enumerate() {
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
-                if FAR {
+                if far {
                     self.image.reader().prefetch_share(row * N + AHEAD.max(N), N, i, vectors);
                 }
                 let image = &mut self.image.skip_lanes(i * V::LANES);

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use super::neon;
 #[cfg(target_arch = "x86_64")]
 use super::x86;
-use super::{Algorithm, Element, scalar};
+use super::{Algorithm, Element, Vector, scalar};
 use crate::Error;
 
 /// The environment variable that forces an instruction set.
@@ -34,14 +34,15 @@ impl Isa {
         #[allow(unused_mut)] // other architectures have the scalar path alone
         let mut found = vec![Self(Kind::Scalar)];
         #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("fma")
+            && is_x86_feature_detected!("f16c")
         {
-            if is_x86_feature_detected!("avx2")
-                && is_x86_feature_detected!("fma")
-                && is_x86_feature_detected!("f16c")
-            {
+            if cfg!(feature = "avx2") {
                 found.push(Self(Kind::Avx2));
             }
-            if is_x86_feature_detected!("avx512f")
+            if cfg!(feature = "avx512")
+                && is_x86_feature_detected!("avx512f")
                 && is_x86_feature_detected!("avx512dq")
                 && is_x86_feature_detected!("avx512bw")
                 && is_x86_feature_detected!("avx512vl")
@@ -102,22 +103,28 @@ impl Isa {
     /// Elements of type `T` in one vector.
     #[must_use]
     pub(crate) fn lanes<T: Element>(self) -> usize {
-        let bytes = match self.0 {
-            Kind::Scalar => return 1,
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 => 32,
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 => 64,
-            #[cfg(target_arch = "aarch64")]
-            Kind::Neon => 16,
-        };
-        bytes / size_of::<T>()
+        T::lanes(self)
+    }
+
+    /// Whether algorithms that were tuned for one length are compiled for this instruction set and `T`.
+    #[must_use]
+    pub(crate) fn is_tuned<T: Element>(self) -> bool {
+        T::is_tuned(self)
     }
 
     /// Runs `algorithm` with the vectors of this instruction set.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn run<T: Element>(self, algorithm: impl Algorithm<T>) {
         T::run(self, algorithm);
+    }
+
+    /// As [`run`](Self::run), for an algorithm that was tuned for one length.
+    ///
+    /// # Panics
+    /// Unless [`is_tuned`](Self::is_tuned).
+    #[inline(always)]
+    pub(crate) fn run_tuned<T: Element>(self, algorithm: impl Algorithm<T>) {
+        T::run_tuned(self, algorithm);
     }
 }
 
@@ -134,45 +141,124 @@ fn align_stack() {
     black_box(&Line([MaybeUninit::uninit(); 64]).0);
 }
 
-/// One entry for each instruction set and algorithm: below it everything is inlined and compiled with its features.
-macro_rules! element {
-    ($element:ty, $avx2:ident, $avx512:ident, $neon:ident) => {
-        #[allow(private_bounds, private_interfaces)] // algorithms are this crate's alone, the trait is sealed
-        impl Element for $element {
-            #[inline(always)]
-            #[allow(clippy::cast_possible_truncation)] // the rounding is what is asked for
-            fn nearest(value: f64) -> Self {
-                value as Self
-            }
+/// The ways into an algorithm: below each everything is inlined and compiled with its features.
+///
+/// The compiler gives a method to the unit of its type's module. So kernels are compiled with the module of their algorithm,
+/// side by side with those of others, and not one after the other with this one.
+trait Entries<T: Element>: Algorithm<T> + Sized {
+    /// With what every machine of the architecture has.
+    #[inline(never)]
+    fn baseline<V: Vector<Element = T>>(self) {
+        self.run::<V>();
+    }
 
-            fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
-                #[cfg(target_arch = "x86_64")]
-                #[target_feature(enable = "avx2,fma,f16c")]
-                fn avx2<A: Algorithm<$element>>(algorithm: A) {
-                    align_stack();
-                    algorithm.run::<x86::$avx2>();
-                }
-                #[cfg(target_arch = "x86_64")]
-                #[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512vl")]
-                fn avx512<A: Algorithm<$element>>(algorithm: A) {
-                    align_stack();
-                    algorithm.run::<x86::$avx512>();
-                }
-                match isa.0 {
-                    Kind::Scalar => algorithm.run::<scalar::Scalar<Self>>(),
-                    // SAFETY: an `Isa` of this kind exists only where `available` found these features.
-                    #[cfg(target_arch = "x86_64")]
-                    Kind::Avx2 => unsafe { avx2(algorithm) },
-                    // SAFETY: an `Isa` of this kind exists only where `available` found these features.
-                    #[cfg(target_arch = "x86_64")]
-                    Kind::Avx512 => unsafe { avx512(algorithm) },
-                    #[cfg(target_arch = "aarch64")]
-                    Kind::Neon => algorithm.run::<neon::$neon>(),
-                }
-            }
+    /// # Safety
+    /// The processor has these features.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma,f16c")]
+    unsafe fn avx2<V: Vector<Element = T>>(self) {
+        align_stack();
+        self.run::<V>();
+    }
+
+    /// # Safety
+    /// The processor has these features.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx512bw,avx512vl")]
+    unsafe fn avx512<V: Vector<Element = T>>(self) {
+        align_stack();
+        self.run::<V>();
+    }
+}
+
+impl<T: Element, A: Algorithm<T>> Entries<T> for A {}
+
+macro_rules! nearest {
+    () => {
+        #[inline(always)]
+        #[allow(clippy::cast_possible_truncation)] // the rounding is what is asked for
+        fn nearest(value: f64) -> Self {
+            value as Self
         }
     };
 }
 
-element!(f32, F32x8, F32x16, F32x4);
-element!(f64, F64x4, F64x8, F64x2);
+#[allow(private_bounds, private_interfaces)] // algorithms are this crate's alone, the trait is sealed
+impl Element for f32 {
+    nearest!();
+
+    fn lanes(isa: Isa) -> usize {
+        match isa.0 {
+            Kind::Scalar => 1,
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 => x86::F32x8::LANES,
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 => x86::F32x16::LANES,
+            #[cfg(target_arch = "aarch64")]
+            Kind::Neon => neon::F32x4::LANES,
+        }
+    }
+
+    fn is_tuned(isa: Isa) -> bool {
+        isa != Isa::scalar()
+    }
+
+    fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
+        match isa.0 {
+            Kind::Scalar => algorithm.baseline::<scalar::Scalar<Self>>(),
+            _ => Self::run_tuned(isa, algorithm),
+        }
+    }
+
+    fn run_tuned<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
+        match isa.0 {
+            // SAFETY: an `Isa` of this kind exists only where `available` found these features.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 if cfg!(feature = "avx2") => unsafe { algorithm.avx2::<x86::F32x8>() },
+            // SAFETY: an `Isa` of this kind exists only where `available` found these features.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 if cfg!(feature = "avx512") => unsafe {
+                algorithm.avx512::<x86::F32x16>();
+            },
+            #[cfg(target_arch = "aarch64")]
+            Kind::Neon => algorithm.baseline::<neon::F32x4>(),
+            _ => unreachable!("nothing is tuned for {}", isa.name()),
+        }
+    }
+}
+
+/// Double precision is needed for its digits more than for its speed: no algorithm is tuned for it, and AVX-512 takes the vectors of
+/// AVX2, so that the compiler's work is halved.
+#[allow(private_bounds, private_interfaces)] // algorithms are this crate's alone, the trait is sealed
+impl Element for f64 {
+    nearest!();
+
+    fn lanes(isa: Isa) -> usize {
+        match isa.0 {
+            Kind::Scalar => 1,
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 | Kind::Avx512 => x86::F64x4::LANES,
+            #[cfg(target_arch = "aarch64")]
+            Kind::Neon => neon::F64x2::LANES,
+        }
+    }
+
+    fn is_tuned(_: Isa) -> bool {
+        false
+    }
+
+    fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
+        match isa.0 {
+            Kind::Scalar => algorithm.baseline::<scalar::Scalar<Self>>(),
+            // SAFETY: an `Isa` of either kind exists only where `available` found these features.
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx2 | Kind::Avx512 => unsafe { algorithm.avx2::<x86::F64x4>() },
+            #[cfg(target_arch = "aarch64")]
+            Kind::Neon => algorithm.baseline::<neon::F64x2>(),
+        }
+    }
+
+    fn run_tuned<A: Algorithm<Self>>(_: Isa, _: A) {
+        unreachable!("nothing is tuned for double precision")
+    }
+}

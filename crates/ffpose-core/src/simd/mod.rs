@@ -52,10 +52,23 @@ pub trait Element:
     /// The value of this type nearest to `value`.
     fn nearest(value: f64) -> Self;
 
+    /// Elements in one vector of `isa`.
+    #[doc(hidden)]
+    fn lanes(isa: Isa) -> usize;
+
+    /// Whether `run_tuned` may be called for `isa`.
+    #[doc(hidden)]
+    fn is_tuned(isa: Isa) -> bool;
+
     /// Runs `algorithm` with the vectors of `isa`.
     #[doc(hidden)]
     #[allow(private_bounds, private_interfaces)] // algorithms are this crate's alone, the trait is sealed
     fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A);
+
+    /// As `run`, for what is compiled where it is tuned alone.
+    #[doc(hidden)]
+    #[allow(private_bounds, private_interfaces)] // as above
+    fn run_tuned<A: Algorithm<Self>>(isa: Isa, algorithm: A);
 }
 
 /// A vector of [`LANES`](Vector::LANES) elements; arithmetic is lane by lane.

@@ -169,9 +169,6 @@ vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm
     _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_fmsub_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 deinterleave_reversed_f32x16 reverse_f32x16
     exchange_halves_f32x16 transpose_in_halves_f32x16;
     load_bf16x16 store_bf16x16 load_f16x16 store_f16x16);
-vector!(F64x8(__m512d), f64; _mm512_set1_pd _mm512_loadu_pd _mm512_storeu_pd _mm512_add_pd _mm512_sub_pd _mm512_mul_pd
-    _mm512_fmadd_pd _mm512_fnmadd_pd _mm512_fmsub_pd _mm512_xor_pd interleave_f64x8 deinterleave_f64x8 deinterleave_reversed_f64x8 reverse_f64x8
-    exchange_halves_f64x8 transpose_in_halves_f64x8);
 
 #[inline]
 #[target_feature(enable = "avx2")]
@@ -243,30 +240,6 @@ fn deinterleave_reversed_f32x16(low: __m512, high: __m512) -> (__m512, __m512) {
 }
 
 #[inline]
-#[target_feature(enable = "avx512f")]
-fn deinterleave_reversed_f64x8(low: __m512d, high: __m512d) -> (__m512d, __m512d) {
-    let even = _mm512_setr_epi64(14, 12, 10, 8, 6, 4, 2, 0);
-    let odd = _mm512_setr_epi64(15, 13, 11, 9, 7, 5, 3, 1);
-    (_mm512_permutex2var_pd(low, even, high), _mm512_permutex2var_pd(low, odd, high))
-}
-
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn interleave_f64x8(a: __m512d, b: __m512d) -> (__m512d, __m512d) {
-    let low = _mm512_setr_epi64(0, 8, 1, 9, 2, 10, 3, 11);
-    let high = _mm512_setr_epi64(4, 12, 5, 13, 6, 14, 7, 15);
-    (_mm512_permutex2var_pd(a, low, b), _mm512_permutex2var_pd(a, high, b))
-}
-
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn deinterleave_f64x8(low: __m512d, high: __m512d) -> (__m512d, __m512d) {
-    let even = _mm512_setr_epi64(0, 2, 4, 6, 8, 10, 12, 14);
-    let odd = _mm512_setr_epi64(1, 3, 5, 7, 9, 11, 13, 15);
-    (_mm512_permutex2var_pd(low, even, high), _mm512_permutex2var_pd(low, odd, high))
-}
-
-#[inline]
 #[target_feature(enable = "avx2")]
 fn reverse_f32x8(a: __m256) -> __m256 {
     _mm256_permutevar8x32_ps(a, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0))
@@ -286,12 +259,6 @@ fn reverse_f32x16(a: __m512) -> __m512 {
 }
 
 #[inline]
-#[target_feature(enable = "avx512f")]
-fn reverse_f64x8(a: __m512d) -> __m512d {
-    _mm512_permutexvar_pd(_mm512_setr_epi64(7, 6, 5, 4, 3, 2, 1, 0), a)
-}
-
-#[inline]
 #[target_feature(enable = "avx2")]
 fn exchange_halves_f32x8(a: __m256, b: __m256) -> (__m256, __m256) {
     (_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b))
@@ -307,12 +274,6 @@ fn exchange_halves_f64x4(a: __m256d, b: __m256d) -> (__m256d, __m256d) {
 #[target_feature(enable = "avx512f")]
 fn exchange_halves_f32x16(a: __m512, b: __m512) -> (__m512, __m512) {
     (_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0xee>(a, b))
-}
-
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn exchange_halves_f64x8(a: __m512d, b: __m512d) -> (__m512d, __m512d) {
-    (_mm512_shuffle_f64x2::<0x44>(a, b), _mm512_shuffle_f64x2::<0xee>(a, b))
 }
 
 #[inline]
@@ -349,15 +310,6 @@ fn transpose_in_halves_f32x16([a, b, c, d, e, f, g, h]: [__m512; 8]) -> [__m512;
 }
 
 /// Transposes inside blocks of 128 bits, then the blocks of each half.
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn transpose_in_halves_f64x8([a, b, c, d]: [__m512d; 4]) -> [__m512d; 4] {
-    let (p, q) = (_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
-    let (r, s) = (_mm512_unpacklo_pd(c, d), _mm512_unpackhi_pd(c, d));
-    let ((a, c), (b, d)) = (transpose_blocks_in_halves(p, r), transpose_blocks_in_halves(q, s));
-    [a, b, c, d]
-}
-
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn transpose_in_blocks_f32x16([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {

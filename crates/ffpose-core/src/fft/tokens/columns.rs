@@ -54,7 +54,7 @@ pub(super) fn image_to_block<T: Element, const INVERSE: bool>(
     work: &mut [T],
 ) {
     with_codelet!(image.points(), (P, Q) => {
-        isa.run(ImageToBlock::<T, P, Q, INVERSE> { image, twiddles, block, work });
+        isa.run_tuned(ImageToBlock::<T, P, Q, INVERSE> { image, twiddles, block, work });
     });
 }
 
@@ -70,7 +70,7 @@ pub(super) fn block_to_image<T: Element, const INVERSE: bool>(
     work: &mut [T],
 ) {
     with_codelet!(image.reader().points(), (P, Q) => {
-        isa.run(BlockToImage::<T, P, Q, INVERSE> { block, twiddles, image, work });
+        isa.run_tuned(BlockToImage::<T, P, Q, INVERSE> { block, twiddles, image, work });
     });
 }
 

@@ -125,7 +125,7 @@ impl<T: Element> Tokens<T> {
 
     pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {
         let plan = self.plan;
-        with_run!(self.run, RUN => self.isa.run(Unpack::<T, RUN> { plan, step, sum, gradient }));
+        with_run!(self.run, RUN => self.isa.run_tuned(Unpack::<T, RUN> { plan, step, sum, gradient }));
     }
 
     /// The rows of a weight's gradient that belong to each step.

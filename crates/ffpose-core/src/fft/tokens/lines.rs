@@ -51,7 +51,7 @@ pub(super) fn forward<X: Stored>(
     work: &mut [X::Real],
 ) {
     with_codelet!(image.lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
-        isa.run(Forward::<X, P, Q, ROWS> { image, target, block, work });
+        isa.run_tuned(Forward::<X, P, Q, ROWS> { image, target, block, work });
     });
 }
 
@@ -66,7 +66,7 @@ pub(super) fn inverse<X: Stored>(
     far: bool,
 ) {
     with_codelet!(image.reader().lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
-        isa.run(Inverse::<X, P, Q, ROWS> { block, image, work, far });
+        isa.run_tuned(Inverse::<X, P, Q, ROWS> { block, image, work, far });
     });
 }
 

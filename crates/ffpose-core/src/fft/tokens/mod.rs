@@ -14,7 +14,7 @@
 /// Runs `$run` with the constant `$name` equal to `$length`, a power of two.
 macro_rules! with_run {
     ($length:expr, $name:ident => $run:expr) => {
-        with_run!(@ $length, $name, $run, 1 2 4 8 16)
+        with_run!(@ $length, $name, $run, 2 4 8 16)
     };
     (@ $length:expr, $name:ident, $run:expr, $($of:literal)*) => {
         match $length {
@@ -67,8 +67,10 @@ impl<T: Element> Tokens<T> {
     /// The plan for images `(points, width)`, if they have codelets.
     pub(crate) fn new(isa: Isa, points: usize, width: usize) -> Option<Self> {
         let lanes = isa.lanes::<T>();
-        let is_whole = lanes > 1 && width.is_multiple_of(lanes);
-        if !is_whole || !lines::has_codelet(width / lanes) {
+        if !isa.is_tuned::<T>()
+            || !width.is_multiple_of(lanes)
+            || !lines::has_codelet(width / lanes)
+        {
             return None;
         }
         let factors = factors(points)?;

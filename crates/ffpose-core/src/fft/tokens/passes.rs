@@ -177,6 +177,6 @@ impl<T: Element> Tokens<T> {
             twiddles: self.turns.values(),
         };
         let block = Block { vectors: block, pitch: self.plan.pitch() };
-        with_run!(self.run, RUN => self.isa.run(Filter::<T, _, RUN> { block, turns, middle }));
+        with_run!(self.run, RUN => self.isa.run_tuned(Filter::<T, _, RUN> { block, turns, middle }));
     }
 }
