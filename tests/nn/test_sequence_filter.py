@@ -2,6 +2,8 @@
 
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from torch import nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -93,3 +95,43 @@ def test_wrong_construction(arguments):
 def test_wrong_input(x, error, text):
     with pytest.raises(error, match=text):
         SequenceFilter(6, 3)(x)
+
+
+def results(module, x, grad):
+    """The filter's output and both gradients, with channels last."""
+    module.zero_grad()
+    x = x.clone().requires_grad_()
+    y = module(x)
+    y.backward(grad)
+    return y.detach(), x.grad, module.weight.grad.movedim(1, -1)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.integers(1, 60),
+    st.integers(2, 40),
+    st.integers(1, 20),
+    st.sampled_from([torch.float32, torch.float64]),
+    st.sampled_from([1e30, float("inf"), float("nan")]),
+    st.data(),
+)
+def test_a_channel_depends_on_no_other(length, channels, batch, dtype, value, data):
+    module = SequenceFilter(length, channels, dtype=dtype)
+    x, grad = (torch.randn(batch, length, channels, dtype=dtype) for _ in range(2))
+    expected = results(module, x, grad)
+    channel = data.draw(st.integers(0, channels - 1))
+    x[..., channel] = value
+    grad[..., channel] = value
+    others = [other for other in range(channels) if other != channel]
+    for got, want in zip(results(module, x, grad), expected, strict=True):
+        assert torch.equal(got[..., others], want[..., others])
+
+
+@pytest.mark.parametrize("length", [49, 50])
+def test_small_channels_are_as_exact_as_large_ones(length):
+    module = SequenceFilter(length, 32)
+    module.weight.data.copy_(torch.tensor([1.0, 0.0]))  # changes nothing
+    x = torch.randn(1, length, 32)
+    x[..., :16] *= 1e4
+    error = (module(x) - x).detach().abs().amax((0, 1)) / x.abs().amax((0, 1))
+    assert error.max() < 2e-6

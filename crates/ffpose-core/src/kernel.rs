@@ -14,7 +14,7 @@
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
-use crate::fft::{Grid, Sequence, Tokens};
+use crate::fft::{Batched, Grid, Sequence, Tokens};
 use crate::parallel::Team;
 use crate::simd::Stored;
 
@@ -29,6 +29,11 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
     /// Lanes of a view where wider tiles would make too few pieces.
     fn narrow_tile(&self) -> usize {
         self.tile()
+    }
+
+    /// Images that go through the transforms together: with fewer of them a piece takes as long.
+    fn images_together(&self) -> usize {
+        1
     }
 
     /// Numbers in the packed weight of a tile of at most `lanes` lanes, and in its gradient sum.
@@ -84,6 +89,7 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
 
 /// The kernels that take images of any stored type.
 pub(crate) enum TakesHalf<'a, T> {
+    Batched(&'a Batched<T>),
     Grid(&'a Grid<T>),
     Sequence(&'a Sequence<T>),
     Tokens(&'a Tokens<T>),

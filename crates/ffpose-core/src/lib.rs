@@ -22,6 +22,7 @@ mod kernel;
 pub mod noise;
 mod number;
 mod parallel;
+mod plans;
 pub mod pose_error;
 pub mod quaternion;
 mod real;

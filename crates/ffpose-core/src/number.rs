@@ -83,6 +83,7 @@ macro_rules! computed_in_f32 {
                     return widened;
                 }
                 match kernel.takes_half() {
+                    Some(TakesHalf::Batched(batched)) => batched,
                     Some(TakesHalf::Grid(grid)) => grid,
                     Some(TakesHalf::Sequence(sequence)) => sequence,
                     Some(TakesHalf::Tokens(tokens)) => tokens,

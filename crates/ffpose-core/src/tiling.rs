@@ -18,15 +18,20 @@ pub(crate) struct Tiling {
 }
 
 impl Tiling {
-    /// A batch of images in about `parts` parts, with at most `tile` lanes in a piece.
-    pub(crate) fn new(shape: Shape, tile: usize, images: usize, parts: usize) -> Self {
+    /// A batch of images in about `parts` parts of whole groups of `together`, with at most `tile` lanes in a piece.
+    pub(crate) fn new(
+        shape: Shape,
+        tile: usize,
+        (images, together): (usize, usize),
+        parts: usize,
+    ) -> Self {
         let weight_lanes_each = match shape.layout {
             Layout::Tokens => shape.half(),
             Layout::Grid => tile,
         };
         Self {
             images,
-            images_each: images.div_ceil(parts),
+            images_each: images.div_ceil(together).div_ceil(parts) * together,
             tiles: shape.lanes.div_ceil(tile),
             lanes_each: tile,
             weight_lanes_each,

@@ -12,7 +12,7 @@ use ffpose_core::{
 use ndarray::{ArrayD, Axis};
 
 /// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
-const GRIDS: [[usize; 4]; 17] = [
+const GRIDS: [[usize; 4]; 25] = [
     [1, 14, 14, 20],
     [2, 7, 7, 9],
     [1, 28, 28, 5],
@@ -30,8 +30,18 @@ const GRIDS: [[usize; 4]; 17] = [
     [1, 3, 50, 1],
     [1, 37, 4, 16],
     [32, 2, 2, 600], // tiles, and parts of the batch that are summed apart
+    // sequences
+    [2, 1, 50, 40],
+    [3, 1, 49, 17],
+    [1, 1, 134, 5],
+    // several images of few channels together
+    [33, 1, 12, 7],
+    [18, 1, 15, 3],
+    [70, 1, 8, 1],
+    [20, 6, 5, 2],
+    [3, 4, 4, 15],
 ];
-const TOKENS: [[usize; 3]; 17] = [
+const TOKENS: [[usize; 3]; 20] = [
     [2, 14, 16],
     [1, 196, 64],
     [1, 28, 128],
@@ -49,6 +59,10 @@ const TOKENS: [[usize; 3]; 17] = [
     [2, 49, 64],
     [1, 56, 192],
     [1, 98, 128],
+    // several images together
+    [18, 50, 2],
+    [19, 2, 50],
+    [3, 40, 1],
 ];
 
 fn cases() -> Vec<(Layout, Vec<usize>)> {
@@ -163,6 +177,10 @@ fn threads_and_batches_do_not_change_a_bit() {
         (Layout::Grid, vec![1, 90, 100, 60]), // one tile, cut into narrower ones
         (Layout::Grid, vec![40, 30, 30, 10]),
         (Layout::Grid, vec![16, 90, 100, 3]),
+        (Layout::Grid, vec![120, 1, 720, 7]), // sequences, several together
+        (Layout::Grid, vec![530, 1, 1024, 1]),
+        (Layout::Grid, vec![40, 1, 75, 100]),
+        (Layout::Tokens, vec![300, 1000, 2]),
         (Layout::Tokens, vec![37, 70, 128]),
         (Layout::Tokens, vec![10, 151, 251]),
         (Layout::Tokens, vec![1, 784, 512]), // one image, shared by threads
@@ -190,6 +208,112 @@ fn threads_and_batches_do_not_change_a_bit() {
     }
 }
 
+/// Whatever the batch, and wherever in it an image is.
+#[test]
+fn an_image_is_filtered_alone_as_in_a_batch() {
+    for (layout, dim) in cases() {
+        let shape = Shape::of_images(layout, &dim).unwrap();
+        let mut numbers = Numbers(17);
+        let [grad, x] = [(); 2].map(|()| numbers.array::<f32>(&dim));
+        let weight = numbers.array::<f32>(&shape.weight());
+        for plan in plans::<f32>(shape) {
+            let y = forward(&plan, &x, &weight, 1);
+            let (grad_x, _) = backward(&plan, (&grad, &x, &weight), 1);
+            for split in 1..dim[0].min(20) {
+                for part in [ndarray::Slice::from(..split), ndarray::Slice::from(split..)] {
+                    let of = |array: &ArrayD<f32>| array.slice_axis(Axis(0), part).to_owned();
+                    assert_eq!(forward(&plan, &of(&x), &weight, 1), of(&y), "{layout:?} {dim:?}");
+                    let (part_x, _) = backward(&plan, (&of(&grad), &of(&x), &weight), 1);
+                    assert_eq!(part_x, of(&grad_x), "{layout:?} {dim:?}");
+                }
+            }
+        }
+    }
+}
+
+/// Grids whose channels take all ways through the kernels.
+const CHANNELS: [[usize; 4]; 12] = [
+    [2, 1, 50, 40],
+    [1, 1, 49, 33],
+    [3, 1, 67, 20],
+    [1, 1, 134, 16],
+    [5, 1, 12, 7],
+    [20, 1, 9, 2],
+    [2, 14, 14, 33],
+    [1, 14, 14, 20],
+    [3, 5, 6, 40],
+    [2, 9, 7, 18],
+    [5, 6, 7, 3],
+    [1, 100, 90, 3],
+];
+
+/// Bit by bit, whatever the numbers of one channel are.
+fn a_channel_depends_on_itself_alone<T, X>(large: [T; 3])
+where
+    T: Number<Real = T> + Real,
+    X: Number<Real = T> + PartialEq,
+{
+    let round = |array: ArrayD<T>| array.mapv(X::nearest_to);
+    for dim in CHANNELS {
+        let shape = Shape::of_images(Layout::Grid, &dim).unwrap();
+        let mut numbers = Numbers(19);
+        let [grad, x] = [(); 2].map(|()| round(numbers.array(&dim)));
+        let weight = numbers.array::<T>(&shape.weight());
+        for plan in plans::<T>(shape) {
+            let results = |grad: &_, x: &_| {
+                let (grad_x, grad_weight) = backward(&plan, (grad, x, &weight), 1);
+                (forward(&plan, x, &weight, 1), grad_x, grad_weight)
+            };
+            let expected = results(&grad, &x);
+            for channel in [0, dim[3] / 2] {
+                for value in large.map(X::nearest_to) {
+                    let (mut grad, mut x) = (grad.clone(), x.clone());
+                    grad.index_axis_mut(Axis(3), channel).fill(value);
+                    x.index_axis_mut(Axis(3), channel).fill(value);
+                    let got = results(&grad, &x);
+                    for other in (0..dim[3]).filter(|&other| other != channel) {
+                        let same = got.0.index_axis(Axis(3), other)
+                            == expected.0.index_axis(Axis(3), other)
+                            && got.1.index_axis(Axis(3), other)
+                                == expected.1.index_axis(Axis(3), other)
+                            && got.2.index_axis(Axis(2), other)
+                                == expected.2.index_axis(Axis(2), other);
+                        assert!(same, "channel {other} of {dim:?} depends on channel {channel}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_channel_depends_on_no_other() {
+    let large = [f32::INFINITY, f32::NAN, 1e30];
+    a_channel_depends_on_itself_alone::<f32, f32>(large);
+    a_channel_depends_on_itself_alone::<f64, f64>(large.map(f64::from));
+    a_channel_depends_on_itself_alone::<f32, Bf16>(large);
+    a_channel_depends_on_itself_alone::<f32, F16>(large);
+}
+
+/// The error of a channel is relative to its own numbers.
+#[test]
+fn small_channels_are_as_exact_as_large_ones() {
+    for length in [50, 49] {
+        let shape = Shape::of_images(Layout::Grid, &[1, 1, length, 32]).unwrap();
+        let mut x = Numbers(23).array::<f32>(&[1, 1, length, 32]);
+        x.slice_axis_mut(Axis(3), (..16).into()).mapv_inplace(|value| 1e4 * value);
+        let mut identity = ArrayD::<f32>::zeros(shape.weight());
+        identity.index_axis_mut(Axis(3), 0).fill(1.0);
+        for plan in plans::<f32>(shape) {
+            let y = forward(&plan, &x, &identity, 1);
+            for (got, expected) in y.axis_iter(Axis(3)).zip(x.axis_iter(Axis(3))) {
+                let (got, expected) = (got.to_owned(), exact(&expected.to_owned()));
+                assert_close(&got, &expected, shape, f32::EPSILON.into(), "identity");
+            }
+        }
+    }
+}
+
 /// Bit by bit the result in single precision, rounded once.
 fn half_precision_is_rounded_once<H: Number<Real = f32> + PartialEq + std::fmt::Debug>() {
     let cases = [
@@ -198,6 +322,9 @@ fn half_precision_is_rounded_once<H: Number<Real = f32> + PartialEq + std::fmt::
         (Layout::Grid, vec![1, 70, 80, 50]), // one tile, cut in two for two threads
         (Layout::Grid, vec![3, 1, 50, 20]),
         (Layout::Grid, vec![2, 12, 9, 1]),
+        (Layout::Grid, vec![37, 1, 20, 3]), // several images together
+        (Layout::Grid, vec![2, 100, 90, 2]), // too large for that
+        (Layout::Tokens, vec![19, 30, 2]),
         (Layout::Tokens, vec![3, 28, 37]),
         (Layout::Tokens, vec![1, 49, 64]),
         // two threads: together, each some images, by the general kernels

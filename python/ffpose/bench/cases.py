@@ -38,6 +38,15 @@ OTHER: Sizes = (
     ("sequence", (200, 64)),
     ("sequence", (512, 128)),
 )
+FEW_CHANNELS: Sizes = (
+    ("sequence", (96, 7)),
+    ("sequence", (336, 7)),
+    ("sequence", (720, 7)),
+    ("sequence", (1024, 3)),
+    ("sequence", (512, 1)),
+    ("tokens", (1000, 2)),
+)
+"""Fewer channels, or columns, than a vector has lanes; seven are common in time series."""
 FEW: Sizes = (("grid", (14, 14, 256)), ("tokens", (196, 256)), ("sequence", (50, 64)))
 """One size of each kind: all that ``--quick`` measures, and those with every rival."""
 
@@ -87,6 +96,8 @@ class Case:
         size = (self.kind, self.size)
         if size in GRID:
             return "grid, batch 1" if self.batch == 1 else "grid, batch 8 and 32"
+        if size in FEW_CHANNELS:
+            return "few channels"
         return "tokens" if size in TOKENS else "other sizes"
 
     @property

@@ -14,6 +14,7 @@ from ffpose.bench.cases import (
     COMPILED,
     COPY,
     FEW,
+    FEW_CHANNELS,
     GRID,
     HALF,
     LARGEST_BATCH,
@@ -59,7 +60,8 @@ def make_plan(quick: bool) -> Plan:
     if quick:
         cases = [*with_rivals(sweep(FEW, (1, 8), 1), rivals), *overhead_cases()]
         return Plan({best: cases}, 0.1, (*notes, "quick: few sizes, one thread"))
-    cases = [*with_rivals(sweep(GRID + TOKENS + OTHER, BATCHES, 1), rivals), *overhead_cases()]
+    sizes = GRID + TOKENS + OTHER + FEW_CHANNELS
+    cases = [*with_rivals(sweep(sizes, BATCHES, 1), rivals), *overhead_cases()]
     if cores() > 1:
         cases += sweep(GRID + TOKENS, BATCHES, 2)
     else:
@@ -67,10 +69,8 @@ def make_plan(quick: bool) -> Plan:
     by_isa = {best: cases}
     isas = (best,) if "FFPOSE_ISA" in os.environ else SLOWER[best]
     for isa in isas[1:]:
-        sizes, batches = (
-            (GRID + TOKENS, (1,)) if isa == "scalar" else (GRID + TOKENS + OTHER, BATCHES)
-        )
-        by_isa[isa] = sweep(sizes, batches, 1)
+        is_scalar = isa == "scalar"
+        by_isa[isa] = sweep(GRID + TOKENS, (1,), 1) if is_scalar else sweep(sizes, BATCHES, 1)
     if "scalar" in by_isa and best != "scalar":
         notes = (*notes, "scalar: against torch.fft with all its instruction sets")
     return Plan(by_isa, 0.25, notes)
@@ -100,7 +100,7 @@ def with_rivals(cases: Sequence[Case], rivals: frozenset[str]) -> list[Case]:
 
 def _more(case: Case, rivals: frozenset[str]) -> tuple[str, ...]:
     forward, one_of_few = case.work == "forward", (case.kind, case.size) in FEW
-    in_tables = case.group != "other sizes"
+    in_tables = (case.kind, case.size) in GRID + TOKENS
     wanted = {
         SCIPY: one_of_few and forward and SCIPY in rivals,
         MATRICES: one_of_few and fits(case.plane),

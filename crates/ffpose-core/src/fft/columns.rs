@@ -1,11 +1,13 @@
 //! The columns of a grid: forward transform, what is done with the spectrum, and inverse, one column at a time in cache.
 //!
-//! A packed weight, and a gradient sum, holds for each column its places in turn. The places of a column of DC and Nyquist
-//! packed together are `W(0), N(0), W(1), N(1), ...` up to row frequency `H / 2`; both are Hermitian in it.
+//! A packed weight, and a gradient sum, holds for each column its places in turn. The places of two real columns, those of DC and
+//! Nyquist, packed together are `W(0), N(0), W(1), N(1), ...` up to row frequency `H / 2`; both are Hermitian in it. Those of one
+//! real line of `2 H` are `X(0), X(H), X(1), X(H - 1), ...`.
 
 use super::fused::Fused;
 use super::middle::{Accumulate, At, Middle, Product};
-use super::pair::{join, split};
+use super::pair::{join, merge, split, unmerge};
+use super::roots::root;
 use super::transform::Transform;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter,
@@ -17,14 +19,38 @@ pub(crate) struct Columns<T> {
     transform: Transform<T>,
     fused: Option<Fused>,
     count: usize,
-    /// Column 0 is two real columns.
-    packed_pair: bool,
+    first: First<T>,
+}
+
+/// What column 0 is.
+pub(crate) enum First<T> {
+    /// As the others.
+    Complex,
+    /// Two real columns, as real and imaginary part.
+    TwoReal,
+    /// The even and the odd points of a real line, as real and imaginary part, with the turns of [`merge`].
+    Halves(Vec<Complex<T>>),
+}
+
+impl<T: Element> First<T> {
+    /// The halves of a real line of `length`.
+    pub(crate) fn halves(length: usize) -> Self {
+        let turns = (0..=length / 4).map(|k| {
+            let (c, s) = root(k, length);
+            Complex::new(T::nearest(c), T::nearest(-s))
+        });
+        Self::Halves(turns.collect())
+    }
+
+    fn is_complex(&self) -> bool {
+        matches!(self, Self::Complex)
+    }
 }
 
 impl<T: Element> Columns<T> {
-    pub(crate) fn new(isa: Isa, length: usize, count: usize, packed_pair: bool) -> Self {
+    pub(crate) fn new(isa: Isa, length: usize, count: usize, first: First<T>) -> Self {
         let transform = Transform::new(isa, length);
-        Self { isa, fused: Fused::of(isa, &transform), transform, count, packed_pair }
+        Self { isa, fused: Fused::of(isa, &transform), transform, count, first }
     }
 
     pub(crate) fn transform(&self) -> &Transform<T> {
@@ -44,7 +70,8 @@ impl<T: Element> Columns<T> {
 
     /// Places of column 0.
     fn first_places(&self) -> usize {
-        if self.packed_pair { 2 * (self.transform.len() / 2 + 1) } else { self.transform.len() }
+        let length = self.transform.len();
+        if self.first.is_complex() { length } else { 2 * (length / 2 + 1) }
     }
 
     /// Numbers in a packed weight of one vector.
@@ -133,10 +160,9 @@ impl<T: Element> Columns<T> {
             let at = layout.at(column, vector);
             let line = &mut spectrum[self.numbers(at.position)..][..pitch];
             transform.forward(&mut line[..length], work);
-            if self.packed_pair && column == 0 {
-                let outputs = layout.outputs;
+            if layout.is_pair(column) {
                 isa.run(PairStep::<T, M, INVERSE> {
-                    outputs,
+                    layout,
                     column: line,
                     places: work,
                     middle: &mut middle,
@@ -151,32 +177,44 @@ impl<T: Element> Columns<T> {
         }
     }
 
-    fn layout(&self) -> Layout<'_> {
+    fn layout(&self) -> Layout<'_, T> {
         Layout {
             outputs: self.transform.outputs(),
             count: self.count,
             pitch: self.pitch(),
-            packed_pair: self.packed_pair,
+            first: &self.first,
             first_places: self.first_places(),
         }
     }
 }
 
 /// Where columns and their places are.
-#[derive(Clone, Copy)]
-pub(crate) struct Layout<'a> {
+pub(crate) struct Layout<'a, T> {
     /// The position of each frequency.
     pub(crate) outputs: &'a [usize],
     /// Columns of one vector.
     count: usize,
     /// Complex vectors from one column to the next.
     pub(crate) pitch: usize,
-    /// Column 0 is two real columns.
-    pub(crate) packed_pair: bool,
+    first: &'a First<T>,
     first_places: usize,
 }
 
-impl Layout<'_> {
+impl<T> Clone for Layout<'_, T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Layout<'_, T> {}
+
+impl<T: Element> Layout<'_, T> {
+    /// Whether a column is two real lines.
+    #[inline(always)]
+    pub(crate) fn is_pair(&self, column: usize) -> bool {
+        column == 0 && !self.first.is_complex()
+    }
+
     /// Column and vector of each of `lines` lines, in the order in which a weight in natural order is read in longer runs.
     #[inline(always)]
     pub(crate) fn lines(self, lines: usize) -> impl Iterator<Item = (usize, usize)> {
@@ -195,7 +233,7 @@ impl Layout<'_> {
 
 /// Columns that go forward, through a middle, and back.
 pub(crate) struct Through<'a, T, M> {
-    pub(crate) layout: Layout<'a>,
+    pub(crate) layout: Layout<'a, T>,
     pub(crate) spectrum: &'a mut [T],
     pub(crate) middle: M,
     /// Room for the places of column 0.
@@ -220,7 +258,7 @@ impl<T: Element, M: Middle<T>> Algorithm<T> for Step<'_, T, M> {
 
 /// [`pair_step`] on vectors of an instruction set.
 struct PairStep<'a, T, M, const INVERSE: bool> {
-    outputs: &'a [usize],
+    layout: Layout<'a, T>,
     column: &'a mut [T],
     places: &'a mut [T],
     middle: &'a mut M,
@@ -232,24 +270,33 @@ impl<T: Element, M: Middle<T>, const INVERSE: bool> Algorithm<T> for PairStep<'_
     fn run<V: Vector<Element = T>>(self) {
         let (column, places) =
             (complex_vectors::<V>(self.column), complex_vectors::<V>(self.places));
-        pair_step::<V, M, INVERSE>(self.outputs, column, places, self.middle, self.at);
+        pair_step::<V, M, INVERSE>(self.layout, column, places, self.middle, self.at);
     }
 }
 
 /// `middle` on the packed column 0, and its real columns packed again if the inverse follows, else left as places.
 #[inline(always)]
 pub(crate) fn pair_step<V: Vector, M: Middle<V::Element>, const INVERSE: bool>(
-    outputs: &[usize],
+    layout: Layout<'_, V::Element>,
     column: &mut [Complex<V>],
     places: &mut [Complex<V>],
     middle: &mut M,
     at: At,
 ) {
+    let outputs = layout.outputs;
     let length = outputs.len();
     for k in 0..=length / 2 {
-        let (position, mirror) = (outputs[k], outputs[(length - k) % length]);
-        let both = middle.apply(at.plus(2 * k), split(column[position], column[mirror]));
+        // a division would take as long as the arithmetic
+        let (position, mirror) = (outputs[k], outputs[if k == 0 { 0 } else { length - k }]);
+        let mut both = split(column[position], column[mirror]);
+        if let First::Halves(turns) = layout.first {
+            both = merge(both, turns[k].splat());
+        }
+        both = middle.apply(at.plus(2 * k), both);
         if INVERSE {
+            if let First::Halves(turns) = layout.first {
+                both = unmerge(both, turns[k].splat());
+            }
             let (z, opposite) = join(both);
             column[position] = z;
             column[mirror] = opposite;

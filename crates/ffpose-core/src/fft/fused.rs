@@ -98,18 +98,18 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let layout @ Layout { outputs, pitch, packed_pair, .. } = self.columns.layout;
+        let layout @ Layout { pitch, .. } = self.columns.layout;
         let spectrum = complex_vectors::<V>(std::mem::take(&mut self.columns.spectrum));
         let places = complex_vectors::<V>(std::mem::take(&mut self.columns.work));
         for (column, vector) in layout.lines(spectrum.len() / pitch) {
             let at = layout.at(column, vector);
             let line = &mut spectrum[at.position..][..pitch];
             self.enter(line);
-            if packed_pair && column == 0 {
+            if layout.is_pair(column) {
                 for start in (0..P * Q).step_by(Q) {
                     scatter(line, start, 1, <Codelet as Dft<Q>>::dft(gather(line, start, 1)));
                 }
-                pair_step::<_, _, INVERSE>(outputs, line, places, &mut self.columns.middle, at);
+                pair_step::<_, _, INVERSE>(layout, line, places, &mut self.columns.middle, at);
                 if INVERSE {
                     for start in (0..P * Q).step_by(Q) {
                         scatter(line, start, 1, <Codelet as Dft<Q>>::idft(gather(line, start, 1)));

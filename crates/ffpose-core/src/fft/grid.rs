@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use super::columns::Columns;
+use super::columns::{Columns, First};
 use super::middle::{NaturalGradient, NaturalProduct};
 use super::pack::{Bins, Packing, Scales};
 use super::passes::inverted;
@@ -85,7 +85,8 @@ impl<T: Element> Grid<T> {
         let rows = Rows::new(isa, width);
         let row_frequencies = rows.frequencies();
         let even = width.is_multiple_of(2);
-        let columns = Columns::new(isa, height, row_frequencies.len(), even);
+        let first = if even { First::TwoReal } else { First::Complex };
+        let columns = Columns::new(isa, height, row_frequencies.len(), first);
         let bins = Bins { rows: height, columns: width };
         let frequencies = inverted(columns.transform().outputs());
         let hermitian = if even {

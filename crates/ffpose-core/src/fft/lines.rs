@@ -23,7 +23,8 @@ where
     /// The frequency of each slot.
     pub(crate) fn frequencies() -> Vec<usize> {
         let across = <Codelet as RealDft<P, ROWS>>::frequencies();
-        let join = |p, q| if Self::COPRIME { remainders(P, p, Q, q) } else { p + P * q };
+        let coprime = Self::COPRIME.then(|| remainders(P, Q));
+        let join = |p, q| coprime.as_ref().map_or(p + P * q, |join| join(p, q));
         let zeroth = <Codelet as TwoReal<Q>>::frequencies();
         let zeroth = zeroth.into_iter().map(|(line, q)| join(line * P / 2, q));
         zeroth.chain(across[1..].iter().flat_map(|&p| (0..Q).map(move |q| join(p, q)))).collect()

@@ -4,6 +4,7 @@
 
 #![allow(clippy::needless_range_loop)] // indices say which numbers meet; closures would not be inlined
 
+mod batched;
 mod butterfly;
 mod chirp;
 mod columns;
@@ -21,6 +22,7 @@ mod real;
 mod roots;
 mod rows;
 mod sequence;
+mod spread;
 #[cfg(test)]
 mod tests;
 mod tokens;
@@ -29,6 +31,7 @@ mod unroll;
 
 use std::sync::Arc;
 
+pub(crate) use batched::Batched;
 pub(crate) use grid::Grid;
 use planes::Planes;
 pub(crate) use sequence::Sequence;

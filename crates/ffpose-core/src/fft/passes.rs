@@ -52,10 +52,9 @@ impl<T: Element> Passes<T> {
             let size: usize = group.iter().product();
             let inner = length / (outer * size);
             let (group_inputs, group_frequencies) = group_passes(group, outer, inner, &mut passes);
-            let cofactor = length / size;
+            let (cofactor, join) = (length / size, remainders(outer, size));
             inputs = product(&inputs, &group_inputs, |n, m| (n + cofactor * m) % length);
-            frequencies =
-                product(&frequencies, &group_frequencies, |&k, &l| remainders(outer, k, size, l));
+            frequencies = product(&frequencies, &group_frequencies, |&k, &l| join(k, l));
             outer *= size;
         }
         Some(Self { isa, inputs: inverted(&inputs), outputs: inverted(&frequencies), list: passes })
@@ -278,9 +277,13 @@ pub(crate) fn inverted(permutation: &[usize]) -> Vec<usize> {
     inverse
 }
 
-/// The number below `m n` that is `a` modulo `m` and `b` modulo `n`, these coprime.
-pub(crate) fn remainders(m: usize, a: usize, n: usize, b: usize) -> usize {
-    (0..n).map(|i| a % m + i * m).find(|k| k % n == b % n).expect("coprime moduli")
+/// For coprime `m` and `n` the function that gives the number below `m n` which is `a` modulo `m` and `b` modulo `n`.
+pub(crate) fn remainders(m: usize, n: usize) -> impl Fn(usize, usize) -> usize {
+    let inverse = (0..n).find(|i| i * m % n == 1 % n).expect("coprime moduli");
+    move |a, b| {
+        let a = a % m;
+        a + (b % n + n - a % n) * inverse % n * m
+    }
 }
 
 /// The radices of each prime power of `length`; primes without a codelet first, so that the last pass has one if any has, and
@@ -289,6 +292,9 @@ fn groups(length: usize) -> Vec<Vec<usize>> {
     let mut groups = Vec::new();
     let (mut rest, mut p) = (length, 2);
     while rest > 1 {
+        if p * p > rest {
+            p = rest; // a prime
+        }
         let mut exponent = 0;
         while rest % p == 0 {
             rest /= p;
@@ -310,4 +316,36 @@ fn radices(p: usize, exponent: usize) -> Vec<usize> {
     }
     let count = exponent.div_ceil(4);
     (0..count).map(|i| 1 << ((exponent + i) / count)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_has_its_remainders() {
+        for (m, n) in [(1, 1), (1, 9), (9, 1), (7, 2), (9, 16), (16, 9), (49, 25), (61, 1024)] {
+            let join = remainders(m, n);
+            let numbers = (0..3 * m).flat_map(|a| (0..n).map(move |b| (a, b)));
+            assert!(numbers.clone().all(|(a, b)| join(a, b) < m * n));
+            assert!(numbers.clone().all(|(a, b)| join(a, b) % m == a % m && join(a, b) % n == b));
+        }
+    }
+
+    #[test]
+    fn groups_are_the_prime_powers_of_a_length() {
+        for length in 1..3000 {
+            let groups = groups(length);
+            assert_eq!(groups.iter().flatten().product::<usize>(), length);
+            let smallest = |n: usize| (2..=n).find(|p| n.is_multiple_of(*p)).unwrap();
+            let mut primes: Vec<_> = groups.iter().map(|group| smallest(group[0])).collect();
+            let of_one_prime = |(group, p): (&Vec<usize>, &usize)| {
+                group.iter().all(|&radix| (1..=4).any(|power| p.pow(power) == radix))
+            };
+            assert!(groups.iter().zip(&primes).all(of_one_prime), "{length}");
+            primes.sort_unstable();
+            primes.dedup();
+            assert_eq!(primes.len(), groups.len(), "{length}");
+        }
+    }
 }

@@ -7,7 +7,7 @@
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use super::columns::Columns;
+use super::columns::{Columns, First};
 use super::pair::{join, split};
 use super::planes_pack::Packing;
 use super::transform::Transform;
@@ -48,7 +48,7 @@ struct Rows {
 impl<T: Element> Planes<T> {
     pub(crate) fn new(isa: Isa, points: usize, width: usize) -> Self {
         let along_x = Transform::new(isa, points);
-        let along_y = Columns::new(isa, width, 1, false);
+        let along_y = Columns::new(isa, width, 1, First::Complex);
         let outputs = along_y.transform().outputs().to_vec();
         let packing = Packing::new(points, outputs, isa.lanes::<T>());
         Self { isa, lanes: isa.lanes::<T>(), width, along_x, along_y, packing }

@@ -40,7 +40,7 @@ pub(crate) struct Place<'a> {
 macro_rules! with_codelet {
     ($length:expr, ($n:ident, $s:ident) => $single:expr, ($p:ident, $q:ident, $rows:ident) => $double:expr) => {
         with_codelet!(@ $length, $n, $s, $single, $p, $q, $rows, $double,
-            7 4, 8 4; 14 2 7 1, 16 2 8 1, 28 4 7 2, 32 4 8 2, 56 8 7 4, 64 8 8 4)
+            2 1, 4 2, 7 4, 8 4; 14 2 7 1, 16 2 8 1, 28 4 7 2, 32 4 8 2, 56 8 7 4, 64 8 8 4)
     };
     (@ $length:expr, $n:ident, $s:ident, $single:expr, $p:ident, $q:ident, $rows:ident, $double:expr,
      $($n_of:literal $s_of:literal),*; $($length_of:literal $p_of:literal $q_of:literal $rows_of:literal),*) => {
@@ -64,7 +64,9 @@ macro_rules! with_codelet {
 impl<T: Element> Rows<T> {
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
         match length {
-            7 | 8 | 14 | 16 | 28 | 32 | 56 | 64 if isa.is_tuned::<T>() => Self::Codelet(length),
+            2 | 4 | 7 | 8 | 14 | 16 | 28 | 32 | 56 | 64 if isa.is_tuned::<T>() => {
+                Self::Codelet(length)
+            }
             _ => Self::Pairs(Transform::new(isa, length)),
         }
     }

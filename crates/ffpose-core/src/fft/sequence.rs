@@ -1,11 +1,14 @@
-//! The filter on sequences, which are grids of height one: lanes are channels, two vectors of them at a time.
+//! The filter on sequences, which are grids of height one: lanes are channels, up to two vectors of them at a time.
 //!
-//! Real lines of two vectors are real and imaginary part of one complex line, which is half the work of two. The product takes
-//! them apart and joins them again ([`super::columns`], where these are the columns of DC and Nyquist).
+//! A channel sees nothing of the others: of a real line of even length the even and the odd points are real and imaginary part of
+//! a complex line of half the length, which the product takes apart and joins again ([`super::pair`]). A line of odd length is the
+//! real part of a complex one.
 
 use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use super::columns::Columns;
+use super::columns::{Columns, First};
+use super::pack::{Bins, Packing, Scales};
+use super::passes::inverted;
 use crate::kernel::{Backward, Kernel, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{
@@ -13,13 +16,17 @@ use crate::simd::{
     slack,
 };
 
+/// Vectors of a tile: longer runs of memory than one has.
+const VECTORS: usize = 2;
+
 /// The plan for sequences of one length.
 pub(crate) struct Sequence<T> {
     isa: Isa,
-    columns: Columns<T>,
-    /// Lanes of two vectors.
-    pair: usize,
+    /// Lanes of a vector.
+    lanes: usize,
     length: usize,
+    columns: Columns<T>,
+    packing: Packing<T>,
 }
 
 /// Scratch of one call.
@@ -32,75 +39,105 @@ struct Scratch<'a, T> {
 
 impl<T: Element> Sequence<T> {
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
-        let columns = Columns::new(isa, length, 1, true);
-        Self { isa, columns, pair: 2 * isa.lanes::<T>(), length }
+        let columns = if length.is_multiple_of(2) {
+            Columns::new(isa, length / 2, 1, First::halves(length))
+        } else {
+            Columns::new(isa, length, 1, First::Complex)
+        };
+        let packing = packing(length, columns.transform().outputs());
+        Self { isa, lanes: isa.lanes::<T>(), length, columns, packing }
+    }
+
+    /// Most lanes of a tile.
+    fn most(&self) -> usize {
+        VECTORS * self.lanes
     }
 
     fn scratch<'a>(&self, scratch: &'a mut [T]) -> Scratch<'a, T> {
-        let (spectrum, rest) = aligned(scratch).split_at_mut(self.columns.len());
-        let (other, rest) = rest.split_at_mut(self.columns.len());
+        let spectra = VECTORS * self.columns.len();
+        let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
+        let (other, rest) = rest.split_at_mut(spectra);
         let (work, padded) = rest.split_at_mut(self.columns.work_len());
-        Scratch { spectrum, other, work, padded: &mut padded[..self.length * self.pair] }
+        Scratch { spectrum, other, work, padded: &mut padded[..self.length * self.most()] }
     }
 
-    /// A sequence `(points, lanes)` to a line; `padded` holds it if it has too few lanes.
+    /// Lines for so many lanes.
+    fn lines<'a>(&self, spectrum: &'a mut [T], lanes: usize) -> &'a mut [T] {
+        &mut spectrum[..lanes.div_ceil(self.lanes) * self.columns.len()]
+    }
+
+    /// A sequence `(points, lanes)` to lines; `padded` holds it if its lanes are not whole vectors.
     fn enter<X: Stored<Real = T>>(
         &self,
         image: ArrayView2<'_, X>,
-        line: &mut [T],
+        lines: &mut [T],
         padded: &mut [T],
     ) {
-        let (lanes, inputs) = (image.ncols(), self.columns.transform().inputs());
-        if lanes < self.pair {
-            let mut whole = ArrayViewMut2::from_shape((self.length, self.pair), &mut *padded)
+        let lanes = image.ncols();
+        let whole = lanes.next_multiple_of(self.lanes);
+        if lanes < whole {
+            let padded = &mut padded[..self.length * whole];
+            let mut view = ArrayViewMut2::from_shape((self.length, whole), &mut *padded)
                 .expect("room for a tile");
-            whole.fill(T::default());
-            whole.slice_mut(s![.., ..lanes]).zip_mut_with(&image, |wide, x| *wide = x.widened());
-            self.isa.run(Enter { inputs, image: Tile::dense(padded, self.pair), line });
+            view.fill(T::default());
+            view.slice_mut(s![.., ..lanes]).zip_mut_with(&image, |wide, x| *wide = x.widened());
+            self.isa.run(Enter { plan: self, image: Tile::dense(padded, whole), lines });
         } else {
-            self.isa.run(Enter { inputs, image: Tile::new(image), line });
+            self.isa.run(Enter { plan: self, image: Tile::new(image), lines });
         }
     }
 
-    /// A line to a sequence `(points, lanes)`, by way of `padded` if it has too few lanes.
+    /// Lines to a sequence `(points, lanes)`, by way of `padded` if its lanes are not whole vectors.
     fn leave<X: Stored<Real = T>>(
         &self,
-        line: &mut [T],
+        lines: &mut [T],
         mut image: ArrayViewMut2<'_, X>,
         padded: &mut [T],
     ) {
-        let (lanes, inputs) = (image.ncols(), self.columns.transform().inputs());
-        if lanes < self.pair {
-            let whole = TileMut::dense(padded, self.pair);
-            self.isa.run(Leave { inputs, image: whole, line });
+        let lanes = image.ncols();
+        let whole = lanes.next_multiple_of(self.lanes);
+        if lanes < whole {
+            let padded = &mut padded[..self.length * whole];
+            self.isa.run(Leave { plan: self, image: TileMut::dense(padded, whole), lines });
             let whole =
-                ArrayView2::from_shape((self.length, self.pair), padded).expect("room for a tile");
+                ArrayView2::from_shape((self.length, whole), padded).expect("room for a tile");
             image.zip_mut_with(&whole.slice(s![.., ..lanes]), |x, &wide| *x = X::nearest_to(wide));
         } else {
-            self.isa.run(Leave { inputs, image: TileMut::new(image), line });
+            self.isa.run(Leave { plan: self, image: TileMut::new(image), lines });
         }
     }
+}
 
-    /// What places are multiplied by: those of the weight, of its gradient between DC and Nyquist, and of these two.
-    /// The product sees doubled spectra.
-    fn scales(&self) -> [T; 3] {
-        let norm = 1.0 / self.length as f64;
-        [norm / 2.0, norm / 2.0, norm / 4.0].map(T::nearest)
+/// Where the places of kernel order come from, for transforms whose frequency `k` is at `outputs[k]`.
+fn packing<T: Element>(length: usize, outputs: &[usize]) -> Packing<T> {
+    let bins = Bins { rows: 1, columns: length };
+    let norm = 1.0 / length as f64;
+    let scales = |plain| Scales { hermitian: T::nearest(plain / 2.0), plain: T::nearest(plain) };
+    if length.is_multiple_of(2) {
+        let half = length / 2;
+        let places = (1..=half / 2).flat_map(|k| [bins.of(0, k), bins.of(0, half - k)]);
+        let ends = vec![bins.with_mirror(0, 0), bins.with_mirror(0, half)];
+        // the product sees doubled spectra, and each half of the way back doubles them
+        Packing::new(ends, places.collect(), scales(norm / 2.0), scales(norm / 2.0))
+    } else {
+        let places = inverted(outputs)[1..].iter().map(|&k| bins.of(0, k)).collect();
+        let ends = vec![bins.with_mirror(0, 0)];
+        Packing::new(ends, places, scales(norm), scales(2.0 * norm))
     }
 }
 
 impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     fn tile(&self) -> usize {
-        self.pair
+        self.most()
     }
 
-    fn packed_len(&self, _: usize) -> usize {
-        self.columns.packed_len()
+    fn packed_len(&self, lanes: usize) -> usize {
+        lanes.div_ceil(self.lanes) * self.columns.packed_len()
     }
 
     fn scratch_len(&self) -> usize {
-        let padded = self.length * self.pair;
-        slack::<X::Real>() + 2 * self.columns.len() + self.columns.work_len() + padded
+        let padded = self.length * self.most();
+        slack::<X::Real>() + 2 * VECTORS * self.columns.len() + self.columns.work_len() + padded
     }
 
     fn pack(
@@ -109,14 +146,15 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         packed: &mut [X::Real],
         _: &mut Team<'_, X::Real>,
     ) {
-        let [scale, ..] = self.scales();
-        let length = self.length;
-        if weight.len_of(Axis(1)) < self.pair {
-            let weight = &padded_bins(weight, self.pair);
-            let weight = Tile::of_complex(weight.view());
-            self.isa.run(Pack { weight, packed, scale, length });
+        let (bins, lanes, _) = weight.dim();
+        let whole = lanes.next_multiple_of(self.lanes);
+        let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
+        if lanes < whole {
+            let mut padded = Array3::from_elem((bins, whole, 2), X::Real::default());
+            padded.slice_mut(s![.., ..lanes, ..]).assign(&weight);
+            self.packing.pack(self.isa, padded.view(), packed);
         } else {
-            self.isa.run(Pack { weight: Tile::of_complex(weight), packed, scale, length });
+            self.packing.pack(self.isa, weight, packed);
         }
     }
 
@@ -128,27 +166,30 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         team: &mut Team<'_, X::Real>,
     ) {
         let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
+        let lines = self.lines(spectrum, x.len_of(Axis(2)));
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            self.enter(x, spectrum, padded);
-            self.columns.filter::<false>(spectrum, packed, work);
-            self.leave(spectrum, y, padded);
+            self.enter(x, lines, padded);
+            self.columns.filter::<false>(lines, packed, work);
+            self.leave(lines, y, padded);
         }
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
         let Scratch { spectrum, other, work, padded } = self.scratch(team.scratch());
+        let lanes = grad.len_of(Axis(2));
+        let (lines, other) = (self.lines(spectrum, lanes), self.lines(other, lanes));
         for (image, grad) in grad.outer_iter().enumerate() {
-            self.enter(grad, spectrum, padded);
+            self.enter(grad, lines, padded);
             let weight = grad_x.is_some().then_some(packed);
             if let Some(sum) = grad_sum.as_deref_mut() {
                 self.enter(x.index_axis(Axis(0), image), other, padded);
-                self.columns.gradient(spectrum, other, weight, sum, work);
+                self.columns.gradient(lines, other, weight, sum, work);
             } else if let Some(weight) = weight {
-                self.columns.filter::<true>(spectrum, weight, work);
+                self.columns.filter::<true>(lines, weight, work);
             }
             if let Some(grad_x) = &mut grad_x {
-                self.leave(spectrum, grad_x.index_axis_mut(Axis(0), image), padded);
+                self.leave(lines, grad_x.index_axis_mut(Axis(0), image), padded);
             }
         }
     }
@@ -159,17 +200,15 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         mut grad_weight: ArrayViewMut3<'_, X::Real>,
         _: &mut Team<'_, X::Real>,
     ) {
-        let [_, inside, ends] = self.scales();
         let (bins, lanes, _) = grad_weight.dim();
-        let length = self.length;
-        if lanes < self.pair {
-            let mut whole = Array3::from_elem((bins, self.pair, 2), X::Real::default());
-            let gradient = TileMut::of_complex(whole.view_mut());
-            self.isa.run(Unpack { sum: grad_sum, gradient, inside, ends, length });
-            grad_weight.assign(&whole.slice(s![.., ..lanes, ..]));
+        let whole = lanes.next_multiple_of(self.lanes);
+        let grad_sum = &grad_sum[..whole / self.lanes * self.columns.packed_len()];
+        if lanes < whole {
+            let mut padded = Array3::from_elem((bins, whole, 2), X::Real::default());
+            self.packing.unpack(self.isa, grad_sum, padded.view_mut());
+            grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
         } else {
-            let gradient = TileMut::of_complex(grad_weight);
-            self.isa.run(Unpack { sum: grad_sum, gradient, inside, ends, length });
+            self.packing.unpack(self.isa, grad_sum, grad_weight);
         }
     }
 
@@ -178,100 +217,65 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     }
 }
 
-/// `weight` `(bins, lanes, 2)` with zeros up to `lanes` lanes.
-fn padded_bins<T: Element>(weight: ArrayView3<'_, T>, lanes: usize) -> Array3<T> {
-    let (bins, given, _) = weight.dim();
-    let mut whole = Array3::from_elem((bins, lanes, 2), T::default());
-    whole.slice_mut(s![.., ..given, ..]).assign(&weight);
-    whole
-}
+/// Points ahead of the work that are brought to the cache.
+const AHEAD: usize = 16;
 
+/// Real lines to complex ones.
 struct Enter<'a, X: Stored> {
-    inputs: &'a [usize],
+    plan: &'a Sequence<X::Real>,
     image: Tile<'a, X>,
-    line: &'a mut [X::Real],
+    lines: &'a mut [X::Real],
 }
 
 impl<X: Stored> Algorithm<X::Real> for Enter<'_, X> {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
-        let line = complex_vectors::<V>(self.line);
-        let second = self.image.skip_lanes(V::LANES);
-        for (n, &input) in self.inputs.iter().enumerate() {
-            self.image.prefetch(n + AHEAD, 1);
-            let ([re], [im]) = (self.image.gather(n, 1), second.gather(n, 1));
-            line[input] = Complex::new(re, im);
-        }
-    }
-}
-
-/// Points ahead of the work that are brought to the cache.
-const AHEAD: usize = 16;
-
-struct Leave<'a, X: Stored> {
-    inputs: &'a [usize],
-    image: TileMut<'a, X>,
-    line: &'a mut [X::Real],
-}
-
-impl<X: Stored> Algorithm<X::Real> for Leave<'_, X> {
-    #[inline(always)]
-    fn run<V: Vector<Element = X::Real>>(mut self) {
-        let line = complex_vectors::<V>(self.line);
-        for (n, &input) in self.inputs.iter().enumerate() {
-            self.image.reader().prefetch(n + AHEAD, 1);
-            self.image.scatter(n, 1, [line[input].re]);
-            self.image.skip_lanes(V::LANES).scatter(n, 1, [line[input].im]);
-        }
-    }
-}
-
-/// Bins to places `a(0), b(0), a(1), b(1), ...` of the two vectors; DC and Nyquist are real.
-struct Pack<'a, T> {
-    weight: Tile<'a, T>,
-    packed: &'a mut [T],
-    scale: T,
-    length: usize,
-}
-
-impl<T: Element> Algorithm<T> for Pack<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let mut packed = TileMut::dense(self.packed, V::LANES);
-        let scale = V::splat(self.scale);
-        for bin in 0..=self.length / 2 {
-            self.weight.prefetch(bin + AHEAD, 1);
-            self.weight.skip_lanes(2 * V::LANES).prefetch(bin + AHEAD, 1);
-            let end = 2 * bin % self.length == 0;
-            for half in 0..2 {
-                let z = self.weight.skip_lanes(2 * half * V::LANES).complex::<V>(bin).scale(scale);
-                let im = if end { V::splat(T::default()) } else { z.im };
-                packed.scatter(2 * (2 * bin + half), 1, [z.re, im]);
+        let Self { plan: Sequence { columns, length, .. }, image, lines } = self;
+        let (inputs, pitch) = (columns.transform().inputs(), columns.pitch());
+        let lines = complex_vectors::<V>(lines);
+        let halves = length.is_multiple_of(2);
+        for (n, &input) in inputs.iter().enumerate() {
+            for (vector, line) in lines.chunks_exact_mut(pitch).enumerate() {
+                let image = image.skip_lanes(vector * V::LANES);
+                line[input] = if halves {
+                    image.prefetch(2 * n + AHEAD, 2);
+                    let [re, im] = image.gather(2 * n, 1);
+                    Complex::new(re, im)
+                } else {
+                    image.prefetch(n + AHEAD, 1);
+                    let [re] = image.gather(n, 1);
+                    Complex::new(re, V::splat(X::Real::default()))
+                };
             }
         }
     }
 }
 
-/// Undoes the order of [`Pack`].
-struct Unpack<'a, T> {
-    sum: &'a [T],
-    gradient: TileMut<'a, T>,
-    inside: T,
-    ends: T,
-    length: usize,
+/// Undoes [`Enter`].
+struct Leave<'a, X: Stored> {
+    plan: &'a Sequence<X::Real>,
+    image: TileMut<'a, X>,
+    lines: &'a mut [X::Real],
 }
 
-impl<T: Element> Algorithm<T> for Unpack<'_, T> {
+impl<X: Stored> Algorithm<X::Real> for Leave<'_, X> {
     #[inline(always)]
-    fn run<V: Vector<Element = T>>(mut self) {
-        let sum = Tile::dense(self.sum, V::LANES);
-        for bin in 0..=self.length / 2 {
-            let end = 2 * bin % self.length == 0;
-            let scale = V::splat(if end { self.ends } else { self.inside });
-            for half in 0..2 {
-                let [re, im] = sum.gather::<V, 2>(2 * (2 * bin + half), 1);
-                let z = Complex::new(re, im).scale(scale);
-                self.gradient.skip_lanes(2 * half * V::LANES).set_complex(bin, z);
+    fn run<V: Vector<Element = X::Real>>(self) {
+        let Self { plan: Sequence { columns, length, .. }, mut image, lines } = self;
+        let (inputs, pitch) = (columns.transform().inputs(), columns.pitch());
+        let lines = complex_vectors::<V>(lines);
+        let halves = length.is_multiple_of(2);
+        for (n, &input) in inputs.iter().enumerate() {
+            for (vector, line) in lines.chunks_exact(pitch).enumerate() {
+                let mut image = image.skip_lanes(vector * V::LANES);
+                let Complex { re, im } = line[input];
+                if halves {
+                    image.reader().prefetch(2 * n + AHEAD, 2);
+                    image.scatter(2 * n, 1, [re, im]);
+                } else {
+                    image.reader().prefetch(n + AHEAD, 1);
+                    image.scatter(n, 1, [re]);
+                }
             }
         }
     }

@@ -2,6 +2,7 @@
 //!
 //! Kernels compute in `f32` and `f64`. A result in half precision is rounded once, to nearest and ties to even.
 
+use bytemuck::{Pod, Zeroable};
 use ndarray::ArrayViewMut2;
 
 use super::{Element, MAX_LANES, Vector};
@@ -16,8 +17,21 @@ pub struct Bf16(pub u16);
 #[repr(transparent)]
 pub struct F16(pub u16);
 
+macro_rules! plain_old_data {
+    ($($half:ty),*) => {
+        $(
+            // SAFETY: it is a `u16`, in which all bits zero are a value.
+            unsafe impl Zeroable for $half {}
+            // SAFETY: it is a `u16`: any bits are a value, there is no padding and no pointer.
+            unsafe impl Pod for $half {}
+        )*
+    };
+}
+
+plain_old_data!(Bf16, F16);
+
 /// An element in memory that vectors are loaded from: that of the vectors, or one of half their precision.
-pub trait Stored: Copy + Send + Sync {
+pub trait Stored: Pod + Send + Sync {
     /// The elements of the vectors.
     type Real: Element;
 

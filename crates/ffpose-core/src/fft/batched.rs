@@ -1,0 +1,236 @@
+//! The filter on images of few channels: the lanes of a vector are the channels of several images.
+//!
+//! Images that go together are copied side by side, to one image `(points, lanes)` of as many lanes as a vector has, and another
+//! kernel filters that. Lanes do not see each other, so that an image is filtered the same way in any company.
+
+use std::ops::Range;
+
+use bytemuck::{cast_slice, cast_slice_mut};
+use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
+
+use super::spread::{Transpose, TransposeBack, collect, fold, repeat, spread};
+use super::{Grid, Sequence};
+use crate::kernel::{Backward, Kernel, TakesHalf};
+use crate::parallel::Team;
+use crate::simd::{Element, Isa, Stored, Tile, TileMut};
+use crate::{Layout, Shape};
+
+const BATCH: Axis = Axis(0);
+
+/// Points of an image that are copied before those of the next: their lines stay in the first cache.
+const BLOCK: usize = 64;
+
+/// The plan for images of fewer channels than a vector has lanes; tokens have one.
+pub(crate) struct Batched<T> {
+    isa: Isa,
+    inner: Inner<T>,
+    shape: Shape,
+    /// Of a plane.
+    points: usize,
+    channels: usize,
+    /// Lanes of a vector.
+    lanes: usize,
+}
+
+/// What filters several images as one.
+enum Inner<T> {
+    Sequence(Sequence<T>),
+    Grid(Grid<T>),
+}
+
+impl<T: Element> Batched<T> {
+    pub(crate) fn new(isa: Isa, shape: Shape) -> Self {
+        let lanes = isa.lanes::<T>();
+        let whole = Shape { layout: Layout::Grid, lanes, ..shape };
+        let inner = match shape.rows {
+            1 => Inner::Sequence(Sequence::new(isa, shape.columns)),
+            _ => Inner::Grid(Grid::new(isa, whole)),
+        };
+        let channels = match shape.layout {
+            Layout::Grid => shape.lanes,
+            Layout::Tokens => 1,
+        };
+        Self { isa, inner, shape, points: whole.points(), channels, lanes }
+    }
+
+    fn inner<X: Stored<Real = T>>(&self) -> &dyn Kernel<X> {
+        match &self.inner {
+            Inner::Sequence(sequence) => sequence,
+            Inner::Grid(grid) => grid,
+        }
+    }
+
+    /// Images that go together.
+    fn together(&self) -> usize {
+        self.lanes / self.channels
+    }
+
+    /// Numbers of an image of all lanes.
+    fn stage_len(&self) -> usize {
+        self.points * self.lanes
+    }
+
+    /// Room for three images or for a weight, of all lanes, and the team that the inner kernel expects.
+    fn share<'b>(&self, team: &'b mut Team<'_, T>) -> (&'b mut [T], Team<'b, T>) {
+        team.share(3 * self.stage_len())
+    }
+
+    /// Room for three images of all lanes.
+    fn stages<'b, X: Stored<Real = T>>(&self, stage: &'b mut [T]) -> [&'b mut [X]; 3] {
+        let (first, rest) = cast_slice_mut(stage).split_at_mut(self.stage_len());
+        let (second, rest) = rest.split_at_mut(self.stage_len());
+        [first, second, &mut rest[..self.stage_len()]]
+    }
+
+    /// The images of a group side by side in `stage`. Lanes without one are zero from the first group on: what was there might be
+    /// numbers too small to be normal, which are slow.
+    fn enter<'b, X: Stored<Real = T>>(
+        &self,
+        batch: ArrayView3<'_, X>,
+        group: Slice,
+        stage: &'b mut [X],
+    ) -> ArrayView3<'b, X> {
+        let images = batch.slice_axis(BATCH, group);
+        let lanes = images.len_of(BATCH) * self.channels;
+        let is_full = images.len_of(BATCH) == self.together();
+        if lanes < self.lanes && (group.start == 0 || !is_full) {
+            stage.fill(X::zeroed());
+        }
+        let images = images.to_slice().expect("a batch has no gaps");
+        let turned = self.turned();
+        if turned > 0 {
+            let (lines, stage) = (Tile::dense(images, self.points), &mut *stage);
+            self.isa.run(Transpose { lines, stage: TileMut::dense(stage, self.lanes) });
+        }
+        for first in (turned..self.points).step_by(BLOCK) {
+            for (i, image) in images.chunks_exact(self.points * self.channels).enumerate() {
+                let (image, stage) = (&image[self.block(first)], &mut stage[first * self.lanes..]);
+                spread(self.channels, image, stage, self.lanes, i * self.channels);
+            }
+        }
+        ArrayView3::from_shape((1, self.points, self.lanes), stage).expect("as many numbers")
+    }
+
+    /// Undoes [`enter`](Self::enter).
+    fn leave<X: Stored<Real = T>>(&self, stage: &[X], mut images: ArrayViewMut3<'_, X>) {
+        let images = images.as_slice_mut().expect("a batch has no gaps");
+        let turned = self.turned();
+        if turned > 0 {
+            let lines = TileMut::dense(images, self.points);
+            self.isa.run(TransposeBack { stage: Tile::dense(stage, self.lanes), lines });
+        }
+        for first in (turned..self.points).step_by(BLOCK) {
+            for (i, image) in images.chunks_exact_mut(self.points * self.channels).enumerate() {
+                let (stage, image) = (&stage[first * self.lanes..], &mut image[self.block(first)]);
+                collect(self.channels, stage, self.lanes, i * self.channels, image);
+            }
+        }
+    }
+
+    /// Points that are transposed, square by square: those of a single channel but for the last few.
+    fn turned(&self) -> usize {
+        if self.channels == 1 { self.points - self.points % self.lanes } else { 0 }
+    }
+
+    /// The block of an image from point `first` on.
+    fn block(&self, first: usize) -> Range<usize> {
+        first * self.channels..(first + BLOCK).min(self.points) * self.channels
+    }
+
+    /// The images of a batch that go together, by the number of the first.
+    fn groups(&self, images: usize) -> impl Iterator<Item = Slice> {
+        let firsts = (0..images).step_by(self.together());
+        firsts.map(move |first| Slice::from(first..images.min(first + self.together())))
+    }
+}
+
+impl<X: Stored> Kernel<X> for Batched<X::Real> {
+    fn tile(&self) -> usize {
+        self.shape.lanes
+    }
+
+    fn images_together(&self) -> usize {
+        self.together()
+    }
+
+    fn packed_len(&self, _: usize) -> usize {
+        self.inner::<X>().packed_len(self.lanes)
+    }
+
+    fn scratch_len(&self) -> usize {
+        3 * self.stage_len() + self.inner::<X>().scratch_len()
+    }
+
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, X::Real>,
+        packed: &mut [X::Real],
+        team: &mut Team<'_, X::Real>,
+    ) {
+        let (stage, mut team) = self.share(team);
+        let stage = &mut stage[..2 * self.shape.bins_len() * self.lanes];
+        let weight = cast_slice(weight.to_slice().expect("a weight has no gaps"));
+        let copies: &mut [[X::Real; 2]] = cast_slice_mut(stage);
+        repeat(self.channels, weight, copies, self.lanes);
+        let weight = ArrayView3::from_shape((self.shape.bins_len(), self.lanes, 2), stage);
+        self.inner::<X>().pack(weight.expect("as many numbers"), packed, &mut team);
+    }
+
+    fn forward(
+        &self,
+        x: ArrayView3<'_, X>,
+        packed: &[X::Real],
+        mut y: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
+    ) {
+        let (stage, mut team) = self.share(team);
+        let [stage, _, result] = self.stages(stage);
+        for group in self.groups(x.len_of(BATCH)) {
+            let x = self.enter(x, group, stage);
+            let staged = ArrayViewMut3::from_shape(x.raw_dim(), &mut *result);
+            self.inner().forward(x, packed, staged.expect("as many numbers"), &mut team);
+            self.leave(result, y.slice_axis_mut(BATCH, group));
+        }
+    }
+
+    fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let (stage, mut team) = self.share(team);
+        let [stage, other, result] = self.stages(stage);
+        for group in self.groups(grad.len_of(BATCH)) {
+            let grad = self.enter(grad, group, stage);
+            let x = match grad_sum {
+                Some(_) => self.enter(x, group, other),
+                None => grad, // not looked at
+            };
+            let staged = ArrayViewMut3::from_shape(x.raw_dim(), &mut *result);
+            let staged = grad_x.is_some().then(|| staged.expect("as many numbers"));
+            let grad_sum = grad_sum.as_deref_mut();
+            let pass = Backward { grad, x, packed, grad_x: staged, grad_sum };
+            self.inner().backward(pass, &mut team);
+            if let Some(grad_x) = &mut grad_x {
+                self.leave(result, grad_x.slice_axis_mut(BATCH, group));
+            }
+        }
+    }
+
+    /// Adds what the images that go together bring, in their order.
+    fn unpack_gradient(
+        &self,
+        grad_sum: &[X::Real],
+        mut grad_weight: ArrayViewMut3<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
+    ) {
+        let (stage, mut team) = self.share(team);
+        let stage = &mut stage[..2 * self.shape.bins_len() * self.lanes];
+        let sums = ArrayViewMut3::from_shape((self.shape.bins_len(), self.lanes, 2), &mut *stage);
+        self.inner::<X>().unpack_gradient(grad_sum, sums.expect("as many numbers"), &mut team);
+        let grad_weight = grad_weight.as_slice_mut().expect("a weight has no gaps");
+        let sums: &[[X::Real; 2]] = cast_slice(stage);
+        fold(self.channels, sums, self.lanes, cast_slice_mut(grad_weight));
+    }
+
+    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
+        Some(TakesHalf::Batched(self))
+    }
+}
