@@ -189,6 +189,29 @@ def test_a_locked_gimbal_keeps_the_rotation(pitch):
     np.testing.assert_allclose(reference.rotation_error(q, again), 0.0, atol=1e-5)
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_euler_angles_are_above_minus_half_a_turn_and_do_not_depend_on_the_sign(dtype):
+    signs = np.stack(np.meshgrid(*[[-1.0, -0.0, 0.0, 1.0]] * 4), axis=-1).reshape(-1, 4)
+    q = signs[np.any(signs != 0, axis=1)].astype(dtype)
+    nearly = np.array([[1e-9, 0, 0, -1], [1e-9, -1, 0, 0], [1, -1e-9, 1, 0], [1e-9, -1, 0, 1]])
+    q = np.concatenate([q, nearly.astype(dtype)])
+    angles = arrays.quaternion_to_euler(q)
+    assert np.all((angles > -180) & (angles <= 180))
+    np.testing.assert_array_equal(arrays.quaternion_to_euler(-q), angles)
+    again = arrays.euler_to_quaternion(angles)
+    np.testing.assert_allclose(reference.rotation_error(q, again), 0.0, atol=1e-3)
+    locked = arrays.quaternion_to_euler([[-1.0, 0, -1, 0]])
+    np.testing.assert_allclose(locked, [[0, 90, 0]], atol=1e-9)
+
+
+def test_quaternions_of_euler_angles_are_canonical():
+    degrees = np.arange(-360.0, 361.0, 45.0)
+    angles = np.stack(np.meshgrid(degrees, degrees, degrees), axis=-1).reshape(-1, 3)
+    for dtype in (np.float32, np.float64):
+        q = arrays.euler_to_quaternion(angles.astype(dtype))
+        np.testing.assert_array_equal(q, arrays.canonical_quaternion(q))
+
+
 @given(st.integers(0, 2**32), st.sampled_from([np.float32, np.float64]))
 def test_errors_agree_with_scipy(seed, dtype):
     rng = np.random.default_rng(seed)

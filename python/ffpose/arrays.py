@@ -81,7 +81,7 @@ def normalize_quaternion(q: ArrayLike) -> RealArray:
 
 
 def canonical_quaternion(q: ArrayLike) -> RealArray:
-    """Choose the quaternion with ``w >= 0`` of ``q`` and ``-q``, which are the same rotation.
+    """Choose the one of ``q`` and ``-q`` with ``w > 0``; both are the same rotation.
 
     Where ``w`` is zero, the first nonzero component is made positive.
 
@@ -114,7 +114,8 @@ def quaternion_to_euler(q: ArrayLike) -> RealArray:
             result.
 
     Returns:
-        Angles ``(..., 3)`` in degrees: roll and yaw in [-180, 180], pitch in [-90, 90].
+        Angles ``(..., 3)`` in degrees: roll and yaw in (-180, 180], pitch in [-90, 90]; those of
+        ``-q`` are the same.
 
     Raises:
         TypeError: ``q`` is not of float32 or float64.
@@ -134,7 +135,7 @@ def euler_to_quaternion(rpy: ArrayLike) -> RealArray:
         rpy: Angles ``(..., 3)`` in degrees.
 
     Returns:
-        Unit quaternions ``(..., 4)`` with ``w >= 0``.
+        Unit quaternions ``(..., 4)``, the canonical ones (`canonical_quaternion`).
 
     Raises:
         TypeError: ``rpy`` is not of float32 or float64.

@@ -1,3 +1,5 @@
+import pytest
+
 from ffpose.arrays import instruction_set
 from ffpose.bench import plan
 from ffpose.bench.cases import COMPILED, COPY, HALF, SCIPY, Case
@@ -14,6 +16,14 @@ def test_the_whole_table(monkeypatch):
     assert {case.batch for case in one_thread if case.group == "tokens"} == {1, 8, 32}
     assert {case.threads for case in made.cases["avx512"]} == {1, 2}
     assert all(len(set(cases)) == len(cases) for cases in made.cases.values())
+
+
+@pytest.mark.parametrize(("cores", "threads"), [(1, {1}), (2, {1, 2}), (16, {1, 2, 16})])
+def test_two_threads_are_measured_and_as_many_as_there_are_cores(monkeypatch, cores, threads):
+    monkeypatch.setattr(plan, "cores", lambda: cores)
+    cases = plan.make_plan(quick=False).cases[instruction_set()]
+    assert {case.threads for case in cases} == threads
+    assert len({case.label for case in cases if case.threads == max(threads)}) > 50
 
 
 def test_a_forced_instruction_set_is_the_only_one(monkeypatch):

@@ -2,10 +2,12 @@
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import pytest
 import torch
@@ -369,9 +371,34 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 
 
+# The parent's threads are started by torch, and ffpose is called in the child alone.
+FORK_AFTER_TORCH = """
+import os, sys
+import numpy as np
+import torch
+from ffpose.ops import spectral_filter
+torch.set_num_threads(2)
+x, weight = torch.randn(5, 14, 14, 40), torch.randn(14, 8, 40, 2)
+expected = torch.fft.rfft2(x, dim=(1, 2)) * torch.view_as_complex(weight)
+expected = torch.fft.irfft2(expected, s=(14, 14), dim=(1, 2)).numpy()
+torch.randn(1 << 22).exp()
+child = os.fork()
+if child == 0:
+    y = spectral_filter(x, weight, "grid").numpy()
+    os._exit(0 if np.allclose(y, expected, atol=1e-4) else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
-def test_fork_after_use_with_several_threads():
-    subprocess.run([sys.executable, "-c", FORK_AFTER_USE], check=True, timeout=120)
+@pytest.mark.parametrize("code", [FORK_AFTER_USE, FORK_AFTER_TORCH], ids=["ffpose", "torch"])
+def test_fork_after_use_of_several_threads(code):
+    with subprocess.Popen([sys.executable, "-c", code], start_new_session=True) as process:
+        try:
+            assert process.wait(timeout=120) == 0
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # also a child that hangs
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="the system has no timers")
@@ -580,3 +607,50 @@ def test_the_door_to_rust_checks_what_it_is_given(replaced, error, text):
     good = {"x": X, "weight": WEIGHT, "y": X + 1, "layout": "tokens", "num_threads": 1}
     with pytest.raises(error, match=text):
         _rust.filter_tensors(**good | replaced)
+
+
+def test_a_shape_that_memory_cannot_address_is_refused():
+    """An empty tensor may have axes whose product has no number."""
+    x = torch.empty(2**62, 0, 14, 8)
+    with pytest.raises(
+        ValueError, match=r"x must have a shape that memory can address, got .*0, 14"
+    ):
+        spectral_filter(x, torch.empty(0, 8, 8, 2), "grid")
+
+
+# The header of DLPack's table: two version numbers, and the table of an older version.
+EXCHANGE_TABLE = """
+import ctypes
+import torch
+from ffpose.ops import spectral_filter
+api = ctypes.pythonapi
+api.PyCapsule_GetPointer.restype = ctypes.c_void_p
+api.PyCapsule_GetPointer.argtypes = ctypes.py_object, ctypes.c_char_p
+api.PyCapsule_New.restype = ctypes.py_object
+api.PyCapsule_New.argtypes = ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p
+class Table(ctypes.Structure):
+    _fields_ = [("major", ctypes.c_uint32), ("minor", ctypes.c_uint32),
+                ("older", ctypes.c_void_p), ("functions", ctypes.c_void_p * 5)]
+name = b"dlpack_exchange_api"
+real = api.PyCapsule_GetPointer(torch.Tensor.__dlpack_c_exchange_api__, name)
+table = {table}
+torch.Tensor.__dlpack_c_exchange_api__ = api.PyCapsule_New(ctypes.addressof(table), name, None)
+try:
+    print(spectral_filter(torch.ones(4, 6), torch.ones(4, 4, 2) * torch.tensor([1.0, 0.0])).sum())
+except ImportError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("Table(1, 0, None)", "expected a function from torch .* got a null pointer"),
+        ("Table(2, 3, None)", "expected DLPack 1 from torch, got 2.3 and nothing older"),
+        ("Table(2, 0, real)", r"tensor\(24\.\d*\)"),
+    ],
+)
+def test_tables_of_other_versions_of_dlpack(table, said):
+    command = [sys.executable, "-c", EXCHANGE_TABLE.replace("{table}", table)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert re.fullmatch(said + "\n", done.stdout)

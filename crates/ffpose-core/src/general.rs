@@ -205,7 +205,7 @@ impl<T: Real> Kernel<T> for General<T> {
     }
 
     fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
         let Buffers { planes, inputs, spectrum, input, mut work } = self.buffers(team.scratch());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
             self.gather(grad, planes);

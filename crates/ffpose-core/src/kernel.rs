@@ -26,8 +26,8 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
     /// Most lanes of a view: the last tile may have fewer. In tokens the tile is all of Y.
     fn tile(&self) -> usize;
 
-    /// Lanes of a view where wider tiles would make too few pieces.
-    fn narrow_tile(&self) -> usize {
+    /// Least lanes of a view, but for the last tile: tiles are made of such, where wider ones would make too few pieces.
+    fn narrowest_tile(&self) -> usize {
         self.tile()
     }
 
@@ -36,8 +36,14 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
         1
     }
 
-    /// Numbers in the packed weight of a tile of at most `lanes` lanes, and in its gradient sum.
+    /// Numbers in the packed weight of a tile of at most `lanes` lanes, and in its gradient sum. A tile's packed weight is
+    /// that of its narrowest tiles, one after the other.
     fn packed_len(&self, lanes: usize) -> usize;
+
+    /// Whether the order of the packed weight is another than that of the weight.
+    fn packs(&self) -> bool {
+        true
+    }
 
     /// Numbers of scratch that each member of a team needs, with any content.
     fn scratch_len(&self) -> usize;
@@ -71,7 +77,7 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
         team: &mut Team<'_, X::Real>,
     );
 
-    /// Whether the members of a team share the work on a piece.
+    /// Whether the members of a team share the work on a piece. Then the piece may be all images, in several parts.
     fn is_shared(&self) -> bool {
         false
     }
@@ -98,9 +104,6 @@ pub(crate) enum TakesHalf<'a, T> {
 /// One image, for which bringing a weight to kernel order and a gradient back would not pay: both stay in natural order.
 /// `y` and the gradient of `x` have the same bits as with [`Kernel::pack`].
 pub(crate) trait Single<X: Stored>: Sync {
-    /// Least lanes of a view, but for the last tile: threads may share one image in tiles as narrow as this.
-    fn narrowest_tile(&self) -> usize;
-
     /// As [`Kernel::forward`].
     fn forward(
         &self,
@@ -133,6 +136,8 @@ pub(crate) struct Backward<'a, X: Stored> {
     pub(crate) packed: &'a [X::Real],
     /// Becomes `irfft2(G · conj W)`.
     pub(crate) grad_x: Option<ArrayViewMut3<'a, X>>,
-    /// Grows by `Σ_b conj(X_b) · G_b` in kernel order, image by image.
+    /// Grows by `Σ_b conj(X_b) · G_b` in kernel order, image by image; one sum after the other where there are several parts.
     pub(crate) grad_sum: Option<&'a mut [X::Real]>,
+    /// Images of a part, each with a sum of its own.
+    pub(crate) images_each: usize,
 }

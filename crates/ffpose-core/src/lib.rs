@@ -14,6 +14,7 @@
 
 #![deny(unsafe_code)]
 
+mod batch;
 pub mod earth;
 mod error;
 mod fft;
@@ -24,6 +25,7 @@ mod number;
 mod parallel;
 mod plans;
 pub mod pose_error;
+mod prepared;
 pub mod quaternion;
 mod real;
 mod rows;
@@ -38,8 +40,9 @@ mod widened;
 pub use error::Error;
 pub use number::Number;
 pub use parallel::{Pool, StdThreads};
+pub use prepared::Prepared;
 pub use real::Real;
-pub use scratch::Scratch;
+pub use scratch::{Scratch, Scratches};
 pub use shape::{Layout, Shape};
 pub use simd::{Bf16, F16, Isa};
 pub use spectral::{Gradients, SpectralFilter};

@@ -16,7 +16,8 @@ pub trait Pool: Sync {
 
     /// Calls `work` once with each of `0..workers`, on several threads if there are, and returns when all are done.
     ///
-    /// A panic in `work` reaches the caller, after the others are done.
+    /// A panic in `work` reaches the caller, after the others are done. Threads that cannot be had leave their share to the
+    /// caller's own.
     fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync));
 }
 
@@ -36,10 +37,10 @@ impl Pool for StdThreads {
 
     fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync)) {
         thread::scope(|scope| {
-            for worker in 1..workers {
-                scope.spawn(move || work(worker));
-            }
+            let start = |worker| thread::Builder::new().spawn_scoped(scope, move || work(worker));
+            let started = (1..workers).take_while(|&worker| start(worker).is_ok()).count();
             work(0);
+            (1 + started..workers).for_each(work);
         });
     }
 }
@@ -103,7 +104,7 @@ pub(crate) struct Team<'a, T> {
 }
 
 impl<'a, T> Team<'a, T> {
-    /// As many members as `memory` has scratches, `pitch` numbers apart and `len` long.
+    /// As many members as `memory` has scratches, which are `len` of each `pitch` numbers.
     pub(crate) fn new(pool: &'a dyn Pool, memory: &'a mut [T], pitch: usize, len: usize) -> Self {
         Self { pool, memory, pitch, len }
     }
@@ -113,10 +114,16 @@ impl<'a, T> Team<'a, T> {
         &mut self.memory[..self.len]
     }
 
-    /// Numbers that all members share, and the team with so much less scratch for each.
+    /// How many there are.
+    pub(crate) fn members(&self) -> usize {
+        self.memory.len() / self.pitch
+    }
+
+    /// Numbers that all share, `len` from the scratch of each member, and the team with what is left to them.
     pub(crate) fn share(&mut self, len: usize) -> (&mut [T], Team<'_, T>) {
-        let (shared, memory) = self.memory.split_at_mut(len);
-        (shared, Team { pool: self.pool, memory, pitch: self.pitch, len: self.len - len })
+        let (shared, memory) = self.memory.split_at_mut(len * self.members());
+        let (pitch, len) = (self.pitch - len, self.len - len);
+        (shared, Team { pool: self.pool, memory, pitch, len })
     }
 
     /// Runs `work` on every job, each with the scratch of the member who does it; see [`run`].

@@ -55,15 +55,14 @@ fn kept_in<P: Clone + Send + Sync + 'static, E>(
             return Ok(cloned(plan));
         }
         let found = shared.try_lock().ok().and_then(|plans| plans.find::<P>(shape).cloned());
-        let plan = match found {
-            Some(plan) => plan,
-            None => {
-                let plan: Plan = (TypeId::of::<P>(), shape, Arc::new(make()?));
-                if let Ok(mut plans) = shared.try_lock() {
-                    plans.keep(plan.clone());
-                }
-                plan
+        let plan = if let Some(plan) = found {
+            plan
+        } else {
+            let plan: Plan = (TypeId::of::<P>(), shape, Arc::new(make()?));
+            if let Ok(mut plans) = shared.try_lock() {
+                plans.keep(plan.clone());
             }
+            plan
         };
         let result = cloned(&plan);
         own.keep(plan);

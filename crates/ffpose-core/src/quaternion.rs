@@ -3,6 +3,8 @@
 //! Arrays are `(..., 4)`, or `(..., 3)` for Euler angles. Rows are computed in `f64` and rounded once. NaN in a row goes
 //! through to its result; a zero vector is no rotation and an error.
 
+use std::f64::consts::PI;
+
 use ndarray::{ArrayD, ArrayViewD};
 
 use crate::rows::{array_of, rows_of};
@@ -41,32 +43,35 @@ pub fn normalize_backward<T: Real>(
     array_of(q.shape(), gradients)
 }
 
-/// The one of `q` and `-q` whose first component other than zero is positive, so that `w ≥ 0`.
+/// The one of `q` and `-q` whose first component other than zero is positive: `w > 0`, or `w = 0` and `x > 0`, and so on.
 ///
 /// # Errors
 /// [`Error::Shape`]; [`Error::ZeroNorm`] with the row.
 pub fn canonical<T: Real>(q: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
-    let signed = rows_of::<_, 4>("q", &q)?.enumerate().map(|(row, q)| {
-        match q.iter().find(|value| **value != 0.0) {
-            None => Err(Error::ZeroNorm { name: "q", row }),
-            Some(first) if *first < 0.0 => Ok(q.map(|value| 0.0 - value)),
-            Some(_) => Ok(q),
+    let rows = rows_of::<_, 4>("q", &q)?.enumerate().map(|(row, q)| {
+        if q.iter().all(|value| *value == 0.0) {
+            Err(Error::ZeroNorm { name: "q", row })
+        } else {
+            Ok(signed(q))
         }
     });
-    array_of(q.shape(), signed)
+    array_of(q.shape(), rows)
 }
 
 /// Roll, pitch and yaw `(..., 3)` of `q (..., 4)`, which need not be normalised: turns about x, then y, then z of the
 /// fixed frame (ZYX), as in Ye et al., Eq. 12, with the sign of the pitch that inverts [`from_euler`].
 ///
-/// Pitch is in `[-π/2, π/2]`, by an arctangent that equals the clamped arcsine and keeps its digits near the ends; there,
-/// in gimbal lock, roll is zero and yaw takes the whole turn.
+/// Roll and yaw are in `(-π, π]`. Pitch is in `[-π/2, π/2]`, by an arctangent that equals the clamped arcsine and keeps its
+/// digits near the ends; there, in gimbal lock, roll is zero and yaw takes the whole turn. `q` and `-q` give the same.
 ///
 /// # Errors
 /// [`Error::Shape`]; [`Error::ZeroNorm`] with the row.
 pub fn to_euler<T: Real>(q: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
-    let angles = rows_of("q", &q)?.enumerate().map(|(row, q)| Ok(euler(unit(row, q)?.0)));
-    array_of(q.shape(), angles)
+    let angles = rows_of("q", &q)?.enumerate().map(|(row, q)| Ok(euler(signed(unit(row, q)?.0))));
+    let half_turn = T::nearest(PI);
+    let angles: ArrayD<T> = array_of(q.shape(), angles)?;
+    // also where rounding has made half a turn of a little less
+    Ok(angles.mapv_into(|angle| if angle.into() <= -half_turn.into() { half_turn } else { angle }))
 }
 
 /// The canonical unit quaternions `(..., 4)` of roll, pitch and yaw `(..., 3)`: the inverse of [`to_euler`].
@@ -82,9 +87,15 @@ pub fn from_euler<T: Real>(angles: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error
             cr * sp * cy + sr * cp * sy,
             cr * cp * sy - sr * sp * cy,
         ];
-        Ok(if q[0] < 0.0 { q.map(|value| 0.0 - value) } else { q })
+        Ok(signed(q.map(|value| T::nearest(value).into()))) // rounding may make a zero
     });
     array_of(angles.shape(), rows)
+}
+
+/// The canonical one of `q` and `-q`.
+fn signed(q: [f64; 4]) -> [f64; 4] {
+    let is_negative = q.iter().find(|value| **value != 0.0).is_some_and(|first| *first < 0.0);
+    if is_negative { q.map(|value| 0.0 - value) } else { q }
 }
 
 /// `q / ‖q‖` and `‖q‖`, without overflow or underflow on the way.
@@ -98,7 +109,7 @@ fn unit(row: usize, q: [f64; 4]) -> Result<([f64; 4], f64), Error> {
     Ok((scaled.map(|value| value / norm), largest * norm))
 }
 
-/// Roll, pitch and yaw of a unit quaternion.
+/// Roll, pitch and yaw of a canonical unit quaternion.
 fn euler([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     let sin_pitch = 2.0 * (w * y - x * z);
     let (roll_sin, roll_cos) = (2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y));

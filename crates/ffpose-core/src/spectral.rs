@@ -10,20 +10,23 @@ use std::sync::Arc;
 
 use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimension};
 
+use crate::batch::{Batch, Images, Weight};
 use crate::fft::Batched;
 use crate::general::General;
-use crate::kernel::{Backward, Kernel, Single, SingleBackward};
+use crate::kernel::{Kernel, Single, SingleBackward};
 use crate::number::Number;
 use crate::parallel::{self, Pool};
-use crate::scratch::{self, Needs, Scratch, Worker};
-use crate::tiling::Tiling;
+use crate::scratch::{self, Scratch};
+use crate::tiling::in_order;
 use crate::widened::Widened;
 use crate::{Error, Isa, Layout, Real, Shape, fft, plans};
 
 const BATCH: Axis = Axis(0);
 
-/// More bytes than the tables of a plan take for each number of a plane's half spectrum.
+/// More bytes than a plan takes for each number of a plane's half spectrum, and for each of the lengths that are transformed; for
+/// large primes these are tables of convolutions, made by libraries that cannot fail.
 const BYTES_A_BIN: usize = 64;
+const BYTES_A_POINT: usize = 512;
 
 /// A spectral filter for images of one shape: planned once, run on any batch with any weight.
 ///
@@ -33,10 +36,10 @@ const BYTES_A_BIN: usize = 64;
 /// Results are bit-identical for any number of threads, and `y` and the gradient of `x` for any split of the batch.
 #[derive(Clone)]
 pub struct SpectralFilter<T> {
-    isa: Isa,
-    shape: Shape,
+    pub(crate) isa: Isa,
+    pub(crate) shape: Shape,
     /// None for images without elements, which have no transform.
-    kernel: Option<Arc<dyn Kernel<T>>>,
+    pub(crate) kernel: Option<Arc<dyn Kernel<T>>>,
 }
 
 /// Where the gradients of a backward pass go, if they are wanted.
@@ -72,7 +75,7 @@ impl<T: Real> SpectralFilter<T> {
     pub fn planned(shape: Shape) -> Result<Self, Error> {
         let isa = Isa::current()?;
         plans::kept(shape, || {
-            scratch::check_room(shape.bins_len().saturating_mul(BYTES_A_BIN))?;
+            scratch::check_room(plan_bytes(shape))?;
             Ok(Self::new(isa, shape))
         })
     }
@@ -89,35 +92,31 @@ impl<T: Real> SpectralFilter<T> {
         pool: &dyn Pool,
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
-        let like_x = x.raw_dim();
-        let x = self.shape.images("x", like_x.slice(), x)?;
-        let y = self.shape.images_mut("y", like_x.slice(), y)?;
+        let (x, y) = self.images(x, y)?;
         let weight = self.shape.bins("weight", weight)?;
         let Some(kernel) = self.kernel.as_deref().filter(|_| !x.is_empty()) else {
             return Ok(());
         };
 
+        let granule = kernel.narrowest_tile();
         let widened = Widened::new(self.isa, self.shape, kernel);
         let kernel = X::kernel(kernel, &widened);
-        let threads = parallel::worth(pool, x.len());
-        let tiling = self.tiling(kernel, x.dim().0, Some(threads));
-        let needs = needs(kernel, (pool, x.len()), &tiling, widened_len::<W>(weight.len()));
-        let (mut workers, wide_weight) = scratch.lend(pool, needs)?;
+        let single = kernel.single().filter(|_| x.dim().0 == 1);
+        let batch = Batch::new(self.shape, kernel, granule, (x.dim().0, false), pool);
+        let packed_len = if single.is_some() { 0 } else { batch.packed_len() };
+        let needs = batch.needs(packed_len.saturating_add(widened_len::<W>(weight.len())));
+        let (mut workers, shared) = scratch.lend(pool, needs)?;
+        let (packed, wide_weight) = shared.split_at_mut(packed_len);
         let weight = W::read(self.isa, weight, wide_weight);
+        let Some(single) = single else {
+            batch.forward((x, y), Weight::Natural(weight), packed, &mut workers);
+            return Ok(());
+        };
+        let tiling = batch.tiling;
         let jobs = tiling.images_mut(y).enumerate();
-        parallel::run(pool, workers.each(), jobs, |(piece, y), worker| {
-            let Worker { packed, team } = worker;
-            let (weight, x) = (tiling.bins(weight, tiling.tile_of(piece)), tiling.images(x, piece));
-            match kernel.single() {
-                Some(single) if x.dim().0 == 1 => {
-                    let (x, y) = (x.index_axis_move(BATCH, 0), y.index_axis_move(BATCH, 0));
-                    single.forward(x, weight, y, team);
-                }
-                _ => {
-                    kernel.pack(weight, packed, team);
-                    kernel.forward(x, packed, y, team);
-                }
-            }
+        parallel::run(pool, workers.each(), jobs, |(tile, y), team| {
+            let x = tiling.images(x, tile).index_axis_move(BATCH, 0);
+            single.forward(x, tiling.bins(weight, tile), y.index_axis_move(BATCH, 0), team);
         });
         Ok(())
     }
@@ -144,14 +143,31 @@ impl<T: Real> SpectralFilter<T> {
             pass.grad_weight.iter_mut().for_each(|grad| grad.fill(W::default()));
             return Ok(());
         };
+        if pass.grad_x.is_none() && pass.grad_weight.is_none() {
+            return Ok(());
+        }
+        let granule = kernel.narrowest_tile();
         let widened = Widened::new(self.isa, self.shape, kernel);
         let kernel = X::kernel(kernel, &widened);
-        match kernel.single() {
-            Some(single) if pass.x.dim().0 == 1 => {
-                self.run_single_backward(kernel, single, pass, pool, scratch)
-            }
-            _ => self.run_backward(kernel, pass, pool, scratch),
+        let images = pass.x.dim().0;
+        let single = kernel.single().filter(|_| images == 1);
+        let summed = single.is_none() && pass.grad_weight.is_some();
+        let batch = Batch::new(self.shape, kernel, granule, (images, summed), pool);
+        match single {
+            Some(single) => self.run_single_backward(&batch, single, pass, pool, scratch),
+            None => self.run_backward(&batch, pass, pool, scratch),
         }
+    }
+
+    /// Checks the images of a forward pass.
+    pub(crate) fn images<'a, X>(
+        &self,
+        x: ArrayViewD<'a, X>,
+        y: ArrayViewMutD<'a, X>,
+    ) -> Result<(ArrayView3<'a, X>, ArrayViewMut3<'a, X>), Error> {
+        let dim = x.raw_dim();
+        let x = self.shape.images("x", dim.slice(), x)?;
+        Ok((x, self.shape.images_mut("y", dim.slice(), y)?))
     }
 
     /// Checks the arguments of a backward pass.
@@ -175,53 +191,24 @@ impl<T: Real> SpectralFilter<T> {
 
     fn run_backward<X: Number<Real = T>, W: Number<Real = T>>(
         &self,
-        kernel: &dyn Kernel<X>,
+        batch: &Batch<'_, X>,
         pass: Pass<'_, X, W>,
         pool: &dyn Pool,
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let Pass { grad, x, weight, grad_x, grad_weight } = pass;
-        let threads = parallel::worth(pool, x.len());
         let summed = grad_weight.is_some();
-        let tiling = self.tiling(kernel, x.dim().0, (!summed).then_some(threads));
-        let packed_len = kernel.packed_len(tiling.lanes_each());
-        let sums = if summed { tiling.pieces().saturating_mul(packed_len) } else { 0 };
-        let shared = sums.saturating_add(widened_len::<W>(weight.len()));
-        let needs = needs(kernel, (pool, x.len()), &tiling, shared);
-        let (mut workers, shared) = scratch.lend(pool, needs)?;
-        let (sums, wide_weight) = shared.split_at_mut(sums);
-        let weight = W::read(self.isa, weight, wide_weight);
-        let jobs = in_order(tiling.pieces(), grad_x.map(|g| tiling.images_mut(g)))
-            .zip(in_order(tiling.pieces(), summed.then(|| sums.chunks_exact_mut(packed_len))))
-            .enumerate();
-        parallel::run(pool, workers.each(), jobs, |(piece, (grad_x, mut grad_sum)), worker| {
-            let Worker { packed, team } = worker;
-            if let Some(sum) = &mut grad_sum {
-                sum.fill(T::default());
-            }
-            if grad_x.is_some() {
-                kernel.pack(tiling.bins(weight, tiling.tile_of(piece)), packed, team);
-            }
-            let (grad, x) = (tiling.images(grad, piece), tiling.images(x, piece));
-            kernel.backward(Backward { grad, x, packed, grad_x, grad_sum }, team);
-        });
+        let lens = [batch.packed_len(), if summed { batch.sums_len() } else { 0 }];
+        let shared = lens[0].saturating_add(lens[1]).saturating_add(widened_len::<W>(weight.len()));
+        let (mut workers, shared) = scratch.lend(pool, batch.needs(shared))?;
+        let (packed, shared) = shared.split_at_mut(lens[0]);
+        let (sums, wide_weight) = shared.split_at_mut(lens[1]);
+        let images = Images { grad, x, grad_x };
+        let weight = Weight::Natural(W::read(self.isa, weight, wide_weight));
+        batch.backward(images, weight, packed, summed.then_some(&mut *sums), &mut workers);
         if let Some(grad_weight) = grad_weight {
-            let (totals, parts) = sums.split_at_mut(tiling.tiles() * packed_len);
-            let parts = parts.chunks_exact(totals.len());
             W::write(self.isa, grad_weight, wide_weight, |grad_weight| {
-                let totals = totals.chunks_exact_mut(packed_len).enumerate();
-                let jobs = totals.zip(tiling.bins_mut(grad_weight));
-                parallel::run(
-                    pool,
-                    workers.each(),
-                    jobs,
-                    |((tile, total), grad_weight), worker| {
-                        for part in parts.clone() {
-                            add(total, &part[tile * packed_len..][..packed_len]);
-                        }
-                        kernel.unpack_gradient(total, grad_weight, &mut worker.team);
-                    },
-                );
+                batch.finish(sums, grad_weight, &mut workers);
             });
         }
         Ok(())
@@ -230,33 +217,31 @@ impl<T: Real> SpectralFilter<T> {
     /// As [`run_backward`](Self::run_backward), for a batch of one image: every tile has its own part of the gradients.
     fn run_single_backward<X: Number<Real = T>, W: Number<Real = T>>(
         &self,
-        kernel: &dyn Kernel<X>,
+        batch: &Batch<'_, X>,
         single: &dyn Single<X>,
         pass: Pass<'_, X, W>,
         pool: &dyn Pool,
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let Pass { grad, x, weight, grad_x, grad_weight } = pass;
-        let threads = parallel::worth(pool, x.len());
-        let tiling = self.tiling(kernel, 1, Some(threads));
         let bins_len = widened_len::<W>(weight.len());
-        let needs = needs(kernel, (pool, x.len()), &tiling, 2 * bins_len);
-        let (mut workers, shared) = scratch.lend(pool, needs)?;
+        let (mut workers, shared) = scratch.lend(pool, batch.needs(2 * bins_len))?;
         let (wide_weight, wide_grad_weight) = shared.split_at_mut(bins_len);
         let weight = W::read(self.isa, weight, wide_weight);
+        let tiling = batch.tiling;
         let run = |grad_weight: Option<ArrayViewMut3<'_, T>>| {
             let jobs = in_order(tiling.pieces(), grad_x.map(|g| tiling.images_mut(g)))
                 .zip(in_order(tiling.pieces(), grad_weight.map(|g| tiling.bins_mut(g))))
                 .enumerate();
-            parallel::run(pool, workers.each(), jobs, |(piece, (grad_x, grad_weight)), worker| {
+            parallel::run(pool, workers.each(), jobs, |(tile, (grad_x, grad_weight)), team| {
                 let pass = SingleBackward {
-                    grad: tiling.images(grad, piece).index_axis_move(BATCH, 0),
-                    x: tiling.images(x, piece).index_axis_move(BATCH, 0),
-                    weight: tiling.bins(weight, piece),
+                    grad: tiling.images(grad, tile).index_axis_move(BATCH, 0),
+                    x: tiling.images(x, tile).index_axis_move(BATCH, 0),
+                    weight: tiling.bins(weight, tile),
                     grad_x: grad_x.map(|grad_x| grad_x.index_axis_move(BATCH, 0)),
                     grad_weight,
                 };
-                single.backward(pass, &mut worker.team);
+                single.backward(pass, team);
             });
         };
         match grad_weight {
@@ -264,31 +249,6 @@ impl<T: Real> SpectralFilter<T> {
             None => run(None),
         }
         Ok(())
-    }
-
-    /// Pieces that let `threads` share the work evenly: parts of the batch, or narrower tiles of one image. Without
-    /// threads, pieces that follow from shapes.
-    fn tiling<X: Number<Real = T>>(
-        &self,
-        kernel: &dyn Kernel<X>,
-        images: usize,
-        threads: Option<usize>,
-    ) -> Tiling {
-        let lanes = self.shape.lanes;
-        if let (1, Some(single), Some(threads)) = (images, kernel.single(), threads) {
-            let tile = even_tile(lanes, single.narrowest_tile(), kernel.tile(), threads);
-            return Tiling::new(self.shape, tile, (1, 1), 1);
-        }
-        let together = kernel.images_together();
-        let groups = images.div_ceil(together);
-        let tiling = |tile| {
-            let tiles = lanes.div_ceil(tile);
-            let parts = threads.map_or_else(|| sum_parts(tiles, groups), |n| even_parts(tiles, n));
-            Tiling::new(self.shape, tile, (images, together), parts.min(groups))
-        };
-        let wide = tiling(kernel.tile());
-        let is_enough = wide.pieces() >= threads.unwrap_or(SUM_PIECES);
-        if is_enough { wide } else { tiling(kernel.narrow_tile()) }
     }
 }
 
@@ -323,59 +283,14 @@ fn is_batched(lanes: usize, shape: Shape) -> bool {
     }
 }
 
-/// Lanes of a tile, from `least` to `most` (`most` if `least` is more), with which `threads` are done soonest with one image
-/// of so many lanes.
-fn even_tile(lanes: usize, least: usize, most: usize, threads: usize) -> usize {
-    if threads == 1 {
-        return most;
-    }
-    let tiles = (1..=most / least).rev().map(|steps| steps * least);
-    // a tile takes the time of its lanes and, measured, of a third of `least` besides
-    let time = |tile: &usize| lanes.div_ceil(*tile).div_ceil(threads) * (3 * tile + least);
-    tiles.min_by_key(time).unwrap_or(most)
-}
-
-/// Parts that let `threads` share `tiles` of each evenly; many tiles do without.
-fn even_parts(tiles: usize, threads: usize) -> usize {
-    let even = (1..threads).find(|parts| (tiles * parts).is_multiple_of(threads));
-    if tiles >= 8 * threads { 1 } else { even.unwrap_or(threads) }
-}
-
-/// Pieces of a gradient's sum that are enough for threads.
-const SUM_PIECES: usize = 8;
-
-/// Parts in which a gradient is summed over `images`: few tiles leave too little work for threads, so that parts of about
-/// four images or more, as many as make enough pieces, are summed apart and then added.
-fn sum_parts(tiles: usize, images: usize) -> usize {
-    images.div_ceil(images.div_ceil((SUM_PIECES / tiles).max(1)).max(4))
-}
-
-fn add<T: Real>(sums: &mut [T], terms: &[T]) {
-    sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum = *sum + *term);
-}
-
-/// The items in `Some`, or `None` for each of `len`.
-fn in_order<I: Iterator>(len: usize, items: Option<I>) -> impl Iterator<Item = Option<I::Item>> {
-    let absent = if items.is_some() { 0 } else { len };
-    items.into_iter().flatten().map(Some).chain((0..absent).map(|_| None))
+/// More bytes than the plan for a shape takes while it is made.
+fn plan_bytes(shape: Shape) -> usize {
+    let lengths = shape.rows.saturating_add(shape.columns);
+    let tables = shape.bins_len().saturating_mul(BYTES_A_BIN);
+    tables.saturating_add(lengths.saturating_mul(BYTES_A_POINT))
 }
 
 /// Numbers in the copy of `len` elements in a wider type, if there is one.
-fn widened_len<N: Number>(len: usize) -> usize {
+pub(crate) fn widened_len<N: Number>(len: usize) -> usize {
     if N::HALF { len } else { 0 }
-}
-
-/// What a call on so many elements in such pieces needs. A single piece is for all threads together, if the kernel shares it.
-fn needs<X: Number>(
-    kernel: &dyn Kernel<X>,
-    (pool, elements): (&dyn Pool, usize),
-    tiling: &Tiling,
-    shared: usize,
-) -> Needs {
-    let packed = kernel.packed_len(tiling.lanes_each());
-    let (workers, members) = match tiling.pieces() {
-        1 if kernel.is_shared() => (1, parallel::worth_together(pool, elements)),
-        pieces => (parallel::worth(pool, elements).min(pieces), 1),
-    };
-    Needs { workers, members, packed, kernel: kernel.scratch_len(), shared }
 }

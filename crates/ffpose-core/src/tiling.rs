@@ -1,5 +1,7 @@
 //! Cuts images and weights into the pieces that jobs take: a tile of lanes, a part of the batch.
 
+use std::ops::Range;
+
 use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
 
 use crate::{Layout, Shape};
@@ -8,34 +10,62 @@ const BATCH: Axis = Axis(0);
 const IMAGE_LANES: Axis = Axis(2);
 const WEIGHT_LANES: Axis = Axis(1);
 
-/// Pieces are numbered part by part, and tile by tile within a part.
+/// Pieces for each thread from which on no narrower ones are worth making.
+const PIECES_EACH: usize = 8;
+
+/// Pieces are numbered tile by tile, and part by part within a tile: neighbours share the tile's weight.
+#[derive(Clone, Copy)]
 pub(crate) struct Tiling {
     images: usize,
     images_each: usize,
-    tiles: usize,
+    lanes: usize,
     lanes_each: usize,
     weight_lanes_each: usize,
 }
 
+/// What pieces are made of.
+#[derive(Clone, Copy)]
+pub(crate) struct Grain {
+    /// Lanes of a tile: a multiple of the least up to the most, or the most alone if that is less.
+    pub(crate) least: usize,
+    pub(crate) most: usize,
+    /// Images that stay together.
+    pub(crate) together: usize,
+}
+
 impl Tiling {
-    /// A batch of images in about `parts` parts of whole groups of `together`, with at most `tile` lanes in a piece.
-    pub(crate) fn new(
-        shape: Shape,
-        tile: usize,
-        (images, together): (usize, usize),
-        parts: usize,
-    ) -> Self {
+    /// Parts of at most `images_each` images, with at most `tile` lanes in a piece.
+    pub(crate) fn new(shape: Shape, tile: usize, images: usize, images_each: usize) -> Self {
         let weight_lanes_each = match shape.layout {
             Layout::Tokens => shape.half(),
             Layout::Grid => tile,
         };
-        Self {
-            images,
-            images_each: images.div_ceil(together).div_ceil(parts) * together,
-            tiles: shape.lanes.div_ceil(tile),
-            lanes_each: tile,
-            weight_lanes_each,
+        Self { images, images_each, lanes: shape.lanes, lanes_each: tile, weight_lanes_each }
+    }
+
+    /// Pieces that let `threads` share a batch evenly: parts of it, and narrower tiles where these are too few.
+    pub(crate) fn even(shape: Shape, images: usize, grain: Grain, threads: usize) -> Self {
+        if threads == 1 {
+            return Self::new(shape, grain.most, images, images);
         }
+        let groups = images.div_ceil(grain.together);
+        let tile = grain.tile(shape.lanes, groups, threads);
+        let tiles = shape.lanes.div_ceil(tile);
+        let groups_each = groups.div_ceil(even_parts(tiles, groups, threads));
+        Self::new(shape, tile, images, groups_each * grain.together)
+    }
+
+    /// As [`even`](Self::even), with the parts that a gradient is summed in, which follow from shapes alone.
+    pub(crate) fn summed(shape: Shape, images: usize, grain: Grain, threads: usize) -> Self {
+        let images_each = images.div_ceil(sum_parts(shape, images));
+        let images_each = images_each.next_multiple_of(grain.together);
+        let tile = grain.tile(shape.lanes, images.div_ceil(images_each), threads);
+        Self::new(shape, tile, images, images_each)
+    }
+
+    /// Images of the batch.
+    pub(crate) fn images_len(&self) -> usize {
+        self.images
     }
 
     /// Most lanes in a piece.
@@ -43,25 +73,40 @@ impl Tiling {
         self.lanes_each
     }
 
-    /// Tiles of one image.
-    pub(crate) fn tiles(&self) -> usize {
-        self.tiles
+    /// Most images in a piece.
+    pub(crate) fn images_each(&self) -> usize {
+        self.images_each
     }
 
-    /// The tile that a piece belongs to.
-    pub(crate) fn tile_of(&self, piece: usize) -> usize {
-        piece % self.tiles
+    /// Tiles of one image.
+    pub(crate) fn tiles(&self) -> usize {
+        self.lanes.div_ceil(self.lanes_each)
+    }
+
+    /// Parts of the batch.
+    pub(crate) fn parts(&self) -> usize {
+        self.images.div_ceil(self.images_each)
     }
 
     /// Pieces of the batch.
     pub(crate) fn pieces(&self) -> usize {
-        self.images.div_ceil(self.images_each) * self.tiles
+        self.parts() * self.tiles()
+    }
+
+    /// The tile and the part that a piece is.
+    pub(crate) fn place_of(&self, piece: usize) -> (usize, usize) {
+        (piece / self.parts(), piece % self.parts())
+    }
+
+    /// The lanes of a tile.
+    pub(crate) fn lanes_of(&self, tile: usize) -> Range<usize> {
+        tile * self.lanes_each..self.lanes.min((tile + 1) * self.lanes_each)
     }
 
     /// One piece of `view (batch, points, lanes)`.
     pub(crate) fn images<'a, T>(&self, view: ArrayView3<'a, T>, piece: usize) -> ArrayView3<'a, T> {
-        let view = chunk(view, BATCH, self.images_each, piece / self.tiles);
-        chunk(view, IMAGE_LANES, self.lanes_each, self.tile_of(piece))
+        let (tile, part) = self.place_of(piece);
+        chunk(chunk(view, BATCH, self.images_each, part), IMAGE_LANES, self.lanes_each, tile)
     }
 
     /// All pieces of `view (batch, points, lanes)`, in order.
@@ -69,9 +114,9 @@ impl Tiling {
         &self,
         view: ArrayViewMut3<'a, T>,
     ) -> impl Iterator<Item = ArrayViewMut3<'a, T>> {
-        let lanes_each = self.lanes_each;
-        chunks_mut(view, BATCH, self.images_each)
-            .flat_map(move |part| chunks_mut(part, IMAGE_LANES, lanes_each))
+        let images_each = self.images_each;
+        chunks_mut(view, IMAGE_LANES, self.lanes_each)
+            .flat_map(move |tile| chunks_mut(tile, BATCH, images_each))
     }
 
     /// One tile of `view (bins, lanes, 2)`.
@@ -86,6 +131,64 @@ impl Tiling {
     ) -> impl Iterator<Item = ArrayViewMut3<'a, T>> {
         chunks_mut(view, WEIGHT_LANES, self.weight_lanes_each)
     }
+}
+
+impl Grain {
+    /// Lanes of a tile with which `threads` are done soonest with `rows` of `lanes` lanes.
+    fn tile(self, lanes: usize, rows: usize, threads: usize) -> usize {
+        let Self { least, most, .. } = self;
+        let pieces = |tile: usize| lanes.div_ceil(tile).saturating_mul(rows);
+        if threads == 1 {
+            return most;
+        }
+        // as wide as the others, so that nobody gets a narrow rest
+        let alike = |tile: usize| lanes.div_ceil(lanes.div_ceil(tile)).next_multiple_of(least);
+        if pieces(most) >= PIECES_EACH * threads {
+            return alike(most);
+        }
+        let tiles = (1..=most / least).rev().map(|steps| alike(steps * least));
+        // a tile takes the time of its lanes and, measured, of a third of `least` besides; threads that have no tile in common
+        // need not wait for its weight
+        let time = |tile: &usize| {
+            let each = pieces(*tile).div_ceil(threads);
+            let is_uneven = 4 * each * tile * threads > 5 * lanes * rows;
+            let is_apart = lanes.div_ceil(*tile).is_multiple_of(threads);
+            (is_uneven, each * (3 * tile + least) * if is_apart { 16 } else { 17 })
+        };
+        tiles.min_by_key(time).unwrap_or(most)
+    }
+}
+
+/// The fewest parts of `groups` that let `threads` share `tiles` of each evenly, within a sixteenth, or else many.
+fn even_parts(tiles: usize, groups: usize, threads: usize) -> usize {
+    let many = groups.min((PIECES_EACH * threads).div_ceil(tiles)).max(1);
+    let is_even = |parts: &usize| {
+        let largest = (tiles * parts).div_ceil(threads) * groups.div_ceil(*parts);
+        16 * threads * largest <= 17 * tiles * groups
+    };
+    (1..many).find(is_even).unwrap_or(many)
+}
+
+/// Pieces in which gradients are summed, as far as there are images for them.
+const SUM_PIECES: usize = 64;
+
+/// The most parts of a sum: each has memory of its own.
+const MOST_SUM_PARTS: usize = 8;
+
+/// Images that a part of a sum has at least: adding the part takes about a fifth of the time of one.
+const SUM_IMAGES: usize = 4;
+
+/// Lanes of a grid that are summed apart from each other in any case.
+const SUM_LANES: usize = 16;
+
+/// Parts in which a gradient is summed over `images`. They follow from shapes alone, so that the order of the sum does.
+fn sum_parts(shape: Shape, images: usize) -> usize {
+    let apart = match shape.layout {
+        Layout::Tokens => 1,
+        Layout::Grid => shape.lanes.div_ceil(SUM_LANES),
+    };
+    let wanted = SUM_PIECES.div_ceil(apart).next_power_of_two().min(MOST_SUM_PARTS);
+    wanted.min(images.div_ceil(SUM_IMAGES)).max(1)
 }
 
 /// Chunk number `index` of `view` along `axis`; the last one may be shorter.
@@ -104,7 +207,7 @@ fn chunk<T>(
 }
 
 /// All chunks of `view` along `axis`; the last one may be shorter.
-fn chunks_mut<T>(
+pub(crate) fn chunks_mut<T>(
     view: ArrayViewMut3<'_, T>,
     axis: Axis,
     each: usize,
@@ -119,4 +222,13 @@ fn chunks_mut<T>(
         rest = Some(tail);
         Some(head)
     })
+}
+
+/// The items in `Some`, or `None` for each of `len`.
+pub(crate) fn in_order<I: Iterator>(
+    len: usize,
+    items: Option<I>,
+) -> impl Iterator<Item = Option<I::Item>> {
+    let absent = if items.is_some() { 0 } else { len };
+    items.into_iter().flatten().map(Some).chain((0..absent).map(|_| None))
 }

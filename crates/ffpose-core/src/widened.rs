@@ -46,8 +46,12 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
         self.kernel.tile()
     }
 
-    fn narrow_tile(&self) -> usize {
-        self.kernel.narrow_tile()
+    fn narrowest_tile(&self) -> usize {
+        self.kernel.narrowest_tile()
+    }
+
+    fn images_together(&self) -> usize {
+        self.kernel.images_together()
     }
 
     fn packed_len(&self, lanes: usize) -> usize {
@@ -56,6 +60,10 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
 
     fn scratch_len(&self) -> usize {
         self.kernel.scratch_len().saturating_add(self.wide_len())
+    }
+
+    fn packs(&self) -> bool {
+        self.kernel.packs()
     }
 
     fn pack(
@@ -85,7 +93,7 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum, images_each } = pass;
         let ([wide_grad, wide_x, wide_grad_x], mut team) = self.share(team);
         for image in 0..grad.len_of(BATCH) {
             let image = Slice::from(image..image + 1);
@@ -96,7 +104,7 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
             };
             let mut run = |grad_x: Option<ArrayViewMut3<'_, X::Real>>| {
                 let grad_sum = grad_sum.as_deref_mut();
-                let pass = Backward { grad, x, packed, grad_x, grad_sum };
+                let pass = Backward { grad, x, packed, grad_x, grad_sum, images_each };
                 self.kernel.backward(pass, &mut team);
             };
             match &mut grad_x {

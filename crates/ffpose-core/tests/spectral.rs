@@ -6,7 +6,7 @@ mod disassembly;
 
 use common::{Numbers, exact, filter, weight_gradient};
 use ffpose_core::{
-    Bf16, Error, F16, Gradients, Isa, Layout, Number, Real, Scratch, Shape, SpectralFilter,
+    Bf16, Error, F16, Gradients, Isa, Layout, Number, Pool, Real, Scratch, Shape, SpectralFilter,
     StdThreads,
 };
 use ndarray::{ArrayD, Axis};
@@ -65,6 +65,23 @@ const TOKENS: [[usize; 3]; 20] = [
     [3, 40, 1],
 ];
 
+/// Threads that take a share of any work, however little.
+struct Eager(usize);
+
+impl Pool for Eager {
+    fn threads(&self) -> usize {
+        self.0
+    }
+
+    fn grain(&self) -> usize {
+        1
+    }
+
+    fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync)) {
+        StdThreads(self.0).run(workers, work);
+    }
+}
+
 fn cases() -> Vec<(Layout, Vec<usize>)> {
     let grids = GRIDS.iter().map(|shape| (Layout::Grid, shape.to_vec()));
     grids.chain(TOKENS.iter().map(|shape| (Layout::Tokens, shape.to_vec()))).collect()
@@ -77,8 +94,8 @@ fn forward<X: Number, W: Number<Real = X::Real>>(
     threads: usize,
 ) -> ArrayD<X> {
     let mut y = ArrayD::from_elem(x.raw_dim(), X::default());
-    let scratch = &mut Scratch::default();
-    filter.forward(x.view(), weight.view(), y.view_mut(), &StdThreads(threads), scratch).unwrap();
+    let scratch = &mut Scratch::poisoned();
+    filter.forward(x.view(), weight.view(), y.view_mut(), &Eager(threads), scratch).unwrap();
     y
 }
 
@@ -90,9 +107,9 @@ fn backward<X: Number, W: Number<Real = X::Real>>(
     let mut grad_x = ArrayD::from_elem(x.raw_dim(), X::default());
     let mut grad_weight = ArrayD::from_elem(weight.raw_dim(), W::default());
     let gradients = Gradients { x: Some(grad_x.view_mut()), weight: Some(grad_weight.view_mut()) };
-    let scratch = &mut Scratch::default();
+    let scratch = &mut Scratch::poisoned();
     let (grad, x, weight) = (grad.view(), x.view(), weight.view());
-    filter.backward(grad, x, weight, gradients, &StdThreads(threads), scratch).unwrap();
+    filter.backward(grad, x, weight, gradients, &Eager(threads), scratch).unwrap();
     (grad_x, grad_weight)
 }
 
@@ -194,7 +211,7 @@ fn threads_and_batches_do_not_change_a_bit() {
         for plan in plans::<f32>(shape) {
             let y = forward(&plan, &x, &weight, 1);
             let gradients = backward(&plan, (&grad, &x, &weight), 1);
-            for threads in [2, 3, 8] {
+            for threads in [2, 3, 8, 24, 64] {
                 assert_eq!(forward(&plan, &x, &weight, threads), y);
                 assert_eq!(backward(&plan, (&grad, &x, &weight), threads), gradients);
             }
@@ -384,7 +401,7 @@ fn gradients_are_the_same_alone(
     for plan in plans::<f32>(shape) {
         let (grad_x, grad_weight) = backward(&plan, (grad, x, weight), 1);
         let (mut alone_x, mut alone_weight) = (grad_x.clone() * 0.0, grad_weight.clone() * 0.0);
-        let mut scratch = Scratch::default();
+        let mut scratch = Scratch::poisoned();
         let mut run = |gradients| {
             plan.backward(
                 grad.view(),
@@ -405,7 +422,7 @@ fn gradients_are_the_same_alone(
 
 #[test]
 fn one_scratch_serves_filters_of_all_shapes() {
-    let mut scratch = Scratch::default();
+    let mut scratch = Scratch::poisoned();
     for (layout, dim) in cases() {
         let shape = Shape::of_images(layout, &dim).unwrap();
         let mut numbers = Numbers(11);
@@ -414,6 +431,35 @@ fn one_scratch_serves_filters_of_all_shapes() {
         let mut y = ArrayD::zeros(x.raw_dim());
         plan.forward(x.view(), weight.view(), y.view_mut(), &StdThreads(1), &mut scratch).unwrap();
         assert_eq!(y, forward(&plan, &x, &weight, 1));
+    }
+}
+
+fn rounded<H: Number<Real = f32>>(array: &ArrayD<f32>) -> ArrayD<H> {
+    array.mapv(H::nearest_to)
+}
+
+#[test]
+fn a_prepared_weight_changes_no_bit() {
+    for (layout, dim) in cases().into_iter().chain([(Layout::Grid, vec![3, 14, 14, 150])]) {
+        let shape = Shape::of_images(layout, &dim).unwrap();
+        let mut numbers = Numbers(17);
+        let (x, weight) = (numbers.array::<f32>(&dim), numbers.array::<f32>(&shape.weight()));
+        let one = x.slice_axis(Axis(0), (..1).into()).to_owned();
+        let halves: ArrayD<Bf16> = rounded(&x);
+        for plan in plans::<f32>(shape) {
+            let prepared = plan.prepare(weight.view()).unwrap();
+            for threads in [1, 3] {
+                let (pool, scratch) = (Eager(threads), &mut Scratch::poisoned());
+                for x in [&x, &one] {
+                    let mut y = ArrayD::zeros(x.raw_dim());
+                    prepared.forward(x.view(), y.view_mut(), &pool, scratch).unwrap();
+                    assert_eq!(y, forward(&plan, x, &weight, 1), "{layout:?} {dim:?}");
+                }
+                let mut y = halves.clone();
+                prepared.forward(halves.view(), y.view_mut(), &pool, scratch).unwrap();
+                assert_eq!(y, forward(&plan, &halves, &weight, 1), "{layout:?} {dim:?}");
+            }
+        }
     }
 }
 
@@ -426,6 +472,8 @@ fn nothing_is_filtered_to_nothing() {
             assert!(forward(&plan, &x, &weight, 1).is_empty());
             let (_, grad_weight) = backward(&plan, (&x, &x, &weight), 1);
             assert_eq!(grad_weight, weight);
+            let (prepared, mut y) = (plan.prepare(weight.view()).unwrap(), x.clone());
+            prepared.forward(x.view(), y.view_mut(), &Eager(2), &mut Scratch::poisoned()).unwrap();
         }
     }
 }
@@ -434,9 +482,17 @@ fn nothing_is_filtered_to_nothing() {
 fn wrong_shapes_are_refused() {
     let shape = Shape::of_images(Layout::Tokens, &[4, 6]).unwrap();
     let plan = SpectralFilter::<f32>::planned(shape).unwrap();
+    let short = ArrayD::<f32>::zeros(vec![4, 3, 2]);
+    assert!(matches!(plan.prepare(short.view()).err(), Some(Error::Shape { .. })));
     let attempt = |x: &[usize], weight: &[usize], y: &[usize]| {
         let [x, weight, mut y] = [x, weight, y].map(|dim| ArrayD::<f32>::zeros(dim.to_vec()));
-        plan.forward(x.view(), weight.view(), y.view_mut(), &StdThreads(1), &mut Scratch::default())
+        plan.forward(
+            x.view(),
+            weight.view(),
+            y.view_mut(),
+            &StdThreads(1),
+            &mut Scratch::poisoned(),
+        )
     };
     let wrong = |name, expected: &str, got: &[usize]| {
         Err(Error::Shape { name, expected: expected.into(), got: got.to_vec() })
@@ -457,7 +513,7 @@ fn strides_are_refused() {
     let plan = SpectralFilter::<f32>::planned(shape).unwrap();
     let [x, weight, mut y] = [vec![4, 4], vec![4, 3, 2], vec![4, 4]].map(ArrayD::<f32>::zeros);
     let result =
-        plan.forward(x.t(), weight.view(), y.view_mut(), &StdThreads(1), &mut Scratch::default());
+        plan.forward(x.t(), weight.view(), y.view_mut(), &StdThreads(1), &mut Scratch::poisoned());
     assert_eq!(result, Err(Error::Strides { name: "x", got: vec![1, 4] }));
 }
 

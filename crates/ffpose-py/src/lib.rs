@@ -13,6 +13,8 @@ use pyo3::prelude::*;
 /// The compiled core of ffpose. Arrays are C-contiguous float32 or float64.
 #[pymodule]
 mod _rust {
+    use pyo3::prelude::*;
+
     #[pymodule_export]
     use super::earth::shade_earth;
     #[pymodule_export]
@@ -27,6 +29,13 @@ mod _rust {
     use super::spectral::{
         filter_tensors, filter_tensors_backward, isa, spectral_filter, spectral_filter_backward,
     };
+
+    #[pymodule_init]
+    #[allow(clippy::unnecessary_wraps)] // the form that pyo3 expects
+    fn init(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+        super::pool::watch_forks();
+        Ok(())
+    }
 
     #[pymodule_export]
     #[allow(non_upper_case_globals)] // Python's name for it

@@ -3,6 +3,7 @@
 use std::any::Any;
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use ffpose_core::{Pool, StdThreads};
@@ -77,12 +78,30 @@ unsafe extern "C" fn run_range(begin: i64, end: i64, context: *mut c_void) {
     }
 }
 
-/// torch's function, in the process that found it: a forked child has none of the threads that it would wait for.
+/// torch's function, unless this process is a fork: it has none of the threads that torch's pool, once used before the fork,
+/// would wait for.
 fn parallel_for() -> Option<ParallelFor> {
-    static FOUND: OnceLock<Option<(ParallelFor, u32)>> = OnceLock::new();
-    let found = FOUND.get_or_init(|| Some((find_parallel_for()?, std::process::id())));
-    found.filter(|(_, process)| *process == std::process::id()).map(|(function, _)| function)
+    static FOUND: OnceLock<Option<ParallelFor>> = OnceLock::new();
+    if IS_FORK.load(Ordering::Relaxed) { None } else { *FOUND.get_or_init(find_parallel_for) }
 }
+
+/// Whether this process was forked from one that had loaded this library.
+static IS_FORK: AtomicBool = AtomicBool::new(false);
+
+/// Lets forked children know that they are.
+#[cfg(target_os = "linux")]
+pub(crate) fn watch_forks() {
+    extern "C" fn note() {
+        IS_FORK.store(true, Ordering::Relaxed);
+    }
+    // SAFETY: a store to an atomic is all that a child may do at this point; the C library forgets `note` if it unloads
+    // this library.
+    let status = unsafe { libc::pthread_atfork(None, None, Some(note)) };
+    assert!(status == 0, "pthread_atfork failed with status {status}");
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn watch_forks() {}
 
 /// Looks for the function in the library that the process has loaded.
 ///

@@ -37,7 +37,7 @@ pub(crate) fn normalize_quaternion_backward<'py>(
     on_arrays!([q, grad], T => quaternion::normalize_backward(grad, q))
 }
 
-/// The one of q and -q with w >= 0, for rows (..., 4).
+/// The one of q and -q whose first component other than zero is positive, for rows (..., 4).
 #[pyfunction]
 pub(crate) fn canonical_quaternion<'py>(q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     on_arrays!([q], T => quaternion::canonical(q))

@@ -1,9 +1,10 @@
 //! The spectral filter, for NumPy arrays and for torch tensors.
 
-use std::cell::RefCell;
+use std::sync::LazyLock;
+use std::thread;
 
 use ffpose_core::{
-    Bf16, Error, F16, Gradients, Isa, Real, Scratch, Shape, SpectralFilter, StdThreads,
+    Bf16, Error, F16, Gradients, Isa, Real, Scratch, Scratches, Shape, SpectralFilter, StdThreads,
 };
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
 use pyo3::exceptions::PyTypeError;
@@ -16,12 +17,15 @@ use crate::tensor::{Dtype, Tensor, TensorElement};
 /// A gradient or None.
 type Gradient<'py> = Option<Bound<'py, PyAny>>;
 
-/// Bytes of scratch that a thread keeps for its next call; page faults would cost more than the filter.
-const SCRATCH_KEPT: usize = 32 << 20;
+/// Bytes of scratch that the process keeps for its next calls, whatever the number of its threads: what one call takes that
+/// uses all cores, and at least what fits small machines.
+const SCRATCH_KEPT: usize = 64 << 20;
+const SCRATCH_KEPT_FOR_A_CORE: usize = 4 << 20;
 
-thread_local! {
-    static SCRATCH: RefCell<Scratch> = RefCell::default();
-}
+static SCRATCHES: LazyLock<Scratches> = LazyLock::new(|| {
+    let cores = thread::available_parallelism().map_or(1, Into::into);
+    Scratches::new(SCRATCH_KEPT.max(SCRATCH_KEPT_FOR_A_CORE.saturating_mul(cores)))
+});
 
 /// irfft2(rfft2(x) * weight): an array like x.
 #[pyfunction]
@@ -181,13 +185,9 @@ fn planned<T: Real>(layout: &str, x: &[usize]) -> Result<SpectralFilter<T>, Erro
     SpectralFilter::planned(Shape::of_images(layout.parse()?, x)?)
 }
 
-/// Runs `compute` with this thread's scratch.
+/// Runs `compute` with a scratch of the process.
 fn with_scratch<R>(compute: impl FnOnce(&mut Scratch) -> R) -> R {
-    SCRATCH.with_borrow_mut(|scratch| {
-        let result = compute(scratch);
-        scratch.keep_at_most(SCRATCH_KEPT);
-        result
-    })
+    SCRATCHES.lend(compute)
 }
 
 /// A new array as one to write.

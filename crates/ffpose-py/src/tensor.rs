@@ -38,14 +38,21 @@ pub(crate) struct Dtype {
     lanes: u16,
 }
 
+/// `DLPackExchangeAPIHeader`: what a table of any version begins with, and the table of an older version, if there is one.
+#[repr(C)]
+struct Header {
+    major: u32,
+    minor: u32,
+    older: *const Header,
+}
+
 /// `DLPackExchangeAPI`, as far as it is used here.
 #[repr(C)]
 struct ExchangeApi {
-    major: u32,
-    minor: u32,
-    older: *const c_void,
+    header: Header,
     managed: [*const c_void; 3],
-    describe: Describe,
+    /// Null where the class has no such function.
+    describe: Option<Describe>,
 }
 
 /// Fills the description of an object of the table's class; 0 is success, else a Python exception is set.
@@ -101,9 +108,13 @@ impl<'a> Tensor<'a> {
             let text = format!("{name} must be on the CPU, got device {device_type} of DLPack");
             return Err(PyValueError::new_err(text));
         }
-        let axes = usize::try_from(axes).unwrap_or(0);
+        let axes = usize::try_from(axes)?;
         // SAFETY: the object lives, and keeps as many numbers in both places as it has axes.
         let (shape, strides) = unsafe { (numbers(shape, axes), numbers(strides, axes)) };
+        if !is_addressable(shape, usize::from(dtype.bits / 8)) {
+            let text = format!("{name} must have a shape that memory can address, got {shape:?}");
+            return Err(PyValueError::new_err(text));
+        }
         if !is_contiguous(shape, strides) {
             let text = format!("{name} must be contiguous, got strides {strides:?}");
             return Err(PyValueError::new_err(text));
@@ -167,7 +178,7 @@ impl<'a> Tensor<'a> {
 
     fn meets(&self, other: &Tensor<'_>) -> bool {
         let end = |tensor: &Tensor<'_>| {
-            tensor.start.addr() + tensor.len() * usize::from(tensor.dtype.bits / 8)
+            tensor.start.addr().saturating_add(tensor.len() * usize::from(tensor.dtype.bits / 8))
         };
         self.start.addr() < end(other) && other.start.addr() < end(self)
     }
@@ -206,14 +217,36 @@ fn torch(py: Python<'_>) -> PyResult<&(Py<PyType>, Describe)> {
     TORCH.get_or_try_init(py, || {
         let class = py.import("torch")?.getattr("Tensor")?.cast_into::<PyType>()?;
         let capsule = class.getattr("__dlpack_c_exchange_api__")?.cast_into::<PyCapsule>()?;
-        let table = capsule.pointer_checked(Some(c"dlpack_exchange_api"))?.cast::<ExchangeApi>();
-        // SAFETY: a capsule of this name points to such a table, which begins with its version and is never freed.
-        let table = unsafe { table.as_ref() };
-        if table.major != MAJOR {
-            let text = format!("expected DLPack {MAJOR}, got {}.{}", table.major, table.minor);
-            return Err(PyImportError::new_err(text));
+        let newest = capsule.pointer_checked(Some(c"dlpack_exchange_api"))?.cast::<Header>();
+        // SAFETY: a capsule of this name points to tables, of which each leads to an older one and none is ever freed.
+        let describe = unsafe { describe_of(newest.as_ptr()) };
+        Ok((class.unbind(), describe.map_err(PyImportError::new_err)?))
+    })
+}
+
+/// The function of the table of version [`MAJOR`], which is `newest` or older; else what is wrong.
+///
+/// # Safety
+/// `newest` points to a table, which leads to older ones or to null.
+unsafe fn describe_of(newest: *const Header) -> Result<Describe, String> {
+    let mut table = newest;
+    // SAFETY: a table begins with its header, as the caller promises for all that are reached.
+    while unsafe { (*table).major } != MAJOR {
+        // SAFETY: as above.
+        let older = unsafe { (*table).older };
+        if older.is_null() {
+            // SAFETY: as above.
+            let Header { major, minor, .. } = unsafe { newest.read() };
+            return Err(format!(
+                "expected DLPack {MAJOR} from torch, got {major}.{minor} and nothing older"
+            ));
         }
-        Ok((class.unbind(), table.describe))
+        table = older;
+    }
+    // SAFETY: a table of this version is an `ExchangeApi`.
+    let describe = unsafe { (*table.cast::<ExchangeApi>()).describe };
+    describe.ok_or_else(|| {
+        "expected a function from torch that describes tensors to DLPack, got a null pointer".into()
     })
 }
 
@@ -227,6 +260,14 @@ unsafe fn numbers<'a>(start: *const i64, len: usize) -> &'a [i64] {
     }
     // SAFETY: as the caller promises.
     unsafe { std::slice::from_raw_parts(start, len) }
+}
+
+/// Whether an array of this shape, of elements of `bytes` each, could be in memory; axes of length zero do not count, as
+/// `ndarray` multiplies the others.
+fn is_addressable(shape: &[i64], bytes: usize) -> bool {
+    let mut axes = shape.iter().filter(|len| **len != 0).map(|len| usize::try_from(*len).ok());
+    let len = axes.try_fold(bytes.max(1), |len, axis| len.checked_mul(axis?));
+    len.is_some_and(|len| isize::try_from(len).is_ok())
 }
 
 /// Whether elements follow each other in C order; an axis of length one may have any stride.

@@ -62,9 +62,9 @@ def make_plan(quick: bool) -> Plan:
         return Plan({best: cases}, 0.1, (*notes, "quick: few sizes, one thread"))
     sizes = GRID + TOKENS + OTHER + FEW_CHANNELS
     cases = [*with_rivals(sweep(sizes, BATCHES, 1), rivals), *overhead_cases()]
-    if cores() > 1:
-        cases += sweep(GRID + TOKENS, BATCHES, 2)
-    else:
+    for threads in sorted({2, cores()} if cores() > 1 else ()):
+        cases += sweep(GRID + TOKENS, BATCHES, threads)
+    if cores() == 1:
         notes = (*notes, "one core: two threads are not measured")
     by_isa = {best: cases}
     isas = (best,) if "FFPOSE_ISA" in os.environ else SLOWER[best]

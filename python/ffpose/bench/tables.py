@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rich.table import Table
 
@@ -21,6 +21,12 @@ from ffpose.bench.results import (
     overheads,
 )
 from ffpose.bench.timing import Timing
+
+Pair = tuple[Comparison, float]
+"""A case and what is said of it."""
+
+Worst = Callable[..., Pair]
+"""Which of several pairs is the worst: `min` or `max`."""
 
 LEGEND = (
     "ratio: torch.fft's time over ours, by medians [quartiles] of interleaved runs, float32; each"
@@ -92,11 +98,16 @@ def _rivals(comparisons: Sequence[Comparison]) -> Table:
 
 def _limits(comparisons: Sequence[Comparison]) -> Table:
     table = make_table("near the limit", "what", "geometric mean", "worst", "of")
-    for what, pairs, worst in (
-        ("filter's time over a copy of x, batch 32 grid forward", over_copy(comparisons), max),
-        ("bfloat16's time over float32's, batch 32", half_over_single(comparisons), max),
-        ("gain by a second thread, work over 200 µs", gains_of_threads(comparisons), min),
-    ):
+    gains = gains_of_threads(comparisons)
+    over, half = over_copy(comparisons), half_over_single(comparisons)
+    limits: list[tuple[str, Sequence[Pair], Worst]] = [
+        ("filter's time over a copy of x, batch 32 grid forward", over, max),
+        ("bfloat16's time over float32's, batch 32", half, max),
+    ]
+    for threads in sorted({one.case.threads for one, _ in gains}):
+        of_them = [pair for pair in gains if pair[0].case.threads == threads]
+        limits.append((f"gain by {threads} threads, work over 200 µs", of_them, min))
+    for what, pairs, worst in limits:
         if pairs:
             one, value = worst(pairs, key=lambda pair: pair[1])
             mean = geometric_mean(each for _, each in pairs)

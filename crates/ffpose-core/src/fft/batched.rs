@@ -194,7 +194,7 @@ impl<X: Stored> Kernel<X> for Batched<X::Real> {
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
         let (stage, mut team) = self.share(team);
         let [stage, other, result] = self.stages(stage);
         for group in self.groups(grad.len_of(BATCH)) {
@@ -206,7 +206,7 @@ impl<X: Stored> Kernel<X> for Batched<X::Real> {
             let staged = ArrayViewMut3::from_shape(x.raw_dim(), &mut *result);
             let staged = grad_x.is_some().then(|| staged.expect("as many numbers"));
             let grad_sum = grad_sum.as_deref_mut();
-            let pass = Backward { grad, x, packed, grad_x: staged, grad_sum };
+            let pass = Backward { grad, x, packed, grad_x: staged, grad_sum, images_each: 1 };
             self.inner().backward(pass, &mut team);
             if let Some(grad_x) = &mut grad_x {
                 self.leave(result, grad_x.slice_axis_mut(BATCH, group));

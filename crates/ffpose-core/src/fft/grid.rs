@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use super::columns::{Columns, First};
 use super::middle::{NaturalGradient, NaturalProduct};
@@ -17,7 +17,7 @@ use crate::Shape;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{
-    Element, Isa, Stored, Tile, TileMut, aligned, come_unasked, second_cache, slack,
+    Element, Isa, LINE_BYTES, Stored, Tile, TileMut, aligned, come_unasked, second_cache, slack,
 };
 
 /// Bytes of the lanes of a narrow tile, as they are computed with. Neighbouring lines of an image soon after each other are what
@@ -29,9 +29,6 @@ const WIDEST_TILE_BYTES: usize = 4 * TILE_BYTES;
 
 /// What part of the second cache the packed weight of a tile wider than a narrow one takes at most.
 const PACKED_SHARE: usize = 8;
-
-/// Bytes of a cache line: two threads should not write the same one.
-const LINE_BYTES: usize = 64;
 
 /// Bytes of a spectrum up to which lanes of a tile go together: about what a second-level cache holds. Several images come
 /// from memory, which is quicker at longer runs.
@@ -66,6 +63,8 @@ pub(crate) struct Grid<T> {
     together: usize,
     alone: usize,
     points: usize,
+    /// Numbers in a weight of one vector of lanes, where the last vector of the lanes is not full.
+    padded_bins: usize,
     rows: Rows<T>,
     columns: Columns<T>,
     packing: Packing<T>,
@@ -77,10 +76,17 @@ struct Scratch<'a, T> {
     other: &'a mut [T],
     work: &'a mut [T],
     padded: &'a mut [T],
+    /// A weight and a gradient of one vector of lanes that is not full.
+    bins: [&'a mut [T]; 2],
 }
 
 impl<T: Element> Grid<T> {
     pub(crate) fn new(isa: Isa, shape: Shape) -> Self {
+        Self::tuned(isa, shape, second_cache())
+    }
+
+    /// The plan for cores that have a second cache of so many bytes.
+    pub(crate) fn tuned(isa: Isa, shape: Shape, second_cache: usize) -> Self {
         let (height, width) = (shape.rows, shape.columns);
         let rows = Rows::new(isa, width);
         let row_frequencies = rows.frequencies();
@@ -113,15 +119,16 @@ impl<T: Element> Grid<T> {
         };
         let lanes = isa.lanes::<T>();
         let bytes = columns.packed_len() * size_of::<T>() / lanes;
-        let tile = tile::<T>(shape.lanes, second_cache() / PACKED_SHARE / bytes);
+        let tile = tile::<T>(shape.lanes, second_cache / PACKED_SHARE / bytes);
         // a power of two, so that a narrow tile has no rest
         let together = |bytes: usize| {
             let fitting = bytes / (columns.len() * size_of::<T>()) * lanes;
             1 << fitting.min(tile).max(lanes).ilog2()
         };
-        let alone = second_cache().saturating_sub(STREAM_BYTES);
+        let alone = second_cache.saturating_sub(STREAM_BYTES);
         let alone = together(alone.clamp(ALONE_BYTES, SPECTRA_BYTES));
         let together = together(SPECTRA_BYTES);
+        let is_whole = shape.lanes.is_multiple_of(lanes);
         Self {
             isa,
             lanes,
@@ -129,6 +136,7 @@ impl<T: Element> Grid<T> {
             together,
             alone,
             points: height * width,
+            padded_bins: if is_whole { 0 } else { 2 * lanes * shape.bins_len() },
             rows,
             columns,
             packing: Packing::new(hermitian, plain, weight, gradient),
@@ -143,8 +151,10 @@ impl<T: Element> Grid<T> {
         let spectra = self.spectra(self.together);
         let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
         let (other, rest) = rest.split_at_mut(spectra);
-        let (work, padded) = rest.split_at_mut(self.work_len());
-        Scratch { spectrum, other, work, padded: &mut padded[..self.points * self.lanes] }
+        let (work, rest) = rest.split_at_mut(self.work_len());
+        let (padded, rest) = rest.split_at_mut(self.points * self.lanes);
+        let (weight, rest) = rest.split_at_mut(self.padded_bins);
+        Scratch { spectrum, other, work, padded, bins: [weight, &mut rest[..self.padded_bins]] }
     }
 
     /// `far`: whether images are likely to be in memory, as several are, rather than in cache.
@@ -175,7 +185,7 @@ impl<T: Element> Grid<T> {
         let whole = lanes - lanes % self.lanes;
         let parts = (0..whole).step_by(together);
         let rest = (whole < lanes).then_some(whole..lanes);
-        parts.map(move |start| start..whole.min(start + together)).chain(rest)
+        parts.map(move |start| start..whole.min(start.saturating_add(together))).chain(rest)
     }
 
     /// Lanes of one image that go together: at least a cache line of what is stored.
@@ -249,7 +259,7 @@ impl<T: Element> Grid<T> {
         sum: Option<&mut [T]>,
         scratch: &mut Scratch<'_, T>,
     ) {
-        let Scratch { spectrum, other, work, padded } = scratch;
+        let Scratch { spectrum, other, work, padded, .. } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
         self.rows_forward(place, grad, spectrum, work, padded);
@@ -290,7 +300,7 @@ impl<T: Element> Grid<T> {
         scratch: &mut Scratch<'_, T>,
     ) {
         let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
-        let Scratch { spectrum, other, work, padded } = scratch;
+        let Scratch { spectrum, other, work, padded, .. } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
         let place = self.place_of_one(&grad);
@@ -324,13 +334,18 @@ impl<T: Element> Grid<T> {
         NaturalProduct { packing: &self.packing, weight: Tile::of_complex(weight), conjugate }
     }
 
-    /// `weight` `(bins, lanes, 2)` with zeros up to whole vectors.
-    fn padded_bins(&self, weight: ArrayView3<'_, T>) -> Array3<T> {
-        let (bins, lanes, _) = weight.dim();
-        let mut whole =
-            Array3::from_elem((bins, lanes.next_multiple_of(self.lanes), 2), T::default());
-        whole.slice_mut(s![.., ..lanes, ..]).assign(&weight);
-        whole
+    /// `room` as a weight `(bins, lanes, 2)` of one vector of lanes.
+    fn bins<'a>(&self, room: &'a mut [T]) -> ArrayViewMut3<'a, T> {
+        let bins = room.len() / (2 * self.lanes);
+        ArrayViewMut3::from_shape((bins, self.lanes, 2), room).expect("room for a vector of lanes")
+    }
+
+    /// `weight` `(bins, lanes, 2)` with zeros up to one vector, in `room`.
+    fn padded_bins<'a>(&self, weight: ArrayView3<'_, T>, room: &'a mut [T]) -> ArrayView3<'a, T> {
+        let mut whole = self.bins(room);
+        whole.fill(T::default());
+        whole.slice_mut(s![.., ..weight.len_of(Axis(1)), ..]).assign(&weight);
+        ArrayView3::from_shape(whole.raw_dim(), room).expect("room for a vector of lanes")
     }
 }
 
@@ -339,8 +354,8 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         self.tile
     }
 
-    fn narrow_tile(&self) -> usize {
-        self.tile.min(narrow_tile::<X::Real>())
+    fn narrowest_tile(&self) -> usize {
+        LINE_BYTES / size_of::<X>()
     }
 
     fn packed_len(&self, lanes: usize) -> usize {
@@ -352,21 +367,26 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
             + 2 * self.spectra(self.together)
             + self.work_len()
             + self.points * self.lanes
+            + 2 * self.padded_bins
     }
 
     fn pack(
         &self,
         weight: ArrayView3<'_, X::Real>,
         packed: &mut [X::Real],
-        _: &mut Team<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
     ) {
-        let lanes = weight.dim().1;
-        let whole = lanes.next_multiple_of(self.lanes);
-        let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
-        if lanes < whole {
-            self.packing.pack(self.isa, self.padded_bins(weight).view(), packed);
-        } else {
-            self.packing.pack(self.isa, weight, packed);
+        let mut packed = &mut packed[..];
+        for lanes in self.parts(weight.len_of(Axis(1)), usize::MAX) {
+            let part;
+            (part, packed) = packed.split_at_mut(Kernel::<X>::packed_len(self, lanes.len()));
+            let weight = weight.slice(s![.., lanes.clone(), ..]);
+            if lanes.len().is_multiple_of(self.lanes) {
+                self.packing.pack(self.isa, weight, part);
+            } else {
+                let [room, _] = self.scratch(team.scratch()).bins;
+                self.packing.pack(self.isa, self.padded_bins(weight, room), part);
+            }
         }
     }
 
@@ -393,7 +413,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
         let mut scratch = self.scratch(team.scratch());
         let (lanes, packed_len) = (grad.len_of(Axis(2)), self.columns.packed_len());
         let place = self.place_of_several(&grad, 2);
@@ -417,17 +437,20 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         &self,
         grad_sum: &[X::Real],
         mut grad_weight: ArrayViewMut3<'_, X::Real>,
-        _: &mut Team<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
     ) {
-        let (bins, lanes, _) = grad_weight.dim();
-        let whole = lanes.next_multiple_of(self.lanes);
-        let grad_sum = &grad_sum[..whole / self.lanes * self.columns.packed_len()];
-        if lanes < whole {
-            let mut padded = Array3::from_elem((bins, whole, 2), X::Real::default());
-            self.packing.unpack(self.isa, grad_sum, padded.view_mut());
-            grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
-        } else {
-            self.packing.unpack(self.isa, grad_sum, grad_weight);
+        let mut grad_sum = grad_sum;
+        for lanes in self.parts(grad_weight.len_of(Axis(1)), usize::MAX) {
+            let part;
+            (part, grad_sum) = grad_sum.split_at(Kernel::<X>::packed_len(self, lanes.len()));
+            let mut gradient = grad_weight.slice_mut(s![.., lanes.clone(), ..]);
+            if lanes.len().is_multiple_of(self.lanes) {
+                self.packing.unpack(self.isa, part, gradient);
+            } else {
+                let mut whole = self.bins(self.scratch(team.scratch()).bins[0]);
+                self.packing.unpack(self.isa, part, whole.view_mut());
+                gradient.assign(&whole.slice(s![.., ..lanes.len(), ..]));
+            }
         }
     }
 
@@ -441,10 +464,6 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
 }
 
 impl<X: Stored> Single<X> for Grid<X::Real> {
-    fn narrowest_tile(&self) -> usize {
-        LINE_BYTES / size_of::<X>()
-    }
-
     fn forward(
         &self,
         x: ArrayView2<'_, X>,
@@ -462,7 +481,8 @@ impl<X: Stored> Single<X> for Grid<X::Real> {
             if lanes.len().is_multiple_of(self.lanes) {
                 self.forward_single(x, weight, y, &mut scratch);
             } else {
-                self.forward_single(x, self.padded_bins(weight).view(), y, &mut scratch);
+                let room = std::mem::take(&mut scratch.bins[0]);
+                self.forward_single(x, self.padded_bins(weight, room), y, &mut scratch);
             }
         }
     }
@@ -482,19 +502,13 @@ impl<X: Stored> Single<X> for Grid<X::Real> {
                 let pass = SingleBackward { grad, x, weight, grad_x, grad_weight };
                 self.backward_single(pass, &mut scratch);
             } else {
-                let weight = self.padded_bins(weight);
-                let mut whole = grad_weight
-                    .is_some()
-                    .then(|| Array3::from_elem(weight.raw_dim(), X::Real::default()));
-                let pass = SingleBackward {
-                    grad,
-                    x,
-                    weight: weight.view(),
-                    grad_x,
-                    grad_weight: whole.as_mut().map(|whole| whole.view_mut()),
-                };
+                let [room, whole] = std::mem::take(&mut scratch.bins);
+                let weight = self.padded_bins(weight, room);
+                let mut whole = self.bins(whole);
+                let of_whole = grad_weight.is_some().then(|| whole.view_mut());
+                let pass = SingleBackward { grad, x, weight, grad_x, grad_weight: of_whole };
                 self.backward_single(pass, &mut scratch);
-                if let (Some(grad_weight), Some(whole)) = (&mut grad_weight, whole) {
+                if let Some(grad_weight) = &mut grad_weight {
                     grad_weight.assign(&whole.slice(s![.., ..lanes.len(), ..]));
                 }
             }

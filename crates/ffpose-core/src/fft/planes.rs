@@ -211,7 +211,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
     }
 
     fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
         let Scratch { spectrum, other, line, other_line, work, padded } =
             self.scratch(team.scratch());
         for image in 0..grad.len_of(Axis(0)) {

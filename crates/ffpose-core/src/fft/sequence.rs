@@ -4,7 +4,7 @@
 //! a complex line of half the length, which the product takes apart and joins again ([`super::pair`]). A line of odd length is the
 //! real part of a complex one.
 
-use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use super::columns::{Columns, First};
 use super::pack::{Bins, Packing, Scales};
@@ -12,8 +12,8 @@ use super::passes::inverted;
 use crate::kernel::{Backward, Kernel, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{
-    Algorithm, Complex, Element, Isa, Stored, Tile, TileMut, Vector, aligned, complex_vectors,
-    slack,
+    Algorithm, Complex, Element, Isa, LINE_BYTES, Stored, Tile, TileMut, Vector, aligned,
+    complex_vectors, slack,
 };
 
 /// Vectors of a tile: longer runs of memory than one has.
@@ -35,6 +35,8 @@ struct Scratch<'a, T> {
     other: &'a mut [T],
     work: &'a mut [T],
     padded: &'a mut [T],
+    /// A weight, or its gradient, of fewer lanes than two vectors.
+    bins: &'a mut [T],
 }
 
 impl<T: Element> Sequence<T> {
@@ -57,8 +59,21 @@ impl<T: Element> Sequence<T> {
         let spectra = VECTORS * self.columns.len();
         let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
         let (other, rest) = rest.split_at_mut(spectra);
-        let (work, padded) = rest.split_at_mut(self.columns.work_len());
-        Scratch { spectrum, other, work, padded: &mut padded[..self.length * self.most()] }
+        let (work, rest) = rest.split_at_mut(self.columns.work_len());
+        let (padded, rest) = rest.split_at_mut(self.length * self.most());
+        Scratch { spectrum, other, work, padded, bins: &mut rest[..self.bins_len()] }
+    }
+
+    /// Numbers of a weight of a tile.
+    fn bins_len(&self) -> usize {
+        2 * self.most() * (self.length / 2 + 1)
+    }
+
+    /// `room` as a weight `(bins, lanes, 2)`.
+    fn bins<'a>(&self, room: &'a mut [T], lanes: usize) -> ArrayViewMut3<'a, T> {
+        let bins = self.length / 2 + 1;
+        let room = &mut room[..2 * lanes * bins];
+        ArrayViewMut3::from_shape((bins, lanes, 2), room).expect("room for a tile")
     }
 
     /// Lines for so many lanes.
@@ -131,26 +146,33 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         self.most()
     }
 
+    /// Whole cache lines, as far as a tile has them.
+    fn narrowest_tile(&self) -> usize {
+        (LINE_BYTES / size_of::<X>()).next_multiple_of(self.lanes).min(self.most())
+    }
+
     fn packed_len(&self, lanes: usize) -> usize {
         lanes.div_ceil(self.lanes) * self.columns.packed_len()
     }
 
     fn scratch_len(&self) -> usize {
         let padded = self.length * self.most();
-        slack::<X::Real>() + 2 * VECTORS * self.columns.len() + self.columns.work_len() + padded
+        let spectra = 2 * VECTORS * self.columns.len();
+        slack::<X::Real>() + spectra + self.columns.work_len() + padded + self.bins_len()
     }
 
     fn pack(
         &self,
         weight: ArrayView3<'_, X::Real>,
         packed: &mut [X::Real],
-        _: &mut Team<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
     ) {
-        let (bins, lanes, _) = weight.dim();
+        let lanes = weight.len_of(Axis(1));
         let whole = lanes.next_multiple_of(self.lanes);
         let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
         if lanes < whole {
-            let mut padded = Array3::from_elem((bins, whole, 2), X::Real::default());
+            let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
+            padded.slice_mut(s![.., lanes.., ..]).fill(X::Real::default());
             padded.slice_mut(s![.., ..lanes, ..]).assign(&weight);
             self.packing.pack(self.isa, padded.view(), packed);
         } else {
@@ -175,8 +197,8 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
-        let Scratch { spectrum, other, work, padded } = self.scratch(team.scratch());
+        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
+        let Scratch { spectrum, other, work, padded, .. } = self.scratch(team.scratch());
         let lanes = grad.len_of(Axis(2));
         let (lines, other) = (self.lines(spectrum, lanes), self.lines(other, lanes));
         for (image, grad) in grad.outer_iter().enumerate() {
@@ -198,13 +220,13 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         &self,
         grad_sum: &[X::Real],
         mut grad_weight: ArrayViewMut3<'_, X::Real>,
-        _: &mut Team<'_, X::Real>,
+        team: &mut Team<'_, X::Real>,
     ) {
-        let (bins, lanes, _) = grad_weight.dim();
+        let lanes = grad_weight.len_of(Axis(1));
         let whole = lanes.next_multiple_of(self.lanes);
         let grad_sum = &grad_sum[..whole / self.lanes * self.columns.packed_len()];
         if lanes < whole {
-            let mut padded = Array3::from_elem((bins, whole, 2), X::Real::default());
+            let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
             self.packing.unpack(self.isa, grad_sum, padded.view_mut());
             grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
         } else {

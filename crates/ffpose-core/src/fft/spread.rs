@@ -31,7 +31,7 @@ pub(super) fn spread<E: Copy>(
     with_channels!(channels, C => {
         assert!(first + C <= lanes); // once, and not for each point
         for (from, to) in image.as_chunks::<C>().0.iter().zip(stage.chunks_exact_mut(lanes)) {
-            to[first..first + C].copy_from_slice(from);
+            to[first..][..C].copy_from_slice(from);
         }
     });
 }
@@ -47,7 +47,7 @@ pub(super) fn collect<E: Copy>(
     with_channels!(channels, C => {
         assert!(first + C <= lanes); // once, and not for each point
         for (to, from) in image.as_chunks_mut::<C>().0.iter_mut().zip(stage.chunks_exact(lanes)) {
-            to.copy_from_slice(&from[first..first + C]);
+            to.copy_from_slice(&from[first..][..C]);
         }
     });
 }

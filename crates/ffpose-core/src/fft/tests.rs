@@ -4,7 +4,7 @@ use super::grid::Grid;
 use super::rows::{Place, Rows};
 use super::transform::Transform;
 use crate::kernel::Kernel;
-use crate::simd::{Bf16, Isa, Tile, TileMut, aligned, slack};
+use crate::simd::{Bf16, Isa, LINE_BYTES, Tile, TileMut, aligned, slack};
 use crate::{Layout, Real, Shape};
 
 /// Real and imaginary part.
@@ -145,13 +145,12 @@ fn rows_of_all_kinds_of_widths_agree_with_the_sums() {
 
 #[test]
 fn tiles_of_a_grid_share_its_lanes_evenly_in_whole_cache_lines_of_half_precision() {
-    const LINE_BYTES: usize = 64;
     const ROUNDING: usize = 64; // lanes
     for isa in Isa::available() {
         for (side, lanes) in [(7, 1), (7, 512), (7, 5000), (14, 129), (14, 384), (28, 600)] {
             let shape = Shape { layout: Layout::Grid, rows: side, columns: side, lanes };
             let grid = Grid::<f32>::new(isa, shape);
-            for tile in [Kernel::<f32>::tile(&grid), Kernel::<f32>::narrow_tile(&grid)] {
+            for tile in [Kernel::<f32>::tile(&grid), Kernel::<Bf16>::narrowest_tile(&grid)] {
                 assert_eq!(tile * size_of::<Bf16>() % LINE_BYTES, 0, "{tile} of {lanes}");
             }
             let tile = Kernel::<f32>::tile(&grid);

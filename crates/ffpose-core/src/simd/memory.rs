@@ -42,6 +42,13 @@ fn complex_layout(shape: (usize, usize, usize), strides: &[isize]) -> (usize, us
     layout((shape.0, 2 * shape.1), &[strides[0], 1])
 }
 
+/// Whether `first`, `first + step` and so on, `count` indices, at least one, are below `len`.
+#[inline(always)]
+fn is_within(first: usize, count: usize, step: usize, len: usize) -> bool {
+    let span = count.checked_sub(1).and_then(|steps| steps.checked_mul(step));
+    span.and_then(|span| span.checked_add(first)).is_some_and(|last| last < len)
+}
+
 impl<'a, T: Stored> Tile<'a, T> {
     /// The tile of `view` `(points, lanes)`.
     pub(crate) fn new(view: ArrayView2<'a, T>) -> Self {
@@ -68,7 +75,7 @@ impl<'a, T: Stored> Tile<'a, T> {
         first: usize,
         step: usize,
     ) -> [V; N] {
-        assert!(V::LANES <= self.lanes && first + (N - 1) * step < self.points);
+        assert!(V::LANES <= self.lanes && is_within(first, N, step, self.points));
         // SAFETY: an array of uninitialised elements needs no initialisation.
         let mut vectors: [MaybeUninit<V>; N] = unsafe { MaybeUninit::uninit().assume_init() };
         for (i, vector) in vectors.iter_mut().enumerate() {
@@ -87,7 +94,7 @@ impl<'a, T: Stored> Tile<'a, T> {
         offsets: [usize; N],
         span: usize,
     ) -> [V; N] {
-        assert!(V::LANES <= self.lanes && first + span <= self.points);
+        assert!(V::LANES <= self.lanes && is_within(first, span, 1, self.points));
         // SAFETY: an array of uninitialised elements needs no initialisation.
         let mut vectors: [MaybeUninit<V>; N] = unsafe { MaybeUninit::uninit().assume_init() };
         for (vector, &offset) in vectors.iter_mut().zip(&offsets) {
@@ -291,7 +298,7 @@ impl<'a, T: Stored> TileMut<'a, T> {
         step: usize,
         vectors: [V; N],
     ) {
-        assert!(V::LANES <= self.lanes && first + (N - 1) * step < self.points);
+        assert!(V::LANES <= self.lanes && is_within(first, N, step, self.points));
         for (i, vector) in vectors.iter().enumerate() {
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
             unsafe { T::store(*vector, self.start.add((first + i * step) * self.stride)) };
@@ -307,7 +314,7 @@ impl<'a, T: Stored> TileMut<'a, T> {
         span: usize,
         vectors: [V; N],
     ) {
-        assert!(V::LANES <= self.lanes && first + span <= self.points);
+        assert!(V::LANES <= self.lanes && is_within(first, span, 1, self.points));
         for (vector, &offset) in vectors.iter().zip(&offsets) {
             assert!(offset < span); // constants, as a rule
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
@@ -402,8 +409,8 @@ impl<'a, T: Element, const RUN: usize, const COUNT: usize> Runs<'a, T, RUN, COUN
 /// Asks for as many cache lines as `len` elements fill, from `start` on, whatever is there.
 #[inline(always)]
 fn prefetch_lines<T>(start: *const T, len: usize) {
-    for line in 0..(len * size_of::<T>()).div_ceil(ALIGNMENT) {
-        prefetch(start.wrapping_add(line * (ALIGNMENT / size_of::<T>())));
+    for line in 0..(len * size_of::<T>()).div_ceil(LINE_BYTES) {
+        prefetch(start.wrapping_add(line * (LINE_BYTES / size_of::<T>())));
     }
 }
 
@@ -423,7 +430,7 @@ fn prefetch<T>(address: *const T) {
 /// `buffer[first]`, `buffer[first + step]`, ...
 #[inline(always)]
 pub(crate) fn gather<E: Copy, const N: usize>(buffer: &[E], first: usize, step: usize) -> [E; N] {
-    assert!(first + (N - 1) * step < buffer.len());
+    assert!(is_within(first, N, step, buffer.len()));
     // SAFETY: an array of uninitialised elements needs no initialisation.
     let mut elements: [MaybeUninit<E>; N] = unsafe { MaybeUninit::uninit().assume_init() };
     for (i, element) in elements.iter_mut().enumerate() {
@@ -442,7 +449,7 @@ pub(crate) fn scatter<E: Copy, const N: usize>(
     step: usize,
     elements: [E; N],
 ) {
-    assert!(first + (N - 1) * step < buffer.len());
+    assert!(is_within(first, N, step, buffer.len()));
     for (i, &element) in elements.iter().enumerate() {
         // SAFETY: at most the index checked above.
         unsafe { *buffer.get_unchecked_mut(first + i * step) = element };
@@ -458,7 +465,7 @@ pub(crate) fn gather_at<E: Copy, const N: usize>(
     step: usize,
     span: usize,
 ) -> [E; N] {
-    assert!(first + (span - 1) * step < buffer.len());
+    assert!(is_within(first, span, step, buffer.len()));
     // SAFETY: an array of uninitialised elements needs no initialisation.
     let mut elements: [MaybeUninit<E>; N] = unsafe { MaybeUninit::uninit().assume_init() };
     for (element, &offset) in elements.iter_mut().zip(&offsets) {
@@ -480,7 +487,7 @@ pub(crate) fn scatter_at<E: Copy, const N: usize>(
     span: usize,
     elements: [E; N],
 ) {
-    assert!(first + (span - 1) * step < buffer.len());
+    assert!(is_within(first, span, step, buffer.len()));
     for (&element, &offset) in elements.iter().zip(&offsets) {
         assert!(offset < span); // constants, as a rule
         // SAFETY: at most the index checked above.
@@ -488,17 +495,17 @@ pub(crate) fn scatter_at<E: Copy, const N: usize>(
     }
 }
 
-/// Bytes at a multiple of which buffers of vectors start: the largest vector, and a cache line.
-const ALIGNMENT: usize = 64;
+/// Bytes of a cache line and of the widest vector: where buffers begin, and what two threads should not write at once.
+pub(crate) const LINE_BYTES: usize = 64;
 
 /// Elements that [`aligned`] may leave out.
 pub(crate) const fn slack<T>() -> usize {
-    ALIGNMENT / size_of::<T>()
+    LINE_BYTES / size_of::<T>()
 }
 
 /// `buffer` from its first aligned element on: at most [`slack`] elements less.
 pub(crate) fn aligned<T>(buffer: &mut [T]) -> &mut [T] {
-    let skipped = buffer.as_ptr().align_offset(ALIGNMENT);
+    let skipped = buffer.as_ptr().align_offset(LINE_BYTES);
     &mut buffer[skipped..]
 }
 
@@ -511,7 +518,7 @@ pub(crate) struct Table<T> {
 impl<T: Element> Table<T> {
     pub(crate) fn new(values: &[T]) -> Self {
         let mut memory = vec![T::default(); values.len() + slack::<T>()];
-        let skipped = memory.as_ptr().align_offset(ALIGNMENT);
+        let skipped = memory.as_ptr().align_offset(LINE_BYTES);
         memory[skipped..][..values.len()].copy_from_slice(values);
         memory.truncate(skipped + values.len());
         Self { memory, skipped }

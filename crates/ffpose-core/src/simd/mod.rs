@@ -29,8 +29,8 @@ pub use half::{Bf16, F16, Stored};
 pub(crate) use half::{narrow, widen};
 pub use isa::Isa;
 pub(crate) use memory::{
-    Runs, Table, Tile, TileMut, aligned, complex_vectors, complex_vectors_of, gather, gather_at,
-    scatter, scatter_at, slack,
+    LINE_BYTES, Runs, Table, Tile, TileMut, aligned, complex_vectors, complex_vectors_of, gather,
+    gather_at, scatter, scatter_at, slack,
 };
 
 /// The most lanes that a [`Vector`] of this crate has.
@@ -72,7 +72,11 @@ pub trait Element:
 }
 
 /// A vector of [`LANES`](Vector::LANES) elements; arithmetic is lane by lane.
-pub(crate) trait Vector:
+///
+/// # Safety
+/// A value is `LANES` elements without padding, for which any bits are a value, and `LANES` is a power of two, at most
+/// [`MAX_LANES`]. `load` and `store` touch these elements and no others.
+pub(crate) unsafe trait Vector:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self>
 {
     type Element: Element;

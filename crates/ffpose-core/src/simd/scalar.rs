@@ -32,7 +32,8 @@ impl<T: Element + Neg<Output = T>> Neg for Scalar<T> {
 }
 
 /// `mul_add` rounds twice: without the instruction a fused one is a call of the C library, a hundred times slower.
-impl<T: Element + Neg<Output = T>> Vector for Scalar<T> {
+// SAFETY: a float is one element, which loads and stores move.
+unsafe impl<T: Element + Neg<Output = T>> Vector for Scalar<T> {
     type Element = T;
     const LANES: usize = 1;
 

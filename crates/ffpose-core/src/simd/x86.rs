@@ -31,7 +31,8 @@ macro_rules! vector {
             }
         }
 
-        impl Vector for $name {
+        // SAFETY: a register is its floats without padding; loads and stores move a whole one.
+        unsafe impl Vector for $name {
             type Element = $element;
             const LANES: usize = size_of::<$raw>() / size_of::<$element>();
 

@@ -6,10 +6,11 @@ use super::Tokens;
 use super::columns::Block;
 use super::lanes::{Accumulate, Product};
 use super::order::Step;
-use super::passes::Parts;
+use super::passes::{Parts, Rows};
 use super::weight::{GradientRows, Unpack, Weight};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored};
+use crate::tiling::in_order;
 
 /// Where the gradient of the weight of a step goes.
 pub(super) enum StepGradient<'a, T> {
@@ -19,108 +20,199 @@ pub(super) enum StepGradient<'a, T> {
     Natural(GradientRows<'a, T>),
 }
 
+/// One image of a backward pass.
+pub(super) struct BackwardImage<'a, X> {
+    pub(super) grad: ArrayView2<'a, X>,
+    pub(super) x: ArrayView2<'a, X>,
+    pub(super) grad_x: Option<ArrayViewMut2<'a, X>>,
+}
+
+impl<'a, X> BackwardImage<'a, X> {
+    /// The same for a shorter time.
+    pub(super) fn reborrow<'b>(self) -> BackwardImage<'b, X>
+    where
+        'a: 'b,
+    {
+        let Self { grad, x, grad_x } = self;
+        let grad_x = grad_x.map(ArrayViewMut2::reborrow);
+        BackwardImage { grad: grad.reborrow(), x: x.reborrow(), grad_x }
+    }
+}
+
+/// Images whose gradients of the weight are added up in their order, or whose own are not wanted.
+pub(super) struct Part<'a, X: Stored> {
+    pub(super) images: Vec<BackwardImage<'a, X>>,
+    /// For each step.
+    pub(super) gradients: Option<Vec<StepGradient<'a, X::Real>>>,
+}
+
 /// What images are filtered with, besides the plan.
 pub(super) struct Means<'a, 'b, T> {
-    /// Room for the spectrum of one image, used where the output is of half precision; in a backward pass, for two.
+    /// Room for the spectrum of each image, used where the output is of half precision; in a backward pass, for two.
     pub(super) spectra: &'a mut [T],
     /// Whether memory is to be asked for ahead. What is near anyway would only be made to wait.
     pub(super) far: bool,
     pub(super) team: &'a mut Team<'b, T>,
 }
 
+/// The spectra of an image on its way, and its result where that is of half precision.
+struct Way<'a, X: Stored> {
+    spectrum: ArrayViewMut2<'a, X::Real>,
+    of_x: Option<ArrayViewMut2<'a, X::Real>>,
+    result: Option<ArrayViewMut2<'a, X>>,
+}
+
+/// Rows of a spectrum, and of that of `x` if there is one.
+type RowsOfImage<'a, T> = (Rows<'a, T>, Option<Rows<'a, T>>);
+
+impl<'a, X: Stored> Way<'a, X> {
+    /// By way of the result, unless that is of half precision or not wanted; then through the next of `room`.
+    fn new(
+        result: Option<ArrayViewMut2<'a, X>>,
+        of_x: Option<ArrayViewMut2<'a, X::Real>>,
+        room: &mut impl Iterator<Item = ArrayViewMut2<'a, X::Real>>,
+    ) -> Self {
+        let mut room = || room.next().expect("room for each image");
+        match result.map(X::as_real) {
+            Some(Ok(spectrum)) => Self { spectrum, of_x, result: None },
+            Some(Err(result)) => Self { spectrum: room(), of_x, result: Some(result) },
+            None => Self { spectrum: room(), of_x, result: None },
+        }
+    }
+}
+
 impl<T: Element> Tokens<T> {
-    pub(super) fn forward_image<X: Stored<Real = T>>(
+    /// Filters images, pass by pass all of them.
+    pub(super) fn forward_images<'a, X: Stored<Real = T> + 'a>(
         &self,
-        x: ArrayView2<'_, X>,
-        y: ArrayViewMut2<'_, X>,
+        images: Vec<(ArrayView2<'a, X>, ArrayViewMut2<'a, X>)>,
         weight: &[T],
-        Means { spectra: spectrum, far, team }: Means<'_, '_, T>,
+        Means { spectra, far, team }: Means<'a, '_, T>,
     ) {
-        let (mut spectrum, y) = match X::as_real(y) {
-            Ok(y) => (y, None),
-            Err(y) => (self.image(spectrum), Some(y)),
-        };
-        self.first_pass(x, spectrum.view_mut(), far, team);
-        let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
+        let mut room = spectra.chunks_exact_mut(self.spectrum_len()).map(|room| self.image(room));
+        let (images, mut ways): (Vec<_>, Vec<_>) =
+            images.into_iter().map(|(x, y)| (x, Way::new(Some(y), None, &mut room))).unzip();
+        let entering = images.into_iter().zip(ways.iter_mut().map(|way| way.spectrum.view_mut()));
+        self.first_pass(entering, far, team);
+        let steps = ways
+            .iter_mut()
+            .flat_map(|way| self.steps.iter().zip(self.rows_of_steps(way.spectrum.view_mut())));
         team.run(steps, |(step, mut rows), scratch| {
             let Parts { block, work, .. } = self.scratch(scratch);
             self.gather(step, &rows, block, work);
             self.filter(step, block, Product::<T, false>(Weight::new(self.plan, weight)));
             self.put(block, &mut rows, work);
         });
-        match y {
-            None => self.last_pass(spectrum, far, team),
-            Some(y) => self.last_pass_to(spectrum, y, far, team),
+        self.leave(ways, far, team);
+    }
+
+    /// The gradients of images, pass by pass all of them. The images of a part are taken in turn.
+    pub(super) fn backward_images<'a, X: Stored<Real = T> + 'a>(
+        &self,
+        parts: Vec<Part<'a, X>>,
+        weight: &[T],
+        Means { spectra, far, team }: Means<'a, '_, T>,
+    ) {
+        let inverse = parts.iter().flat_map(|part| &part.images).any(|i| i.grad_x.is_some());
+        let mut room = spectra.chunks_exact_mut(self.spectrum_len()).map(|room| self.image(room));
+        let (mut entering, mut ways, mut gradients) = (Vec::new(), Vec::new(), Vec::new());
+        for Part { images, gradients: of_part } in parts {
+            let mut ways_of_part = Vec::with_capacity(images.len());
+            for BackwardImage { grad, x, grad_x } in images {
+                let of_x = of_part.is_some().then(|| room.next().expect("room for two"));
+                entering.push((grad, of_part.is_some().then_some(x)));
+                ways_of_part.push(Way::new(grad_x, of_x, &mut room));
+            }
+            ways.push(ways_of_part);
+            gradients.push(of_part);
+        }
+        let targets = ways.iter_mut().flatten();
+        let entering = entering.into_iter().zip(targets).flat_map(|((grad, x), way)| {
+            let of_x = x.zip(way.of_x.as_mut().map(|x| x.view_mut()));
+            std::iter::once((grad, way.spectrum.view_mut())).chain(of_x)
+        });
+        self.first_pass(entering, far, team);
+        let jobs = ways.iter_mut().zip(gradients).flat_map(|(ways, gradients)| {
+            let gradients = in_order(self.steps.len(), gradients.map(Vec::into_iter));
+            self.steps.iter().zip(self.rows_of_parts(ways)).zip(gradients)
+        });
+        team.run(jobs, |((step, images), gradient), scratch| {
+            self.backward_step(step, images, inverse.then_some(weight), gradient, scratch);
+        });
+        if inverse {
+            self.leave(ways.into_iter().flatten(), far, team);
         }
     }
 
-    pub(super) fn backward_image<'a, X: Stored<Real = T>>(
+    /// A step of the images of a part, in their order.
+    fn backward_step(
         &self,
-        [grad, x]: [ArrayView2<'_, X>; 2],
-        grad_x: Option<ArrayViewMut2<'_, X>>,
-        weight: &[T],
-        gradients: Option<impl Iterator<Item = StepGradient<'a, T>>>,
-        Means { spectra, far, team }: Means<'_, '_, T>,
-    ) where
-        T: 'a,
-    {
-        let inverse = grad_x.is_some();
-        let (spectrum, other) = spectra.split_at_mut(self.spectrum_len());
-        let (mut spectrum, grad_x) = match grad_x.map(X::as_real) {
-            Some(Ok(grad_x)) => (grad_x, None),
-            Some(Err(grad_x)) => (self.image(spectrum), Some(grad_x)),
-            None => (self.image(spectrum), None),
-        };
-        self.first_pass(grad, spectrum.view_mut(), far, team);
-        let x = gradients.is_some().then(|| {
-            let mut other = self.image(other);
-            self.first_pass(x, other.view_mut(), far, team);
-            self.rows_of_steps(other)
-        });
-        let gradients = x.into_iter().flatten().zip(gradients.into_iter().flatten()).map(Some);
-        let gradients_if_wanted = gradients.chain(std::iter::repeat_with(|| None));
-        let steps = self.steps.iter().zip(self.rows_of_steps(spectrum.view_mut()));
-        let steps = steps.zip(gradients_if_wanted);
-        team.run(steps, |((step, mut rows), gradient), scratch| {
-            let Parts { block, other, sum, work } = self.scratch(scratch);
-            self.gather(step, &rows, block, work);
-            let product = inverse.then(|| Product::<T, true>(Weight::new(self.plan, weight)));
-            match gradient {
-                Some((x, gradient)) => {
-                    self.gather(step, &x, other, work);
-                    let (sum, natural) = match gradient {
-                        StepGradient::Sum(sum) => (sum, None),
-                        StepGradient::Natural(rows) => {
-                            let sum = &mut sum[..self.sum_len_of(step)];
-                            sum.fill(T::default());
-                            (sum, Some(rows))
-                        }
-                    };
-                    let x = Block { vectors: other, pitch: self.plan.pitch() };
-                    let accumulate = Accumulate { x, sum: &mut *sum };
-                    match product {
-                        Some(product) => self.filter(step, block, (accumulate, product)),
-                        None => self.filter(step, block, accumulate),
-                    }
-                    if let Some(mut rows) = natural {
-                        self.unpack(step, sum, &mut rows);
-                    }
-                }
-                None => {
-                    if let Some(product) = product {
-                        self.filter(step, block, product);
-                    }
-                }
+        step: &Step,
+        images: Vec<(Rows<'_, T>, Option<Rows<'_, T>>)>,
+        weight: Option<&[T]>,
+        gradient: Option<StepGradient<'_, T>>,
+        scratch: &mut [T],
+    ) {
+        let Parts { block, other, sum, work } = self.scratch(scratch);
+        let product = || weight.map(|weight| Product::<T, true>(Weight::new(self.plan, weight)));
+        let (mut sum, natural) = match gradient {
+            None => (None, None),
+            Some(StepGradient::Sum(sum)) => (Some(sum), None),
+            Some(StepGradient::Natural(rows)) => {
+                let sum = &mut sum[..self.sum_len_of(step)];
+                sum.fill(T::default());
+                (Some(sum), Some(rows))
             }
-            if inverse {
+        };
+        for (mut rows, x) in images {
+            self.gather(step, &rows, block, work);
+            if let (Some(x), Some(sum)) = (x, &mut sum) {
+                self.gather(step, &x, other, work);
+                let x = Block { vectors: &mut *other, pitch: self.plan.pitch() };
+                let accumulate = Accumulate { x, sum };
+                match product() {
+                    Some(product) => self.filter(step, block, (accumulate, product)),
+                    None => self.filter(step, block, accumulate),
+                }
+            } else if let Some(product) = product() {
+                self.filter(step, block, product);
+            }
+            if weight.is_some() {
                 self.put(block, &mut rows, work);
             }
-        });
-        match grad_x {
-            Some(grad_x) => self.last_pass_to(spectrum, grad_x, far, team),
-            None if inverse => self.last_pass(spectrum, far, team),
-            None => {}
         }
+        if let (Some(sum), Some(mut rows)) = (sum, natural) {
+            self.unpack(step, sum, &mut rows);
+        }
+    }
+
+    /// For each step its rows of each image.
+    fn rows_of_parts<'a, X: Stored<Real = T> + 'a>(
+        &self,
+        ways: &'a mut [Way<'_, X>],
+    ) -> Vec<Vec<RowsOfImage<'a, T>>> {
+        let mut of_steps: Vec<_> = self.steps.iter().map(|_| Vec::new()).collect();
+        for Way { spectrum, of_x, .. } in ways {
+            let of_x = of_x.as_mut().map(|x| self.rows_of_steps(x.view_mut()).into_iter());
+            let of_x = in_order(self.steps.len(), of_x);
+            let rows = self.rows_of_steps(spectrum.view_mut()).into_iter().zip(of_x);
+            of_steps.iter_mut().zip(rows).for_each(|(step, rows)| step.push(rows));
+        }
+        of_steps
+    }
+
+    /// Spectra to the results.
+    fn leave<'a, X: Stored<Real = T> + 'a>(
+        &self,
+        ways: impl IntoIterator<Item = Way<'a, X>>,
+        far: bool,
+        team: &mut Team<'_, T>,
+    ) {
+        let (in_place, apart): (Vec<_>, Vec<_>) =
+            ways.into_iter().partition(|way| way.result.is_none());
+        self.last_pass(in_place.into_iter().map(|way| way.spectrum), far, team);
+        let apart = apart.into_iter().filter_map(|way| Some((way.spectrum, way.result?)));
+        self.last_pass_to(apart, far, team);
     }
 
     pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {

@@ -36,15 +36,18 @@ mod passes;
 mod turned;
 mod weight;
 
+use std::collections::VecDeque;
+
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
-use self::images::{Means, StepGradient};
+use self::images::{BackwardImage, Means, Part, StepGradient};
 use self::order::Step;
 use self::weight::Plan;
 use super::roots::root;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
-use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, second_cache};
+use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, second_cache, slack};
+use crate::tiling::{chunks_mut, in_order};
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
@@ -154,7 +157,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
 
     fn packed_len(&self, _: usize) -> usize {
         let sum: usize = self.steps.iter().map(|step| self.sum_len_of(step)).sum();
-        sum.max(self.weight_len())
+        sum.max(self.weight_len()).next_multiple_of(slack::<X::Real>())
     }
 
     fn scratch_len(&self) -> usize {
@@ -162,6 +165,10 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     }
 
     /// The weight stays in natural order, in which the product reads it.
+    fn packs(&self) -> bool {
+        false
+    }
+
     fn pack(
         &self,
         weight: ArrayView3<'_, X::Real>,
@@ -176,27 +183,54 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         &self,
         x: ArrayView3<'_, X>,
         packed: &[X::Real],
-        mut y: ArrayViewMut3<'_, X>,
+        y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
-        let (spectrum, mut team) = team.share(self.spectrum_len());
+        let members = team.members();
+        let (spectra, mut team) = team.share(self.spectrum_len());
         let far = !come_unasked(2 * x.len() * size_of::<X>(), self.image_bytes::<X>());
-        for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
-            let means = Means { spectra: &mut *spectrum, far, team: &mut team };
-            self.forward_image(x, y, &packed[..self.weight_len()], means);
+        let mut images = images_of(x).zip(images_of_mut(y)).peekable();
+        while images.peek().is_some() {
+            let together: Vec<_> = images.by_ref().take(members).collect();
+            let means = Means { spectra: &mut *spectra, far, team: &mut team };
+            self.forward_images(together, &packed[..self.weight_len()], means);
         }
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum } = pass;
+        let Backward { grad, x, packed, grad_x, grad_sum, images_each } = pass;
+        let images_each = if grad_sum.is_some() { images_each } else { 1 };
+        let members = team.members();
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
         let far = !come_unasked(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
-        for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
-            let sums = grad_sum.as_deref_mut();
-            let sums = sums.map(|sum| self.parts_mut(sum).map(StepGradient::Sum));
-            let grad_x = grad_x.as_mut().map(|grad_x| grad_x.index_axis_mut(Axis(0), image));
-            let means = Means { spectra: &mut *spectra, far, team: &mut team };
-            self.backward_image([grad, x], grad_x, &packed[..self.weight_len()], sums, means);
+        let count = x.len_of(Axis(0));
+        let grad_x = in_order(count, grad_x.map(images_of_mut));
+        let mut images = images_of(grad).zip(images_of(x)).zip(grad_x);
+        let len = Kernel::<X>::packed_len(self, self.plan.width);
+        let parts = count.div_ceil(images_each);
+        let sums = in_order(parts, grad_sum.map(|sums| sums.chunks_exact_mut(len)));
+        let mut parts: Vec<_> = sums
+            .map(|sum| {
+                let images = images.by_ref().take(images_each);
+                let images = images.map(|((grad, x), grad_x)| BackwardImage { grad, x, grad_x });
+                (images.collect::<VecDeque<_>>(), sum)
+            })
+            .collect();
+        // as many parts at a time as there are members, and as many images of each
+        let parts_each = parts.len().div_ceil(parts.len().div_ceil(members));
+        for parts in parts.chunks_mut(parts_each) {
+            let images_each = (members / parts.len()).max(1);
+            while !parts[0].0.is_empty() {
+                let round = parts.iter_mut().map(|(images, sum)| {
+                    let images = images.drain(..images_each.min(images.len()));
+                    let images = images.map(BackwardImage::reborrow).collect();
+                    let sums = sum.as_deref_mut().map(|sum| self.parts_mut(sum));
+                    Part { images, gradients: sums.map(|s| s.map(StepGradient::Sum).collect()) }
+                });
+                let round: Vec<_> = round.collect();
+                let means = Means { spectra: &mut *spectra, far, team: &mut team };
+                self.backward_images(round, &packed[..self.weight_len()], means);
+            }
         }
     }
 
@@ -226,10 +260,6 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
 
 /// The gradient of the weight is brought to its order step by step, while its sums are in the cache.
 impl<X: Stored> Single<X> for Tokens<X::Real> {
-    fn narrowest_tile(&self) -> usize {
-        self.plan.width
-    }
-
     fn forward(
         &self,
         x: ArrayView2<'_, X>,
@@ -238,21 +268,31 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
         team: &mut Team<'_, X::Real>,
     ) {
         let weight = weight.to_slice().expect("a whole weight");
-        let (spectrum, mut team) = team.share(self.spectrum_len());
-        let means =
-            Means { spectra: spectrum, far: self.bytes() > second_cache(), team: &mut team };
-        self.forward_image(x, y, weight, means);
+        let (spectra, mut team) = team.share(self.spectrum_len());
+        let means = Means { spectra, far: self.bytes() > second_cache(), team: &mut team };
+        self.forward_images(vec![(x, y)], weight, means);
     }
 
     fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
         let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
         let weight = weight.to_slice().expect("a whole weight");
-        let gradients =
-            grad_weight.map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural));
+        let gradients = grad_weight
+            .map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural).collect());
+        let part = Part { images: vec![BackwardImage { grad, x, grad_x }], gradients };
         let means = Means { spectra, far: self.bytes() > second_cache(), team: &mut team };
-        self.backward_image([grad, x], grad_x, weight, gradients, means);
+        self.backward_images(vec![part], weight, means);
     }
+}
+
+/// The images of a batch.
+fn images_of<'a, X: 'a>(batch: ArrayView3<'a, X>) -> impl Iterator<Item = ArrayView2<'a, X>> {
+    (0..batch.len_of(Axis(0))).map(move |image| batch.index_axis_move(Axis(0), image))
+}
+
+/// As [`images_of`], to write.
+fn images_of_mut<X>(batch: ArrayViewMut3<'_, X>) -> impl Iterator<Item = ArrayViewMut2<'_, X>> {
+    chunks_mut(batch, Axis(0), 1).map(|image| image.index_axis_move(Axis(0), 0))
 }
 
 /// `X = A B` with codelets for both, as near to a square as can be.

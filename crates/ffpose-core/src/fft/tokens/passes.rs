@@ -8,6 +8,7 @@ use super::order::Step;
 use super::{Tokens, lines};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored, Tile, TileMut, aligned, slack};
+use crate::tiling::chunks_mut;
 
 /// The rows of blocks `u1` and, unless it is the same, `-u1`.
 pub(super) type Rows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];
@@ -60,19 +61,20 @@ impl<T: Element> Tokens<T> {
             .expect("room for an image")
     }
 
-    /// An image to the transforms of its lines and of their parts `x1`.
-    pub(super) fn first_pass<X: Stored<Real = T>>(
+    /// Images to the transforms of their lines and of their parts `x1`.
+    pub(super) fn first_pass<'a, X: Stored<Real = T> + 'a>(
         &self,
-        x: ArrayView2<'_, X>,
-        spectrum: ArrayViewMut2<'_, T>,
+        images: impl Iterator<Item = (ArrayView2<'a, X>, ArrayViewMut2<'a, T>)>,
         far: bool,
         team: &mut Team<'_, T>,
     ) {
         let ([a, b], pitch) = (self.factors, self.plan.pitch());
-        let x = x.into_shape_with_order((a, b, self.plan.width)).expect("rows without gaps");
-        let mut spectrum = self.blocks(spectrum);
-        let columns = x.axis_iter(Axis(1)).zip(spectrum.axis_iter_mut(Axis(1)));
-        team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
+        let columns = images.flat_map(|(x, spectrum)| {
+            let x = x.into_shape_with_order((a, b, self.plan.width)).expect("rows without gaps");
+            let x = (0..b).map(move |x2| x.index_axis_move(Axis(1), x2));
+            x.zip(self.columns(spectrum)).zip(self.twiddles.chunks_exact(a))
+        });
+        team.run(columns, |((x, y), twiddles), scratch| {
             let Parts { block: vectors, work, .. } = self.scratch(scratch);
             let y = TileMut::new(y);
             let target = far.then(|| y.reader());
@@ -82,15 +84,15 @@ impl<T: Element> Tokens<T> {
     }
 
     /// Undoes [`first_pass`](Self::first_pass) in place, up to a factor.
-    pub(super) fn last_pass(
+    pub(super) fn last_pass<'a>(
         &self,
-        spectrum: ArrayViewMut2<'_, T>,
+        spectra: impl Iterator<Item = ArrayViewMut2<'a, T>>,
         far: bool,
         team: &mut Team<'_, T>,
     ) {
         let ([a, _], pitch) = (self.factors, self.plan.pitch());
-        let mut spectrum = self.blocks(spectrum);
-        let columns = spectrum.axis_iter_mut(Axis(1)).zip(self.twiddles.chunks_exact(a));
+        let columns =
+            spectra.flat_map(|spectrum| self.columns(spectrum).zip(self.twiddles.chunks_exact(a)));
         team.run(columns, |(spectrum, twiddles), scratch| {
             let Parts { block: vectors, work, .. } = self.scratch(scratch);
             let image = TileMut::new(spectrum);
@@ -100,24 +102,34 @@ impl<T: Element> Tokens<T> {
         });
     }
 
-    /// As [`last_pass`](Self::last_pass), to `y`.
-    pub(super) fn last_pass_to<X: Stored<Real = T>>(
+    /// As [`last_pass`](Self::last_pass), each to an image of its own.
+    pub(super) fn last_pass_to<'a, X: Stored<Real = T> + 'a>(
         &self,
-        spectrum: ArrayViewMut2<'_, T>,
-        y: ArrayViewMut2<'_, X>,
+        images: impl Iterator<Item = (ArrayViewMut2<'a, T>, ArrayViewMut2<'a, X>)>,
         far: bool,
         team: &mut Team<'_, T>,
     ) {
         let ([a, _], pitch) = (self.factors, self.plan.pitch());
-        let (spectrum, mut y) = (self.blocks(spectrum), self.blocks(y));
-        let columns = spectrum.axis_iter(Axis(1)).zip(y.axis_iter_mut(Axis(1)));
-        team.run(columns.zip(self.twiddles.chunks_exact(a)), |((x, y), twiddles), scratch| {
+        let columns = images.flat_map(|(spectrum, y)| {
+            let columns = self.columns(spectrum).zip(self.columns(y));
+            columns.zip(self.twiddles.chunks_exact(a))
+        });
+        team.run(columns, |((x, y), twiddles), scratch| {
             let Parts { block: vectors, work, .. } = self.scratch(scratch);
-            let x = Tile::new(x);
+            let x = Tile::new(x.view());
             let block = Block { vectors: &mut *vectors, pitch };
             image_to_block::<T, true>(self.isa, x, twiddles, block, work);
             lines::inverse(self.isa, Block { vectors, pitch }, TileMut::new(y), work, far);
         });
+    }
+
+    /// For each `x2` the rows `x = B x1 + x2`.
+    fn columns<'a, X>(
+        &self,
+        rows: ArrayViewMut2<'a, X>,
+    ) -> impl Iterator<Item = ArrayViewMut2<'a, X>> + use<'a, X, T> {
+        let columns = chunks_mut(self.blocks(rows), Axis(1), 1);
+        columns.map(|column| column.index_axis_move(Axis(1), 0))
     }
 
     /// Rows `(X, Y)` as `(A, B, Y)`.

@@ -1,0 +1,77 @@
+//! A weight in kernel order, for as many calls as it stays the same.
+
+use ndarray::{ArrayViewD, ArrayViewMutD};
+
+use crate::batch::{Batch, Weight, packed_offset};
+use crate::number::Number;
+use crate::parallel::{Pool, StdThreads};
+use crate::scratch::{Aligned, Needs, Scratch};
+use crate::spectral::{SpectralFilter, widened_len};
+use crate::tiling::Tiling;
+use crate::widened::Widened;
+use crate::{Error, Real};
+
+/// A filter with its weight, which no call brings to kernel order again.
+pub struct Prepared<T> {
+    filter: SpectralFilter<T>,
+    packed: Aligned<T>,
+}
+
+impl<T: Real> SpectralFilter<T> {
+    /// This filter with `weight`, which is copied.
+    ///
+    /// # Errors
+    /// [`Error::Shape`], [`Error::Strides`] or [`Error::Memory`].
+    pub fn prepare<W: Number<Real = T>>(
+        &self,
+        weight: ArrayViewD<'_, W>,
+    ) -> Result<Prepared<T>, Error> {
+        let weight = self.shape.bins("weight", weight)?;
+        let filter = self.clone();
+        let Some(kernel) = self.kernel.as_deref() else {
+            return Ok(Prepared { filter, packed: Aligned::new(0)? });
+        };
+        let offset = |lane| packed_offset(kernel, kernel.narrowest_tile(), lane);
+        let mut packed = Aligned::new(offset(self.shape.lanes))?;
+        let shared = widened_len::<W>(weight.len());
+        let needs = Needs { workers: 1, members: 1, kernel: kernel.scratch_len(), shared };
+        let mut scratch = Scratch::default();
+        let (mut workers, wide) = scratch.lend(&StdThreads(1), needs)?;
+        let weight = W::read(self.isa, weight, wide);
+        let tiling = Tiling::new(self.shape, kernel.tile(), 1, 1);
+        for tile in 0..tiling.tiles() {
+            let lanes = tiling.lanes_of(tile);
+            let packed = &mut packed.numbers_mut()[offset(lanes.start)..];
+            let packed = &mut packed[..kernel.packed_len(lanes.len())];
+            kernel.pack(tiling.bins(weight, tile), packed, &mut workers.together());
+        }
+        Ok(Prepared { filter, packed })
+    }
+}
+
+impl<T: Real> Prepared<T> {
+    /// Filters `x` into `y`, with the same bits as [`SpectralFilter::forward`].
+    ///
+    /// # Errors
+    /// [`Error::Shape`], [`Error::Strides`] or [`Error::Memory`]; `y` is then untouched.
+    pub fn forward<X: Number<Real = T>>(
+        &self,
+        x: ArrayViewD<'_, X>,
+        y: ArrayViewMutD<'_, X>,
+        pool: &dyn Pool,
+        scratch: &mut Scratch,
+    ) -> Result<(), Error> {
+        let (filter, images) = (&self.filter, self.filter.images(x, y)?);
+        let count = images.0.dim().0;
+        let Some(kernel) = filter.kernel.as_deref().filter(|_| count > 0) else {
+            return Ok(());
+        };
+        let granule = kernel.narrowest_tile();
+        let widened = Widened::new(filter.isa, filter.shape, kernel);
+        let kernel = X::kernel(kernel, &widened);
+        let batch = Batch::new(filter.shape, kernel, granule, (count, false), pool);
+        let (mut workers, _) = scratch.lend(pool, batch.needs(0))?;
+        batch.forward(images, Weight::Packed(self.packed.numbers()), &mut [], &mut workers);
+        Ok(())
+    }
+}
