@@ -3,12 +3,13 @@ VENV ?= .venv
 PYTHON ?= python3
 DEMO_OUT ?= runs/demo
 BIN := $(VENV)/bin
+PYTHON_SOURCES := python tests build_backend.py build_library.py
 RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -name '*.rs' -o -name Cargo.toml)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-arm bench wheel clean tools
+.PHONY: help demo test all format lint typecheck test-rust test-python test-arm bench ort wheel clean tools
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -21,13 +22,13 @@ test: test-rust test-python ## install and run every test, Rust's and Python's
 all: lint typecheck test ## what CI runs: format, lints, types, tests (the docs' examples are among them)
 
 format: $(VENV)/.dev ## rewrite the sources in the house format
-	$(BIN)/ruff format python tests
-	$(BIN)/ruff check --fix python tests
+	$(BIN)/ruff format $(PYTHON_SOURCES)
+	$(BIN)/ruff check --fix $(PYTHON_SOURCES)
 	cargo fmt --all
 
 lint: $(VENV)/.dev ## formatters and linters, changing nothing
-	$(BIN)/ruff format --check python tests
-	$(BIN)/ruff check python tests
+	$(BIN)/ruff format --check $(PYTHON_SOURCES)
+	$(BIN)/ruff check $(PYTHON_SOURCES)
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets --release -- -D warnings
 
@@ -47,13 +48,16 @@ test-arm: ## the Rust tests for 64-bit ARM under qemu; not needed to use ffpose
 bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
 
-wheel: $(VENV)/.dev ## build the wheel, the one file in dist
+ort: tools ## build the operator for ONNX Runtime into the package; installing ffpose does so too
+	$(PYTHON) build_library.py
+
+wheel: $(VENV)/.dev ort ## build the wheel, the one file in dist
 	rm -rf dist
 	$(BIN)/maturin build --locked --release --out dist
 
 clean: ## remove the environment and everything built
 	rm -rf $(VENV) target dist
-	find python -name '*.so' -delete
+	find python -name '*.so' -delete -o -name '*ffpose_ort.*' -delete
 
 tools:
 	@command -v cargo >/dev/null || { echo "ffpose is built with Rust 1.89 or newer, and 'cargo' was not found: install it from https://rustup.rs, or with your system's packages." >&2; exit 1; }

@@ -1,14 +1,13 @@
 //! What can be wrong with a caller's arguments. Each variant says what was expected and what came.
 
-use thiserror::Error;
+use std::fmt::{self, Display, Formatter};
 
 use crate::shape::tuple;
 
 /// An argument that the mathematics cannot take.
-#[derive(Clone, Debug, Error, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Error {
     /// An array of another shape.
-    #[error("{name} must have shape {expected}, got {}", tuple(got))]
     Shape {
         /// The argument.
         name: &'static str,
@@ -18,7 +17,6 @@ pub enum Error {
         got: Vec<usize>,
     },
     /// An array that is not C-contiguous.
-    #[error("{name} must be C-contiguous, got strides {got:?} (elements)")]
     Strides {
         /// The argument.
         name: &'static str,
@@ -26,13 +24,11 @@ pub enum Error {
         got: Vec<isize>,
     },
     /// A layout that does not exist.
-    #[error("layout must be \"tokens\" or \"grid\", got {got:?}")]
     Layout {
         /// The name that was given.
         got: String,
     },
     /// An instruction set that this machine does not have.
-    #[error("FFPOSE_ISA must be one of {expected} on this machine, got {got:?}")]
     Isa {
         /// The names of those that it has.
         expected: String,
@@ -40,7 +36,6 @@ pub enum Error {
         got: String,
     },
     /// A plane whose transform could not be addressed in memory.
-    #[error("a {rows} x {columns} plane in {lanes} lanes is larger than memory can address")]
     TooLarge {
         /// Rows of the plane.
         rows: usize,
@@ -50,13 +45,11 @@ pub enum Error {
         lanes: usize,
     },
     /// Working memory that there is not.
-    #[error("expected {bytes} bytes of working memory, got none: there is not so much")]
     Memory {
         /// The bytes that the call needs.
         bytes: usize,
     },
     /// A vector of length zero where a direction or a distance is needed.
-    #[error("{name} must have a norm above zero, got a zero vector in row {row}")]
     ZeroNorm {
         /// The argument.
         name: &'static str,
@@ -64,7 +57,6 @@ pub enum Error {
         row: usize,
     },
     /// NaN or infinity where a measurement must not hide it.
-    #[error("{name} must be finite, got {got} in row {row}")]
     NotFinite {
         /// The argument.
         name: &'static str,
@@ -73,4 +65,40 @@ pub enum Error {
         /// The offending value.
         got: f64,
     },
+}
+
+impl std::error::Error for Error {}
+
+/// By hand: a procedural macro would compile this crate once for each set of features that the crates beside it give `syn`.
+impl Display for Error {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Shape { name, expected, got } => {
+                write!(f, "{name} must have shape {expected}, got {}", tuple(got))
+            }
+            Self::Strides { name, got } => {
+                write!(f, "{name} must be C-contiguous, got strides {got:?} (elements)")
+            }
+            Self::Layout { got } => {
+                write!(f, "layout must be \"tokens\" or \"grid\", got {got:?}")
+            }
+            Self::Isa { expected, got } => {
+                write!(f, "FFPOSE_ISA must be one of {expected} on this machine, got {got:?}")
+            }
+            Self::TooLarge { rows, columns, lanes } => write!(
+                f,
+                "a {rows} x {columns} plane in {lanes} lanes is larger than memory can address"
+            ),
+            Self::Memory { bytes } => write!(
+                f,
+                "expected {bytes} bytes of working memory, got none: there is not so much"
+            ),
+            Self::ZeroNorm { name, row } => {
+                write!(f, "{name} must have a norm above zero, got a zero vector in row {row}")
+            }
+            Self::NotFinite { name, row, got } => {
+                write!(f, "{name} must be finite, got {got} in row {row}")
+            }
+        }
+    }
 }

@@ -1,0 +1,37 @@
+"""Builds ffpose for pip: maturin, once the operator's library is in the package (PEP 517)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from typing import Any
+
+import maturin
+from build_library import build_library
+
+
+def build_wheel(*args: Any, **kwargs: Any) -> str:
+    """Build a wheel; arguments and result are those of PEP 517."""
+    _find_cargo()
+    build_library()
+    return maturin.build_wheel(*args, **kwargs)
+
+
+def build_editable(*args: Any, **kwargs: Any) -> str:
+    """Build an editable wheel (PEP 660), whose sources and libraries are used in place."""
+    _find_cargo()
+    build_library()
+    return maturin.build_editable(*args, **kwargs)
+
+
+def __getattr__(hook: str) -> Any:
+    """Return maturin's own hook for all else."""
+    return getattr(maturin, hook)
+
+
+def _find_cargo() -> None:
+    """Install Rust for this build where there is none, as maturin does."""
+    if not shutil.which("cargo") and not os.environ.get("MATURIN_NO_INSTALL_RUST"):
+        from puccinialin import setup_rust
+
+        os.environ.update(setup_rust())

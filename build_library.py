@@ -1,0 +1,48 @@
+"""Builds the custom operator's library into the package: `python build_library.py`.
+
+It is compiled with cargo from crates/ffpose-ort, and `ffpose.onnx.get_library_path` finds it.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+FOLDER = ROOT / "python" / "ffpose" / "onnx"
+
+COMMAND = [
+    "cargo",
+    "build",
+    "--locked",
+    "--release",
+    "--package=ffpose-ort",
+    "--message-format=json-render-diagnostics",
+]
+
+
+def build_library() -> Path:
+    """Return the path of the library, which is compiled anew where its sources have changed."""
+    output = subprocess.run(COMMAND, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
+    messages = [json.loads(line) for line in output.splitlines()]
+    (library,) = (
+        Path(file)
+        for message in messages
+        if message["reason"] == "compiler-artifact" and message["target"]["name"] == "ffpose_ort"
+        for file in message["filenames"]
+        if Path(file).suffix in (".so", ".dylib", ".dll")
+    )
+    FOLDER.mkdir(exist_ok=True)
+    temporary = FOLDER / f".{library.name}.new"
+    shutil.copy(library, temporary)
+    return temporary.replace(FOLDER / library.name)  # a program may have the old one loaded
+
+
+if __name__ == "__main__":
+    try:
+        print(build_library())
+    except (OSError, subprocess.CalledProcessError) as error:
+        sys.exit(f"ffpose: cannot build the custom operator's library: {error}")
