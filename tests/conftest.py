@@ -8,6 +8,13 @@ for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
 
+def pytest_report_header():
+    """Say what machine code the tests reach."""
+    from ffpose import _rust
+
+    return f"instruction sets: {', '.join(_rust.isas())}"
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory):
     """Frames of datasets go into a folder that pytest removes, not into the user's."""

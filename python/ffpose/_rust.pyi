@@ -4,8 +4,8 @@ Every function raises TypeError for an argument that is not an array of float32 
 ValueError for a shape, stride or value, and MemoryError if working memory cannot be allocated.
 
 The functions for torch tensors write to tensors that the caller allocated and that do not overlap
-the inputs. They also take bfloat16 and float16, with a weight of the same dtype or of float32, and
-run in torch's threads.
+the inputs, except that the filter's result may be its input itself. They also take bfloat16 and
+float16, with a weight of the same dtype or of float32, and run in torch's threads.
 """
 
 from collections.abc import Sequence
@@ -24,6 +24,7 @@ __all__ = [
     "filter_tensors_backward",
     "fractal_noise",
     "isa",
+    "isas",
     "normalize_quaternion",
     "normalize_quaternion_backward",
     "quaternion_to_euler",
@@ -40,7 +41,11 @@ __version__: str
 _Real = TypeVar("_Real", np.float32, np.float64)
 
 def spectral_filter(
-    x: NDArray[_Real], weight: NDArray[_Real], layout: str, num_threads: int = 1
+    x: NDArray[_Real],
+    weight: NDArray[_Real],
+    layout: str,
+    num_threads: int = 1,
+    out: NDArray[_Real] | None = None,
 ) -> NDArray[_Real]: ...
 def spectral_filter_backward(
     grad: NDArray[_Real],
@@ -62,6 +67,7 @@ def filter_tensors_backward(
     num_threads: int,
 ) -> None: ...
 def isa() -> str: ...
+def isas() -> list[str]: ...
 def fractal_noise(
     points: NDArray[np.float32], heights: NDArray[np.float32]
 ) -> NDArray[np.float32]: ...

@@ -22,7 +22,12 @@ RealArray = NDArray[np.float32] | NDArray[np.float64]
 
 
 def spectral_filter(
-    x: ArrayLike, weight: ArrayLike, layout: str = "tokens", num_threads: int = 1
+    x: ArrayLike,
+    weight: ArrayLike,
+    layout: str = "tokens",
+    num_threads: int = 1,
+    *,
+    out: RealArray | None = None,
 ) -> RealArray:
     """Filter images in the frequency domain: ``irfft2(rfft2(x) * weight)``.
 
@@ -40,13 +45,17 @@ def spectral_filter(
         layout: ``"tokens"`` or ``"grid"``.
         num_threads: Largest number of threads to use; small inputs use one. The result is
             bit-identical for any number.
+        out: C-contiguous array of the shape and dtype of ``x`` to write to: memory of its own, or
+            all of ``x``, which is then filtered in place. A new array by default, whose page faults
+            take about as long as a large filter.
 
     Returns:
-        An array of the shape of ``x``.
+        ``out``, or an array of the shape of ``x``.
 
     Raises:
-        TypeError: An argument is not an array of float32 or float64, or the two differ.
-        ValueError: The shape of ``x`` or ``weight``, ``layout`` or ``num_threads`` is not as above.
+        TypeError: An argument is not an array of float32 or float64, or they differ.
+        ValueError: The shape of ``x``, ``weight`` or ``out``, ``layout`` or ``num_threads`` is not
+            as above, or ``out`` shares a part of its memory with another argument.
 
     Examples:
         A weight of one is the identity:
@@ -57,7 +66,16 @@ def spectral_filter(
         >>> bool(np.allclose(spectral_filter(x, weight), x))
         True
     """
-    return _rust.spectral_filter(_array(x, "x"), _array(weight, "weight"), layout, num_threads)
+    x, weight = _array(x, "x"), _array(weight, "weight")
+    if out is None:
+        return _rust.spectral_filter(x, weight, layout, num_threads)
+    if not isinstance(out, np.ndarray):
+        raise TypeError(f"out must be a numpy.ndarray, got {type(out)}")
+    if out.shape != x.shape:
+        raise ValueError(f"out must have the shape of x {x.shape}, got {out.shape}")
+    is_x = out.ctypes.data == x.ctypes.data and out.strides == x.strides and out.dtype == x.dtype
+    _rust.spectral_filter(out if is_x else x, weight, layout, num_threads, out)
+    return out
 
 
 def normalize_quaternion(q: ArrayLike) -> RealArray:

@@ -1,14 +1,17 @@
 //! A batch in pieces: who takes which, the packed weights that they share, and the sums of gradients.
 
-use ndarray::{ArrayView3, ArrayViewMut3};
+use bytemuck::cast_slice_mut;
+use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 
 use crate::kernel::{Backward, Kernel};
 use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{Needs, Workers};
-use crate::simd::Stored;
+use crate::simd::{LINE_BYTES, Stored};
 use crate::tiling::{Grain, Tiling, in_order};
 use crate::{Real, Shape};
+
+const BATCH: Axis = Axis(0);
 
 /// Numbers of a sum that one member of a team adds up at a time.
 const ADDED_TOGETHER: usize = 1 << 12;
@@ -80,6 +83,21 @@ impl<'a, X: Number> Batch<'a, X> {
         Needs { workers, members, kernel: self.kernel.scratch_len(), shared }
     }
 
+    /// As [`needs`](Self::needs), with room for copies of what goes together in place.
+    pub(crate) fn needs_in_place(&self, shared: usize) -> Needs {
+        let needs = self.needs(shared);
+        Needs { kernel: needs.kernel.saturating_add(self.copy_len()), ..needs }
+    }
+
+    /// Numbers of each member of a team for a copy of the images that go together, in whole cache lines.
+    fn copy_len(&self) -> usize {
+        let images = self.kernel.images_together().min(self.tiling.images_each());
+        let elements = images * self.shape.points() * self.lanes_each();
+        let line = LINE_BYTES / size_of::<X::Real>();
+        let numbers = (elements * size_of::<X>()).div_ceil(size_of::<X::Real>());
+        numbers.div_ceil(self.members).next_multiple_of(line)
+    }
+
     /// Numbers for packed weights: of a tile for each worker, or of all tiles for all workers.
     pub(crate) fn packed_len(&self) -> usize {
         match self.kernel.packs() {
@@ -101,18 +119,37 @@ impl<'a, X: Number> Batch<'a, X> {
         self.sum_len().saturating_mul(self.parts()).saturating_mul(self.tiling.tiles())
     }
 
-    /// `y = irfft2(rfft2(x) · W)`. `packed` has room for [`packed_len`](Self::packed_len) numbers.
+    /// `y = irfft2(rfft2(x) · W)`, where `y` is `x` itself if there is no other. `packed` has room for
+    /// [`packed_len`](Self::packed_len) numbers.
     pub(crate) fn forward(
         &self,
-        (x, y): (ArrayView3<'_, X>, ArrayViewMut3<'_, X>),
+        (x, y): (Option<ArrayView3<'_, X>>, ArrayViewMut3<'_, X>),
         weight: Weight<'_, X::Real>,
         packed: &mut [X::Real],
         workers: &mut Workers<'_, X::Real>,
     ) {
         let jobs = self.tiling.images_mut(y);
-        self.run(jobs, weight, true, packed, workers, |piece, y, packed, team| {
-            self.kernel.forward(self.tiling.images(x, piece), packed, y, team);
+        self.run(jobs, weight, true, packed, workers, |piece, y, packed, team| match x {
+            Some(x) => self.kernel.forward(self.tiling.images(x, piece), packed, y, team),
+            None => self.copied(y, team, |x, y, team| self.kernel.forward(x, packed, y, team)),
         });
+    }
+
+    /// Runs `filter` in place, from a copy of the images that go together: small enough for a cache to hold it.
+    pub(crate) fn copied(
+        &self,
+        mut piece: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
+        filter: impl Fn(ArrayView3<'_, X>, ArrayViewMut3<'_, X>, &mut Team<'_, X::Real>),
+    ) {
+        let (room, mut team) = team.share(self.copy_len());
+        let room: &mut [X] = cast_slice_mut(room);
+        for images in piece.axis_chunks_iter_mut(BATCH, self.kernel.images_together()) {
+            let copy = ArrayViewMut3::from_shape(images.raw_dim(), &mut room[..images.len()]);
+            let mut copy = copy.expect("room for the images that go together");
+            copy.assign(&images);
+            filter(copy.view(), images, &mut team);
+        }
     }
 
     /// The gradient of `x` if there is one, and the sums of that of the weight if there is room for
@@ -521,7 +558,7 @@ mod tests {
                 let (mut workers, packed) = scratch.lend(&pool, needs).unwrap();
                 let mut y = x.clone();
                 let natural = Weight::Natural(weight.view());
-                batch.forward((x.view(), y.view_mut()), natural, packed, &mut workers);
+                batch.forward((Some(x.view()), y.view_mut()), natural, packed, &mut workers);
                 assert_eq!(kernel.1.into_inner(), 300);
             }
         }

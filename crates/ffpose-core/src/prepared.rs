@@ -71,7 +71,12 @@ impl<T: Real> Prepared<T> {
         let kernel = X::kernel(kernel, &widened);
         let batch = Batch::new(filter.shape, kernel, granule, (count, false), pool);
         let (mut workers, _) = scratch.lend(pool, batch.needs(0))?;
-        batch.forward(images, Weight::Packed(self.packed.numbers()), &mut [], &mut workers);
+        batch.forward(
+            (Some(images.0), images.1),
+            Weight::Packed(self.packed.numbers()),
+            &mut [],
+            &mut workers,
+        );
         Ok(())
     }
 }

@@ -15,7 +15,7 @@ use crate::fft::Batched;
 use crate::general::General;
 use crate::kernel::{Kernel, Single, SingleBackward};
 use crate::number::Number;
-use crate::parallel::{self, Pool};
+use crate::parallel::{self, Pool, Team};
 use crate::scratch::{self, Scratch};
 use crate::tiling::in_order;
 use crate::widened::Widened;
@@ -93,18 +93,46 @@ impl<T: Real> SpectralFilter<T> {
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let (x, y) = self.images(x, y)?;
+        self.run_forward(Some(x), y, weight, pool, scratch)
+    }
+
+    /// As [`forward`](Self::forward), with the same bits, to where the images are.
+    ///
+    /// # Errors
+    /// [`Error::Shape`], [`Error::Strides`] or [`Error::Memory`]; the images are then untouched.
+    pub fn forward_in_place<X: Number<Real = T>, W: Number<Real = T>>(
+        &self,
+        images: ArrayViewMutD<'_, X>,
+        weight: ArrayViewD<'_, W>,
+        pool: &dyn Pool,
+        scratch: &mut Scratch,
+    ) -> Result<(), Error> {
+        let dim = images.raw_dim();
+        let images = self.shape.images_mut("x", dim.slice(), images)?;
+        self.run_forward(None, images, weight, pool, scratch)
+    }
+
+    /// Filters `x` into `y`, or `y` in place.
+    fn run_forward<X: Number<Real = T>, W: Number<Real = T>>(
+        &self,
+        x: Option<ArrayView3<'_, X>>,
+        y: ArrayViewMut3<'_, X>,
+        weight: ArrayViewD<'_, W>,
+        pool: &dyn Pool,
+        scratch: &mut Scratch,
+    ) -> Result<(), Error> {
         let weight = self.shape.bins("weight", weight)?;
-        let Some(kernel) = self.kernel.as_deref().filter(|_| !x.is_empty()) else {
+        let Some(kernel) = self.kernel.as_deref().filter(|_| !y.is_empty()) else {
             return Ok(());
         };
-
         let granule = kernel.narrowest_tile();
         let widened = Widened::new(self.isa, self.shape, kernel);
         let kernel = X::kernel(kernel, &widened);
-        let single = kernel.single().filter(|_| x.dim().0 == 1);
-        let batch = Batch::new(self.shape, kernel, granule, (x.dim().0, false), pool);
+        let single = kernel.single().filter(|_| y.dim().0 == 1);
+        let batch = Batch::new(self.shape, kernel, granule, (y.dim().0, false), pool);
         let packed_len = if single.is_some() { 0 } else { batch.packed_len() };
-        let needs = batch.needs(packed_len.saturating_add(widened_len::<W>(weight.len())));
+        let shared = packed_len.saturating_add(widened_len::<W>(weight.len()));
+        let needs = if x.is_some() { batch.needs(shared) } else { batch.needs_in_place(shared) };
         let (mut workers, shared) = scratch.lend(pool, needs)?;
         let (packed, wide_weight) = shared.split_at_mut(packed_len);
         let weight = W::read(self.isa, weight, wide_weight);
@@ -115,8 +143,14 @@ impl<T: Real> SpectralFilter<T> {
         let tiling = batch.tiling;
         let jobs = tiling.images_mut(y).enumerate();
         parallel::run(pool, workers.each(), jobs, |(tile, y), team| {
-            let x = tiling.images(x, tile).index_axis_move(BATCH, 0);
-            single.forward(x, tiling.bins(weight, tile), y.index_axis_move(BATCH, 0), team);
+            let filter = |x: ArrayView3<'_, X>, y: ArrayViewMut3<'_, X>, team: &mut Team<'_, T>| {
+                let (x, y) = (x.index_axis_move(BATCH, 0), y.index_axis_move(BATCH, 0));
+                single.forward(x, tiling.bins(weight, tile), y, team);
+            };
+            match x {
+                Some(x) => filter(tiling.images(x, tile), y, team),
+                None => batch.copied(y, team, filter),
+            }
         });
         Ok(())
     }

@@ -99,6 +99,19 @@ fn forward<X: Number, W: Number<Real = X::Real>>(
     y
 }
 
+/// As [`forward`], in place.
+fn forward_in_place<X: Number, W: Number<Real = X::Real>>(
+    filter: &SpectralFilter<X::Real>,
+    x: &ArrayD<X>,
+    weight: &ArrayD<W>,
+    threads: usize,
+) -> ArrayD<X> {
+    let mut y = x.clone();
+    let scratch = &mut Scratch::poisoned();
+    filter.forward_in_place(y.view_mut(), weight.view(), &Eager(threads), scratch).unwrap();
+    y
+}
+
 fn backward<X: Number, W: Number<Real = X::Real>>(
     filter: &SpectralFilter<X::Real>,
     (grad, x, weight): (&ArrayD<X>, &ArrayD<X>, &ArrayD<W>),
@@ -164,6 +177,80 @@ fn double_precision_agrees_with_the_sums() {
     agrees_with_the_sums::<f64>(f64::EPSILON);
 }
 
+/// One case of the property: everything that a caller may choose, from one number.
+fn any_case_agrees<X: Number<Real = f32> + PartialEq>(
+    numbers: &mut Numbers,
+    layout: Layout,
+    dim: &[usize],
+) {
+    let shape = Shape::of_images(layout, dim).unwrap();
+    let eps = f64::from(f32::EPSILON).max(rounding::<X>());
+    let [x, grad] = [(); 2].map(|()| numbers.array::<f32>(dim).mapv(X::nearest_to));
+    let weight = numbers.array::<f32>(&shape.weight());
+    let [x64, grad64] = [&x, &grad].map(|a| exact(&a.mapv(X::widened)));
+    let weight64 = exact(&weight);
+    let mut conjugate = weight64.clone();
+    conjugate.map_axis_mut(Axis(weight.ndim() - 1), |mut w| w[1] = -w[1]);
+    let threads = 1 + numbers.below(9);
+    let wanted = [[true, false], [false, true], [true, true]][numbers.below(3)];
+    for plan in plans::<f32>(shape) {
+        let what = |name| format!("{name} {layout:?} {dim:?}, {threads} threads, {wanted:?}");
+        let close = |name, got: ArrayD<f32>, expected: &ArrayD<f64>, scale: f64| {
+            let tolerance = 4.0 * eps * ((shape.rows * shape.columns) as f64).log2().max(1.0);
+            let error = (exact(&got) - expected).mapv(f64::abs);
+            let worst = error.iter().fold(0.0, |most: f64, &e| if e <= most { most } else { e });
+            assert!(worst <= tolerance * scale, "{}: error {worst:e}", what(name));
+        };
+        let largest =
+            |a: &ArrayD<f64>| a.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
+        let y = filter(layout, &x64, &weight64);
+        close("y", forward(&plan, &x, &weight, threads).mapv(X::widened), &y, largest(&y));
+        let mut results = (ArrayD::from_elem(dim, X::default()), ArrayD::zeros(shape.weight()));
+        let gradients = Gradients {
+            x: wanted[0].then(|| results.0.view_mut()),
+            weight: wanted[1].then(|| results.1.view_mut()),
+        };
+        let (pool, scratch) = (Eager(threads), &mut Scratch::poisoned());
+        plan.backward(grad.view(), x.view(), weight.view(), gradients, &pool, scratch).unwrap();
+        if wanted[0] {
+            let expected = filter(layout, &grad64, &conjugate);
+            close("grad_x", results.0.mapv(X::widened), &expected, largest(&expected));
+        }
+        if wanted[1] {
+            // a sum of products of two spectra may cancel: the sizes of the images count
+            let expected = weight_gradient(layout, &grad64, &x64, &weight64);
+            let scale = 2.0 * (&x64 * &x64).sum().sqrt() * (&grad64 * &grad64).sum().sqrt();
+            close("grad_weight", results.1, &expected, scale);
+        }
+    }
+}
+
+/// Half a unit in the last place of what results are rounded to.
+fn rounding<X: Number<Real = f32> + PartialEq>() -> f64 {
+    let one = X::nearest_to(1.0);
+    let steps = (1..24).map(|bit| 0.5_f32.powi(bit));
+    steps.take_while(|step| X::nearest_to(1.0 + step) != one).last().map_or(0.0, f64::from) / 2.0
+}
+
+#[test]
+fn any_shape_type_threads_and_gradients_agree_with_the_sums() {
+    let mut numbers = Numbers(2026);
+    for _ in 0..150 {
+        let batch = 1 + numbers.below(5);
+        let [rows, columns] = [(); 2].map(|()| 1 + numbers.below(24));
+        let (layout, dim) = match numbers.below(3) {
+            0 => (Layout::Tokens, vec![batch, 4 * rows, 4 * columns]),
+            1 => (Layout::Grid, vec![batch, rows, columns, 1 + numbers.below(70)]),
+            _ => (Layout::Grid, vec![batch, 1, rows * columns, 1 + numbers.below(40)]),
+        };
+        match numbers.below(4) {
+            0 => any_case_agrees::<Bf16>(&mut numbers, layout, &dim),
+            1 => any_case_agrees::<F16>(&mut numbers, layout, &dim),
+            _ => any_case_agrees::<f32>(&mut numbers, layout, &dim),
+        }
+    }
+}
+
 /// `⟨grad, filter(x, w)⟩` is linear in each of `x` and `w`, so the gradients are its coefficients.
 #[test]
 fn gradients_are_adjoint_to_the_filter() {
@@ -213,6 +300,7 @@ fn threads_and_batches_do_not_change_a_bit() {
             let gradients = backward(&plan, (&grad, &x, &weight), 1);
             for threads in [2, 3, 8, 24, 64] {
                 assert_eq!(forward(&plan, &x, &weight, threads), y);
+                assert_eq!(forward_in_place(&plan, &x, &weight, threads), y);
                 assert_eq!(backward(&plan, (&grad, &x, &weight), threads), gradients);
             }
             let last = x.slice_axis(Axis(0), (-1..).into()).to_owned();
@@ -458,6 +546,8 @@ fn a_prepared_weight_changes_no_bit() {
                 let mut y = halves.clone();
                 prepared.forward(halves.view(), y.view_mut(), &pool, scratch).unwrap();
                 assert_eq!(y, forward(&plan, &halves, &weight, 1), "{layout:?} {dim:?}");
+                assert_eq!(y, forward_in_place(&plan, &halves, &weight, threads), "{dim:?}");
+                assert_eq!(y, forward_in_place(&plan, &halves, &weight, 1), "{dim:?}");
             }
         }
     }
@@ -470,6 +560,7 @@ fn nothing_is_filtered_to_nothing() {
         let (x, weight) = (ArrayD::<f32>::zeros(dim), ArrayD::<f32>::zeros(shape.weight()));
         for plan in plans(shape) {
             assert!(forward(&plan, &x, &weight, 1).is_empty());
+            assert!(forward_in_place(&plan, &x, &weight, 1).is_empty());
             let (_, grad_weight) = backward(&plan, (&x, &x, &weight), 1);
             assert_eq!(grad_weight, weight);
             let (prepared, mut y) = (plan.prepare(weight.view()).unwrap(), x.clone());

@@ -4,8 +4,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use ffpose_core::{Error, Real};
 use numpy::{
-    Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
-    PyUntypedArrayMethods,
+    Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    PyReadwriteArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -90,6 +90,37 @@ pub(crate) fn array<'py, T: Real + Element>(
     name: &str,
     argument: &Bound<'py, PyAny>,
 ) -> PyResult<PyReadonlyArrayDyn<'py, T>> {
+    let array = checked::<T>(name, argument)?.try_readonly();
+    array.map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
+}
+
+/// As [`array`], to write, with memory that none of `others` has, whose names are given. NumPy's owners do not tell: two
+/// arrays may have been made of the same memory.
+pub(crate) fn array_mut<'py, T: Real + Element>(
+    name: &str,
+    argument: &Bound<'py, PyAny>,
+    others: &[(&str, &Bound<'py, PyAny>)],
+) -> PyResult<PyReadwriteArrayDyn<'py, T>> {
+    let array = checked::<T>(name, argument)?;
+    let bytes = |array: &Bound<'py, PyArrayDyn<T>>| {
+        let start = array.data().addr();
+        start..start.saturating_add(array.len() * size_of::<T>())
+    };
+    let range = bytes(array);
+    for (other_name, other) in others {
+        let other = bytes(checked::<T>(other_name, other)?);
+        if range.start < other.end && other.start < range.end {
+            let text = format!("{name} must have memory of its own, got that of {other_name}");
+            return Err(PyValueError::new_err(text));
+        }
+    }
+    array.try_readwrite().map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
+}
+
+fn checked<'a, 'py, T: Real + Element>(
+    name: &str,
+    argument: &'a Bound<'py, PyAny>,
+) -> PyResult<&'a Bound<'py, PyArrayDyn<T>>> {
     let untyped = untyped(name, argument)?;
     let array = argument.cast::<PyArrayDyn<T>>().map_err(|_| {
         let expected = T::get_dtype(argument.py());
@@ -108,7 +139,7 @@ pub(crate) fn array<'py, T: Real + Element>(
             array.data().addr()
         )));
     }
-    array.try_readonly().map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
+    Ok(array)
 }
 
 /// A new array of the shape and element type of `like`, with any content.

@@ -27,7 +27,8 @@ mod _rust {
     };
     #[pymodule_export]
     use super::spectral::{
-        filter_tensors, filter_tensors_backward, isa, spectral_filter, spectral_filter_backward,
+        filter_tensors, filter_tensors_backward, isa, isas, spectral_filter,
+        spectral_filter_backward,
     };
 
     #[pymodule_init]

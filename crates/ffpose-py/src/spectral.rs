@@ -10,7 +10,7 @@ use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 
-use crate::border::{Threads, array, empty_like, enter, enter_sized, with_dtype};
+use crate::border::{Threads, array, array_mut, empty_like, enter, enter_sized, with_dtype};
 use crate::pool::TorchPool;
 use crate::tensor::{Dtype, Tensor, TensorElement};
 
@@ -27,11 +27,11 @@ static SCRATCHES: LazyLock<Scratches> = LazyLock::new(|| {
     Scratches::new(SCRATCH_KEPT.max(SCRATCH_KEPT_FOR_A_CORE.saturating_mul(cores)))
 });
 
-/// irfft2(rfft2(x) * weight): an array like x.
+/// irfft2(rfft2(x) * weight): out, which may be x, or a new array like x.
 #[pyfunction]
 #[pyo3(
-    signature = (x, weight, layout, num_threads = Threads(1)),
-    text_signature = "(x, weight, layout, num_threads=1)"
+    signature = (x, weight, layout, num_threads = Threads(1), out = None),
+    text_signature = "(x, weight, layout, num_threads=1, out=None)"
 )]
 pub(crate) fn spectral_filter<'py>(
     py: Python<'py>,
@@ -39,18 +39,30 @@ pub(crate) fn spectral_filter<'py>(
     weight: &Bound<'py, PyAny>,
     layout: &str,
     num_threads: Threads,
+    out: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
+    let pool = StdThreads(num_threads.0);
     with_dtype!(x, T => {
-        let (like, x, weight) = (x, array::<T>("x", x)?, array::<T>("weight", weight)?);
-        let y = empty_like::<T>(like)?;
-        let mut out = y.try_readwrite()?;
-        let (x, weight, out) = (x.as_array(), weight.as_array(), out.as_array_mut());
+        let owned = [("x", x), ("weight", weight)];
+        let weight = array::<T>("weight", weight)?;
+        let weight = weight.as_array();
+        if out.is_some_and(|out| out.is(x)) {
+            let mut images = array_mut::<T>("out", x, &owned[1..])?;
+            let images = images.as_array_mut();
+            enter(py, || {
+                let filter = planned(layout, images.shape())?;
+                with_scratch(|scratch| filter.forward_in_place(images, weight, &pool, scratch))
+            })?;
+            return Ok(x.clone());
+        }
+        let y = out.map_or_else(|| Ok(empty_like::<T>(x)?.into_any()), |out| Ok::<_, PyErr>(out.clone()))?;
+        let (x, mut out) = (array::<T>("x", x)?, array_mut::<T>("out", &y, &owned)?);
+        let (x, out) = (x.as_array(), out.as_array_mut());
         enter(py, || {
             let filter = planned(layout, x.shape())?;
-            let pool = StdThreads(num_threads.0);
             with_scratch(|scratch| filter.forward(x, weight, out, &pool, scratch))
         })?;
-        Ok(y.into_any())
+        Ok(y)
     })
 }
 
@@ -108,7 +120,7 @@ macro_rules! with_types_of {
     };
 }
 
-/// Writes irfft2(rfft2(x) * weight) to y, a tensor like x.
+/// Writes irfft2(rfft2(x) * weight) to y, a tensor like x or x itself.
 #[pyfunction]
 pub(crate) fn filter_tensors(
     py: Python<'_>,
@@ -119,7 +131,7 @@ pub(crate) fn filter_tensors(
     num_threads: Threads,
 ) -> PyResult<()> {
     let (x, weight) = (Tensor::new("x", x)?, Tensor::new("weight", weight)?);
-    let y = Tensor::new("y", y)?;
+    let y = Tensor::new("out", y)?;
     with_types_of!(x, weight, forward(py, &x, &weight, y, layout, num_threads.0))
 }
 
@@ -131,11 +143,19 @@ fn forward<X: TensorElement, W: TensorElement<Real = X::Real>>(
     layout: &str,
     threads: usize,
 ) -> PyResult<()> {
+    let pool = TorchPool::new(threads);
+    if y.is(x) {
+        let images = y.view_mut::<X>([weight])?;
+        let weight = weight.view::<W>()?;
+        return enter_sized(py, images.len(), || {
+            let filter = planned(layout, images.shape())?;
+            with_scratch(|scratch| filter.forward_in_place(images, weight, &pool, scratch))
+        });
+    }
     let y = y.view_mut::<X>([x, weight])?;
     let (x, weight) = (x.view::<X>()?, weight.view::<W>()?);
     enter_sized(py, x.len(), || {
         let filter = planned(layout, x.shape())?;
-        let pool = TorchPool::new(threads);
         with_scratch(|scratch| filter.forward(x, weight, y, &pool, scratch))
     })
 }
@@ -195,6 +215,12 @@ fn writable<'py, T: Element>(
     array: Option<&Bound<'py, PyArrayDyn<T>>>,
 ) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
     Ok(array.map(PyArrayMethods::try_readwrite).transpose()?)
+}
+
+/// The names of the instruction sets that this machine has, slowest first.
+#[pyfunction]
+pub(crate) fn isas() -> Vec<&'static str> {
+    Isa::available().into_iter().map(Isa::name).collect()
 }
 
 /// The instruction set that the filters use: "scalar", "avx2", "avx512" or "neon".

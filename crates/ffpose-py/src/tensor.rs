@@ -176,6 +176,11 @@ impl<'a> Tensor<'a> {
         }
     }
 
+    /// Whether both are one array: the same elements at the same place.
+    pub(crate) fn is(&self, other: &Tensor<'_>) -> bool {
+        self.start == other.start && self.dim == other.dim && self.dtype == other.dtype
+    }
+
     fn meets(&self, other: &Tensor<'_>) -> bool {
         let end = |tensor: &Tensor<'_>| {
             tensor.start.addr().saturating_add(tensor.len() * usize::from(tensor.dtype.bits / 8))

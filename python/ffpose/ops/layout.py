@@ -88,6 +88,18 @@ def check_filter(x: Tensor, weight: Tensor, layout: Layout) -> None:
         )
 
 
+def check_out(x: Tensor, out: Tensor) -> None:
+    """Check the tensor that a result is written to.
+
+    Raises:
+        ValueError: It has not the shape or device of ``x``, or is not contiguous.
+        TypeError: It has not the dtype of ``x``.
+    """
+    check_alike("out", out, "x", x)
+    if not out.is_contiguous():
+        raise ValueError(f"out: expected a contiguous tensor, got strides {out.stride()}")
+
+
 def check_gradient(grad: Tensor, x: Tensor, weight: Tensor, layout: Layout) -> None:
     """Check the arguments of a filter's backward; raises as `check_filter`."""
     check_filter(x, weight, layout)

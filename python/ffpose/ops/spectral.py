@@ -23,6 +23,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.autograd import Function
+from torch.autograd.graph import increment_version
 
 from ffpose.ops.bridge import (
     add,
@@ -37,16 +38,20 @@ from ffpose.ops.layout import Layout, check_filter, check_gradient
 from ffpose.ops.spectral_kernels import (
     BACKWARD,
     FORWARD,
+    FORWARD_OUT,
     backward_op,
     backward_rust,
     forward_op,
     forward_rust,
+    out_op,
 )
 
 Gradients = tuple[Tensor | None, Tensor | None]
 
 
-def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Tensor:
+def spectral_filter(
+    x: Tensor, weight: Tensor, layout: Layout = "tokens", *, out: Tensor | None = None
+) -> Tensor:
     """Filter real data in the frequency domain: ``irfft2(rfft2(x) * weight)``.
 
     Args:
@@ -56,14 +61,23 @@ def spectral_filter(x: Tensor, weight: Tensor, layout: Layout = "tokens") -> Ten
         weight: ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``, real and imaginary part last, of the
             dtype of ``x``; or float32 where that is half precision.
         layout: ``"tokens"`` or ``"grid"``.
+        out: Contiguous tensor with the shape, dtype and device of ``x`` to write to: memory of its
+            own, or ``x`` itself, which is then filtered in place. Not differentiable, as torch's
+            own functions with ``out``.
 
     Returns:
-        A new contiguous tensor with the shape and dtype of ``x``, differentiable to any order.
+        ``out``, or a new contiguous tensor with the shape and dtype of ``x``, differentiable to any
+        order.
 
     Raises:
-        ValueError: The layout is unknown, or shapes or devices do not match.
+        ValueError: The layout is unknown, shapes or devices do not match, or ``out`` shares a part
+            of its memory with another argument.
         TypeError: A dtype is not supported, or the dtypes do not match.
+        RuntimeError: ``out`` is given where a gradient would be recorded.
     """
+    if out is not None:
+        out_op(x, weight, layout, out=out)
+        return out
     if is_plain(x, weight):
         if not (torch.is_grad_enabled() and (x.requires_grad or weight.requires_grad)):
             return forward_rust(x, weight, layout)
@@ -249,7 +263,19 @@ def _record_backward(
     return _SpectralFilterBackward.apply(grad, x, weight, layout, need_x, need_weight)
 
 
+def _write_unrecorded(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
+    if torch.is_grad_enabled() and any(t.requires_grad for t in (x, weight, out)):
+        raise RuntimeError(
+            "spectral_filter with out: expected arguments without gradient, got one that requires"
+            " it; call it under torch.no_grad()"
+        )
+    with below_autograd():
+        out_op(x, weight, layout, out=out)
+    increment_version(out)
+
+
 torch.library.impl(FORWARD, "Autograd", _record_forward)
+torch.library.impl(FORWARD_OUT, "Autograd", _write_unrecorded)
 torch.library.impl(BACKWARD, "Autograd", _record_backward)
 torch.library.register_vmap(FORWARD, _SpectralFilter.vmap)
 torch.library.register_vmap(BACKWARD, _SpectralFilterBackward.vmap)

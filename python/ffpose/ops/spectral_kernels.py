@@ -13,14 +13,21 @@ from torch import Tensor
 
 from ffpose import _rust
 from ffpose.ops.fourier import filter_backward_by_fft, filter_by_fft
-from ffpose.ops.layout import Layout, check_filter, check_gradient
+from ffpose.ops.layout import Layout, check_filter, check_gradient, check_out
 
 FORWARD = "ffpose::spectral_filter"
+FORWARD_OUT = "ffpose::spectral_filter.out"
 BACKWARD = "ffpose::spectral_filter_backward"
 
 torch.library.define(
     FORWARD,
     "(Tensor x, Tensor weight, str layout) -> Tensor",
+    tags=(torch.Tag.pt2_compliant_tag,),
+)
+# It returns nothing: torch.compile takes no custom operator whose result is one of its arguments.
+torch.library.define(
+    FORWARD_OUT,
+    "(Tensor x, Tensor weight, str layout, *, Tensor(a!) out) -> ()",
     tags=(torch.Tag.pt2_compliant_tag,),
 )
 # A gradient that is not needed is returned as a tensor of shape (0,): operators cannot return None.
@@ -31,24 +38,40 @@ torch.library.define(
     tags=(torch.Tag.pt2_compliant_tag,),
 )
 forward_op: Callable[..., Tensor] = torch.ops.ffpose.spectral_filter.default
+out_op: Callable[..., None] = torch.ops.ffpose.spectral_filter.out
 backward_op: Callable[..., tuple[Tensor, Tensor]] = (
     torch.ops.ffpose.spectral_filter_backward.default
 )
 
 
-def forward_rust(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
+def forward_rust(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor | None = None) -> Tensor:
     """Filter CPU tensors; arguments and errors are those of `ffpose.ops.spectral_filter`.
 
     Rust checks the arguments, so that a valid call needs no second check in Python.
     """
     x, weight = x.contiguous(), weight.contiguous()
-    y = torch.empty_like(x)
+    y = torch.empty_like(x) if out is None else out
     try:
         _rust.filter_tensors(x, weight, y, layout, torch.get_num_threads())
     except (TypeError, ValueError):
         check_filter(x, weight, layout)  # raises the same error as on other devices
         raise
     return y
+
+
+def _out_cpu(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
+    check_out(x, out)
+    forward_rust(x, weight, layout, out=out)
+
+
+def _out_elsewhere(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
+    check_out(x, out)
+    out.copy_(_forward_elsewhere(x, weight, layout))
+
+
+def _out_fake(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor) -> None:
+    check_filter(x, weight, layout)
+    check_out(x, out)
 
 
 def backward_rust(
@@ -108,6 +131,9 @@ def _backward_fake(
 torch.library.impl(FORWARD, "cpu", forward_rust)
 torch.library.impl(FORWARD, "default", _forward_elsewhere)
 torch.library.register_fake(FORWARD, _forward_fake)
+torch.library.impl(FORWARD_OUT, "cpu", _out_cpu)
+torch.library.impl(FORWARD_OUT, "default", _out_elsewhere)
+torch.library.register_fake(FORWARD_OUT, _out_fake)
 torch.library.impl(BACKWARD, "cpu", _backward_cpu)
 torch.library.impl(BACKWARD, "default", _backward_elsewhere)
 torch.library.register_fake(BACKWARD, _backward_fake)

@@ -95,12 +95,22 @@ pub fn weight_gradient(
 pub struct Numbers(pub u64);
 
 impl Numbers {
-    fn one(&mut self) -> f64 {
+    fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut bits = self.0;
         bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((bits ^ (bits >> 31)) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        bits ^ (bits >> 31)
+    }
+
+    fn one(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+
+    /// A whole number from zero to below `end`.
+    #[allow(dead_code)] // not every test file asks for one
+    pub fn below(&mut self, end: u32) -> usize {
+        usize::try_from(self.bits() % u64::from(end)).expect("less than 32 bits")
     }
 
     /// An array of such numbers, rounded to its element type.
