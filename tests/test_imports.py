@@ -14,6 +14,7 @@ ALLOWED = {
     "errors": set(),
     "files": set(),
     "images": set(),
+    "recipes": set(),
     "arrays": {"_rust"},
     "geometry": {"arrays"},
     "attitude": set(),

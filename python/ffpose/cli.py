@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ffpose.errors import MissingExtraError, require, without_traceback
 from ffpose.files import expect_folder
+from ffpose.recipes import recipe_file, recipe_names
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
@@ -145,6 +146,9 @@ def train_arguments(parser: ArgumentParser) -> None:
     from ffpose.training.config import TrainConfig
 
     parser.add_argument("--config", action="config", help="YAML file, such as config.yaml of a run")
+    parser.add_argument(
+        "--recipe", metavar="NAME", help=f"in place of --config: one of {', '.join(recipe_names())}"
+    )
     parser.add_argument("--resume", action="store_true", help="resume the run in --out")
     parser.add_argument(
         "--backbone-weights",
@@ -152,6 +156,19 @@ def train_arguments(parser: ArgumentParser) -> None:
         help='"auto" (pretrained, from huggingface.co), "none" (random) or a file (default: auto)',
     )
     parser.add_class_arguments(TrainConfig, skip={"backbone_weights"})
+
+
+def with_recipe(words: list[str]) -> list[str]:
+    """Return the arguments of `train` with ``--config FILE`` in place of ``--recipe NAME``."""
+    found: list[str] = []
+    rest = iter(words)
+    for word in rest:
+        option, has_value, value = word.partition("=")
+        if option == "--recipe" and (name := value if has_value else next(rest, "")):
+            found += ["--config", str(recipe_file(name))]
+        else:
+            found.append(word)
+    return found
 
 
 def train(options: Namespace) -> None:
@@ -162,7 +179,7 @@ def train(options: Namespace) -> None:
     from ffpose.training.engine import train as run
 
     fields = vars(options)
-    resume, _ = fields.pop("resume"), fields.pop("config")
+    resume, _, _ = fields.pop("resume"), fields.pop("config"), fields.pop("recipe")
     result = run(TrainConfig(**fields), resume=resume)
     if result.leads:
         save_figure(training_curves(result.history), result.folder.curves)
@@ -511,7 +528,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return info(words[1:])
     try:
         parser = build_parser(name)
-        options = parser.instantiate(parser.parse_args(words[1:]))
+        given = with_recipe(words[1:]) if name == "train" else words[1:]
+        options = parser.instantiate(parser.parse_args(given))
         del options["debug"]
         COMMANDS[name].run(options)
     except argparse.ArgumentError as error:

@@ -5,9 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from ffpose.cli import main
 from ffpose.config import check_names
 from ffpose.models import CONFIGS
+from ffpose.recipes import recipe_file
+from ffpose.training.config import DataConfig, TrainConfig
 from ffpose.training.config_file import load_config
+from ffpose.training.stages import PAPER_STAGES
 
 FILES = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 
@@ -22,3 +26,28 @@ def test_a_configuration_is_read(path):
     check_names(config.model_fields)
     replace(CONFIGS[config.model], **config.model_fields)
     assert config.out == Path("runs") / path.stem
+
+
+def test_the_papers_recipe_is_what_the_paper_says(capsys, tmp_path):
+    """Section 4.3, which the defaults of the configuration follow where it gives a figure."""
+    words = ["train", "--recipe", "paper", "--data.root", str(tmp_path), "--out", "runs/paper"]
+    with pytest.raises(SystemExit):
+        main([*words, "--print_config"])
+    printed = tmp_path / "config.yaml"
+    command_line = ("recipe:", "resume:", "debug:")
+    lines = capsys.readouterr().out.splitlines(keepends=True)
+    printed.write_text("".join(line for line in lines if not line.startswith(command_line)))
+    crop = {"random_crop": True, "noise": 0.0, "blur": 0.0}
+    data = DataConfig("urso", tmp_path, mode="center_crop", augmentation=crop)
+    out = Path("runs/paper")
+    assert load_config(printed) == TrainConfig(data, out, epochs=500, stages=PAPER_STAGES)
+
+
+@pytest.mark.parametrize("words", [["--recipe", "papre"], ["--recipe=papre"]])
+def test_an_unknown_recipe_is_refused(words, capsys):
+    assert main(["train", *words]) == 1
+    assert "recipe: expected one of paper, got 'papre'" in capsys.readouterr().err
+
+
+def test_a_recipe_has_a_file():
+    assert recipe_file("paper").is_file()
