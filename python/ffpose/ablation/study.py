@@ -107,7 +107,7 @@ def changed(config: Config, changes: Mapping[str, Any], place: str = "") -> Conf
     Raises:
         ValueError: A field that there is not, with the nearest that there is.
 
-    Example:
+    Examples:
         >>> from ffpose.training.config import DataConfig
         >>> base = TrainConfig(DataConfig("urso", Path("a")), Path("b"), model_fields={"depth": 2})
         >>> new = changed(base, {"data": {"count": 5}, "model_fields": {"dim": 8}})

@@ -46,7 +46,7 @@ class PoseEstimator:
         ValueError: A choice that backend or CPU cannot do, or both a camera and any are asked for.
         RuntimeError: The backend cannot load graph or library.
 
-    Example:
+    Examples:
         ``PoseEstimator("model.onnx", threads=1)("image.png").t``
     """
 
