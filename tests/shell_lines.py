@@ -5,12 +5,12 @@ import shlex
 
 
 def commands(block):
-    """Split a block into commands, each a list of words.
+    r"""Split a block into commands, each a list of words.
 
     Comments are left out, continued lines joined, and arithmetic expansions taken for a number.
 
     Examples:
-        >>> commands("a 'b c' \\\\\\n  --d  # e\\nF=1 g | h $((2 * I))")
+        >>> commands("a 'b c' \\\n  --d  # e\nF=1 g | h $((2 * I))")
         [['a', 'b c', '--d'], ['F=1', 'g'], ['h', '0']]
     """
     text = re.sub(r"(?m)(^|\s)#.*$", r"\1", block).replace("\\\n", " ")
@@ -26,12 +26,12 @@ def commands(block):
 
 
 def calls(block, program):
-    """Return the arguments of each call of a program in a block.
+    r"""Return the arguments of each call of a program in a block.
 
     The program may have a path, and variables or a launcher before it.
 
     Examples:
-        >>> calls("X=1 .venv/bin/ffpose info\\ntorchrun --no-python ffpose train", "ffpose")
+        >>> calls("X=1 .venv/bin/ffpose info\ntorchrun --no-python ffpose train", "ffpose")
         [['info'], ['train']]
     """
     found = []

@@ -11,10 +11,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from shell_lines import calls
 
 from ffpose.cli import COMMANDS, build_parser
 from ffpose.info import main as info
+from shell_lines import calls
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

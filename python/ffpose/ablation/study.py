@@ -20,7 +20,7 @@ class Published(NamedTuple):
     """What a paper prints of a variant: means over a test set.
 
     Attributes:
-        translation_m: Translation error, metres.
+        translation_m: Translation error, meters.
         rotation_deg: Rotation error, degrees.
         latency_ms: Milliseconds an image; None where it is not printed.
     """

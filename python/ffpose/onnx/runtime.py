@@ -118,10 +118,10 @@ class PoseEstimator:
         """Return the network's outputs by name for a batch of inputs.
 
         Args:
-            inputs: ``(B, 3, h, w)``, float32, standardised as `preprocess` does.
+            inputs: ``(B, 3, h, w)``, float32, standardized as `preprocess` does.
 
         Returns:
-            ``translation (B, 3)``, metres, and ``orientation (B, 4)``, scalar first and of either
+            ``translation (B, 3)``, meters, and ``orientation (B, 4)``, scalar first and of either
             sign; of a network that knows its uncertainty ``translation_covariance (B, 3, 3)``,
             ``rotation_covariance (B, 3, 3)`` and ``in_view (B,)`` too.
 
