@@ -9,7 +9,7 @@ RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -n
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-arm bench ort wheel clean tools
+.PHONY: help demo test all format lint typecheck test-rust test-python test-arm docs bench ort wheel clean tools
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -19,7 +19,7 @@ demo: $(VENV)/.user ## install, render unseen images, pose them; leaves runs/dem
 
 test: test-rust test-python ## install and run every test, Rust's and Python's
 
-all: lint typecheck test ## what CI runs: format, lints, types, tests (the docs' examples are among them)
+all: lint typecheck test docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
 
 format: $(VENV)/.dev ## rewrite the sources in the house format
 	$(BIN)/ruff format $(PYTHON_SOURCES)
@@ -45,6 +45,9 @@ test-python: $(VENV)/.dev ## the Python tests and the examples of the docs
 test-arm: ## the Rust tests for 64-bit ARM under qemu; not needed to use ffpose
 	.ci/test-arm
 
+docs: $(VENV)/.docs ## the documentation's pages, site/index.html; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
 bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
 
@@ -56,7 +59,7 @@ wheel: $(VENV)/.dev ort ## build the wheel, the one file in dist
 	$(BIN)/maturin build --locked --release --out dist
 
 clean: ## remove the environment and everything built
-	rm -rf $(VENV) target dist
+	rm -rf $(VENV) target dist site
 	find python -name '*.so' -delete -o -name '*ffpose_ort.*' -delete
 
 tools:
@@ -66,12 +69,16 @@ tools:
 $(BIN)/python: | tools
 	$(PYTHON) -m venv $(VENV)
 
-# The two environments: what a user needs, and what a developer needs on top of it. Python sources are used in
-# place; a changed Rust source or dependency installs again.
+# What a user needs, what a developer needs on top of it, and what builds the site. Python sources are used in
+# place; a changed Rust source or dependency installs again, but for the site, which reads Python sources alone.
 $(VENV)/.user: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable '.[pose,render]'
+	$(BIN)/python -m pip install --quiet --editable '.[export,pose,render]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	@touch $@ $(VENV)/.user
+
+$(VENV)/.docs: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	@touch $@

@@ -35,12 +35,12 @@ def noise_image(width, height, seed=0):
 
 
 def blob(width, height, u, v, sigma):
-    """A round spot whose centre of mass is (u, v); pixel centres lie at halves."""
+    """A round spot whose center of mass is (u, v); pixel centers lie at halves."""
     x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
     return np.exp(-((x - u) ** 2 + (y[:, None] - v) ** 2) / (2 * sigma**2))
 
 
-def centre_of_mass(image):
+def center_of_mass(image):
     """(u, v) of a plane (h, w)."""
     height, width = image.shape
     mass = image.sum()
@@ -50,8 +50,8 @@ def centre_of_mass(image):
 
 
 def test_the_numbers_are_standardised_pixels():
-    colour = (51, 102, 204)
-    tensor = Preprocessing((4, 6))(Image.new("RGB", (64, 48), colour))
+    color = (51, 102, 204)
+    tensor = Preprocessing((4, 6))(Image.new("RGB", (64, 48), color))
     assert tensor.dtype == torch.float32
     assert tensor.shape == (3, 4, 6)
     expected = [(0.2 - 0.485) / 0.229, (0.4 - 0.456) / 0.224, (0.8 - 0.406) / 0.225]
@@ -88,7 +88,7 @@ def test_the_camera_goes_with_the_image(mode, size):
     spot = blob(640, 480, *camera.project(point), sigma=12)
     image = Image.fromarray((spot * 255).round().astype(np.uint8)).convert("RGB")
     preprocessing = Preprocessing(size, mode, mean=(0, 0, 0), std=(1, 1, 1))
-    found = centre_of_mass(preprocessing(image)[0])
+    found = center_of_mass(preprocessing(image)[0])
     seen = preprocessing.camera(camera)
     assert (seen.height, seen.width) == size
     np.testing.assert_allclose(found, seen.project(point), atol=0.05)
@@ -219,7 +219,7 @@ def test_a_turn_moves_pixels_and_label_together(angles):
     assert q[0] >= 0
     for plane, point in zip(turned, (np.zeros(3), feature), strict=False):
         # Perspective stretches a spot, the more the farther from the axis: its mass moves a little.
-        np.testing.assert_allclose(centre_of_mass(plane), new.project(point, camera), atol=0.15)
+        np.testing.assert_allclose(center_of_mass(plane), new.project(point, camera), atol=0.15)
 
 
 def test_a_turned_mask_is_the_mask_of_the_turned_label():
@@ -248,7 +248,7 @@ def test_what_the_camera_did_not_see_is_black():
 @pytest.mark.parametrize("pan", [90, 135, 180])
 @pytest.mark.parametrize("side", [47, 48])
 def test_behind_the_camera_there_is_nothing(pan, side):
-    """The plane through the centre has homogeneous places too, which mirror what is ahead."""
+    """The plane through the center has homogeneous places too, which mirror what is ahead."""
     camera = URSO_CAMERA.resized(side, side)
     label = tensors(Pose([0, 0, 5], [1, 0, 0, 0]))
     image, t, _ = turn_camera(torch.ones(3, side, side), *label, camera, camera_turn(pan, 0, 0))

@@ -52,7 +52,7 @@ def rotation_parts(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> RotationPart
         TypeError: An argument is not of floating dtype.
         ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
 
-    Example:
+    Examples:
         >>> half = np.sqrt(0.5)
         >>> parts = rotation_parts([[0.0, 0, 9]], [[1.0, 0, 0, 0]], [[half, 0, 0, half]])
         >>> float(parts.in_plane_deg[0].round(6)), float(parts.out_of_plane_deg[0].round(6))

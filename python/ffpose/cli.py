@@ -498,7 +498,7 @@ def build_parser(name: str) -> ArgumentParser:
 def advice(message: str, known: Sequence[str]) -> str:
     """Return a usage error as one line, with the most similar option.
 
-    Example:
+    Examples:
         >>> advice("unrecognized arguments: --batch-size 4", ["--out", "--batch_size"])
         'unrecognized arguments: --batch-size 4 (did you mean --batch_size?)'
     """

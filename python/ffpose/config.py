@@ -1,8 +1,8 @@
-"""How FilterformerPose is built: every reading of the paper is a field, saved with the weights.
+"""Configuration of FilterformerPose; each reading of the paper is a field, saved with the weights.
 
-Ye et al., Sensors 2023, 23, 8633, leave gaps; the network's ancestors (MS-Transformer, HyperPose)
-fill most. ``base`` is the paper's network so read. ``small`` and ``tiny`` keep its structure at
-other sizes. Nothing here needs torch.
+Ye et al., Sensors 2023, 23, 8633, leave details open; the network's predecessors (MS-Transformer,
+HyperPose) settle most. ``base`` is the paper's network in this reading. ``small`` and ``tiny`` have
+its structure in other sizes; ``compact`` looks twice. Nothing here needs torch.
 """
 
 from __future__ import annotations
@@ -22,60 +22,67 @@ OrientationHead = Literal["quaternion", "6d", "bins"]
 
 
 FLAT_CHANNELS = 32
+"""Number of channels per token to which pooling "flatten" reduces."""
+
 FLAT_LATENT = 256
-"""Of pooling "flatten": channels a token before, and entries of the vector after."""
+"""Size of the latent vector after pooling "flatten"."""
 
 
 @dataclass(frozen=True)
 class FilterformerPoseConfig:
-    """The network's structure. Sizes of images and grids are ``(height, width)``.
+    """Architecture of the network; sizes of images and grids are ``(height, width)``.
 
     Attributes:
-        image_size: Of the network's input in pixels.
-        backbone: Name of a timm model that gives feature maps.
-        translation_reduction: Pixels per cell of the feature map that the translation branch reads;
+        image_size: Size of the network's input in pixels.
+        backbone: Name of a timm model with feature maps, or of `ffpose.models.compact_resnet`.
+        translation_reduction: Stride of the feature map of the translation branch, pixels per cell;
             16 with EfficientNet-B0 at 224 is the paper's 14 x 14 x 112.
-        orientation_reduction: The same for orientation; 8 is the paper's 28 x 28 x 40.
-        dim: Channels of the tokens, Y in Eq. 1.
-        depth: Filterformer blocks in each branch, N in Table 2; may be 0 with pooling "flatten".
-        heads: Attention heads.
-        feed_forward: Width of the blocks' feed-forward networks.
-        dropout: Within the blocks.
-        norm: ``"pre"``: before each sublayer and once at the end; ``"post"``: after each sublayer.
-        filter: ``"tokens"`` is the paper's Eq. 1-3, ``"grid"`` GFNet's reading, ``"none"``
-            TransformerPose.
-        filter_std: Standard deviation of the filter weights at the start.
-        position: ``"learned"`` or ``"sinusoidal"`` code of row and column.
-        pooling: ``"token"``: a learned token beside the grid's, kept out of the filter, gathers the
-            answer; ``"mean"``: the mean of the tokens does; ``"flatten"``: all tokens, reduced to
-            `FLAT_CHANNELS` each, go through one linear layer.
-        head_hidden: Width of the heads' static perceptron.
+        orientation_reduction: Stride of the feature map of the orientation branch; 8 is the paper's
+            28 x 28 x 40.
+        dim: Number of channels of the tokens, Y in Eq. 1.
+        depth: Number of filterformer blocks in each branch, N in Table 2; may be 0 with pooling
+            ``"flatten"``.
+        heads: Number of attention heads.
+        feed_forward: Hidden width of the blocks' feed-forward networks.
+        dropout: Dropout rate in the blocks.
+        norm: ``"pre"``: normalization before each sublayer and after the last block; ``"post"``:
+            after each sublayer.
+        filter: ``"tokens"``: the paper's Eq. 1-3; ``"grid"``: as in GFNet; ``"none"``: no filter,
+            the paper's TransformerPose.
+        filter_std: Standard deviation of the filters' initial weights.
+        position: Position code of row and column, ``"learned"`` or ``"sinusoidal"``.
+        pooling: ``"token"``: a learned pose token, which bypasses the filter; ``"mean"``: the mean
+            of the tokens; ``"flatten"``: all tokens, reduced to `FLAT_CHANNELS` each, through one
+            linear layer.
+        head_hidden: Hidden width of the heads' static perceptron.
         translation_mlp_dim: Width of the generated perceptron for translation (Table 1).
-        orientation_mlp_dim: The same for orientation.
-        translation_mean: Metres, camera frame; the head's output counts from here ...
-        translation_std: ... in units of this. Zeros and ones regress metres as published.
-        camera: ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``; None where
-            it is not known. `view_camera` gives it as a `ffpose.geometry.Camera`.
+        orientation_mlp_dim: Width of the generated perceptron for orientation (Table 1).
+        translation_mean: Mean that is added to the translation head's output, meters, camera frame.
+        translation_std: Scale of the translation head's output, meters. With a mean of zeros and a
+            scale of ones the head regresses meters, as published.
+        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``;
+            None if unknown. `view_camera` returns them as a `ffpose.geometry.Camera`.
         orientation_view: ``"frame"``: orientation from the whole image, the paper's reading;
-            ``"object"``: from a second look, through a virtual camera turned to where the first
+            ``"object"``: from a second look, through a virtual camera pointed to where the first
             look found the object (`ffpose.models.virtual_camera`); needs ``camera``.
         orientation_head: ``"quaternion"`` (the paper's), ``"6d"`` or ``"bins"``, see
             `ffpose.nn.orientation`.
-        bins: Attitudes of the head ``"bins"``.
-        bins_degree: Degree of its harmonics.
+        bins: Number of attitudes of the head ``"bins"``.
+        bins_degree: Largest degree of its harmonics of SO(3).
         bins_width_deg: Standard deviation of its soft labels, degrees.
-        object_backbone: Network of the second look, named as ``backbone`` is.
-        object_size: Of the virtual camera's image in pixels.
-        object_radius_m: Metres at the object from the middle of that image to its left edge.
-        first_stride: Pixels of the input a pixel of the first look.
-        distance_m: Nearest and farthest distance trained on, metres.
-        looks: How often the virtual camera is turned; 2 looks again where the first turn found the
-            object.
-        turns: Views of the last look, turned evenly about the viewing ray, whose answers are
-            averaged: the network errs differently under each, and the mean errs less.
+        object_backbone: Backbone of the second look, named as ``backbone``.
+        object_size: Size of the virtual camera's image in pixels.
+        object_radius_m: Distance that the virtual camera's image covers from its center to its left
+            edge, in meters at the object.
+        first_stride: Downsampling factor from the network's input to the first look.
+        distance_m: Smallest and largest distance in training, meters.
+        looks: Number of times that the virtual camera is pointed; 2 looks again at the position
+            that the first of these looks refined.
+        turns: Number of views of the last look, evenly rotated about the viewing ray, whose
+            predictions are averaged; their errors are nearly independent.
 
     Raises:
-        ValueError: A value out of range, or sizes that do not go together.
+        ValueError: A value is out of range, or sizes are inconsistent.
     """
 
     image_size: tuple[int, int] = (224, 224)
@@ -177,7 +184,7 @@ class FilterformerPoseConfig:
 
     @property
     def view_camera(self) -> Camera | None:
-        """The camera of the network's input; None where it is not known."""
+        """Camera of the network's input; None if unknown."""
         if self.camera is None:
             return None
         height, width = self.image_size
@@ -185,38 +192,38 @@ class FilterformerPoseConfig:
 
     @property
     def latent(self) -> int:
-        """Entries of the vector that the heads read."""
+        """Size of the latent vector, the heads' input."""
         return FLAT_LATENT if self.pooling == "flatten" else self.dim
 
     @property
     def first_grid(self) -> tuple[int, int]:
-        """``(rows, columns)`` of the map that the translation branch reads."""
+        """Size ``(rows, columns)`` of the translation branch's feature map."""
         stride = self.first_stride if self.orientation_view == "object" else 1
         return self.grid(self.translation_reduction * stride)
 
     @property
     def orientation_grid(self) -> tuple[int, int]:
-        """``(rows, columns)`` of the map that the orientation branch reads."""
+        """Size ``(rows, columns)`` of the orientation branch's feature map."""
         if self.orientation_view == "frame":
             return self.grid(self.orientation_reduction)
         rows, columns = (math.ceil(side / self.orientation_reduction) for side in self.object_size)
         return rows, columns
 
     def grid(self, reduction: int) -> tuple[int, int]:
-        """Return ``(rows, columns)`` of the feature map with that many pixels per cell."""
+        """Return the size ``(rows, columns)`` of the feature map of stride ``reduction``."""
         height, width = self.image_size
         return math.ceil(height / reduction), math.ceil(width / reduction)
 
     def to_json(self) -> str:
-        """Return one JSON object with every field."""
+        """Return a JSON object with all fields."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> FilterformerPoseConfig:
-        """Return the config of `to_json`.
+        """Build a config from the result of `to_json`.
 
         Raises:
-            ValueError: No JSON object, an unknown field, or a value that cannot be.
+            ValueError: The text is not a JSON object, a field is unknown, or a value is invalid.
         """
         values = json.loads(text)
         if not isinstance(values, dict):
@@ -225,10 +232,10 @@ class FilterformerPoseConfig:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> FilterformerPoseConfig:
-        """Return the config with these fields, the others at their defaults.
+        """Build a config from some fields; the others have their defaults.
 
         Raises:
-            ValueError: An unknown field, or a value that cannot be.
+            ValueError: A field is unknown, or a value is invalid.
         """
         check_names(values)
         return cls(**values)
@@ -258,10 +265,10 @@ COUNTS = (
 
 
 def check_names(values: Mapping[str, Any]) -> None:
-    """Refuse names that are no fields of the config.
+    """Check that all names are fields of the config.
 
     Raises:
-        ValueError: With the unknown names and the known.
+        ValueError: A name is unknown; the message lists the fields.
     """
     known = [field.name for field in fields(FilterformerPoseConfig)]
     unknown = sorted(set(values) - set(known))
@@ -323,7 +330,10 @@ CONFIGS: dict[str, FilterformerPoseConfig] = {
         first_stride=8,
     ),
 }
-"""``base`` is the paper's network, with 9.3 million parameters (backbone 0.85, translation 3.5,
-orientation 4.9); ``small`` lies between, with 2.8 million; ``tiny``, with 0.33 million, trains from
-random weights in minutes on two cores, for which both of its branches read the coarser map.
-``compact``, with 1.8 million, looks twice, and is what the shipped weights are of."""
+"""Presets by name.
+
+``base`` is the paper's network with 9.3 million parameters (backbone 0.85, translation 3.5,
+orientation 4.9); ``small`` has 2.8 million. ``tiny`` has 0.33 million and trains from random
+weights in minutes on two cores; both of its branches use the coarser feature map. ``compact``, with
+1.8 million, looks twice; the shipped weights are of this preset.
+"""

@@ -50,7 +50,7 @@ class MissingExtraError(ImportError):
 def without_traceback(text: str) -> str:
     r"""Extract the original message from an error that torch reraised from a worker.
 
-    Example:
+    Examples:
         >>> without_traceback(
         ...     "Caught ValueError in DataLoader worker process 0.\n"
         ...     "Original Traceback (most recent call last):\n"

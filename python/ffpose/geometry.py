@@ -78,7 +78,7 @@ def rotation_matrix(q: ArrayLike) -> FloatArray:
         TypeError: The values are not real numbers.
         ValueError: Wrong shape, a value that is not finite, or a norm other than one.
 
-    Example:
+    Examples:
         >>> rotation_matrix([0.0, 0.0, 0.0, 1.0]).tolist()  # half a turn about z
         [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
     """
@@ -239,7 +239,7 @@ class Pose:
             sign; read-only float64.
         uncertainty: Uncertainty of a prediction; None for a label, or if the network has none.
 
-    Example:
+    Examples:
         >>> Pose([1, 2, 10], [-0.6, 0.8, 0, 0]).q.tolist() == [0.6, -0.8, 0, 0]
         True
         >>> Pose([1, 2, 10], [0, 0, 0, -1]) == Pose([1, 2, 10], [0, 0, 0, 1])
@@ -292,7 +292,7 @@ class Pose:
     ) -> Pose:
         """Build a pose from a row of URSO's labels; the module describes the conversion.
 
-        Example:
+        Examples:
             >>> pose = Pose.from_urso(x=2, y=1, z=10, q1=0, q2=0, q3=0, q4=1)
             >>> pose.project([0.0, 0.0, 0.0], URSO_CAMERA).round(2).tolist()
             [768.0, 415.95]

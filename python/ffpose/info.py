@@ -62,7 +62,7 @@ def extras(requirements: Sequence[str]) -> dict[str, dict[str, str | None]]:
 def package_of(requirement: str) -> tuple[str, str | None]:
     """Return the package of a requirement, and the extra that it belongs to.
 
-    Example:
+    Examples:
         >>> package_of("torch>=2.10; extra == 'torch'")
         ('torch', 'torch')
         >>> package_of("numpy>=1.26")

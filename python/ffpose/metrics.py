@@ -78,7 +78,7 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
 class PoseError(Metric):
     """Mean and median pose errors over all samples of all processes.
 
-    Example:
+    Examples:
         >>> metric = PoseError()
         >>> q = torch.tensor([[1.0, 0.0, 0.0, 0.0]])
         >>> metric.update(torch.tensor([[3.0, 4.0, 10.0]]), -q, torch.tensor([[0.0, 0.0, 10.0]]), q)

@@ -29,7 +29,7 @@ class Predictor:
         preprocessing: Conversion from image to network input.
         camera: Camera of the images, or None.
 
-    Example:
+    Examples:
         ``Predictor.from_weights("soyuz-easy")(Image.open("0_rgb.png").convert("RGB"))``
     """
 

@@ -44,16 +44,16 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True)
 class Preprocessing:
-    """Turns an image into the network's input: frame, crop, scale, standardise.
+    """Conversion of an image to the network's input: frame, crop, resize, standardize.
 
     Attributes:
         size: ``(height, width)`` of the network's input.
-        mode: ``"resize"`` brings the whole image to ``size``, each axis by its own factor.
-            ``"center_crop"`` is the paper's: the image is resized, its aspect kept, until it
-            exceeds ``size`` by `CROP_MARGIN`, and the centre is cut out.
-        mean: Of red, green and blue in [0, 1], subtracted.
-        std: Of the same, divided by.
-        interpolation: Of the resize: ``"bilinear"`` or ``"bicubic"``, both antialiased.
+        mode: ``"resize"`` resizes the whole image to ``size``, each axis by its own factor.
+            ``"center_crop"`` is the paper's: the image is resized, keeping its aspect ratio, until
+            it exceeds ``size`` by `CROP_MARGIN`, and the center is cropped.
+        mean: Per-channel mean (red, green, blue in [0, 1]), which is subtracted.
+        std: Per-channel standard deviation, by which the result is divided.
+        interpolation: Interpolation of the resize: ``"bilinear"`` or ``"bicubic"``, antialiased.
 
     Raises:
         ValueError: A size below one, an unknown mode or interpolation, or a mean or std that cannot

@@ -46,7 +46,7 @@ def headline(summary: Summary) -> str:
 def comparison(model: float, baseline: float) -> str:
     """Describe the ratio of an error to that of the mean pose.
 
-    Example:
+    Examples:
         >>> comparison(2.0, 5.0), comparison(3.0, 2.0)
         ('2.5 times smaller than that of the mean pose', '1.5 times that of the mean pose')
     """

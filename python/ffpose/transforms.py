@@ -1,11 +1,11 @@
-"""Augmentations that leave the label true.
+"""Augmentations that keep image and label consistent.
 
-`Augmentation` changes brightness, contrast, saturation and adds blur and noise, which no pose
-depends on. Its one geometric change is a turn of the camera about its centre (pan, tilt and roll),
-under which image and label move together exactly. A mirrored image is no view of the same craft: no
-flips.
+`Augmentation` changes brightness, contrast and saturation, and adds blur and noise, none of which
+changes the pose. Its one geometric change is a rotation of the camera about its center (pan, tilt
+and roll), which transforms image and label exactly. There are no flips: a mirrored image does not
+show the same spacecraft.
 
-Images here are tensors ``(3, h, w)``; `ffpose.preprocessing` makes and standardises them.
+Images are tensors ``(3, h, w)``; `ffpose.preprocessing` makes and standardizes them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TURN_ATTEMPTS = 10
 
 
 def random_window(preprocessing: Preprocessing, frame_size: tuple[int, int]) -> Window:
-    """Draw a window anywhere in a frame of ``(height, width)``, from torch's generator."""
+    """Draw a random window of a frame of size ``(height, width)``, from torch's generator."""
     top, left = (
         int(torch.randint(frame - size + 1, ()))
         for frame, size in zip(frame_size, preprocessing.size, strict=True)
@@ -44,15 +44,15 @@ def standardize(image: Tensor, preprocessing: Preprocessing) -> Tensor:
 
 
 def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:
-    """Return ``Rz(roll) @ Rx(tilt) @ Ry(pan)``, how the scene turns before a turning camera.
+    """Return ``Rz(roll) @ Rx(tilt) @ Ry(pan)``, the scene's rotation in a rotating camera's frame.
 
     Args:
-        pan: Angle about the camera's y axis, in degrees; a positive one moves the scene right.
-        tilt: The same about x; a positive one moves the scene up.
-        roll: The same about z, the optical axis; a positive one takes right to down.
+        pan: Angle about the camera's y axis, degrees; positive moves the scene to the right.
+        tilt: Angle about x, degrees; positive moves the scene up.
+        roll: Angle about z, the boresight, degrees; positive turns right to down.
 
     Returns:
-        ``(3, 3)``: a point p of the camera frame becomes ``rotation @ p``.
+        ``(3, 3)`` rotation matrix; a point p of the camera frame becomes ``rotation @ p``.
     """
     (cp, sp), (ct, st), (cr, sr) = (
         (math.cos(angle), math.sin(angle)) for angle in map(math.radians, (pan, tilt, roll))
@@ -67,25 +67,26 @@ def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:
 def turn_camera(
     image: Tensor, translation: Tensor, orientation: Tensor, camera: Camera, rotation: FloatArray
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Turn the camera about its centre; image and label stay true to each other.
+    """Rotate the camera about its center, and transform image and label accordingly.
 
-    The camera-frame point p becomes ``R p``, so ``t' = R t``, ``q' = qR q`` and every pixel moves
-    by the homography ``K R K^-1``, K being the camera's matrix (Hartley and Zisserman, "Multiple
-    View Geometry", 2nd ed., section 8.4.2): exact at any distance, as the centre stays, and for
-    unequal focal lengths, as a squeezing resize makes them. What the camera did not see is black.
+    A point p of the camera frame becomes ``R p``, so ``t' = R t``, ``q' = qR q``, and pixels move
+    by the homography ``K R K^-1`` with the camera matrix K (Hartley and Zisserman, "Multiple View
+    Geometry", 2nd ed., section 8.4.2). This is exact at any depth, since the center does not move,
+    and for unequal focal lengths, as after an anisotropic resize. Pixels that the camera did not
+    see are black.
 
     Args:
         image: ``(3, h, w)``.
-        translation: ``(3,)``, metres.
+        translation: ``(3,)``, meters.
         orientation: ``(4,)``, unit quaternion ``(w, x, y, z)``.
-        camera: The camera of this image, of its size.
-        rotation: R ``(3, 3)``, such as `camera_turn` gives.
+        camera: The camera of this image; its size is the image's.
+        rotation: R ``(3, 3)``, as from `camera_turn`.
 
     Returns:
-        The turned image, translation and orientation, of canonical sign.
+        Image, translation and orientation for the rotated camera; the quaternion is canonical.
 
     Raises:
-        ValueError: The image has not the camera's size, or R is no rotation.
+        ValueError: The size of the image is not the camera's, or R is not a rotation matrix.
     """
     if image.shape[-2:] != (camera.height, camera.width):
         raise ValueError(
@@ -110,13 +111,13 @@ def turn_camera(
 
 
 def _warp(image: Tensor, source: FloatArray) -> Tensor:
-    """Fill each pixel from the place that `source` (3, 3), of homogeneous pixels, takes it to."""
+    """Resample an image; the homography ``source (3, 3)`` maps output pixels to input pixels."""
     height, width = image.shape[-2:]
-    # grid_sample counts from -1 to 1 between the image's edges.
+    # grid_sample's coordinates range from -1 to 1 between the edges of the image.
     to_unit = np.array([[2 / width, 0, -1], [0, 2 / height, -1], [0, 0, 1]])
     places = torch.from_numpy(to_unit @ source).float() @ _pixel_centers(height, width)
     grid, depth = places[:2], places[2]
-    # Behind the camera, as far outside, there is nothing: 2 lies beyond the edge's last half pixel.
+    # Points behind the camera or far outside sample zeros: 2 is beyond the edge's last half pixel.
     grid.div_(depth).clamp_(-2, 2).masked_fill_(depth <= 0, 2)
     grid = grid.view(2, height, width).permute(1, 2, 0).to(image.dtype)
     return torch.nn.functional.grid_sample(image[None], grid[None], align_corners=False)[0]
@@ -124,39 +125,39 @@ def _warp(image: Tensor, source: FloatArray) -> Tensor:
 
 @lru_cache(maxsize=8)
 def _pixel_centers(height: int, width: int) -> Tensor:
-    """Return ``(u, v, 1)`` of each pixel's center, row by row ``(3, height * width)``."""
+    """Return the pixel centers ``(u, v, 1)`` in row-major order, ``(3, height * width)``."""
     v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     return torch.stack([u, v, torch.ones_like(u)]).view(3, -1)
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Random changes of a training image, drawn from torch's global generator.
+    """Random augmentation of a training image, drawn from torch's global generator.
 
-    Seed that generator (`torch.manual_seed`) and the same changes come back; a DataLoader seeds it
-    for each of its workers.
+    It is reproducible with `torch.manual_seed`; a DataLoader seeds the generator of each worker.
 
     Attributes:
-        brightness: Greatest relative change of brightness, in [0, 1].
-        contrast: The same for contrast.
-        saturation: The same for saturation.
-        noise: Greatest standard deviation of Gaussian noise, of the range [0, 1].
-        shot_noise: Greatest standard deviation that a sensor's shot noise has at full scale: one by
-            the root of the full well, 0.0105 for the 9,000 electrons of the rendered scenes. Its
-            variance is proportional to the light, which the values encode as sRGB does.
-        read_noise: The same for what a sensor adds to any light; 0.0013 in the rendered scenes.
-        blur: Greatest standard deviation of a Gaussian blur, in pixels.
-        pan: Greatest turn of the camera to the side, in degrees (`turn_camera`). Angles that would
-            take the object's origin out of the image are drawn again, ten times at most; then the
-            image is left as it is.
-        tilt: The same up and down.
-        roll: The same about the optical axis.
-        random_crop: The paper's crop, at a random place of the frame. The label does *not* follow,
-            so the position that it teaches is wrong by up to the crop's play; it needs
-            ``Preprocessing(mode="center_crop")``, whose frame has the room for it.
+        brightness: Largest relative change of brightness, in [0, 1].
+        contrast: Largest relative change of contrast, in [0, 1].
+        saturation: Largest relative change of saturation, in [0, 1].
+        noise: Largest standard deviation of Gaussian noise on pixel values in [0, 1].
+        shot_noise: Largest standard deviation of a sensor's shot noise at full scale: the inverse
+            square root of the full-well capacity, 0.0105 for the 9,000 electrons of the rendered
+            scenes. Its variance is proportional to the linear intensity; pixel values are sRGB.
+        read_noise: Largest standard deviation of a sensor's read noise, which does not depend on
+            the intensity; 0.0013 in the rendered scenes.
+        blur: Largest standard deviation of a Gaussian blur, in pixels.
+        pan: Largest rotation of the camera about its y axis, degrees (`turn_camera`). Angles that
+            would move the object's origin out of the image are drawn again, up to ten times; after
+            that the image is not rotated.
+        tilt: Largest rotation about x, degrees.
+        roll: Largest rotation about the boresight, degrees.
+        random_crop: Random crop, as in the paper. The label is *not* adjusted, so its position is
+            wrong by up to the crop's margin. Needs ``Preprocessing(mode="center_crop")``, whose
+            frame is larger than the crop.
 
     Raises:
-        ValueError: A value outside its range.
+        ValueError: A value is out of range.
     """
 
     brightness: float = 0.2
@@ -182,29 +183,29 @@ class Augmentation:
                 )
 
     @cached_property
-    def _colour(self) -> v2.Transform:
+    def _color_jitter(self) -> v2.Transform:
         return v2.ColorJitter(self.brightness, self.contrast, self.saturation)
 
     def __call__(
         self, image: Tensor, translation: Tensor, orientation: Tensor, camera: Camera
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Change an image and move its label with it.
+        """Augment an image, and transform its label where the camera rotates.
 
         Args:
             image: ``(3, h, w)`` in [0, 1].
-            translation: ``(3,)``, metres.
+            translation: ``(3,)``, meters.
             orientation: ``(4,)``, unit quaternion ``(w, x, y, z)``.
-            camera: The camera of this image, of its size.
+            camera: The camera of this image; its size is the image's.
 
         Returns:
-            Image in [0, 1], translation and orientation, shaped as they came.
+            Image in [0, 1], translation and orientation, of the same shapes.
         """
         rotation = self._draw_turn(translation, camera)
         if rotation is not None:
             image, translation, orientation = turn_camera(
                 image, translation, orientation, camera, rotation
             )
-        image = self._colour(image)
+        image = self._color_jitter(image)
         if self.blur > 0:
             image = _blur(image, sigma=self.blur * float(torch.rand(())))
         if self.shot_noise > 0 or self.read_noise > 0:
@@ -216,7 +217,7 @@ class Augmentation:
         return image, translation, orientation
 
     def _draw_turn(self, translation: Tensor, camera: Camera) -> FloatArray | None:
-        """Return a turn (3, 3) that leaves the object's origin in the image; None to stay."""
+        """Draw a rotation ``(3, 3)`` that keeps the object's origin in the image; None for none."""
         greatest = np.array([self.pan, self.tilt, self.roll])
         if not greatest.any():
             return None
@@ -230,7 +231,7 @@ class Augmentation:
 
 
 def _sensor_noise(image: Tensor, shot: float, read: float) -> Tensor:
-    """Add noise of variance ``shot² · light + read²`` to the light that sRGB values stand for."""
+    """Add noise of variance ``shot² · light + read²`` to the linear intensity of an sRGB image."""
     light = torch.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
     light = light + (light * shot**2 + read**2).sqrt_() * torch.randn_like(light)
     light.clamp_(0, 1)
@@ -238,9 +239,9 @@ def _sensor_noise(image: Tensor, shot: float, read: float) -> Tensor:
 
 
 def _blur(image: Tensor, sigma: float) -> Tensor:
-    """Blur an image (3, h, w); a sigma below a tenth of a pixel would change nothing.
+    """Blur an image ``(3, h, w)``; a sigma below a tenth of a pixel leaves it unchanged.
 
-    Row by row and column by column: torchvision's ``gaussian_blur`` takes several times as long.
+    Separable, tap by tap: torchvision's ``gaussian_blur`` takes several times as long.
     """
     if sigma < 0.1:
         return image

@@ -12,11 +12,6 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "scenes.md").read_text()
 
 
-def test_python_runs():
-    for code in re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL):
-        exec(compile(code, "scenes.md", "exec"), {"__name__": "page"})
-
-
 def options(page):
     """The options of ``ffpose render`` that a page names, in its commands or in back-ticks."""
     commands = re.findall(r"ffpose render [^\n`]+", page)

@@ -54,7 +54,7 @@ FRAME = {
     "loss": {"s_t": 0.0, "s_q": 0.0},
 }
 """The whole image, of about the pixels that both looks have together, seen by the backbone of the
-second; turned about the optical axis and varied as the views are. Cross-entropy and metres begin
+second; turned about the optical axis and varied as the views are. Cross-entropy and meters begin
 with equal weights."""
 
 NO_AUGMENTATION = {

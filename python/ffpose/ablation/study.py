@@ -20,7 +20,7 @@ class Published(NamedTuple):
     """What a paper prints of a variant: means over a test set.
 
     Attributes:
-        translation_m: Translation error, metres.
+        translation_m: Translation error, meters.
         rotation_deg: Rotation error, degrees.
         latency_ms: Milliseconds an image; None where it is not printed.
     """
@@ -107,7 +107,7 @@ def changed(config: Config, changes: Mapping[str, Any], place: str = "") -> Conf
     Raises:
         ValueError: A field that there is not, with the nearest that there is.
 
-    Example:
+    Examples:
         >>> from ffpose.training.config import DataConfig
         >>> base = TrainConfig(DataConfig("urso", Path("a")), Path("b"), model_fields={"depth": 2})
         >>> new = changed(base, {"data": {"count": 5}, "model_fields": {"dim": 8}})

@@ -204,7 +204,7 @@ def _said(rows: Sequence[Any], error: Error, prefix: str = "") -> str:
 def spread(values: Sequence[float], unit: str = "", digits: int = 2) -> str:
     """Return the mean and the standard deviation of a sample; the mean alone of a single value.
 
-    Example:
+    Examples:
         >>> spread([1.0, 3.0], "°"), spread([4.0], " m"), spread([])
         ('2.00° ± 1.41°', '4.00 m', '–')
     """

@@ -1,14 +1,14 @@
-"""FilterformerPose: a satellite's pose from one image, by regression.
+"""FilterformerPose: regression of a satellite's pose from one image.
 
-Ye et al., Sensors 2023, 23, 8633, section 3 and Figure 3. A convolutional backbone gives two
-feature maps; each goes through a branch of its own (1 x 1 convolution, tokens, filterformer,
-hypernetwork head), the coarser to translation, the finer to orientation, whose four numbers a
-quaternion activation normalises. `FilterformerPoseConfig` names what the paper leaves open and how
-it is read here.
+Ye et al., Sensors 2023, 23, 8633, section 3 and Figure 3. A convolutional backbone computes two
+feature maps, each the input of a branch (1 x 1 convolution, tokens, filterformer, hypernetwork
+head). The coarser one gives the translation, the finer one the orientation, a quaternion that a
+quaternion activation normalizes. The fields of `FilterformerPoseConfig` say what the paper leaves
+open, and how it is read here.
 
-Beyond the paper: the translation head may count in units of the training set's spread around its
-mean, and the orientation head's last bias starts at the identity quaternion, so that the norm which
-is divided by does not begin near zero.
+Beyond the paper, the translation may be standardized by mean and standard deviation of the training
+set, and the last bias of the orientation head is initialized to the identity quaternion, so that
+the norm to divide by is not close to zero at first.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ TOKEN_STD = 0.02
 
 
 class PosePrediction(NamedTuple):
-    """Poses of the object in the camera's frame (OpenCV: x right, y down, z forward).
+    """Poses of the object in the camera frame (OpenCV: x right, y down, z forward).
 
     Attributes:
-        translation: ``(B, 3)`` metres.
-        orientation: ``(B, 4)`` unit quaternions, scalar first, of either sign.
+        translation: ``(B, 3)``, meters.
+        orientation: ``(B, 4)``, unit quaternions, scalar first, of either sign.
     """
 
     translation: Tensor
@@ -73,15 +73,15 @@ class PosePrediction(NamedTuple):
 
 
 class UncertainPose(NamedTuple):
-    """Poses as `PosePrediction`, and how far they may be from the truth.
+    """Poses as in `PosePrediction`, with their predicted uncertainty.
 
     Attributes:
-        translation: ``(B, 3)`` metres.
-        orientation: ``(B, 4)`` unit quaternions, scalar first, of either sign.
-        translation_covariance: ``(B, 3, 3)`` square metres, camera frame.
-        rotation_covariance: ``(B, 3, 3)`` square radians: of the rotation vector r, camera frame,
-            with ``R_true = exp([r]x) R``.
-        in_view: ``(B,)`` probability that the object is in the image.
+        translation: ``(B, 3)``, meters.
+        orientation: ``(B, 4)``, unit quaternions, scalar first, of either sign.
+        translation_covariance: ``(B, 3, 3)``, covariance of the translation, camera frame, m².
+        rotation_covariance: ``(B, 3, 3)``, covariance of the rotation vector r, camera frame, rad²;
+            ``R_true = exp([r]x) R``.
+        in_view: ``(B,)``, probability that the object is in the image.
     """
 
     translation: Tensor
@@ -91,20 +91,20 @@ class UncertainPose(NamedTuple):
     in_view: Tensor
 
 
-# Saved programs name their result's type; torch leaves named tuples to whoever defines them.
+# Saved programs refer to named tuples by name, which torch requires to be registered.
 for _result in (PosePrediction, UncertainPose):
     _pytree._register_namedtuple(_result, serialized_type_name=f"ffpose.models.{_result.__name__}")
 
 
 class PoseBranch(nn.Module):
-    """From one feature map to a few numbers: projection, tokens, filterformer, head.
+    """Branch from a feature map to its outputs: projection, tokens, filterformer, head.
 
     Args:
-        config: Sizes and readings.
-        channels: Of the feature map.
+        config: Architecture of the network.
+        channels: Number of channels of the feature map.
         grid: ``(rows, columns)`` of the feature map.
-        head: Takes the latent vector ``(B, dim)``, or ``(B, FLAT_LATENT)`` with pooling
-            ``"flatten"``, to the numbers.
+        head: Module from the latent vector ``(B, dim)``, or ``(B, FLAT_LATENT)`` with pooling
+            ``"flatten"``, to the outputs.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class PoseBranch(nn.Module):
         self.head = head
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return ``(B, out_features)`` for a feature map ``(B, channels, rows, columns)``."""
+        """Map features ``(B, channels, rows, columns)`` to outputs ``(B, out_features)``."""
         tokens = self.projection(features).flatten(2).transpose(1, 2)  # (B, rows * columns, dim)
         tokens = self.position(tokens)
         if self.pose_token is not None:
@@ -164,7 +164,7 @@ class PoseBranch(nn.Module):
         return result
 
     def _latent(self, tokens: Tensor) -> Tensor:
-        """Return the vector ``(B, dim)`` that the head reads."""
+        """Pool tokens to the latent vector, ``(B, dim)`` or ``(B, FLAT_LATENT)``."""
         if self.pose_token is not None:
             return tokens[:, 0]
         if self.flatten is None:
@@ -174,12 +174,12 @@ class PoseBranch(nn.Module):
 
 
 def hyper_head(config: FilterformerPoseConfig, out_features: int, mlp_dim: int) -> HyperHead:
-    """Return a hypernetwork head on a branch's latent vector."""
+    """Build a hypernetwork head on a branch's latent vector."""
     return HyperHead(config.latent, out_features, hidden=config.head_hidden, mlp_dim=mlp_dim)
 
 
 def build_orientation_head(config: FilterformerPoseConfig) -> OrientationHead:
-    """Return the head of ``config.orientation_head``."""
+    """Build the orientation head that ``config.orientation_head`` names."""
     match config.orientation_head:
         case "quaternion":
             return QuaternionHead()
@@ -190,34 +190,34 @@ def build_orientation_head(config: FilterformerPoseConfig) -> OrientationHead:
 
 
 class FilterformerPose(nn.Module):
-    """The network; `from_config` builds it with its backbone, `from_pretrained` reads a file.
+    """Pose network; `from_config` builds it with its backbones, `from_pretrained` reads a file.
 
-    With ``config.orientation_view`` ``"frame"``, the paper's reading, both branches read one image
-    and the result is a `PosePrediction`. With ``"object"`` the translation branch reads the frame,
-    made small, and the orientation branch a virtual camera's view of the object
-    (`ffpose.models.object_look`); the result is an `UncertainPose`.
+    With ``config.orientation_view`` ``"frame"``, as in the paper, both branches see the frame and
+    the result is a `PosePrediction`. With ``"object"`` the translation branch sees the downsampled
+    frame, the orientation branch a virtual camera's view of the object
+    (`ffpose.models.object_look`), and the result is an `UncertainPose`.
 
-    `torch.export` takes it, with a batch of any size where ``dynamic_shapes`` asks for one. A saved
-    program is loaded after ``import ffpose.models``, which knows its operators and its result.
+    It can be exported by `torch.export`, with any batch size if ``dynamic_shapes`` says so. Import
+    `ffpose.models` before loading a saved program, to register its operators and result types.
 
     Args:
-        config: Sizes and readings.
-        backbone: Gives the maps of ``config.translation_reduction`` and, for the view ``"frame"``,
-            ``config.orientation_reduction``, in this order.
-        object_backbone: Gives the map of ``config.orientation_reduction`` of the object's view; for
-            the view ``"object"`` alone.
+        config: Architecture of the network.
+        backbone: Backbone with feature maps of stride ``config.translation_reduction`` and, for
+            view ``"frame"``, ``config.orientation_reduction``, in this order.
+        object_backbone: Backbone of the second look with a feature map of stride
+            ``config.orientation_reduction``; for view ``"object"`` alone.
 
     Raises:
-        ValueError: A second backbone is missing, or given to a network that looks once.
+        ValueError: ``object_backbone`` is missing for view ``"object"``, or given for ``"frame"``.
 
     Attributes:
-        config: As given.
-        backbone: As given; stages 2 and 3 of training freeze it.
-        translation_branch: The `PoseBranch` of the first map; stage 3 freezes it.
-        orientation_branch: The `PoseBranch` of the second map, or of the object's view; stage 2
-            freezes it.
-        object_backbone: As given.
-        orientation: The orientation head.
+        config: The argument.
+        backbone: The argument; frozen in stages 2 and 3 of training.
+        translation_branch: `PoseBranch` of the first feature map; frozen in stage 3.
+        orientation_branch: `PoseBranch` of the second feature map, or of the object's view; frozen
+            in stage 2.
+        object_backbone: The argument.
+        orientation: Orientation head.
     """
 
     translation_mean: Tensor
@@ -259,11 +259,11 @@ class FilterformerPose(nn.Module):
             self.register_buffer("variance_scales", torch.ones(2))
 
     def _orientation_output(self) -> nn.Module:
-        """Return what takes the orientation branch's latent vector to its numbers."""
+        """Build the module from the orientation branch's latent vector to its outputs."""
         config, features, start = self.config, self.orientation.features, self.orientation.start
         if start is None:
             head: nn.Module = nn.Linear(config.latent, features)
-            if config.pooling != "flatten":  # after flattening a hidden layer has been there
+            if config.pooling != "flatten":  # which has a hidden layer of its own
                 head = nn.Sequential(
                     nn.Linear(config.latent, config.head_hidden),
                     nn.GELU(),
@@ -278,14 +278,17 @@ class FilterformerPose(nn.Module):
         return LookHead(head, hyper_head(config, SMALL_NUMBERS, config.translation_mlp_dim))
 
     def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
-        """Return the pose of the object in each image.
+        """Predict the pose of the object in each image.
 
         Args:
-            images: ``(B, 3, H, W)`` with ``(H, W)`` = ``config.image_size``, standardised as in
+            images: ``(B, 3, H, W)`` with ``(H, W)`` = ``config.image_size``, standardized as in
                 training.
 
+        Returns:
+            A `PosePrediction`, or an `UncertainPose` with ``config.orientation_view`` ``"object"``.
+
         Raises:
-            ValueError: Another shape.
+            ValueError: The shape of ``images`` is not as above.
         """
         expected = (3, *self.config.image_size)
         if images.dim() != 4 or tuple(images.shape[1:]) != expected:
@@ -297,10 +300,12 @@ class FilterformerPose(nn.Module):
         return PosePrediction(translation, self.orientation.decode(orientation))
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return translations ``(B, 3)``, metres, and the orientation head's numbers.
+        """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head.
+
+        For a network that looks at the frame alone.
 
         Args:
-            images: As for `forward`, of a network that looks at the frame alone.
+            images: As in `forward`.
         """
         maps = self.backbone(images.contiguous(memory_format=torch.channels_last))
         translation = self.translation_branch(maps[0])
@@ -308,7 +313,7 @@ class FilterformerPose(nn.Module):
         return translation * self.translation_std + self.translation_mean, orientation
 
     def _look_twice(self, images: Tensor) -> UncertainPose:
-        """Find the object in the frame, then look at it, `config.looks` times."""
+        """Locate the object in the frame, then look at it ``config.looks`` times."""
         levels = pyramid(images)
         points = self.located(self.locate(F.avg_pool2d(images, self.config.first_stride)))
         for _ in range(1, self.config.looks):
@@ -316,7 +321,7 @@ class FilterformerPose(nn.Module):
         return self._look_around(levels, points, self.config.turns)
 
     def _look_around(self, levels: list[Tensor], points: Tensor, turns: int) -> UncertainPose:
-        """Look at points ``(B, 3)`` by cameras turned about the ray, and average their answers."""
+        """Look at points ``(B, 3)`` in views rotated about the ray, and average the predictions."""
         radius, size = self.config.object_radius_m, self.config.object_size
         views = [
             turn_to(points, radius, size, torch.full_like(points[:, 0], 2 * math.pi * n / turns))
@@ -342,26 +347,26 @@ class FilterformerPose(nn.Module):
         )
 
     def locate(self, frames: Tensor) -> Tensor:
-        """Return the first look's numbers ``(B, 3)``: x / z, y / z, and the log of the distance.
+        """Compute the first look's outputs ``(B, 3)``: x / z, y / z and the relative log distance.
 
         Args:
-            frames: ``(B, 3, h, w)``: images of ``config.image_size`` over ``config.first_stride``.
+            frames: ``(B, 3, h, w)``, images downsampled by ``config.first_stride``.
         """
         maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
         result: Tensor = self.translation_branch(maps[0])
         return result
 
     def location(self, points: Tensor) -> Tensor:
-        """Return the numbers ``(B, 3)`` of `locate` for points ``(B, 3)`` before the camera."""
+        """Convert points ``(B, 3)`` in front of the camera, meters, to the outputs of `locate`."""
         x, y, z = points.unbind(-1)
         middle = math.sqrt(math.prod(self.config.distance_m))
         return torch.stack([x / z, y / z, (points.norm(dim=-1) / middle).log()], dim=-1)
 
     def located(self, numbers: Tensor) -> Tensor:
-        """Return the points ``(B, 3)``, metres, for numbers of `locate`.
+        """Convert the outputs of `locate` to points ``(B, 3)``, meters.
 
-        A direction out of the frame, or a distance beyond twice the trained range, is brought to
-        its bound, so that the second look has something to look at.
+        Directions are clamped to the frame, and distances to between half the smallest and twice
+        the largest of training, so that the second look points into the image.
         """
         near, far = self.config.distance_m
         logs = [math.log(d / math.sqrt(near * far)) for d in (near / 2, far * 2)]
@@ -374,16 +379,16 @@ class FilterformerPose(nn.Module):
         return F.normalize(rays, dim=-1) * distance[:, None]
 
     def in_front(self, points: Tensor) -> Tensor:
-        """Keep points ``(B, 3)`` before the camera: z is at least a tenth of the distance."""
+        """Clamp z of points ``(B, 3)`` to at least a tenth of their distance."""
         least = points.norm(dim=-1) / 10
         return torch.cat((points[:, :2], torch.maximum(points[:, 2], least)[:, None]), dim=1)
 
     def look(self, views: Tensor) -> LookNumbers:
-        """Return the second look's numbers for views of the object ``(B, 3, h, w)``."""
+        """Compute the second look's outputs for views of the object ``(B, 3, h, w)``."""
         return self.read(self.see(views))
 
     def see(self, views: Tensor) -> Tensor:
-        """Return the feature map ``(B, C, rows, columns)`` of views of the object."""
+        """Compute the feature map ``(B, C, rows, columns)`` of views of the object."""
         assert self.object_backbone is not None
         feature_map: Tensor = self.object_backbone(
             views.contiguous(memory_format=torch.channels_last)
@@ -391,7 +396,7 @@ class FilterformerPose(nn.Module):
         return feature_map
 
     def read(self, feature_map: Tensor) -> LookNumbers:
-        """Return the second look's numbers for its feature map."""
+        """Compute the second look's outputs for its feature map."""
         return split_numbers(self.orientation_branch(feature_map))
 
     @classmethod
@@ -402,19 +407,19 @@ class FilterformerPose(nn.Module):
         backbone_weights: str | Path = "auto",
         **fields: Any,
     ) -> Self:
-        """Build the network with new weights.
+        """Build a network with new weights.
 
         Args:
-            config: ``"base"``, ``"small"``, ``"tiny"``, or a config.
+            config: Preset (``"base"``, ``"small"``, ``"tiny"``, ``"compact"``) or a config.
             backbone_weights: ``"auto"``: pretrained, from the hub or its cache; ``"none"``: random;
                 otherwise a safetensors or PyTorch file.
             **fields: Fields of the config to change.
 
         Raises:
-            ValueError: An unknown preset or field, or values that do not go together.
-            FileNotFoundError: There is no such weights file, or the pretrained weights cannot be
-                had.
-            ffpose.DataError: The file does not hold the backbone's weights.
+            ValueError: A preset or field is unknown, or values are inconsistent.
+            FileNotFoundError: The weights file does not exist, or the pretrained weights are not
+                available.
+            ffpose.DataError: The file does not contain the backbone's weights.
         """
         if isinstance(config, str):
             if config not in CONFIGS:
@@ -444,23 +449,24 @@ class FilterformerPose(nn.Module):
     ) -> None:
         """Write weights, config, preprocessing and this version to a safetensors file.
 
-        The file appears whole or not at all, and beside it ``path.sha256``. What is None is not
-        known to who reads it.
+        The write is atomic; the checksum is written to ``path.sha256``. Metadata that is None is
+        stored as unknown.
 
         Args:
-            path: Where; its folder must exist.
-            preprocessing: What turns an image into the network's input; a resize to
-                ``config.image_size`` as the backbone expects it when None.
-            backbone_source: As in `WeightsMetadata`, and so are the next three.
-            recipe: How the network was trained.
-            data: What it was trained on.
-            in_view_threshold: Below which an image is flagged.
-            dtype: Of the floating-point tensors in the file; float16 halves it, and costs each
-                weight its digits beyond the third. They are read back as float32.
+            path: File to write; its folder must exist.
+            preprocessing: Conversion from an image to the network's input; None for a resize to
+                ``config.image_size``, standardized as the backbone expects.
+            backbone_source: Source of the backbone's initial weights; see `WeightsMetadata`.
+            recipe: Training configuration; see `WeightsMetadata`.
+            data: Training data; see `WeightsMetadata`.
+            in_view_threshold: Probability of being in view below which an image is flagged.
+            dtype: Dtype of the floating-point tensors in the file. float16 halves its size and
+                keeps about three decimal digits; tensors are read back as float32.
 
         Raises:
-            ValueError: The preprocessing makes images of another size, or a value cannot be.
-            TypeError: A value is none that JSON can hold.
+            ValueError: The output size of the preprocessing is not ``config.image_size``, or a
+                value is invalid.
+            TypeError: A metadata value cannot be stored as JSON.
         """
         if preprocessing is None:
             preprocessing = backbone_preprocessing(self.config.backbone, self.config.image_size)
@@ -479,16 +485,16 @@ class FilterformerPose(nn.Module):
 
     @classmethod
     def from_pretrained(cls, path: str | Path) -> Self:
-        """Read a network that `save_pretrained` wrote; it comes in evaluation mode.
+        """Load a network that `save_pretrained` wrote, in evaluation mode.
 
         Args:
-            path: The file, or the name of weights that come with the package, such as
-                ``"soyuz-easy"``; `ffpose.models.zoo.names` lists them.
+            path: Weights file, or name of shipped weights such as ``"soyuz-easy"``
+                (`ffpose.models.zoo.names`).
 
         Raises:
-            FileNotFoundError: There is no such file or name.
-            ffpose.DataError: The file is truncated, altered, newer than this version, or not of
-                this architecture.
+            FileNotFoundError: No such file or name.
+            ffpose.DataError: The file is truncated, altered, newer than this version, or of another
+                architecture.
         """
         path = resolve(path)
         config = read_metadata(path).config

@@ -4,7 +4,7 @@ A pure rotation of a pinhole camera transforms its image by the homography ``K_v
 crop and scale in one, exact for every depth. The view of a virtual camera that is pointed at the
 object and covers a fixed number of meters at its distance shows the object centered and in the same
 size, wherever it is in the frame; only the attitude and small corrections of the position are left
-to learn. Poses are transformed between the two cameras by the rotation alone::
+to learn. Poses are transformed between the two cameras by the rotation alone:
 
     t_v = R t,   R_v = R R_object
 

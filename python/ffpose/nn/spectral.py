@@ -42,7 +42,7 @@ class SpectralFilter(nn.Module):
         ValueError: ``layout`` is unknown, or ``size`` has the wrong length or an entry below one.
         TypeError: ``dtype`` is not one of those above.
 
-    Example:
+    Examples:
         >>> filter = SpectralFilter((14, 14, 256), layout="grid")
         >>> filter(torch.zeros(2, 14, 14, 256)).shape
         torch.Size([2, 14, 14, 256])
@@ -131,7 +131,7 @@ class SequenceFilter(nn.Module):
         ValueError: ``length`` or ``dim`` is below one.
         TypeError: ``dtype`` is not one of those above.
 
-    Example:
+    Examples:
         >>> filter = SequenceFilter(50, 64)
         >>> filter(torch.zeros(2, 50, 64)).shape
         torch.Size([2, 50, 64])

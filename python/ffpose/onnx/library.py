@@ -18,7 +18,7 @@ def get_library_path() -> str:
     Raises:
         FileNotFoundError: This installation holds no library.
 
-    Example:
+    Examples:
         ``options.register_custom_ops_library(ffpose.onnx.get_library_path())``
     """
     folder = Path(str(resources.files("ffpose"))) / "onnx"

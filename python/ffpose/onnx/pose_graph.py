@@ -87,21 +87,21 @@ def export_weights(
 
 
 def random_images(preprocessing: Preprocessing, count: int) -> torch.Tensor:
-    """Return standardised images of random patches, ``(count, 3, h, w)``, always the same.
+    """Return standardized images of random patches, ``(count, 3, h, w)``, always the same.
 
     Not of random pixels: on those a network that looks twice loses three of float32's digits, in
     torch as in any runtime (against float64), and a graph could not be told from a wrong one.
     """
     height, width = preprocessing.size
     sides = (math.ceil(height / PATCHES), math.ceil(width / PATCHES))
-    colours = np.random.default_rng(count).random((count, 3, PATCHES, PATCHES), np.float32)
-    pixels = np.kron(colours, np.ones(sides, np.float32))[..., :height, :width]
+    colors = np.random.default_rng(count).random((count, 3, PATCHES, PATCHES), np.float32)
+    pixels = np.kron(colors, np.ones(sides, np.float32))[..., :height, :width]
     mean, std = np.array((preprocessing.mean, preprocessing.std), np.float32)[:, :, None, None]
     return torch.from_numpy((pixels - mean) / std)
 
 
 def pose_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
-    """Return the largest differences: metres, of quaternions of one sign, and relative ones."""
+    """Return the largest differences: meters, of quaternions of one sign, and relative ones."""
     sign = np.sign((got["orientation"] * expected["orientation"]).sum(-1, keepdims=True))
     aligned = {**got, "orientation": got["orientation"] * sign}
     absolute = {

@@ -46,7 +46,7 @@ class PoseEstimator:
         ValueError: A choice that backend or CPU cannot do, or both a camera and any are asked for.
         RuntimeError: The backend cannot load graph or library.
 
-    Example:
+    Examples:
         ``PoseEstimator("model.onnx", threads=1)("image.png").t``
     """
 
@@ -118,10 +118,10 @@ class PoseEstimator:
         """Return the network's outputs by name for a batch of inputs.
 
         Args:
-            inputs: ``(B, 3, h, w)``, float32, standardised as `preprocess` does.
+            inputs: ``(B, 3, h, w)``, float32, standardized as `preprocess` does.
 
         Returns:
-            ``translation (B, 3)``, metres, and ``orientation (B, 4)``, scalar first and of either
+            ``translation (B, 3)``, meters, and ``orientation (B, 4)``, scalar first and of either
             sign; of a network that knows its uncertainty ``translation_covariance (B, 3, 3)``,
             ``rotation_covariance (B, 3, 3)`` and ``in_view (B,)`` too.
 

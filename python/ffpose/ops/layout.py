@@ -35,7 +35,7 @@ def weight_shape(size: Sequence[int], layout: Layout) -> tuple[int, ...]:
     Raises:
         ValueError: ``layout`` is unknown, or ``size`` has the wrong length for it.
 
-    Example:
+    Examples:
         >>> weight_shape((14, 14, 256), "grid")
         (14, 8, 256, 2)
     """

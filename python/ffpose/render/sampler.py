@@ -23,7 +23,7 @@ class Surroundings(NamedTuple):
 
     Attributes:
         sun: (3,) unit vector to the sun.
-        nadir: (3,) unit vector to the Earth's centre.
+        nadir: (3,) unit vector to the Earth's center.
         altitude: height above the ground in Earth radii.
         ground: (3, 3) rotation from the camera frame to that of the Earth's features.
         eclipsed: whether the Earth hides the sun; a lamp at the camera then gives light.

@@ -1,7 +1,7 @@
-"""What a training run is asked to do: plain dataclasses, read from flags or from a YAML file.
+"""Configuration of a training run: plain dataclasses, read from flags or from a YAML file.
 
-Nothing heavy is imported here, so that ``ffpose train --help`` answers at once. The defaults are
-those of the paper (section 4.3) where it gives a figure.
+Nothing heavy is imported here, so that ``ffpose train --help`` is fast. The defaults are those of
+the paper (section 4.3) where it states a value.
 """
 
 from __future__ import annotations
@@ -13,44 +13,43 @@ from typing import Any, Literal, get_args
 from ffpose.training.stages import JOINT_STAGE, Stage
 
 TEST_SEEDS = 1_000_000
-"""From this seed on, scenes are for tests: no training renders them."""
+"""First seed of the scenes reserved for tests, which no training renders."""
 
 ModelName = Literal["base", "small", "tiny", "compact"]
-"""The keys of `ffpose.models.CONFIGS`, known here without torch: a wrong one is refused at once."""
+"""Keys of `ffpose.models.CONFIGS`, listed here so that a wrong one is rejected without torch."""
 
 
 def _expect(condition: bool, name: str, expected: str, got: object) -> None:
-    """Raise a ValueError that says what ``name`` should have been, unless ``condition``."""
+    """Raise a ValueError with the expected and actual value of ``name``, unless ``condition``."""
     if not condition:
         raise ValueError(f"{name}: expected {expected}, got {got!r}")
 
 
 @dataclass(frozen=True)
 class DataConfig:
-    """Which images to train on, and how they are read.
+    """Training and validation images, and how they are read.
 
     Attributes:
-        kind: The layout of the image set, such as urso.
-        root: The folder of the image set.
-        mode: How an image becomes the network's input: the whole frame resized, or the paper's
-            resize and centre crop.
-        augment: Whether to vary the training images.
+        kind: Layout of the image set: "urso", or "scenes" for scenes that are rendered as needed.
+        root: Folder of the image set.
+        mode: Conversion of an image to the network's input: "resize", the whole frame, or
+            "center_crop", the paper's resize and center crop.
+        augment: Whether to augment the training images.
         augmentation: Fields of `ffpose.transforms.Augmentation` to change, such as {"roll": 10}.
-        cache: Whether to decode and resize each image once, into a file that later runs use too.
-        workers: Processes that read or render images beside the training process.
-        scene: For the kind scenes: the set whose scenes are rendered, or several, joined by a plus;
-            the first validates.
-        count: For the kind scenes: images of each set to learn from.
-        validation: For the kind scenes: whole images that choose the best epoch.
-        empty: For the kind scenes: images without the spacecraft, which a network with a second
-            look learns to refuse.
-        decoys: For the kind scenes: images of other spacecraft, which it learns to refuse as well.
-        cut: For the kind scenes: images of each set whose spacecraft the border cuts.
-        randomized: For the kind scenes: images of each set whose light, materials and backgrounds
-            are not real.
-        seed: For the kind scenes: seed of the images, below `TEST_SEEDS`.
-        attitude_range_deg: For the kind scenes: roll, pitch and yaw lie within plus and minus
-            these angles.
+        cache: Whether to store decoded and resized images in a file that later runs share.
+        workers: Number of processes that read or render images beside the training process.
+        scene: For kind "scenes": name of the rendered set, or several joined by a plus; validation
+            uses the first.
+        count: For kind "scenes": number of training images of each set.
+        validation: For kind "scenes": number of whole images that select the best epoch.
+        empty: For kind "scenes": number of images without the spacecraft, negatives for a network
+            with a second look.
+        decoys: For kind "scenes": number of images of other spacecraft, negatives too.
+        cut: For kind "scenes": number of images of each set whose spacecraft the border cuts.
+        randomized: For kind "scenes": number of images of each set with domain randomization of
+            light, materials and backgrounds.
+        seed: For kind "scenes": seed of the images, below `TEST_SEEDS`.
+        attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
     """
 
     kind: str
@@ -82,20 +81,20 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """Adam and its learning rate.
+    """Optimizer and learning rate schedule.
 
     Attributes:
-        kind: "adam", as published, or "adamw", whose weight decay is apart from the gradient
-            (Loshchilov and Hutter, "Decoupled Weight Decay Regularization", ICLR 2019).
-        learning_rate: The highest learning rate.
-        weight_decay: Pull of the model's weights towards zero; the loss weights have none.
+        kind: "adam", as published, or "adamw", with decoupled weight decay (Loshchilov and Hutter,
+            "Decoupled Weight Decay Regularization", ICLR 2019).
+        learning_rate: Highest learning rate.
+        weight_decay: Weight decay of the model's parameters; those of the loss have none.
         eps: Adam's epsilon.
-        clip_norm: Largest norm of the gradient; zero leaves it as it is.
-        schedule: "step" multiplies the learning rate by step_factor every step_epochs; "cosine"
-            lets it fall to zero at the end of each stage.
-        step_epochs: Epochs between two steps.
-        step_factor: What a step multiplies the learning rate by.
-        warmup_epochs: Epochs, or a part of one, over which the learning rate first rises from zero.
+        clip_norm: Norm to which the gradient is clipped; 0 for no clipping.
+        schedule: "step" multiplies the learning rate by step_factor every step_epochs epochs;
+            "cosine" decreases it to zero at the end of each stage.
+        step_epochs: Number of epochs between two steps.
+        step_factor: Factor of the learning rate at each step.
+        warmup_epochs: Number of epochs, possibly fractional, of linear warm-up from zero.
     """
 
     kind: Literal["adam", "adamw"] = "adam"
@@ -126,12 +125,12 @@ class OptimizerConfig:
 
 @dataclass(frozen=True)
 class LossConfig:
-    """The pose loss (paper, equations 9 to 11).
+    """Pose loss of a network that looks at the frame alone (paper, Eq. 9-11).
 
     Attributes:
-        s_t: First value of the learnable weight of the translation.
-        s_q: First value of the learnable weight of the orientation.
-        antipodal: Whether q and -q count as one rotation, which equation 10 does not see.
+        s_t: Initial log weight of the translation, learnable.
+        s_q: Initial log weight of the orientation, learnable.
+        antipodal: Whether the distance is to the nearer of q and -q; in Eq. 10 it is to q.
     """
 
     s_t: float = -3.0
@@ -141,18 +140,19 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class ObjectLossConfig:
-    """Weights of the terms.
+    """Weights of the loss terms of a network with a second look.
 
     Attributes:
-        location: Of the first look.
-        orientation: Of the orientation head's loss.
-        angle: Of the sine of half the angle of the decoded attitude. Soft labels some degrees wide
-            hardly feel the last degrees; this does, once they have found the attitude.
-        offset: Of the second look's position.
-        sigma: Of the likelihoods.
-        in_view: Of the presence.
-        coordinates: Of the object's coordinates; zero, with ``mask``, leaves dense supervision out.
-        mask: Of its silhouette.
+        location: Weight of the first look's location error.
+        orientation: Weight of the orientation head's loss.
+        angle: Weight of the sine of half the rotation error of the decoded attitude. It reduces
+            errors smaller than the width of the soft labels, which those hardly distinguish.
+        offset: Weight of the second look's position error.
+        sigma: Weight of the Gaussian likelihoods, which train the uncertainty.
+        in_view: Weight of the classification of presence.
+        coordinates: Weight of the object coordinates; with ``mask`` zero too, there is no dense
+            supervision.
+        mask: Weight of the silhouette.
     """
 
     location: float = 10.0
@@ -171,26 +171,26 @@ class ObjectLossConfig:
 
     @property
     def dense(self) -> bool:
-        """Whether there is dense supervision."""
+        """Whether dense supervision is on."""
         return self.coordinates > 0 or self.mask > 0
 
 
 @dataclass(frozen=True)
 class ViewAugmentation:
-    """How the views of a training sample vary.
+    """Augmentation of the training views of a network with a second look.
 
     Attributes:
-        roll_deg: Greatest turn of the first look's camera about its axis.
-        look_lateral: Standard deviation of the first look's error across the viewing ray, as a
-            part of the virtual camera's radius at the object.
-        look_distance: The same along the ray, of the logarithm of the distance.
-        look_outliers: Part of the samples whose errors are three times as large.
-        twist_deg: Greatest turn of the virtual camera about the viewing ray.
-        brightness: Standard deviation of the logarithm (base 2) of a factor.
-        noise: Greatest standard deviation of Gaussian noise, of the range [0, 1].
-        blur: Greatest share of a copy of half the resolution.
-        empty: Part of the samples that show no object.
-        frames: Part of the samples whose frame is given to the first look, which learns sooner.
+        roll_deg: Largest rotation of the first look's camera about the boresight, degrees.
+        look_lateral: Standard deviation of the simulated error of the first look across the viewing
+            ray, as a fraction of the virtual camera's radius at the object.
+        look_distance: Standard deviation of that error along the ray, in log distance.
+        look_outliers: Fraction of samples whose simulated errors are three times as large.
+        twist_deg: Largest rotation of the virtual camera about the viewing ray, degrees.
+        brightness: Standard deviation of the base-2 logarithm of the brightness factor.
+        noise: Largest standard deviation of Gaussian noise on pixel values in [0, 1].
+        blur: Largest weight of a copy at half the resolution that is blended in.
+        empty: Fraction of samples without the object.
+        frames: Fraction of samples whose frame trains the first look, which learns sooner.
     """
 
     roll_deg: float = 180.0
@@ -213,35 +213,35 @@ class ViewAugmentation:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """All of a training run.
+    """Configuration of a whole training run.
 
     Attributes:
-        data: The images.
-        out: The folder to write; it must not hold another run.
-        model: Name of the model's configuration: base (the paper's), small or tiny.
-        model_fields: Fields of that configuration to change, such as {"depth": 5}; a tuple becomes
-            the list that a YAML file gives back.
+        data: Training and validation images.
+        out: Folder to write; it must not contain another run.
+        model: Preset of the network: base (the paper's), small, tiny or compact.
+        model_fields: Fields of the preset to change, such as {"depth": 5}. Tuples are stored as
+            lists, which is what a YAML file gives back.
         backbone_weights: "auto" (pretrained), "none" (random), or a file.
-        normalize_translation: Whether the head predicts in units of the training split's spread
-            about its mean, in place of raw metres.
-        epochs: Epochs of the first stage, in place of the number that stages gives it.
-        stages: What is trained, in which order; the first stage of the paper alone by default.
-        batch_size: Images whose gradients are computed at once.
-        accumulate: Batches whose gradients make one step.
-        processes: Processes on this machine that train together, each on batches of its own; under
-            ``torchrun``, which starts them itself, 1.
-        ema: Share of the moving average of the weights that stays at each step, such as 0.998; the
-            average is what is validated and saved. 0 keeps none.
+        normalize_translation: Whether the head predicts translations standardized by mean and
+            standard deviation of the training split, instead of meters.
+        epochs: Number of epochs of the first stage; overrides that of ``stages``.
+        stages: Training stages, in order; by default the first stage of the paper alone.
+        batch_size: Number of images per batch.
+        accumulate: Number of batches whose gradients are accumulated for one step.
+        processes: Number of training processes on this machine, each with batches of its own; 1
+            under ``torchrun``, which starts the processes itself.
+        ema: Decay of the exponential moving average of the weights, such as 0.998; the average is
+            validated and saved. 0 for none.
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions.
-        init: Weights to start from: of a network of the same architecture, or of one that lacks
-            extra blocks (`ffpose.models.compact_resnet`), which begin as their skip connection.
-        optimizer: Adam and its learning rate.
-        loss: The pose loss of a network that looks at the frame alone.
-        object_loss: The loss of a network with a second look.
-        views: How the views of such a network's samples vary.
-        seed: Seed of the weights, the order of the images, augmentation and dropout.
-        device: "auto" (a GPU where there is one) or a name that torch knows.
-        weights_dtype: Of the saved weights: "float32", or "float16" for files of half the size.
+        init: Weights to start from: those of the same architecture, or of one without the extra
+            blocks (`ffpose.models.compact_resnet`), which are initialized to their skip connection.
+        optimizer: Optimizer and learning rate schedule.
+        loss: Loss of a network that looks at the frame alone.
+        object_loss: Loss of a network with a second look.
+        views: Augmentation of the views of a network with a second look.
+        seed: Seed of the initial weights, the order of the images, augmentation and dropout.
+        device: "auto" (a GPU if there is one) or a device that torch knows.
+        weights_dtype: Dtype of the saved weights: "float32", or "float16" for half the file size.
     """
 
     data: DataConfig
@@ -287,7 +287,7 @@ class TrainConfig:
 
     @property
     def resolved_stages(self) -> tuple[Stage, ...]:
-        """The stages, the first with ``epochs`` where that is given."""
+        """The stages, the first with ``epochs`` if that is not None."""
         if self.epochs is None:
             return self.stages
         return (replace(self.stages[0], epochs=self.epochs), *self.stages[1:])

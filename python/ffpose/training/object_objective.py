@@ -52,7 +52,7 @@ class ObjectObjective(nn.Module):
         )
 
     def forward(self, model: FilterformerPose, batch: ViewBatch) -> LossTerms:
-        """Return the loss, the mean position errors in metres at unit distance, and the head's."""
+        """Return the loss, the mean position errors in meters at unit distance, and the head's."""
         c, present = self.config, batch.present
         location = model.locate(batch.frames)
         feature_map = model.see(batch.crops)

@@ -19,7 +19,7 @@ def learning_rate(optimizer: OptimizerConfig, position: float, epochs: int) -> f
             neither warm-up nor cosine gives a rate of zero.
         epochs: Number of epochs in the stage.
 
-    Example:
+    Examples:
         >>> paper = OptimizerConfig()
         >>> [f"{learning_rate(paper, epoch, 500):.0e}" for epoch in (0.1, 199.9, 200, 400.5)]
         ['1e-04', '1e-04', '1e-05', '1e-06']

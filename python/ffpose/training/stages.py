@@ -78,7 +78,7 @@ class Epoch:
 def plan(stages: tuple[Stage, ...]) -> list[Epoch]:
     """List the epochs of all stages in order.
 
-    Example:
+    Examples:
         >>> [(e.number, e.stage.name, e.index) for e in plan((Stage("a", 2), Stage("b", 1)))]
         [(1, 'a', 0), (2, 'a', 1), (3, 'b', 0)]
     """
