@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ffpose.cli import COMMANDS, build_parser
+from ffpose.cli import COMMANDS, build_parser, with_recipe
 from ffpose.info import main as info
 from shell_lines import calls
 
@@ -76,7 +76,7 @@ def test_commands_of_ffpose_parse(block, monkeypatch, capsys):
         if name == "info":
             assert info(words) == 0
         else:
-            build_parser(name).parse_args(words)
+            build_parser(name).parse_args(with_recipe(words))
 
 
 def test_every_page_for_users_has_something_to_run():
