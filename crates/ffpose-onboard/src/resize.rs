@@ -1,7 +1,7 @@
 //! Antialiased resizing, to the bit as Pillow's `Image.resize`, which networks are trained with.
 //!
 //! Each axis is a convolution at the output's pixels with a filter that is stretched by the scale where the image shrinks; across
-//! first, then down, each rounded to 8 bits. Weights are integers of [`BITS`] bits behind the point.
+//! first, then down (of tall images the other way round), each rounded to 8 bits. Weights are integers of [`BITS`] bits behind the point.
 
 #![allow(
     clippy::cast_possible_truncation, // toward zero, as Pillow does: of weights, and of places within an image
@@ -75,9 +75,22 @@ fn fixed(weight: f64) -> i32 {
 /// Returns an image of `width` x `height` pixels, which covers what `picture` does.
 pub fn resize(picture: &Picture, width: usize, height: usize, filter: Filter) -> Picture {
     let across = axis(picture.width, width, filter);
-    let narrow = resize_rows(&picture.pixels, picture.width, &across);
     let down = axis(picture.height, height, filter);
-    Picture { width, height, pixels: resize_columns(&narrow, 3 * width, &down) }
+    let pixels = if is_column_first(picture, width, height) {
+        let low = resize_columns(&picture.pixels, 3 * picture.width, &down);
+        resize_rows(&low, picture.width, &across)
+    } else {
+        let narrow = resize_rows(&picture.pixels, picture.width, &across);
+        resize_columns(&narrow, 3 * width, &down)
+    };
+    Picture { width, height, pixels }
+}
+
+/// Whether to resize down first, as Pillow does since version 13 where that leaves less to do: where the height loses more
+/// than twice what the width does.
+fn is_column_first(picture: &Picture, width: usize, height: usize) -> bool {
+    let lost = picture.height.saturating_sub(height);
+    lost > 2 * picture.width.saturating_sub(width)
 }
 
 fn resize_rows(pixels: &[u8], width: usize, taps: &[Taps]) -> Vec<u8> {
@@ -151,6 +164,15 @@ mod tests {
         assert_eq!(red(&got)[4..8], [0, 26, 102, 137]);
         let bright = resize(&row(&[0, 0, 0, 255, 255, 255]), 12, 1, Filter::Bicubic);
         assert_eq!(red(&bright)[7], 255);
+    }
+
+    #[test]
+    fn tall_images_are_resized_down_first() {
+        let picture = |height| Picture { width: 3, height, pixels: vec![0; 9 * height] };
+        assert!(!is_column_first(&picture(6), 1, 2)); // 4 rows of 6, 2 columns of 3
+        assert!(is_column_first(&picture(7), 1, 2));
+        assert!(is_column_first(&picture(3), 5, 2));
+        assert!(!is_column_first(&picture(2), 5, 2));
     }
 
     #[test]
