@@ -4,12 +4,13 @@ PYTHON ?= python3
 DEMO_OUT ?= runs/demo
 BIN := $(VENV)/bin
 PYTHON_SOURCES := python tests build_backend.py build_library.py
-RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -name '*.rs' -o -name Cargo.toml)
+RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -path crates/ffpose-onboard -prune -o -name '*.rs' -print -o -name Cargo.toml -print)
+ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml --target-dir target/onboard
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-arm docs bench ort wheel clean tools
+.PHONY: help demo test all format lint typecheck test-rust test-python test-arm test-onboard docs bench ort onboard wheel clean tools
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -19,18 +20,21 @@ demo: $(VENV)/.user ## install, render unseen images, pose them; leaves runs/dem
 
 test: test-rust test-python ## install and run every test, Rust's and Python's
 
-all: lint typecheck test docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
+all: lint typecheck test test-onboard docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
 
 format: $(VENV)/.dev ## rewrite the sources in the house format
 	$(BIN)/ruff format $(PYTHON_SOURCES)
 	$(BIN)/ruff check --fix $(PYTHON_SOURCES)
 	cargo fmt --all
+	cargo fmt --manifest-path crates/ffpose-onboard/Cargo.toml
 
 lint: $(VENV)/.dev ## formatters and linters, changing nothing
 	$(BIN)/ruff format --check $(PYTHON_SOURCES)
 	$(BIN)/ruff check $(PYTHON_SOURCES)
 	cargo fmt --all --check
+	cargo fmt --manifest-path crates/ffpose-onboard/Cargo.toml --check
 	cargo clippy --locked --workspace --all-targets --release -- -D warnings
+	cargo clippy $(ONBOARD) --all-targets -- -D warnings
 
 typecheck: $(VENV)/.dev ## mypy strict, and the stubs against the built extension
 	$(BIN)/mypy
@@ -48,11 +52,17 @@ test-arm: ## the Rust tests for 64-bit ARM under qemu; not needed to use ffpose
 docs: $(VENV)/.docs ## the documentation's pages, site/index.html; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
+test-onboard: tools ## the Rust tests of the program without Python
+	cargo test $(ONBOARD)
+
 bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
 
 ort: tools ## build the operator for ONNX Runtime into the package; installing ffpose does so too
 	$(PYTHON) build_library.py
+
+onboard: tools ## build the program that poses images without Python, of Rust 1.92 or newer (docs/onboard.md)
+	cargo build $(ONBOARD)
 
 wheel: $(VENV)/.dev ort ## build the wheel, the one file in dist
 	rm -rf dist

@@ -1,0 +1,271 @@
+//! What an exported model says of itself, as `ffpose.onnx.metadata` writes it; an altered file is refused.
+
+use std::collections::HashMap;
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+
+use crate::error::{Error, Result};
+use crate::preprocessing::Preprocessing;
+use crate::records::records;
+
+const FORMAT: &str = "1";
+const CHECKSUM: &str = "ffpose_sha256";
+
+/// Number of the field in ONNX's `ModelProto`; within an entry, 1 is the key and 2 the value.
+const METADATA_PROPS: u64 = 14;
+
+/// What an exported model says of itself.
+#[derive(Debug)]
+pub struct Metadata {
+    /// Turns an image into the network's input.
+    pub preprocessing: Preprocessing,
+    /// Whether spectral filters are computed by the library of ffpose's operator.
+    pub needs_operators: bool,
+    /// The size of the images trained on, which tells the camera's aspect ratio; `None` where it is not known.
+    pub camera: Option<Camera>,
+    /// An image whose probability that the object is in view lies below this is flagged.
+    pub in_view_threshold: Option<f64>,
+}
+
+/// The size of a camera's images, in pixels.
+#[derive(Debug)]
+pub struct Camera {
+    width: u128,
+    height: u128,
+}
+
+impl Camera {
+    /// Refuses an image of another aspect ratio than the camera's.
+    ///
+    /// # Errors
+    /// The aspect ratio is another.
+    pub fn expect_aspect(&self, width: usize, height: usize) -> Result<()> {
+        if width as u128 * self.height == height as u128 * self.width {
+            return Ok(());
+        }
+        Err(Error::new(format!(
+            "expected the aspect ratio of the model's camera, {}x{}, got an image of {width}x{height} pixels, which another \
+             camera took (--any-camera resizes any image to the network's input)",
+            self.width, self.height
+        )))
+    }
+}
+
+impl Metadata {
+    /// Reads a model's metadata.
+    ///
+    /// # Errors
+    /// It is no file that can be read, no ONNX file, not of `ffpose export`, altered, or newer than this program.
+    pub fn read(path: &Path) -> Result<Self> {
+        let data = fs::read(path).map_err(|error| Error::new(format!("cannot be read: {error}")));
+        data.and_then(|data| Self::of(&data)).map_err(|error| error.of(path.display()))
+    }
+
+    fn of(data: &[u8]) -> Result<Self> {
+        let entries = entries(data).map_err(|error| {
+            error.of("expected an ONNX file, got one that is cut short or none")
+        })?;
+        let version = entries.get("ffpose_version").map_or("unknown", String::as_str);
+        match entries.get("ffpose_format").map(String::as_str) {
+            Some(FORMAT) => {}
+            None => {
+                return Err(Error::new(
+                    "expected a model that `ffpose export` wrote, got one without its metadata",
+                ));
+            }
+            Some(format) => {
+                return Err(Error::new(format!(
+                    "expected a model of format {FORMAT}, which ffpose-onboard {} reads, got format {format}, written by ffpose \
+                     {version}",
+                    env!("CARGO_PKG_VERSION")
+                )));
+            }
+        }
+        check_bytes(data, entries.get(CHECKSUM))?;
+        Self::from_entries(&entries)
+            .map_err(|error| error.of(format!("expected metadata that ffpose {version} wrote")))
+    }
+
+    fn from_entries(entries: &HashMap<String, String>) -> Result<Self> {
+        choice(entries, "architecture", &["FilterformerPose"])?;
+        choice(entries, "quaternion_order", &["wxyz"])?;
+        let camera = json(entries, "camera")?;
+        Ok(Self {
+            preprocessing: Preprocessing::from_json(&json(entries, "preprocessing")?)?,
+            needs_operators: choice(entries, "filter", &["custom", "matmul", "none"])? == "custom",
+            camera: if camera.is_null() { None } else { Some(read_camera(&camera)?) },
+            in_view_threshold: match json(entries, "in_view_threshold")? {
+                Value::Null => None,
+                value => Some(value.as_f64().ok_or_else(|| {
+                    Error::new(format!("in_view_threshold: expected a number, got {value}"))
+                })?),
+            },
+        })
+    }
+}
+
+fn entries(data: &[u8]) -> Result<HashMap<String, String>> {
+    let mut found = HashMap::new();
+    for (_, entry) in records(data)?.into_iter().filter(|(field, _)| *field == METADATA_PROPS) {
+        let parts: HashMap<u64, &[u8]> = records(entry)?.into_iter().collect();
+        let text = |number| {
+            let bytes = parts.get(&number).copied().unwrap_or_default().to_vec();
+            String::from_utf8(bytes).map_err(|error| Error::new(format!("metadata: {error}")))
+        };
+        found.insert(text(1)?, text(2)?);
+    }
+    Ok(found)
+}
+
+/// Checks that the file ends in the record of its checksum, and that the bytes before it have it.
+fn check_bytes(data: &[u8], expected: Option<&String>) -> Result<()> {
+    let expected = expected
+        .ok_or_else(|| Error::new("the file was altered: expected its SHA-256 in it, got none"))?;
+    let record = checksum_record(expected);
+    let content = data.strip_suffix(&record[..]);
+    let got = hex(content.unwrap_or(data));
+    if content.is_none() || got != *expected {
+        return Err(Error::new(format!(
+            "the file was altered: expected SHA-256 {expected}, got {got}"
+        )));
+    }
+    Ok(())
+}
+
+fn hex(data: &[u8]) -> String {
+    format!("{:x}", Sha256::digest(data))
+}
+
+/// Returns the record of `ffpose_sha256`, all of whose lengths are one byte; of a digest that is too long, nothing's record.
+fn checksum_record(digest: &str) -> Vec<u8> {
+    let field = |number: u8, content: &[u8]| {
+        let length = u8::try_from(content.len()).unwrap_or(u8::MAX);
+        [&[number << 3 | 2, length][..], content].concat()
+    };
+    let entry = [field(1, CHECKSUM.as_bytes()), field(2, digest.as_bytes())].concat();
+    field(14, &entry)
+}
+
+fn entry<'a>(entries: &'a HashMap<String, String>, name: &str) -> Result<&'a str> {
+    entries
+        .get(name)
+        .map(String::as_str)
+        .ok_or_else(|| Error::new(format!("expected the entry {name}, got none")))
+}
+
+fn choice<'a>(entries: &'a HashMap<String, String>, name: &str, known: &[&str]) -> Result<&'a str> {
+    let value = entry(entries, name)?;
+    if known.contains(&value) {
+        return Ok(value);
+    }
+    Err(Error::new(format!("{name}: expected one of {}, got {value}", known.join(", "))))
+}
+
+fn json(entries: &HashMap<String, String>, name: &str) -> Result<Value> {
+    serde_json::from_str(entry(entries, name)?)
+        .map_err(|error| Error::new(error.to_string()).of(name))
+}
+
+fn read_camera(value: &Value) -> Result<Camera> {
+    let side = |name: &str| {
+        let side = value[name].as_u64().filter(|&side| side > 0);
+        side.map(u128::from).ok_or_else(|| {
+            Error::new(format!("camera: expected a {name} of at least 1, got {value}"))
+        })
+    };
+    Ok(Camera { width: side("width")?, height: side("height")? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ENTRIES: [(&str, &str); 7] = [
+        ("ffpose_format", "1"),
+        ("architecture", "FilterformerPose"),
+        ("quaternion_order", "wxyz"),
+        ("filter", "custom"),
+        ("camera", r#"{"width": 128, "height": 96}"#),
+        ("in_view_threshold", "0.25"),
+        (
+            "preprocessing",
+            r#"{"size": [4, 6], "mode": "resize", "mean": [0, 0, 0], "std": [1, 1, 1], "interpolation": "bicubic"}"#,
+        ),
+    ];
+
+    /// A record; lengths below 2^14.
+    fn record(number: u8, content: &[u8]) -> Vec<u8> {
+        let (high, low) = (content.len() / 128, content.len() % 128);
+        let [low, high] = [low + 128, high].map(|part| u8::try_from(part).unwrap());
+        [&[number << 3 | 2, low, high][..], content].concat()
+    }
+
+    fn model(entries: &[(&str, &str)]) -> Vec<u8> {
+        let entry = |(key, value): &(&str, &str)| {
+            record(14, &[record(1, key.as_bytes()), record(2, value.as_bytes())].concat())
+        };
+        entries.iter().flat_map(entry).collect()
+    }
+
+    fn sealed(mut data: Vec<u8>) -> Vec<u8> {
+        let seal = checksum_record(&hex(&data));
+        data.extend(seal);
+        data
+    }
+
+    /// The entries, `name` among them as `value`.
+    fn with<'a>(name: &str, value: &'a str) -> Vec<(&'a str, &'a str)> {
+        ENTRIES.into_iter().map(|(key, old)| (key, if key == name { value } else { old })).collect()
+    }
+
+    #[test]
+    fn the_entries_are_read() {
+        let metadata = Metadata::of(&sealed(model(&ENTRIES))).unwrap();
+        assert_eq!((metadata.preprocessing.height, metadata.preprocessing.width), (4, 6));
+        assert!(metadata.needs_operators);
+        assert_eq!(metadata.in_view_threshold, Some(0.25));
+        let camera = metadata.camera.unwrap();
+        camera.expect_aspect(64, 48).unwrap();
+        let error = camera.expect_aspect(64, 64).unwrap_err().to_string();
+        assert!(error.contains("128x96, got an image of 64x64"), "{error}");
+        let unknown = Metadata::of(&sealed(model(&with("camera", "null")))).unwrap();
+        assert!(unknown.camera.is_none());
+    }
+
+    #[test]
+    fn the_digest_is_that_of_the_standard() {
+        // FIPS 180-4's example, "abc"
+        assert!(hex(b"abc").starts_with("ba7816bf8f01cfea414140de5dae2223"));
+    }
+
+    #[test]
+    fn what_is_not_ours_or_altered_is_refused() {
+        let whole = sealed(model(&ENTRIES));
+        let mut flipped = whole.clone();
+        let place = flipped.windows(4).position(|bytes| bytes == b"0.25").unwrap();
+        flipped[place + 3] = b'6';
+        for (data, message) in [
+            (b"no model".to_vec(), "expected an ONNX file"),
+            (Vec::new(), "without its metadata"),
+            (whole[..whole.len() - 1].to_vec(), "cut short"),
+            (model(&ENTRIES), "its SHA-256 in it, got none"),
+            (flipped, "altered: expected SHA-256"),
+            ([whole, model(&[("comment", "mine")])].concat(), "altered: expected SHA-256"),
+            (sealed(model(&with("ffpose_format", "2"))), "got format 2, written by ffpose unknown"),
+            (
+                sealed(model(&with("filter", "fast"))),
+                "filter: expected one of custom, matmul, none, got fast",
+            ),
+            (sealed(model(&with("camera", "{}"))), "camera: expected a width"),
+            (sealed(model(&with("preprocessing", "{"))), "preprocessing: "),
+            (sealed(model(&ENTRIES[..5])), "expected the entry"),
+            (model(&[("ffpose_format", "1"), (CHECKSUM, &"0".repeat(300))]), "altered"),
+        ] {
+            let error = Metadata::of(&data).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+}

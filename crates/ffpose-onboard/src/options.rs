@@ -1,0 +1,185 @@
+//! The command line.
+
+use std::env;
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+/// What `--help` prints.
+pub const HELP: &str = "\
+Print the pose of the spacecraft in each image, one JSON line each, as soon as it is known.
+
+usage: ffpose-onboard --model FILE (--images DIR | --stdin) [options]
+
+  --model FILE      model of `ffpose export`
+  --images DIR      pose the .png, .jpg and .jpeg files of a folder, by name
+  --stdin           pose the files whose paths come in lines on standard input, until it ends
+  --threads N       threads that an image is computed with (default: ONNX Runtime's choice)
+  --runtime PATH    ONNX Runtime's library (default: ORT_DYLIB_PATH, else libonnxruntime.so beside
+                    this program or among the system's libraries)
+  --operators PATH  libffpose_ort.so, for models exported with --filter custom that have filters
+  --any-camera      resize an image of any aspect ratio to the network's input, as if the model's
+                    camera had taken it; without, another aspect ratio is an error of that image
+  --help, --version
+
+A line has the fields of `ffpose predict --json`, or image and error. Exit code 0: every image has a
+pose; 1: nothing could be done, standard error says why; 2: wrong usage; 3: some images failed.";
+
+/// What is asked for.
+#[derive(Debug, PartialEq)]
+pub struct Options {
+    /// The ONNX file.
+    pub model: PathBuf,
+    /// Where the images are.
+    pub source: Source,
+    /// That an image is computed with; `None`: as many as ONNX Runtime finds good.
+    pub threads: Option<usize>,
+    /// ONNX Runtime's library.
+    pub runtime: PathBuf,
+    /// The library of ffpose's operator.
+    pub operators: Option<PathBuf>,
+    /// Whether images of any aspect ratio are resized.
+    pub any_camera: bool,
+}
+
+/// Where the images are.
+#[derive(Debug, PartialEq)]
+pub enum Source {
+    /// All of a folder.
+    Folder(PathBuf),
+    /// As named in lines on standard input.
+    Stdin,
+}
+
+/// What a command line asks for.
+#[derive(Debug, PartialEq)]
+pub enum Command {
+    /// To pose images.
+    Run(Options),
+    /// To print a text.
+    Print(&'static str),
+}
+
+impl Command {
+    /// Reads the arguments after the program's name; an error says what is wrong with them.
+    pub fn parse(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, String> {
+        let mut arguments = arguments.into_iter();
+        let mut given = Given::default();
+        while let Some(argument) = arguments.next() {
+            let name = argument.to_string_lossy().into_owned();
+            match name.as_str() {
+                "--help" | "-h" => return Ok(Self::Print(HELP)),
+                "--version" => {
+                    return Ok(Self::Print(concat!("ffpose-onboard ", env!("CARGO_PKG_VERSION"))));
+                }
+                _ => given.take(&name, || arguments.next())?,
+            }
+        }
+        given.options().map(Self::Run)
+    }
+}
+
+#[derive(Default)]
+struct Given {
+    model: Option<PathBuf>,
+    images: Option<PathBuf>,
+    stdin: bool,
+    threads: Option<usize>,
+    runtime: Option<PathBuf>,
+    operators: Option<PathBuf>,
+    any_camera: bool,
+}
+
+impl Given {
+    fn take(
+        &mut self,
+        name: &str,
+        mut next: impl FnMut() -> Option<OsString>,
+    ) -> Result<(), String> {
+        let mut value = || next().ok_or_else(|| format!("{name}: expected a value, got none"));
+        match name {
+            "--stdin" => self.stdin = true,
+            "--any-camera" => self.any_camera = true,
+            "--threads" => self.threads = Some(count(&value()?)?),
+            "--model" => self.model = Some(value()?.into()),
+            "--images" => self.images = Some(value()?.into()),
+            "--runtime" => self.runtime = Some(value()?.into()),
+            "--operators" => self.operators = Some(value()?.into()),
+            _ => {
+                return Err(format!("expected one of the options that --help lists, got {name}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn options(self) -> Result<Options, String> {
+        Ok(Options {
+            model: self.model.ok_or("expected --model, got none")?,
+            source: match (self.images, self.stdin) {
+                (Some(folder), false) => Source::Folder(folder),
+                (None, true) => Source::Stdin,
+                (Some(_), true) => return Err("expected --images or --stdin, got both".into()),
+                (None, false) => return Err("expected --images or --stdin, got neither".into()),
+            },
+            threads: self.threads,
+            runtime: self.runtime.unwrap_or_else(default_runtime),
+            operators: self.operators,
+            any_camera: self.any_camera,
+        })
+    }
+}
+
+fn count(value: &OsString) -> Result<usize, String> {
+    let text = value.to_string_lossy();
+    let number = text.parse().ok().filter(|number| (1..=1024).contains(number));
+    number.ok_or_else(|| format!("--threads: expected a number from 1 to 1024, got {text}"))
+}
+
+fn default_runtime() -> PathBuf {
+    let name = || format!("{}onnxruntime{}", env::consts::DLL_PREFIX, env::consts::DLL_SUFFIX);
+    env::var_os("ORT_DYLIB_PATH")
+        .filter(|path| !path.is_empty())
+        .unwrap_or_else(|| name().into())
+        .into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(arguments: &str) -> Result<Command, String> {
+        Command::parse(arguments.split_whitespace().map(OsString::from))
+    }
+
+    #[test]
+    fn options_are_read() {
+        let arguments =
+            "--stdin --model m.onnx --threads 2 --runtime /r.so --operators o.so --any-camera";
+        let expected = Options {
+            model: "m.onnx".into(),
+            source: Source::Stdin,
+            threads: Some(2),
+            runtime: "/r.so".into(),
+            operators: Some("o.so".into()),
+            any_camera: true,
+        };
+        assert_eq!(parse(arguments), Ok(Command::Run(expected)));
+        assert_eq!(parse("--model x --help"), Ok(Command::Print(HELP)));
+    }
+
+    #[test]
+    fn wrong_usage_is_told() {
+        for (arguments, message) in [
+            ("", "expected --model, got none"),
+            ("--model m", "expected --images or --stdin, got neither"),
+            ("--model m --stdin --images d", "expected --images or --stdin, got both"),
+            ("--model", "--model: expected a value"),
+            ("--model m --stdin --threads 0", "--threads: expected a number from 1 to 1024, got 0"),
+            ("--model m --stdin --threads two", "got two"),
+            ("--camera c", "got --camera"),
+            ("image.png", "got image.png"),
+        ] {
+            let error = parse(arguments).unwrap_err();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+}

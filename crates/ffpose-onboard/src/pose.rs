@@ -1,0 +1,184 @@
+//! A network's outputs as a pose, checked, and as a JSON line: meters, `(w, x, y, z)`, degrees.
+
+use serde_json::{Map, Value, json};
+
+use crate::error::{Error, Result};
+
+/// Deviation of a quaternion's norm from one that is normalized.
+const TOLERANCE: f64 = 1e-3;
+
+/// Cosine of the pitch below which roll and yaw turn about one axis.
+const GIMBAL_LOCK: f64 = 1e-8;
+
+/// What a network gives for one image.
+#[derive(Debug)]
+pub struct Outputs {
+    /// Meters, camera frame.
+    pub translation: [f64; 3],
+    /// `(w, x, y, z)`, of norm 1 and either sign.
+    pub orientation: [f64; 4],
+    /// Where the network knows it.
+    pub uncertainty: Option<Uncertainty>,
+}
+
+/// How far a pose may be off.
+#[derive(Debug)]
+pub struct Uncertainty {
+    /// Square meters, camera frame.
+    pub translation_covariance: [[f64; 3]; 3],
+    /// Square radians, camera frame.
+    pub rotation_covariance: [[f64; 3]; 3],
+    /// Probability that the object is in the image at all.
+    pub in_view: f64,
+}
+
+/// Returns the document of a pose, with the names of `ffpose predict --json` but for the image's.
+///
+/// # Errors
+/// A number is not finite, the orientation has not norm 1, or the probability is none.
+pub fn document(outputs: &Outputs, in_view_threshold: Option<f64>) -> Result<Map<String, Value>> {
+    expect_finite("translation", &outputs.translation)?;
+    let q = unit(outputs.orientation)?;
+    let mut fields = Map::new();
+    let mut put = |name: &str, value: Value| fields.insert(name.into(), value);
+    put("translation_m", json!(outputs.translation));
+    put("orientation_wxyz", json!(q));
+    put("roll_pitch_yaw_deg", json!(euler(q).map(f64::to_degrees)));
+    if let Some(uncertainty) = &outputs.uncertainty {
+        let Uncertainty { translation_covariance, rotation_covariance, in_view } = uncertainty;
+        expect_finite("translation_covariance", translation_covariance.as_flattened())?;
+        expect_finite("rotation_covariance", rotation_covariance.as_flattened())?;
+        if !(0.0..=1.0).contains(in_view) {
+            return Err(Error::new(format!("in_view: expected a probability, got {in_view}")));
+        }
+        put("translation_covariance_m2", json!(translation_covariance));
+        put("rotation_covariance_rad2", json!(rotation_covariance));
+        put("in_view", json!(in_view));
+        if let Some(threshold) = in_view_threshold {
+            put("flagged", json!(*in_view < threshold));
+        }
+    }
+    Ok(fields)
+}
+
+fn expect_finite(name: &str, values: &[f64]) -> Result<()> {
+    if values.iter().all(|value| value.is_finite()) {
+        return Ok(());
+    }
+    Err(Error::new(format!("{name}: expected finite numbers, got {values:?}")))
+}
+
+/// Returns the unit quaternion whose first nonzero component is positive.
+fn unit(q: [f64; 4]) -> Result<[f64; 4]> {
+    let norm = q.iter().map(|value| value * value).sum::<f64>().sqrt();
+    if (norm - 1.0).abs() <= TOLERANCE {
+        let is_negative = q.iter().find(|value| **value != 0.0).is_some_and(|first| *first < 0.0);
+        let scale = if is_negative { -norm } else { norm };
+        return Ok(q.map(|value| value / scale + 0.0)); // no negative zero
+    }
+    Err(Error::new(format!("orientation: expected norm 1 within {TOLERANCE}, got {norm}")))
+}
+
+/// Returns roll, pitch and yaw, radians: rotations about fixed x, then y, then z, as `ffpose.quaternion_to_euler`.
+///
+/// Ye et al., Sensors 2023, 23(20), 8633, Eq. 12, with the minus in the pitch that inverts its arctangents; in gimbal lock roll is
+/// zero. Roll and yaw are in `(-π, π]`.
+fn euler([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+    let sin_pitch = 2.0 * (w * y - x * z);
+    let (roll_sin, roll_cos) = (2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y));
+    let cos_pitch = roll_sin.hypot(roll_cos);
+    let pitch = sin_pitch.atan2(cos_pitch);
+    let (roll, yaw) = if cos_pitch < GIMBAL_LOCK {
+        (0.0, -2.0 * sin_pitch.signum() * x.atan2(w))
+    } else {
+        let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+        (roll_sin.atan2(roll_cos), yaw)
+    };
+    [roll, pitch, yaw].map(|angle| if angle <= -std::f64::consts::PI { -angle } else { angle })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_1_SQRT_2;
+
+    use super::*;
+
+    fn outputs(orientation: [f64; 4], in_view: Option<f64>) -> Outputs {
+        let covariance = [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]];
+        let uncertainty = in_view.map(|in_view| Uncertainty {
+            translation_covariance: covariance,
+            rotation_covariance: covariance,
+            in_view,
+        });
+        Outputs { translation: [1.0, 2.0, 10.0], orientation, uncertainty }
+    }
+
+    fn angles(orientation: [f64; 4]) -> [f64; 3] {
+        let document = document(&outputs(orientation, None), None).unwrap();
+        serde_json::from_value(document["roll_pitch_yaw_deg"].clone()).unwrap()
+    }
+
+    #[test]
+    fn the_sign_is_canonical_and_the_norm_one() {
+        for (q, expected) in [
+            ([-0.6, 0.8, 0.0, 0.0], [0.6, -0.8, 0.0, 0.0]),
+            ([0.0, 0.0, 0.0, -1.0005], [0.0, 0.0, 0.0, 1.0]),
+        ] {
+            let document = document(&outputs(q, None), Some(0.5)).unwrap();
+            assert_eq!(document["orientation_wxyz"], json!(expected));
+            assert_eq!(document["translation_m"], json!([1.0, 2.0, 10.0]));
+            assert_eq!(document.len(), 3);
+        }
+    }
+
+    #[test]
+    fn quarter_and_half_turns_have_their_angles() {
+        const H: f64 = FRAC_1_SQRT_2;
+        for (q, expected) in [
+            ([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+            ([H, H, 0.0, 0.0], [90.0, 0.0, 0.0]),
+            ([H, 0.0, H, 0.0], [0.0, 90.0, 0.0]),
+            ([H, 0.0, 0.0, -H], [0.0, 0.0, -90.0]),
+            ([0.0, 1.0, 0.0, 0.0], [180.0, 0.0, 0.0]),
+            ([0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 180.0]),
+            ([0.5, -0.5, 0.5, 0.5], [0.0, 90.0, 90.0]), // gimbal lock: yaw less roll of 90 degrees
+        ] {
+            for (got, expected) in angles(q).into_iter().zip(expected) {
+                assert!((got - expected).abs() < 1e-6, "{q:?}: {:?}", angles(q));
+            }
+        }
+    }
+
+    #[test]
+    fn a_doubtful_view_is_flagged() {
+        let q = [1.0, 0.0, 0.0, 0.0];
+        let flagged = |in_view, threshold| {
+            document(&outputs(q, Some(in_view)), threshold).unwrap().get("flagged").cloned()
+        };
+        assert_eq!(flagged(0.4, Some(0.5)), Some(json!(true)));
+        assert_eq!(flagged(0.5, Some(0.5)), Some(json!(false)));
+        assert_eq!(flagged(0.5, None), None);
+        let document = document(&outputs(q, Some(0.5)), None).unwrap();
+        assert_eq!(document["translation_covariance_m2"][1], json!([0.0, 2.0, 0.0]));
+        assert_eq!(document["rotation_covariance_rad2"][2][2], json!(3.0));
+    }
+
+    #[test]
+    fn what_is_no_pose_is_refused() {
+        let q = [1.0, 0.0, 0.0, 0.0];
+        let nan = Outputs { translation: [f64::NAN, 0.0, 0.0], ..outputs(q, None) };
+        let mut infinite = outputs(q, Some(0.5));
+        infinite.uncertainty.as_mut().unwrap().rotation_covariance[1][2] = f64::INFINITY;
+        for (outputs, message) in [
+            (nan, "translation: expected finite numbers, got [NaN"),
+            (infinite, "rotation_covariance: expected finite"),
+            (outputs([0.0; 4], None), "norm 1 within 0.001, got 0"),
+            (outputs([f64::NAN; 4], None), "norm 1 within 0.001, got NaN"),
+            (outputs(q, Some(1.5)), "in_view: expected a probability, got 1.5"),
+            (outputs(q, Some(f64::NAN)), "in_view: expected a probability, got NaN"),
+        ] {
+            let error = document(&outputs, None).unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! Antialiased resizing, to the bit as Pillow's `Image.resize`, which networks are trained with.
+//!
+//! Each axis is a convolution at the output's pixels with a filter that is stretched by the scale where the image shrinks; across
+//! first, then down (of tall images the other way round), each rounded to 8 bits. Weights are integers of [`BITS`] bits behind the point.
+
+#![allow(
+    clippy::cast_possible_truncation, // toward zero, as Pillow does: of weights, and of places within an image
+    clippy::cast_sign_loss // after a comparison with zero
+)]
+
+use crate::picture::Picture;
+
+/// Of a weight, behind the point: 32 without 8 of a pixel and 2 for sums beyond the range.
+const BITS: u32 = 22;
+
+/// The filters that networks are trained with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Filter {
+    /// A triangle, of radius 1.
+    Bilinear,
+    /// Keys' cubic (1981) with a = -1/2, of radius 2.
+    Bicubic,
+}
+
+impl Filter {
+    fn radius(self) -> f64 {
+        match self {
+            Self::Bilinear => 1.0,
+            Self::Bicubic => 2.0,
+        }
+    }
+
+    fn at(self, x: f64) -> f64 {
+        const A: f64 = -0.5;
+        let x = x.abs();
+        match self {
+            Self::Bilinear => (1.0 - x).max(0.0),
+            Self::Bicubic if x < 1.0 => ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0,
+            Self::Bicubic if x < 2.0 => (((x - 5.0) * x + 8.0) * x - 4.0) * A,
+            Self::Bicubic => 0.0,
+        }
+    }
+}
+
+/// The weights of the pixels from `first` on, for one pixel of the output.
+struct Taps {
+    first: usize,
+    weights: Vec<i32>,
+}
+
+/// Returns the taps of an axis of `from` pixels that becomes one of `to`.
+fn axis(from: usize, to: usize, filter: Filter) -> Vec<Taps> {
+    let scale = from as f64 / to as f64;
+    let stretch = scale.max(1.0);
+    let reach = filter.radius() * stretch;
+    let shrink = 1.0 / stretch;
+    let taps = (0..to).map(|place| {
+        let center = (place as f64 + 0.5) * scale;
+        let first = (center - reach + 0.5).max(0.0) as usize;
+        let last = ((center + reach + 0.5) as usize).min(from);
+        let at = |pixel: usize| filter.at((pixel as f64 - center + 0.5) * shrink);
+        let weights: Vec<f64> = (first..last).map(at).collect();
+        let sum: f64 = weights.iter().sum();
+        Taps { first, weights: weights.iter().map(|weight| fixed(weight / sum)).collect() }
+    });
+    taps.collect()
+}
+
+/// Returns the nearest integer of a weight, halves away from zero.
+fn fixed(weight: f64) -> i32 {
+    let scaled = weight * f64::from(1 << BITS);
+    (scaled + 0.5_f64.copysign(scaled)) as i32
+}
+
+/// Returns an image of `width` x `height` pixels, which covers what `picture` does.
+pub fn resize(picture: &Picture, width: usize, height: usize, filter: Filter) -> Picture {
+    let across = axis(picture.width, width, filter);
+    let down = axis(picture.height, height, filter);
+    let pixels = if is_column_first(picture, width, height) {
+        let low = resize_columns(&picture.pixels, 3 * picture.width, &down);
+        resize_rows(&low, picture.width, &across)
+    } else {
+        let narrow = resize_rows(&picture.pixels, picture.width, &across);
+        resize_columns(&narrow, 3 * width, &down)
+    };
+    Picture { width, height, pixels }
+}
+
+/// Whether to resize down first, as Pillow does since version 13 where that leaves less to do: where the height loses more
+/// than twice what the width does.
+fn is_column_first(picture: &Picture, width: usize, height: usize) -> bool {
+    let lost = picture.height.saturating_sub(height);
+    lost > 2 * picture.width.saturating_sub(width)
+}
+
+fn resize_rows(pixels: &[u8], width: usize, taps: &[Taps]) -> Vec<u8> {
+    let mut result = Vec::with_capacity(pixels.len() / width * taps.len());
+    for row in pixels.chunks_exact(3 * width) {
+        for Taps { first, weights } in taps {
+            let mut sums = [1 << (BITS - 1); 3];
+            for (weight, pixel) in weights.iter().zip(row[3 * first..].chunks_exact(3)) {
+                for (sum, &value) in sums.iter_mut().zip(pixel) {
+                    *sum += weight * i32::from(value);
+                }
+            }
+            result.extend(sums.map(rounded));
+        }
+    }
+    result
+}
+
+/// Resizes down, for rows of `length` samples.
+fn resize_columns(samples: &[u8], length: usize, taps: &[Taps]) -> Vec<u8> {
+    let mut result = Vec::with_capacity(length * taps.len());
+    let mut sums = vec![0; length];
+    for Taps { first, weights } in taps {
+        sums.fill(1 << (BITS - 1));
+        for (weight, row) in weights.iter().zip(samples[length * first..].chunks_exact(length)) {
+            for (sum, &value) in sums.iter_mut().zip(row) {
+                *sum += weight * i32::from(value);
+            }
+        }
+        result.extend(sums.iter().copied().map(rounded));
+    }
+    result
+}
+
+fn rounded(sum: i32) -> u8 {
+    (sum >> BITS).clamp(0, 255) as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An image of one row, whose channels are `values`, their halves and zero.
+    fn row(values: &[u8]) -> Picture {
+        let pixels = values.iter().flat_map(|&value| [value, value / 2, 0]).collect();
+        Picture { width: values.len(), height: 1, pixels }
+    }
+
+    fn column(values: &[u8]) -> Picture {
+        let row = row(values);
+        Picture { width: 1, height: row.width, ..row }
+    }
+
+    fn red(picture: &Picture) -> Vec<u8> {
+        picture.pixels.iter().step_by(3).copied().collect()
+    }
+
+    #[test]
+    fn half_the_size_weighs_three_three_one() {
+        // The triangle of radius 2 about 1: 3/4 at 0.5 and 1.5, 1/4 at 2.5; the pixels beyond the edge do not count.
+        let expected = [50, 70]; // (3 * 0 + 3 * 70 + 140) / 7 and (70 + 3 * 140 + 3 * 0) / 7
+        let values = [0, 70, 140, 0];
+        assert_eq!(red(&resize(&row(&values), 2, 1, Filter::Bilinear)), expected);
+        assert_eq!(red(&resize(&column(&values), 1, 2, Filter::Bilinear)), expected);
+    }
+
+    #[test]
+    fn twice_the_size_weighs_the_cubic_at_quarters() {
+        // 0.8671875, 0.2265625, -0.0703125, -0.0234375 at distances 1/4, 3/4, 5/4, 7/4; sums are clamped to 8 bits.
+        let got = resize(&row(&[0, 0, 0, 128, 128, 128]), 12, 1, Filter::Bicubic);
+        assert_eq!(red(&got)[4..8], [0, 26, 102, 137]);
+        let bright = resize(&row(&[0, 0, 0, 255, 255, 255]), 12, 1, Filter::Bicubic);
+        assert_eq!(red(&bright)[7], 255);
+    }
+
+    #[test]
+    fn tall_images_are_resized_down_first() {
+        let picture = |height| Picture { width: 3, height, pixels: vec![0; 9 * height] };
+        assert!(!is_column_first(&picture(6), 1, 2)); // 4 rows of 6, 2 columns of 3
+        assert!(is_column_first(&picture(7), 1, 2));
+        assert!(is_column_first(&picture(3), 5, 2));
+        assert!(!is_column_first(&picture(2), 5, 2));
+    }
+
+    #[test]
+    fn one_size_changes_nothing_and_channels_stay_apart() {
+        for filter in [Filter::Bilinear, Filter::Bicubic] {
+            let picture = row(&[0, 90, 255, 7]);
+            assert_eq!(resize(&picture, 4, 1, filter), picture);
+            let flat = Picture { width: 5, height: 3, pixels: [9, 80, 250].repeat(15) };
+            let expected = Picture { width: 7, height: 2, pixels: [9, 80, 250].repeat(14) };
+            assert_eq!(resize(&flat, 7, 2, filter), expected);
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! ONNX Runtime, whose library and that of ffpose's operator are loaded at run time.
+
+use std::error::Error as _;
+use std::path::{Path, PathBuf, absolute};
+
+use ort::LoadDynamicError;
+use ort::environment::Environment;
+use ort::logging::LogLevel;
+use ort::session::Session;
+use ort::session::builder::SessionBuilder;
+
+use crate::error::{Error, Result};
+use crate::options::Options;
+
+/// Opens a model, whose filters need the library of the operator or not.
+///
+/// # Errors
+/// ONNX Runtime, the operator's library or the model cannot be loaded, or the library is needed and not named.
+pub fn open_session(options: &Options, needs_operators: bool) -> Result<Session> {
+    if needs_operators && options.operators.is_none() {
+        return Err(Error::new(format!(
+            "{}: expected --operators with the path of libffpose_ort.so, by which this model computes its filters, got none",
+            options.model.display()
+        )));
+    }
+    let environment = load(&options.runtime)?;
+    let mut builder = Session::builder(&environment)
+        .map_err(|error| refused(&error))?
+        .with_log_level(LogLevel::Fatal)
+        .map_err(|error| refused(&error))?;
+    if let Some(threads) = options.threads {
+        builder = builder.with_intra_threads(threads).map_err(|error| refused(&error))?;
+    }
+    if let Some(library) = &options.operators {
+        builder = register(builder, library)?;
+    }
+    let session = builder.commit_from_file(&options.model);
+    session.map_err(|error| refused(&error).of(options.model.display()))
+}
+
+/// An error of ONNX Runtime.
+pub fn refused<R>(error: &ort::Error<R>) -> Error {
+    Error::new(error.to_string()).of("ONNX Runtime")
+}
+
+/// Loads ONNX Runtime. Its errors come back as values, so that it logs none itself.
+fn load(library: &Path) -> Result<Environment> {
+    let builder = ort::init_from(located(library)).map_err(|error| {
+        let detail = match &error {
+            LoadDynamicError::Dlopen { error, .. } => error.source().map(ToString::to_string),
+            _ => None,
+        };
+        let detail = detail.unwrap_or_else(|| error.to_string());
+        let named = library.display();
+        Error::new(format!("ONNX Runtime's library {named} (--runtime) cannot be loaded: {detail}"))
+    })?;
+    let environment = builder.build().map_err(|error| refused(&error))?;
+    environment.set_log_level(LogLevel::Fatal);
+    Ok(environment)
+}
+
+fn register(builder: SessionBuilder, library: &Path) -> Result<SessionBuilder> {
+    builder.with_operator_library(located(library)).map_err(|error| {
+        let (named, architecture) = (library.display(), std::env::consts::ARCH);
+        Error::new(format!(
+            "the operator's library {named} (--operators), which must be of this architecture ({architecture}), cannot be \
+             loaded: {error}"
+        ))
+    })
+}
+
+/// Returns the absolute path of a file that exists. Another name is looked for beside this program, and where the system has
+/// its libraries.
+fn located(library: &Path) -> PathBuf {
+    let absolute = library.exists().then(|| absolute(library).ok()).flatten();
+    absolute.unwrap_or_else(|| library.to_path_buf())
+}
