@@ -129,7 +129,7 @@ def test_the_sheet_shows_the_axes_at_the_labeled_place(tmp_path):
 
 @pytest.mark.parametrize(
     ("splits", "images", "words"),
-    [([], 4, "expected 1 to 3 splits, got 0"), (["test"], 0, "at least 1, got 0")],
+    [([], 4, "expected 1 to 7 splits, got 0"), (["test"], 0, "at least 1, got 0")],
 )
 def test_bad_arguments_are_refused(tmp_path, splits, images, words):
     datasets = read(write_set(tmp_path / "set"), splits)

@@ -125,4 +125,4 @@ def test_unknown_kinds_and_splits_list_the_known(root):
 
 def test_a_data_set_is_not_empty(root):
     with pytest.raises(ValueError, match="at least one record"):
-        PoseDataset([], read(root).camera, Preprocessing())
+        PoseDataset([], Preprocessing())

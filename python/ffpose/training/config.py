@@ -6,6 +6,7 @@ those of the paper (section 4.3) where it gives a figure.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -30,7 +31,8 @@ class DataConfig:
     """Which images to train on, and how they are read.
 
     Attributes:
-        kind: The layout of the image set, such as urso.
+        kind: The layout of the image set: urso, speed, speedplus, cambridge, sevenscenes or csv
+            (docs/datasets.md), or scenes, which are rendered.
         root: The folder of the image set.
         mode: How an image becomes the network's input: the whole frame resized, or the paper's
             resize and centre crop.
@@ -38,6 +40,12 @@ class DataConfig:
         augmentation: Fields of `ffpose.transforms.Augmentation` to change, such as {"roll": 10}.
         cache: Whether to decode and resize each image once, into a file that later runs use too.
         workers: Processes that read or render images beside the training process.
+        val_split: Name of the split that validates.
+        holdout: Validate on every so manieth image of the training split, in place of val_split,
+            and do not train on it; 0 holds none out.
+        undistort: Whether to undistort the images of cameras with distortion.
+        white: Level that becomes white in monochrome images of more than 8 bits, such as 4095 for
+            12 bits; None for images of 8 bits.
         scene: For the kind scenes: the set whose scenes are rendered, or several, joined by a plus;
             the first validates.
         count: For the kind scenes: images of each set to learn from.
@@ -60,6 +68,10 @@ class DataConfig:
     augmentation: dict[str, Any] = field(default_factory=dict)
     cache: bool = False
     workers: int = 0
+    val_split: str = "val"
+    holdout: int = 0
+    undistort: bool = False
+    white: float | None = None
     scene: str = "soyuz_hard"
     count: int = 10000
     validation: int = 200
@@ -72,6 +84,9 @@ class DataConfig:
 
     def __post_init__(self) -> None:
         _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
+        _expect(self.holdout == 0 or self.holdout > 1, "data.holdout", "0, 2 or more", self.holdout)
+        usable = self.white is None or 0 < self.white < math.inf
+        _expect(usable, "data.white", "a positive level", self.white)
         _expect(self.count >= 1, "data.count", "1 or more", self.count)
         _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
         for name in ("empty", "decoys", "cut", "randomized"):
