@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ffpose.datasets import urso
+from ffpose.datasets import cambridge, csv_set, sevenscenes, speed, speedplus, urso
 from ffpose.datasets.base import Part, PoseDataset, Reader, Sample
 from ffpose.datasets.conditions import Conditions, read_conditions
 from ffpose.datasets.records import AS_ON_DISK, Decoding, Record
@@ -29,7 +29,14 @@ __all__ = [
     "read_records",
 ]
 
-KINDS: dict[str, Reader] = {"urso": urso}
+KINDS: dict[str, Reader] = {
+    "urso": urso,
+    "speed": speed,
+    "speedplus": speedplus,
+    "cambridge": cambridge,
+    "sevenscenes": sevenscenes,
+    "csv": csv_set,
+}
 """Readers of the supported kinds of datasets, by name."""
 
 
