@@ -175,7 +175,7 @@ def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
     """Return up to ``count`` images, spread evenly over a dataset, with their labeled axes."""
     indices = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(int)).tolist()
     tiles = [_tile(dataset, index) for index in indices]
-    width, height = tiles[0].width + _GAP, tiles[0].height + _GAP
+    width, height = tiles[0].width + _GAP, max(tile.height for tile in tiles) + _GAP
     rows = -(-len(tiles) // _COLUMNS)
     sheet = Image.new("RGB", (_COLUMNS * width + _GAP, rows * height + _GAP), "white")
     for place, tile in enumerate(tiles):

@@ -119,8 +119,8 @@ class Reprojection(Preprocessing):
             raise ValueError(f"view: expected (height, width) {tuple(self.size)}, got {self.view}")
         if isinstance(self.source, DistortedCamera):
             raise ValueError(
-                "camera: expected one without distortion, as reprojection only scales and shifts "
-                f"(undistort the images: --data.undistort), got {self.source}"
+                "camera: expected one without distortion, as reprojection only scales and shifts; "
+                f"undistort the images first (evaluate: --data.undistort), got {self.source}"
             )
 
     @classmethod
