@@ -21,7 +21,7 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 TEXTS = {path.relative_to(ROOT).as_posix(): path.read_text() for path in PAGES}
 MAKEFILE = (ROOT / "Makefile").read_text()
-OTHERS = {"--cpus-per-task", "--array"}
+OTHERS = {"--cpus-per-task", "--array", "--target"}
 """Options of other programs that the pages name."""
 
 
@@ -103,6 +103,8 @@ def test_options_in_the_text_exist():
         for name in COMMANDS
         for option in re.findall(r"--[\w.-]+", build_parser(name).format_help())
     }
+    onboard = (ROOT / "crates/ffpose-onboard/src/options.rs").read_text()
+    known |= set(re.findall(r"\"(--[\w-]+)\"", onboard))
     named = in_pages(lambda text: re.findall(r"`(--[a-z][\w.-]*)[^`]*`", prose(text)))
     assert len(named) > 20
     assert [(page, option) for page, option in named if option not in known | OTHERS] == []

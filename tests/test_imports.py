@@ -30,7 +30,8 @@ ALLOWED = {
     "transforms": {"geometry", "arrays", "preprocessing"},
     "reprojection": {"geometry", "preprocessing"},
     "views": {"geometry"},
-    "datasets": {"geometry", "preprocessing", "transforms", "views", "render"},
+    "undistortion": {"geometry"},
+    "datasets": {"geometry", "preprocessing", "transforms", "undistortion", "views", "render"},
     "losses": {"ops", "geometry"},
     "metrics": {"arrays", "attitude", "ops", "geometry"},
     "breakdown": {"metrics", "datasets"},
@@ -48,7 +49,7 @@ ALLOWED = {
     "predictor": {"models", "geometry", "preprocessing", "reprojection"},
     "onnx": {"ops", "models", "config", "geometry", "preprocessing", "reprojection"},
     "plots": {"evaluation", "calibration", "geometry", "datasets", "overlay"},
-    "inspection": {"datasets", "geometry", "arrays", "overlay"},
+    "inspection": {"datasets", "geometry", "arrays", "overlay", "preprocessing"},
     "pictures": set(),
     "card_tables": set(),
     "card_figures": {

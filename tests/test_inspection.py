@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.datasets import open_dataset
 from ffpose.errors import DataError
-from ffpose.inspection import contact_sheet, inspect_dataset
+from ffpose.inspection import contact_sheet, inspect_dataset, inspect_folder
 from ffpose.preprocessing import Preprocessing
 from urso_sets import LABELS, POSES, SPLITS, table, write_set
 
@@ -129,9 +129,43 @@ def test_the_sheet_shows_the_axes_at_the_labeled_place(tmp_path):
 
 @pytest.mark.parametrize(
     ("splits", "images", "words"),
-    [([], 4, "expected 1 to 3 splits, got 0"), (["test"], 0, "at least 1, got 0")],
+    [([], 4, "expected 1 to 7 splits, got 0"), (["test"], 0, "at least 1, got 0")],
 )
 def test_bad_arguments_are_refused(tmp_path, splits, images, words):
     datasets = read(write_set(tmp_path / "set"), splits)
     with pytest.raises(ValueError, match=words):
         inspect_dataset(datasets, tmp_path / "out", images)
+
+
+def test_splits_without_labels_are_counted_and_decoded(tmp_path):
+    root = tmp_path / "set"
+    root.mkdir()
+    camera = {"width": 64, "height": 48, "fx": 32, "fy": 32, "cx": 32, "cy": 24}
+    (root / "camera.json").write_text(json.dumps(camera))
+    for name in ("a.png", "b.png"):
+        Image.new("RGB", (64, 48)).save(root / name)
+    (root / "train.csv").write_text("image,tx,ty,tz,qw,qx,qy,qz\na.png,0,0,9,1,0,0,0\n")
+    (root / "flight.csv").write_text("image\na.png\nb.png\n")
+    summary = inspect_folder("csv", root, tmp_path / "out")
+    assert summary["unlabeled"] == {"flight": 2}
+    assert list(summary["splits"]) == ["train"]
+    assert summary["shared_images"] == ["a.png"]
+    (root / "b.png").write_bytes(b"none")
+    with pytest.raises(DataError, match=r"flight\.csv:3: .*b\.png: cannot be read"):
+        inspect_folder("csv", root, tmp_path / "other")
+
+
+def test_labels_that_locate_the_camera_have_no_object_in_view(tmp_path):
+    """The camera at (3, 4, -12) is 13 m from the origin; the second norm is 1.04."""
+    root = tmp_path / "scene"
+    root.mkdir()
+    lines = ["Visual", "ImageFile, Camera Position [X Y Z W P Q R]", ""]
+    lines += ["0.png 3 4 -12 1 0 0 0", "1.png 3 4 -12 1.04 0 0 0"]
+    (root / "dataset_train.txt").write_text("\n".join(lines))
+    for index in range(2):
+        Image.new("RGB", (96, 54)).save(root / f"{index}.png")
+    train = inspect_folder("cambridge", root, tmp_path / "out")["splits"]["train"]
+    assert train["ranges"]["distance"]["median"] == pytest.approx(13)
+    assert train["ranges"]["z"]["least"] == pytest.approx(-12)
+    assert train["origin_in_image"] is None
+    assert train["failed"] == {"unit_quaternion": ["1.png"], "scalar_not_negative": []}

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import Reprojection, reproject
 
@@ -149,3 +149,9 @@ def test_an_image_of_another_shape_is_refused():
 def test_the_view_has_the_inputs_size():
     with pytest.raises(ValueError, match=r"view: expected \(height, width\) \(48, 64\), got"):
         Reprojection.of(PLAIN, SOURCE, replace(VIEW, width=65))
+
+
+def test_a_source_with_distortion_is_refused():
+    lens = DistortedCamera(320, 240, 210.0, 214.0, 150.5, 127.25, (0.1, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="expected one without distortion"):
+        Reprojection.of(PLAIN, lens, VIEW)

@@ -188,8 +188,15 @@ def train(options: Namespace) -> None:
 
 def data_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments that choose a command's images."""
-    parser.add_argument("--data.kind", required=True, help="layout of the image set, such as urso")
+    kinds = "urso, speed, speedplus, cambridge, sevenscenes or csv"
+    parser.add_argument("--data.kind", required=True, help=f"layout of the image set: {kinds}")
     parser.add_argument("--data.root", type=Path, required=True, help="folder of the image set")
+    parser.add_argument(
+        "--data.undistort", action="store_true", help="undistort images of cameras with distortion"
+    )
+    parser.add_argument(
+        "--data.white", type=float, help="level that becomes white in images of more than 8 bits"
+    )
 
 
 def weights_argument(parser: ArgumentParser) -> None:
@@ -206,7 +213,7 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
     weights_argument(parser)
     data_arguments(parser)
     parser.add_argument(
-        "--data.split", default="test", help="train, val, test or all (default: test)"
+        "--data.split", default="test", help="a split of the set, or all (default: test)"
     )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
@@ -217,6 +224,7 @@ def evaluate(options: Namespace) -> None:
 
     With --any-camera, images of another camera are reprojected to the network's view.
     """
+    from ffpose.datasets import Decoding
     from ffpose.evaluation import evaluate as run
     from ffpose.plots import write_evaluation_figures
     from ffpose.results import format_table, write_results
@@ -224,7 +232,12 @@ def evaluate(options: Namespace) -> None:
     expect_folder(options.out)
     data = options.data
     evaluation = run(
-        options.weights, data.kind, data.root, data.split, any_camera=options.any_camera
+        options.weights,
+        data.kind,
+        data.root,
+        data.split,
+        any_camera=options.any_camera,
+        decoding=Decoding(data.undistort, data.white),
     )
     write_results(evaluation, options.out)
     write_evaluation_figures(evaluation, options.out)
@@ -311,22 +324,21 @@ def inspect(options: Namespace) -> None:
     Every label is checked and every image decoded, some 5 ms for 640x480 pixels and one core. The
     first file that cannot be used is named, with the line that lists it.
     """
-    from ffpose.datasets import list_splits, open_dataset
-    from ffpose.inspection import inspect_dataset
-    from ffpose.preprocessing import Preprocessing
+    from ffpose.datasets import Decoding
+    from ffpose.inspection import inspect_folder
 
     expect_folder(options.out)
-    kind, root = options.data.kind, options.data.root
-    splits = list_splits(kind, root)
-    summary = inspect_dataset(
-        {split: open_dataset(kind, root, split, Preprocessing()) for split in splits}, options.out
-    )
+    data = options.data
+    decoding = Decoding(data.undistort, data.white)
+    summary = inspect_folder(data.kind, data.root, options.out, decoding)
     if options.json:
         show(summary)
         return
     for split, figures in summary["splits"].items():
         failed = sum(len(names) for names in figures["failed"].values())
         print(f"{split}: {figures['images']} images, {failed} failed checks of labels")
+    for split, images in summary["unlabeled"].items():
+        print(f"{split}: {images} images without labels")
     print(f"{len(summary['shared_images'])} images are in more than one split")
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,16 @@ from ffpose.calibration import (
     summarize_flag,
     summarize_regions,
 )
-from ffpose.datasets import Conditions, Part, PoseDataset, open_dataset, read_conditions
+from ffpose.datasets import (
+    AS_ON_DISK,
+    Conditions,
+    Decoding,
+    Part,
+    PoseDataset,
+    open_dataset,
+    read_conditions,
+)
+from ffpose.datasets.targets import spread
 from ffpose.geometry import Camera, Pose
 from ffpose.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
 from ffpose.models import FilterformerPose, PosePrediction, WeightsMetadata, read_metadata
@@ -133,8 +142,16 @@ class Evaluation:
 
     @cached_property
     def ranking(self) -> NDArray[np.intp]:
-        """Indices of the images from best to worst, by their ESA score."""
-        return np.argsort(self.errors.esa_score.numpy(), kind="stable")
+        """Indices of the images from best to worst.
+
+        By their ESA score; where labels locate the camera, the position error is divided by the
+        spread of the positions instead of the distance.
+        """
+        score = self.errors.esa_score.numpy()
+        if self.dataset.target == "camera":
+            position = self.errors.translation_m.numpy() / spread(self.dataset.poses)
+            score = position + np.radians(self.errors.rotation_deg.numpy())
+        return np.argsort(score, kind="stable")
 
     def typical(self, count: int) -> list[int]:
         """Return the indices of the ``count`` images in the middle of the ranking, or of all."""
@@ -144,7 +161,7 @@ class Evaluation:
 
     def pose(self, index: int) -> Pose:
         """Return the predicted pose of image ``index``."""
-        return Pose.from_vector(self.predicted[index])
+        return self.dataset.to_pose(self.predicted[index])
 
     def summary(self) -> dict[str, Any]:
         """Return the metrics of the model, the baseline and the oracles.
@@ -221,6 +238,7 @@ def evaluate(
     batch_size: int = 32,
     workers: int = 0,
     any_camera: bool = False,
+    decoding: Decoding = AS_ON_DISK,
 ) -> Evaluation:
     """Evaluate weights on the images of a split.
 
@@ -233,6 +251,7 @@ def evaluate(
         workers: Additional processes that read images.
         any_camera: Reproject images of a camera other than the weights' into the network's view
             (`ffpose.reprojection`).
+        decoding: From image files to the images that the network was trained on.
 
     Returns:
         Predictions and labels.
@@ -245,7 +264,7 @@ def evaluate(
     """
     model = FilterformerPose.from_pretrained(weights).eval()
     metadata = read_metadata(weights)
-    dataset = open_dataset(kind, root, split, metadata.preprocessing)
+    dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, any_camera)
     baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
     loader = DataLoader(dataset, batch_size=batch_size, num_workers=workers)
@@ -262,20 +281,25 @@ def evaluate(
 
 
 def choose_preprocessing(
-    metadata: WeightsMetadata, camera: Camera, any_camera: bool
+    metadata: WeightsMetadata, camera: Camera | None, any_camera: bool
 ) -> Preprocessing:
     """Return the preprocessing from images of a camera to the network's input.
 
     Args:
         metadata: Header of the weights.
-        camera: Camera of the images, with their size.
+        camera: Camera of the images, with their size; None for images of several.
         any_camera: Reproject images of a camera other than the weights' into the network's view.
 
     Raises:
-        ValueError: The camera differs from the weights', and ``any_camera`` is false.
+        ValueError: The camera differs from the weights', and ``any_camera`` is false, or it has
+            distortion; or the images are of several, and the weights of one.
     """
     plain, view = metadata.preprocessing, metadata.config.view_camera
-    if view is None or _agree(plain.camera(camera), view):
+    if view is None:
+        return plain
+    if camera is None:
+        raise ValueError("expected images of the weights' camera, got a set of several cameras")
+    if _agree(plain.camera(camera), view):
         return plain
     if any_camera:
         return Reprojection.of(plain, camera, view)
@@ -287,9 +311,16 @@ def choose_preprocessing(
 
 
 def _agree(camera: Camera, other: Camera) -> bool:
-    """Return whether the intrinsics of two cameras with the same image size agree."""
-    pairs = zip(astuple(camera), astuple(other), strict=True)
+    """Return whether size and intrinsics of two cameras agree.
+
+    Weights do not record distortion: images are undistorted, or not, as in training.
+    """
+    pairs = zip(_pinhole(camera), _pinhole(other), strict=True)
     return all(math.isclose(one, two, rel_tol=CAMERA_TOLERANCE) for one, two in pairs)
+
+
+def _pinhole(camera: Camera) -> tuple[float, ...]:
+    return (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
 
 
 def _uncertainties(poses: Sequence[PosePrediction]) -> dict[str, Any]:

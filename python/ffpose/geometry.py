@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -119,9 +119,11 @@ class Camera:
         if self.fx <= 0 or self.fy <= 0:
             raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.fx}, {self.fy}")
 
-    @classmethod
-    def read(cls, path: str | Path) -> Camera:
+    @staticmethod
+    def read(path: str | Path) -> Camera:
         """Read a camera from a JSON file whose keys are the attributes.
+
+        With a key ``distortion``, five numbers, the camera is a `DistortedCamera`.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -133,16 +135,16 @@ class Camera:
             raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
         except UnicodeDecodeError as error:
             raise DataError(f"expected text in UTF-8: {error}", path) from error
-        names = [field.name for field in fields(cls)]
-        if not isinstance(values, dict) or sorted(values) != sorted(names):
+        names = [field.name for field in fields(Camera)]
+        if not isinstance(values, dict) or sorted(set(values) - {"distortion"}) != sorted(names):
             raise DataError(f"expected the keys {', '.join(names)}, got {values}", path)
-        for name, value in values.items():
+        for name in names:
             kinds = (int,) if name in ("width", "height") else (int, float)
-            if type(value) not in kinds:
-                raise DataError(f"{name}: expected a number, got {value!r}", path)
+            if type(values[name]) not in kinds:
+                raise DataError(f"{name}: expected a number, got {values[name]!r}", path)
         try:
-            return cls(**values)
-        except ValueError as error:
+            return DistortedCamera(**values) if "distortion" in values else Camera(**values)
+        except (TypeError, ValueError) as error:
             raise DataError(str(error), path) from error
 
     @property
@@ -157,11 +159,13 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """Return the camera of this camera's image resized to ``width`` x ``height``."""
         x, y = width / self.width, height / self.height
-        return Camera(width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y)
+        fx, fy, cx, cy = self.fx * x, self.fy * y, self.cx * x, self.cy * y
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
         """Return the camera of a crop whose top left corner is the pixel (left, top)."""
-        return Camera(width, height, self.fx, self.fy, self.cx - left, self.cy - top)
+        cx, cy = self.cx - left, self.cy - top
+        return replace(self, width=width, height=height, cx=cx, cy=cy)
 
     def project(self, points: ArrayLike) -> FloatArray:
         """Project points of the camera frame onto the image.
@@ -179,7 +183,46 @@ class Camera:
         """
         p = _real_array("points", points, 3)
         depth = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
-        return p[..., :2] / depth * (self.fx, self.fy) + (self.cx, self.cy)
+        return self.bend(p[..., :2] / depth) * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def bend(self, rays: FloatArray) -> FloatArray:
+        """Return where the lens sends rays ``(x/z, y/z)`` ``(..., 2)``: a pinhole, as they are."""
+        return rays
+
+
+@dataclass(frozen=True, slots=True)
+class DistortedCamera(Camera):
+    """A camera whose lens distorts, in OpenCV's model of radial and tangential distortion.
+
+    A ray ``(x, y)``, ``r² = x² + y²``, is seen where a pinhole sees ``x' = x d + 2 p1 x y +
+    p2 (r² + 2 x²)``, ``y' = y d + p1 (r² + 2 y²) + 2 p2 x y``, ``d = 1 + k1 r² + k2 r⁴ + k3 r⁶``.
+    The polynomial was fitted to the image: far outside, it may bend points back into view.
+
+    Attributes:
+        distortion: ``(k1, k2, p1, p2, k3)``, the order of OpenCV.
+    """
+
+    distortion: tuple[float, float, float, float, float]
+
+    def __post_init__(self) -> None:
+        Camera.__post_init__(self)
+        values = _real_array("distortion", self.distortion, 5).tolist()
+        object.__setattr__(self, "distortion", tuple(values))
+
+    @property
+    def pinhole(self) -> Camera:
+        """The camera of this camera's undistorted images: the same without the lens."""
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+
+    def bend(self, rays: FloatArray) -> FloatArray:
+        """Return where the lens sends rays ``(x/z, y/z)`` ``(..., 2)``."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = rays[..., 0], rays[..., 1]
+        square = x * x + y * y
+        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        u = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+        v = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([u, v], axis=-1)
 
 
 URSO_CAMERA = Camera(width=1280, height=960, fx=640.0, fy=640.463, cx=640.0, cy=480.0)

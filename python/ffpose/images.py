@@ -6,12 +6,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from ffpose.errors import DataError
 
 MODES = ("L", "LA", "P", "RGB", "RGBA")
 """Pillow's modes with 8 bits per channel, which convert to RGB without loss of range."""
+
+
+DEEP_MODES = ("I;16", "I;16B", "I;16L", "I")
+"""Pillow's modes of monochrome images with more than 8 bits, whose white level a user states."""
 
 
 def read_rgb(path: Path) -> Image.Image:
@@ -48,17 +53,31 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         raise DataError(f"cannot be read as an image: {error}", path) from error
 
 
-def to_rgb(image: Image.Image, path: Path) -> Image.Image:
+def to_rgb(image: Image.Image, path: Path, white: float | None = None) -> Image.Image:
     """Decode an open image as RGB; transparency is dropped.
 
     Args:
         image: Image from `open_image`.
         path: Path of the image file, for the error message.
+        white: Level of a monochrome image of more than 8 bits that becomes 255, as do all above it;
+            4095 for 12 bits. None for images of 8 bits.
 
     Raises:
-        DataError: The image's mode is not in `MODES`.
+        DataError: The image's mode is not in `MODES`, or with ``white`` not in `DEEP_MODES`.
     """
+    if white is not None:
+        return _scaled(image, path, white)
     if image.mode not in MODES:
         raise DataError(f"expected pixels of mode {', '.join(MODES)}, got {image.mode}", path)
     # A palette may hold transparency, which Pillow only drops by way of RGBA.
     return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
+
+
+def _scaled(image: Image.Image, path: Path, white: float) -> Image.Image:
+    """Scale a monochrome image of more than 8 bits so that ``white`` becomes 255."""
+    if image.mode not in DEEP_MODES:
+        expected = f"pixels of mode {', '.join(DEEP_MODES)}, for which a white level is stated"
+        raise DataError(f"expected {expected}, got {image.mode}", path)
+    levels = np.asarray(image).astype(np.float64)
+    gray = np.rint(np.clip(levels / white, 0, 1) * 255).astype(np.uint8)
+    return Image.fromarray(gray).convert("RGB")

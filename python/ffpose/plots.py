@@ -156,9 +156,9 @@ def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
     if image.width < GALLERY_TILE[0]:
         scale = GALLERY_TILE[0] / image.width
         image = image.resize((GALLERY_TILE[0], round(image.height * scale)))
-    camera, wide = dataset.camera, max(4, image.width // 80)
-    truth = dataset.records[index].pose
-    image = draw_axes(image, truth, camera, colors=TRUTH_COLORS, width=wide)
+    record, wide = dataset.records[index], max(4, image.width // 80)
+    camera = record.camera
+    image = draw_axes(image, record.label, camera, colors=TRUTH_COLORS, width=wide)
     return draw_axes(image, evaluation.pose(index), camera, width=max(2, wide // 3))
 
 

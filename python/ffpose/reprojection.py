@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ffpose.geometry import Camera
+from ffpose.geometry import Camera, DistortedCamera
 from ffpose.preprocessing import Preprocessing
 
 SNAP = 1e-6
@@ -106,7 +106,8 @@ class Reprojection(Preprocessing):
         view: Camera of the network's input, with image size ``size``.
 
     Raises:
-        ValueError: An attribute of `Preprocessing` is invalid, or ``view`` is not of ``size``.
+        ValueError: An attribute of `Preprocessing` is invalid, or ``view`` is not of ``size``,
+            or ``source`` has distortion.
     """
 
     source: Camera
@@ -116,6 +117,11 @@ class Reprojection(Preprocessing):
         super().__post_init__()
         if (self.view.height, self.view.width) != tuple(self.size):
             raise ValueError(f"view: expected (height, width) {tuple(self.size)}, got {self.view}")
+        if isinstance(self.source, DistortedCamera):
+            raise ValueError(
+                "camera: expected one without distortion, as reprojection only scales and shifts; "
+                f"undistort the images first (evaluate: --data.undistort), got {self.source}"
+            )
 
     @classmethod
     def of(cls, preprocessing: Preprocessing, source: Camera, view: Camera) -> Reprojection:

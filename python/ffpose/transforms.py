@@ -182,6 +182,11 @@ class Augmentation:
                     f"{name}: expected a number from 0 to {limit}, got {getattr(self, name)}"
                 )
 
+    @property
+    def turns(self) -> bool:
+        """Whether it turns the camera."""
+        return max(self.pan, self.tilt, self.roll) > 0
+
     @cached_property
     def _color_jitter(self) -> v2.Transform:
         return v2.ColorJitter(self.brightness, self.contrast, self.saturation)

@@ -5,6 +5,7 @@ import io
 import os
 import pickle
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ from torch.utils.data import DataLoader
 from ffpose.datasets import PoseDataset, Record, open_dataset
 from ffpose.datasets.cache import MappedFrames, cache_folder, cached_frames
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose
+from ffpose.geometry import Camera, DistortedCamera, Pose
 from ffpose.preprocessing import Preprocessing
 from urso_sets import write_set
 
 PREPROCESSING = Preprocessing((24, 32))
 CAMERA = Camera(64, 48, 32.0, 32.0, 32.0, 24.0)
+LENS = DistortedCamera(64, 48, 32.0, 32.0, 32.0, 24.0, (-0.1, 0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +41,8 @@ def records(tmp_path):
         path = tmp_path / f"{number}.png"
         pixels = generator.integers(0, 256, (48, 64, 3), dtype=np.uint8)
         Image.fromarray(pixels).save(path)
-        found.append(Record(path, Pose((0, 0, 9), (1, 0, 0, 0)), tmp_path / "list.csv", number + 1))
+        pose, source = Pose((0, 0, 9), (1, 0, 0, 0)), tmp_path / "list.csv"
+        found.append(Record(path, path.name, CAMERA, pose, source, number + 1))
     return found
 
 
@@ -58,16 +61,16 @@ def decodings(monkeypatch):
     """The names of the images that were decoded since."""
     names, decode = [], Record.decode
 
-    def counted(record, camera):
+    def counted(record):
         names.append(record.image.name)
-        return decode(record, camera)
+        return decode(record)
 
     monkeypatch.setattr(Record, "decode", counted)
     return names
 
 
 def test_the_file_is_an_array_of_the_frames(records, folder):
-    frames = cached_frames(records, CAMERA, PREPROCESSING)
+    frames = cached_frames(records, PREPROCESSING)
     (name,) = files(folder)
     array = np.load(folder / name)  # any program can read it
     assert array.dtype == np.uint8
@@ -83,16 +86,16 @@ def test_the_file_is_an_array_of_the_frames(records, folder):
 def test_many_frames_are_written_in_order(records, monkeypatch):
     monkeypatch.setattr("ffpose.datasets.cache.CHUNK", 2)
     order = [2, 0, 1, 1, 2]
-    frames = cached_frames([records[number] for number in order], CAMERA, PREPROCESSING)
+    frames = cached_frames([records[number] for number in order], PREPROCESSING)
     for index, number in enumerate(order):
         np.testing.assert_array_equal(frames[index], decoded(records[number]))
 
 
 def test_a_second_run_decodes_nothing(records, folder, decodings):
-    cached_frames(records, CAMERA, PREPROCESSING)
+    cached_frames(records, PREPROCESSING)
     assert sorted(decodings) == ["0.png", "1.png", "2.png"]
     decodings.clear()
-    cached_frames(records, CAMERA, PREPROCESSING)
+    cached_frames(records, PREPROCESSING)
     assert decodings == []
     assert len(files(folder)) == 1
 
@@ -117,21 +120,22 @@ def grown(records):
         grown,
         lambda records: (records[::-1], PREPROCESSING),
         lambda records: (records[:2], PREPROCESSING),
+        lambda records: ([replace(each, lens=LENS) for each in records], PREPROCESSING),
         lambda records: (records, Preprocessing((32, 24))),
         lambda records: (records, Preprocessing((24, 32), "center_crop")),
         lambda records: (records, Preprocessing((24, 32), interpolation="bicubic")),
     ],
 )
 def test_another_set_or_frame_is_another_file(records, folder, change):
-    cached_frames(records, CAMERA, PREPROCESSING)
+    cached_frames(records, PREPROCESSING)
     changed, preprocessing = change(records)
-    cached_frames(changed, CAMERA, preprocessing)
+    cached_frames(changed, preprocessing)
     assert len(files(folder)) == 2
 
 
 def test_what_the_frame_does_not_depend_on_makes_no_other_file(records, folder):
-    cached_frames(records, CAMERA, PREPROCESSING)
-    cached_frames(records, CAMERA, Preprocessing((24, 32), mean=(0, 0, 0)))
+    cached_frames(records, PREPROCESSING)
+    cached_frames(records, Preprocessing((24, 32), mean=(0, 0, 0)))
     assert len(files(folder)) == 1
 
 
@@ -140,9 +144,9 @@ def test_sets_of_the_same_names_do_not_meet(records, tmp_path, folder):
     other = tmp_path / "other"
     other.mkdir()
     shutil.copy2(records[0].image, other)
-    copy = Record(other / "0.png", records[0].pose, records[0].source, 1)
-    cached_frames(records[:1], CAMERA, PREPROCESSING)
-    cached_frames([copy], CAMERA, PREPROCESSING)
+    copy = replace(records[0], image=other / "0.png")
+    cached_frames(records[:1], PREPROCESSING)
+    cached_frames([copy], PREPROCESSING)
     assert len(files(folder)) == 2
 
 
@@ -158,16 +162,16 @@ def test_sets_of_the_same_names_do_not_meet(records, tmp_path, folder):
     ],
 )
 def test_a_damaged_file_is_made_anew(records, folder, damage):
-    path = cached_frames(records, CAMERA, PREPROCESSING).path
+    path = cached_frames(records, PREPROCESSING).path
     before = path.read_bytes()
     damage(path)
-    frames = cached_frames(records, CAMERA, PREPROCESSING)
+    frames = cached_frames(records, PREPROCESSING)
     assert path.read_bytes() == before
     np.testing.assert_array_equal(frames[2], decoded(records[2]))
 
 
 def test_it_travels_as_a_path(records):
-    frames = cached_frames(records, CAMERA, PREPROCESSING)
+    frames = cached_frames(records, PREPROCESSING)
     sent = pickle.dumps(frames)
     assert len(sent) < 1000 < sum(frame.nbytes for frame in frames)
     got = pickle.loads(sent)
@@ -190,7 +194,7 @@ def test_workers_map_the_file_however_they_start(tmp_path, method):
 
 def test_a_data_set_travels_without_its_frames(records):
     large = Preprocessing((480, 640))
-    dataset = PoseDataset(records, CAMERA, large, cache=True)
+    dataset = PoseDataset(records, large, cache=True)
     assert len(pickle.dumps(dataset)) < 10_000 < 3 * 480 * 640 * 3
 
 
@@ -198,21 +202,21 @@ def test_an_image_that_cannot_be_used_leaves_nothing(records, folder):
     content = records[2].image.read_bytes()
     records[2].image.write_bytes(content[: len(content) // 2])
     with pytest.raises(DataError, match=r"list\.csv:3: .*2\.png: cannot be read as an image"):
-        cached_frames(records, CAMERA, PREPROCESSING)
+        cached_frames(records, PREPROCESSING)
     assert files(folder) == []
 
 
 def test_an_image_that_is_gone_is_named(records):
     records[1].image.unlink()
     with pytest.raises(DataError, match=r"list\.csv:2: .*1\.png: no such file"):
-        cached_frames(records, CAMERA, PREPROCESSING)
+        cached_frames(records, PREPROCESSING)
 
 
 def test_a_cache_larger_than_the_disk_is_refused_at_once(records, folder, monkeypatch, decodings):
     room = shutil.disk_usage("/")._replace(free=3 * 24 * 32 * 3 - 1)
     monkeypatch.setattr("shutil.disk_usage", lambda path: room)
     with pytest.raises(OSError, match=r"frames of 3 images .FFPOSE_CACHE names another") as caught:
-        cached_frames(records, CAMERA, PREPROCESSING)
+        cached_frames(records, PREPROCESSING)
     assert caught.value.errno == errno.ENOSPC
     assert decodings == []
 
@@ -226,7 +230,7 @@ def test_a_disk_that_fills_up_is_an_error_and_leaves_nothing(records, folder, mo
 
     monkeypatch.setattr("pathlib.Path.open", lambda path, mode: FullDisk())
     with pytest.raises(OSError, match=r"frames of 3 images .* need 0\.0 GB") as caught:
-        cached_frames(records, CAMERA, PREPROCESSING)
+        cached_frames(records, PREPROCESSING)
     assert caught.value.filename == str(folder)
     assert files(folder) == []
 

@@ -117,12 +117,12 @@ def test_all_is_what_there_is(root):
 
 
 def test_unknown_kinds_and_splits_list_the_known(root):
-    with pytest.raises(ValueError, match=r"expected one of \['urso'\], got 'speed'"):
-        open_dataset("speed", root, "train", Preprocessing())
+    with pytest.raises(ValueError, match=r"one of \['cambridge', .*'urso'\], got 'blender'"):
+        open_dataset("blender", root, "train", Preprocessing())
     with pytest.raises(ValueError, match=r"expected one of \('train', 'val', 'test', 'all'\)"):
         open_dataset("urso", root, "validation", Preprocessing())
 
 
 def test_a_data_set_is_not_empty(root):
     with pytest.raises(ValueError, match="at least one record"):
-        PoseDataset([], read(root).camera, Preprocessing())
+        PoseDataset([], Preprocessing())

@@ -25,7 +25,7 @@ from ffpose.ablation.claims import claimed, claimed_in_turn
 from ffpose.ablation.study import Study, Variant, changed
 from ffpose.ablation.table import RESULTS, read_run, write_tables
 from ffpose.config import check_names
-from ffpose.datasets import Part
+from ffpose.datasets import Decoding, Part
 from ffpose.datasets.scenes import find_scene, render_images
 from ffpose.evaluation import evaluate
 from ffpose.files import atomic_write, remove_leftovers
@@ -224,7 +224,8 @@ def _finish(study: Study, run: Run, *, steal: bool, quiet: bool) -> None:
         kind, root, split = _test_set(run)
         build_run(run.config)  # renders and caches what is not there yet, for all processes once
     trained = train(run.config, resume=True, quiet=quiet, cpu_minutes=run.cpu_minutes)
-    evaluation = evaluate(trained.folder.last, kind, root, split)
+    decoding = Decoding(run.config.data.undistort, run.config.data.white)
+    evaluation = evaluate(trained.folder.last, kind, root, split, decoding=decoding)
     summary = evaluation.summary()
     summary.pop("uncertainty", None)  # the last weights are not calibrated
     model = FilterformerPose.from_pretrained(trained.folder.last)

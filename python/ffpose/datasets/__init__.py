@@ -4,28 +4,39 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ffpose.datasets import urso
-from ffpose.datasets.base import SPLITS, Part, PoseDataset, Reader, Sample, Split
+from ffpose.datasets import cambridge, csv_set, sevenscenes, speed, speedplus, urso
+from ffpose.datasets.base import Part, PoseDataset, Reader, Sample
 from ffpose.datasets.conditions import Conditions, read_conditions
-from ffpose.datasets.records import Record
+from ffpose.datasets.records import AS_ON_DISK, Decoding, Record
+from ffpose.datasets.targets import Target
 from ffpose.preprocessing import Preprocessing
 from ffpose.transforms import Augmentation
 
 __all__ = [
+    "AS_ON_DISK",
     "KINDS",
-    "SPLITS",
     "Conditions",
+    "Decoding",
     "Part",
     "PoseDataset",
     "Record",
     "Sample",
-    "Split",
+    "Target",
+    "find_target",
     "list_splits",
     "open_dataset",
     "read_conditions",
+    "read_records",
 ]
 
-KINDS: dict[str, Reader] = {"urso": urso}
+KINDS: dict[str, Reader] = {
+    "urso": urso,
+    "speed": speed,
+    "speedplus": speedplus,
+    "cambridge": cambridge,
+    "sevenscenes": sevenscenes,
+    "csv": csv_set,
+}
 """Readers of the supported kinds of datasets, by name."""
 
 
@@ -35,8 +46,17 @@ def _reader(kind: str) -> Reader:
     return KINDS[kind]
 
 
-def list_splits(kind: str, root: str | Path) -> list[Split]:
-    """Return the splits of a dataset, in the order train, val, test.
+def find_target(kind: str) -> Target:
+    """Return what the labels of a kind of dataset locate.
+
+    Raises:
+        ValueError: ``kind`` is not in `KINDS`.
+    """
+    return _reader(kind).TARGET
+
+
+def list_splits(kind: str, root: str | Path) -> list[str]:
+    """Return the splits of a dataset, those for training first.
 
     Args:
         kind: One of `KINDS`.
@@ -49,6 +69,28 @@ def list_splits(kind: str, root: str | Path) -> list[Split]:
     return _reader(kind).splits(Path(root))
 
 
+def read_records(
+    kind: str, root: str | Path, split: Part, decoding: Decoding = AS_ON_DISK
+) -> list[Record]:
+    """Read what a split, or a whole set, consists of; splits without labels too.
+
+    Args:
+        kind: One of `KINDS`.
+        root: The dataset's folder.
+        split: One of `list_splits`, or ``"all"`` for all of them.
+        decoding: Conversion from image files to images.
+
+    Raises:
+        ValueError: ``kind`` or ``split`` is unknown.
+        FileNotFoundError: The folder, or a file that lists the split, does not exist.
+        DataError: A file is invalid; the error names file and line.
+    """
+    reader, folder = _reader(kind), Path(root)
+    splits = reader.splits(folder) if split == "all" else [split]
+    parts = [reader.read(folder, each) for each in splits]
+    return [record.decoded_by(decoding) for part in parts for record in part]
+
+
 def open_dataset(
     kind: str,
     root: str | Path,
@@ -56,16 +98,18 @@ def open_dataset(
     preprocessing: Preprocessing,
     augmentation: Augmentation | None = None,
     cache: bool = False,
+    decoding: Decoding = AS_ON_DISK,
 ) -> PoseDataset:
-    """Open a split, or a whole set, as a torch dataset.
+    """Open a labeled split, or a whole set, as a torch dataset.
 
     Args:
         kind: One of `KINDS`.
         root: The dataset's folder.
-        split: ``"train"``, ``"val"``, ``"test"``, or ``"all"`` for all splits that exist.
+        split: One of `list_splits`, or ``"all"`` for all of them.
         preprocessing: Conversion from image to network input.
         augmentation: Random augmentation of each sample; None for none.
         cache: Decode and resize every image now, unless cached by an earlier run (`PoseDataset`).
+        decoding: Conversion from image files to images.
 
     Returns:
         The dataset. Images are read on access, or now with ``cache``.
@@ -73,12 +117,7 @@ def open_dataset(
     Raises:
         ValueError: ``kind`` or ``split`` is unknown.
         FileNotFoundError: The folder, or a file that lists the split, does not exist.
-        DataError: A file is invalid; the error names file and line.
+        DataError: A file is invalid, or the split has no labels; the error names file and line.
     """
-    if split not in (*SPLITS, "all"):
-        raise ValueError(f"split: expected one of {(*SPLITS, 'all')}, got {split!r}")
-    reader, folder = _reader(kind), Path(root)
-    splits = reader.splits(folder) if split == "all" else [split]
-    parts = [reader.read(folder, each) for each in splits]
-    records = [record for part, _ in parts for record in part]
-    return PoseDataset(records, parts[0][1], preprocessing, augmentation, cache)
+    records = read_records(kind, root, split, decoding)
+    return PoseDataset(records, preprocessing, augmentation, cache, find_target(kind))

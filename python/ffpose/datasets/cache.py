@@ -2,11 +2,11 @@
 
 The file is a `.npy` array in ``$FFPOSE_CACHE``, or in ``~/.cache/ffpose``; everything there may be
 deleted at any time. Its name is the SHA-256 of a key: path, size and modification time of each
-image in order, the size that the images must have, size and interpolation of the frames, and the
-version of Pillow, which decodes and resizes. The key leaves out the images' contents, because
-reading 6 GB (5,000 images of 1280x960) at each start would take a minute from a disk of 100 MB/s,
-and writing an image changes its modification time, which has a resolution of nanoseconds. The cost
-is that a set that was moved or copied is decoded again.
+image in order, the size that it must have, how it is undistorted and scaled, size and interpolation
+of the frames, and the version of Pillow, which decodes and resizes. The key leaves out the images'
+contents, because reading 6 GB (5,000 images of 1280x960) at each start would take a minute from a
+disk of 100 MB/s, and writing an image changes its modification time, which has a resolution of
+nanoseconds. The cost is that a set that was moved or copied is decoded again.
 """
 
 from __future__ import annotations
@@ -25,12 +25,11 @@ from numpy.typing import NDArray
 
 from ffpose.datasets.records import Record
 from ffpose.files import atomic_write, expect_room, remove_leftovers
-from ffpose.geometry import Camera
 from ffpose.preprocessing import Preprocessing
 
 FOLDER_VARIABLE = "FFPOSE_CACHE"
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file format; changing it invalidates every cache."""
 
 CHUNK = 256
@@ -65,9 +64,7 @@ class MappedFrames:
         return frame
 
 
-def cached_frames(
-    records: Sequence[Record], camera: Camera, preprocessing: Preprocessing
-) -> MappedFrames:
+def cached_frames(records: Sequence[Record], preprocessing: Preprocessing) -> MappedFrames:
     """Return the cached frames of a dataset; decode them on all cores if there is no cache yet.
 
     An incomplete file is rewritten. Two processes that build a cache at the same time both do the
@@ -75,18 +72,22 @@ def cached_frames(
 
     Args:
         records: Images of the dataset.
-        camera: Camera of the images.
         preprocessing: Preprocessing, whose `Preprocessing.frame` makes the frames.
 
     Raises:
+        ValueError: The frames of images of several sizes are not of one size.
         DataError: An image cannot be used, as in `Record.decode`.
         OSError: The folder cannot be written to, or the disk is full.
     """
-    shape = (len(records), *preprocessing.frame_size(camera.width, camera.height), 3)
-    name = _name(records, camera, shape, preprocessing.interpolation)
+    cameras = {(record.camera.width, record.camera.height) for record in records}
+    sizes = {preprocessing.frame_size(*size) for size in cameras}
+    if len(sizes) > 1:
+        raise ValueError(f"cache: expected frames of one size, got {sorted(sizes)}")
+    shape = (len(records), *sizes.pop(), 3)
+    name = _name(records, shape, preprocessing.interpolation)
     path = cache_folder() / f"{name}.npy"
     if not _is_whole(path, shape):
-        _write(path, shape, lambda index: preprocessing.frame(records[index].decode(camera)))
+        _write(path, shape, lambda index: preprocessing.frame(records[index].decode()))
     return MappedFrames(path)
 
 
@@ -96,11 +97,8 @@ def cache_folder() -> Path:
     return Path(named) if named else Path.home() / ".cache" / "ffpose"
 
 
-def _name(
-    records: Sequence[Record], camera: Camera, shape: tuple[int, ...], interpolation: str
-) -> str:
+def _name(records: Sequence[Record], shape: tuple[int, ...], interpolation: str) -> str:
     digest = hashlib.sha256(repr((FORMAT, PIL.__version__, shape, interpolation)).encode())
-    digest.update(repr((camera.width, camera.height)).encode())
     for record in records:
         digest.update(repr(record.fingerprint()).encode())
     return digest.hexdigest()

@@ -1,44 +1,101 @@
-"""A labeled image of a dataset, and decoding its file."""
+"""An image of a dataset, its camera and its label, and decoding its file."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from PIL import Image
 
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose
-from ffpose.images import open_image, to_rgb
+from ffpose.geometry import Camera, DistortedCamera, Pose
+from ffpose.images import DEEP_MODES, MODES, open_image, to_rgb
+from ffpose.undistortion import undistort
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """Conversion from image files to images, as the user states it.
+
+    Attributes:
+        undistort: Undistort the images of cameras with distortion.
+        white: Level that becomes 255 in monochrome images of more than 8 bits, such as 4095 for 12
+            bits; None for images of 8 bits.
+
+    Raises:
+        ValueError: ``white`` is not a positive number.
+    """
+
+    undistort: bool = False
+    white: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.white is not None and not 0 < self.white < math.inf:
+            raise ValueError(f"white: expected a positive level, got {self.white}")
+
+
+AS_ON_DISK = Decoding()
 
 
 @dataclass(frozen=True)
 class Record:
-    """A labeled image.
+    """An image, its camera, and its label if it has one.
 
     Attributes:
         image: Path of the image file.
-        pose: The label, in the conventions of `ffpose.geometry`.
+        name: Name of the image, unique in its set: the path relative to the set's folder or to the
+            folder of its images, with slashes.
+        camera: Camera of the decoded image, which must have its size.
+        pose: The label, in the conventions of `ffpose.geometry`; None in a split without labels.
         source: The file that lists the image.
         line: The line in that file, counted from one.
-        raw_quaternion: The quaternion ``(w, x, y, z)`` as in the file, before `Pose` normalizes it
-            and chooses its sign; None for a label that comes from no file.
+        raw_quaternion: The quaternion ``(w, x, y, z)`` as in the file, before the reader normalizes
+            it and `Pose` chooses its sign; None for a label that comes from no quaternion.
+        lens: Camera of the file, where decoding undistorts it; None where it does not.
+        white: Level that becomes 255, as for `Decoding`.
     """
 
     image: Path
-    pose: Pose
+    name: str
+    camera: Camera
+    pose: Pose | None
     source: Path
     line: int
     raw_quaternion: tuple[float, float, float, float] | None = None
+    lens: DistortedCamera | None = None
+    white: float | None = None
+
+    def decoded_by(self, decoding: Decoding) -> Record:
+        """Return the record whose image is decoded as ``decoding`` says."""
+        record = replace(self, white=decoding.white)
+        if decoding.undistort and isinstance(self.camera, DistortedCamera):
+            return replace(record, camera=self.camera.pinhole, lens=self.camera)
+        return record
+
+    @property
+    def label(self) -> Pose:
+        """The label of an image that must have one.
+
+        Raises:
+            DataError: It has none.
+        """
+        if self.pose is None:
+            raise self.error("expected a label, got an image of a split without labels")
+        return self.pose
 
     def error(self, message: str) -> DataError:
         """Return an error that names the image, and the file and line that list it."""
         return DataError(f"{self.image}: {message}", self.source, self.line)
 
-    def fingerprint(self) -> tuple[str, int, int]:
-        """Return the image's path, its size in bytes, and its modification time in nanoseconds.
+    def fingerprint(self) -> tuple[object, ...]:
+        """Return what the decoded image depends on.
+
+        Returns:
+            The image's path, its size in bytes, its modification time in nanoseconds, its camera's
+            size, and how it is decoded.
 
         Raises:
             DataError: The file is missing.
@@ -47,7 +104,8 @@ class Record:
             status = self.image.stat()
         except FileNotFoundError as error:
             raise self.error("no such file") from error
-        return str(self.image.resolve()), status.st_size, status.st_mtime_ns
+        file = str(self.image.resolve()), status.st_size, status.st_mtime_ns
+        return *file, self.camera.width, self.camera.height, self.lens, self.white
 
     def size(self) -> tuple[int, int]:
         """Return the ``(width, height)`` that the image's header declares.
@@ -58,7 +116,7 @@ class Record:
         with self._open() as image:
             return image.size
 
-    def decode(self, camera: Camera) -> Image.Image:
+    def decode(self) -> Image.Image:
         """Decode the image as RGB; transparency is dropped.
 
         Raises:
@@ -67,15 +125,19 @@ class Record:
         """
         with self._open() as image:
             # Before decoding: a small file can declare an image that exhausts the memory.
-            self._expect_size(image, camera)
-            return to_rgb(image, self.image)
+            self._expect_size(image)
+            if self.white is None and image.mode in DEEP_MODES:
+                expected = f"pixels of mode {', '.join(MODES)} where no white level is stated"
+                raise DataError(f"expected {expected} (--data.white), got {image.mode}", self.image)
+            pixels = to_rgb(image, self.image, self.white)
+        return pixels if self.lens is None else undistort(pixels, self.lens)
 
-    def _expect_size(self, image: Image.Image, camera: Camera) -> None:
+    def _expect_size(self, image: Image.Image) -> None:
         width, height = image.size
-        if (width, height) != (camera.width, camera.height):
+        if (width, height) != (self.camera.width, self.camera.height):
             raise DataError(
-                f"expected {camera.width}x{camera.height} pixels, as the dataset's camera "
-                f"has them, got {width}x{height}",
+                f"expected {self.camera.width}x{self.camera.height} pixels, as the dataset's "
+                f"camera has them, got {width}x{height}",
                 self.image,
             )
 

@@ -14,17 +14,21 @@ from __future__ import annotations
 
 import csv
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ffpose.datasets.base import SPLITS, Split
+from ffpose.datasets.cameras import read_camera
 from ffpose.datasets.records import Record
+from ffpose.datasets.targets import Target
 from ffpose.errors import DataError
 from ffpose.files import expect_folder, read_text
-from ffpose.geometry import URSO_CAMERA, Camera, Pose
+from ffpose.geometry import URSO_CAMERA, Pose
 
+TARGET: Target = "object"
+SPLITS = ("train", "val", "test")
 COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
 
 _SAME_LABEL = 1e-5
@@ -38,7 +42,7 @@ class _Row(NamedTuple):
     values: tuple[float, ...]
 
 
-def splits(root: Path) -> list[Split]:
+def splits(root: Path) -> list[str]:
     """Return the splits of the set, in the order train, val, test.
 
     Raises:
@@ -54,15 +58,18 @@ def splits(root: Path) -> list[Split]:
     return found
 
 
-def read(root: Path, split: Split) -> tuple[list[Record], Camera]:
-    """Read the labeled images of a split, and their camera.
+def read(root: Path, split: str) -> list[Record]:
+    """Read the labeled images of a split.
 
     Raises:
+        ValueError: ``split`` is not in `SPLITS`.
         FileNotFoundError: The folder, or a file that lists the split, does not exist.
         NotADirectoryError: The folder is a file.
         DataError: A name or label is invalid, an image is missing or listed twice, labels and names
             do not align, or the camera is unknown. The error names file and line.
     """
+    if split not in SPLITS:
+        raise ValueError(f"split: expected one of {(*SPLITS, 'all')}, got {split!r}")
     names_file, poses_file = root / f"{split}_images.csv", root / f"{split}_poses_gt.csv"
     _expect_exists(root)
     expect_folder(root)
@@ -79,11 +86,18 @@ def read(root: Path, split: Split) -> tuple[list[Record], Camera]:
     _check_alignment(names, rows, poses_file, root / "gt.csv")
     records = [
         Record(
-            _find_image(root, name, names_file, line), pose, names_file, line, _raw_quaternion(row)
+            _find_image(root, name, names_file, line),
+            name,
+            URSO_CAMERA,
+            pose,
+            names_file,
+            line,
+            _raw_quaternion(row),
         )
         for line, (name, row, pose) in enumerate(zip(names, rows, poses, strict=True), start=1)
     ]
-    return records, _read_camera(root, records[0])
+    camera = read_camera(root, records[0], URSO_CAMERA)
+    return [replace(record, camera=camera) for record in records]
 
 
 def _expect_exists(path: Path) -> None:
@@ -168,17 +182,3 @@ def _find_image(root: Path, name: str, source: Path, line: int) -> Path:
         if place.is_file():
             return place
     raise DataError(f"expected {places[0]} or {places[1]}, got no such file", source, line)
-
-
-def _read_camera(root: Path, first: Record) -> Camera:
-    """Return the camera of ``camera.json``, else URSO's at the size of the first image."""
-    path = root / "camera.json"
-    if path.exists():
-        return Camera.read(path)
-    width, height = first.size()
-    if width * URSO_CAMERA.height != height * URSO_CAMERA.width or width > URSO_CAMERA.width:
-        raise first.error(
-            f"expected at most {URSO_CAMERA.width}x{URSO_CAMERA.height} pixels, of that shape, "
-            f"where there is no {path.name}, got {width}x{height}"
-        )
-    return URSO_CAMERA.resized(width, height)

@@ -6,6 +6,7 @@ the paper (section 4.3) where it states a value.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -30,7 +31,8 @@ class DataConfig:
     """Training and validation images, and how they are read.
 
     Attributes:
-        kind: Layout of the image set: "urso", or "scenes" for scenes that are rendered as needed.
+        kind: Layout of the image set: "urso", "speed", "speedplus", "cambridge", "sevenscenes" or
+            "csv" (docs/datasets.md), or "scenes" for scenes that are rendered as needed.
         root: Folder of the image set.
         mode: Conversion of an image to the network's input: "resize", the whole frame, or
             "center_crop", the paper's resize and center crop.
@@ -38,6 +40,12 @@ class DataConfig:
         augmentation: Fields of `ffpose.transforms.Augmentation` to change, such as {"roll": 10}.
         cache: Whether to store decoded and resized images in a file that later runs share.
         workers: Number of processes that read or render images beside the training process.
+        val_split: Name of the validation split.
+        holdout: Validate on every ``holdout``-th image of the training split instead of val_split,
+            and leave it out of training; 0 leaves none out.
+        undistort: Whether to undistort the images of cameras with distortion.
+        white: Level that becomes white in monochrome images of more than 8 bits, such as 4095 for
+            12 bits; None for images of 8 bits.
         scene: For kind "scenes": name of the rendered set, or several joined by a plus; validation
             uses the first.
         count: For kind "scenes": number of training images of each set.
@@ -59,6 +67,10 @@ class DataConfig:
     augmentation: dict[str, Any] = field(default_factory=dict)
     cache: bool = False
     workers: int = 0
+    val_split: str = "val"
+    holdout: int = 0
+    undistort: bool = False
+    white: float | None = None
     scene: str = "soyuz_hard"
     count: int = 10000
     validation: int = 200
@@ -71,6 +83,9 @@ class DataConfig:
 
     def __post_init__(self) -> None:
         _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
+        _expect(self.holdout == 0 or self.holdout > 1, "data.holdout", "0, 2 or more", self.holdout)
+        usable = self.white is None or 0 < self.white < math.inf
+        _expect(usable, "data.white", "a positive level", self.white)
         _expect(self.count >= 1, "data.count", "1 or more", self.count)
         _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
         for name in ("empty", "decoys", "cut", "randomized"):

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.datasets import PoseDataset, Record, open_dataset
+from ffpose.datasets import (
+    Decoding,
+    PoseDataset,
+    Record,
+    find_target,
+    list_splits,
+    read_records,
+)
 from ffpose.datasets.scenes import (
     find_scene,
     open_empty_images,
@@ -18,7 +25,7 @@ from ffpose.datasets.scenes import (
     open_views,
 )
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose
+from ffpose.geometry import Camera, DistortedCamera, Pose
 from ffpose.images import open_image
 from ffpose.models import FilterformerPoseConfig
 from ffpose.preprocessing import Preprocessing
@@ -43,7 +50,7 @@ class TrainingData:
     Attributes:
         poses: Labels of the training split ``(N, 7)``.
         val_set: Whole images of the validation split.
-        camera: Of the network's input.
+        camera: Of the network's input; None where the images have several.
         train_set: Whole images of the training split, for a network that looks at the frame.
         views: Stored views, for one with a second look.
         empty: Stored views without an object.
@@ -53,7 +60,7 @@ class TrainingData:
 
     poses: NDArray[np.float64]
     val_set: PoseDataset
-    camera: Camera
+    camera: Camera | None
     train_set: PoseDataset | None = None
     views: list[Arrays] = field(default_factory=list)
     empty: list[Arrays] = field(default_factory=list)
@@ -77,16 +84,43 @@ def open_training_data(
     """
     if config.kind == "scenes":
         return _scenes(config, model, preprocessing)
-    val_set = open_dataset(config.kind, config.root, "val", preprocessing, None, config.cache)
-    augmentation = _augmentation(config.augmentation) if config.augment else None
-    train_set = open_dataset(
-        config.kind, config.root, "train", preprocessing, augmentation, config.cache
-    )
-    camera = preprocessing.camera(train_set.camera)
+    train_set, val_set = _open_splits(config, preprocessing)
+    camera = None if train_set.camera is None else preprocessing.camera(train_set.camera)
     if model.orientation_view == "frame":
         return TrainingData(train_set.poses, val_set, camera, train_set)
+    if camera is None or isinstance(camera, DistortedCamera) or train_set.target != "object":
+        raise ValueError(
+            "orientation_view: 'object' expects images of one camera without distortion "
+            f"(--data.undistort) that locate an object, got images of {train_set.camera} that "
+            f"locate the {train_set.target}"
+        )
     views = cut_views(train_set, view_spec(model, camera), dense=dense)
     return TrainingData(train_set.poses, val_set, camera, train_set, [views])
+
+
+def _open_splits(
+    config: DataConfig, preprocessing: Preprocessing
+) -> tuple[PoseDataset, PoseDataset]:
+    """Open the images to learn from, augmented, and those that validate."""
+    kind, decoding = config.kind, Decoding(config.undistort, config.white)
+    known = list_splits(kind, config.root)
+    if not config.holdout and config.val_split not in known:
+        raise ValueError(
+            f"data.val_split: expected one of {', '.join(known)}, got {config.val_split!r}; "
+            "--data.holdout N validates on every Nth image of the training split instead"
+        )
+    train = read_records(kind, config.root, "train", decoding)
+    if config.holdout:
+        val = train[:: config.holdout]
+        train = [record for index, record in enumerate(train) if index % config.holdout]
+    else:
+        val = read_records(kind, config.root, config.val_split, decoding)
+    augmentation = _augmentation(config.augmentation) if config.augment else None
+    target, cache = find_target(kind), config.cache
+    return (
+        PoseDataset(train, preprocessing, augmentation, cache, target),
+        PoseDataset(val, preprocessing, None, cache, target),
+    )
 
 
 def _scenes(
@@ -131,7 +165,7 @@ def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:
     """Return the images of several sets of one camera as one training split."""
     records = [record for each in sets for record in each.records]
     augmentation = _augmentation(config.augmentation) if config.augment else None
-    return PoseDataset(records, sets[0].camera, sets[0].preprocessing, augmentation, config.cache)
+    return PoseDataset(records, sets[0].preprocessing, augmentation, config.cache)
 
 
 def cut_views(dataset: PoseDataset, spec: ViewSpec, *, dense: bool) -> Arrays:
@@ -150,8 +184,8 @@ def cut_views(dataset: PoseDataset, spec: ViewSpec, *, dense: bool) -> Arrays:
     }
     for index, record in enumerate(dataset.records):
         frame = dataset.preprocessing.frame(dataset.load_image(index))
-        coordinates = read_coordinates(record, dataset.camera) if dense else None
-        cut_pieces(frame, record.pose, spec, coordinates).store(arrays, index)
+        coordinates = read_coordinates(record, record.camera) if dense else None
+        cut_pieces(frame, record.label, spec, coordinates).store(arrays, index)
     return arrays
 
 

@@ -8,6 +8,7 @@ the weights of an uninterrupted one, on the same machine with the same number of
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ffpose.datasets.targets import Target, spread
 from ffpose.metrics import PoseError
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training.calibrate import calibrate
@@ -32,8 +34,12 @@ from ffpose.training.schedule import learning_rate
 from ffpose.training.stages import Epoch, enter_stage, plan
 from ffpose.training.tasks import trained_together
 
-SELECTED_BY = "val_esa_score"
-"""Column whose lowest value selects the best epoch; it combines both errors without units."""
+SELECTED_BY: dict[Target, str] = {"object": "val_esa_score", "camera": "val_scene_score"}
+"""Column whose lowest value selects the best epoch; it combines both errors without units.
+
+The ESA score divides by the distance to the object. Where the camera is located in a world, the
+distance to its origin means nothing; the scene score divides by the spread of the positions.
+"""
 
 
 class NonFiniteLossError(RuntimeError):
@@ -200,7 +206,8 @@ def cpu_seconds() -> float:
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``, the checkpoint last."""
     header = _header(run)
-    best = min(state.history, key=lambda row: float(row[SELECTED_BY]))
+    column = SELECTED_BY[run.task.val_set.target]
+    best = min(state.history, key=lambda row: float(row[column]))
     if best is state.history[-1]:
         state.best_epoch = len(state.history)
         run.average.model.save_pretrained(folder.best, **header)
@@ -286,7 +293,9 @@ def _step(run: Run, rate: float) -> None:
 def validate(run: Run) -> Row:
     """Return the errors on the validation split, named as in `PoseError` with prefix ``val_``.
 
-    Each process computes its share; the metric brings them together.
+    Where labels locate the camera, ``val_scene_score`` besides: the median position error, relative
+    to the spread of the split's positions, plus the median rotation error in radians. Each process
+    computes its share; the metric brings them together.
     """
     run.processes.agree(run.average.model)
     model = run.average.model.eval()
@@ -296,4 +305,10 @@ def validate(run: Run) -> Row:
         metric.update(
             pose.translation.cpu(), pose.orientation.cpu(), batch.translation, batch.orientation
         )
-    return {f"val_{name}": float(value) for name, value in metric.compute().items()}
+    row: Row = {f"val_{name}": float(value) for name, value in metric.compute().items()}
+    val_set = run.task.val_set
+    if val_set.target == "camera":
+        position = float(row["val_median_translation_error_m"]) / spread(val_set.poses)
+        rotation = math.radians(float(row["val_median_rotation_error_deg"]))
+        row["val_scene_score"] = position + rotation
+    return row

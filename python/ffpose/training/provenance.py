@@ -42,6 +42,6 @@ def describe_data(dataset: PoseDataset, kind: str) -> dict[str, Any]:
     return {
         "kind": kind,
         "count": len(dataset),
-        "image_size": [dataset.camera.width, dataset.camera.height],
+        "image_size": None if dataset.image_size is None else list(dataset.image_size),
         "digest": digest.hexdigest(),
     }

@@ -74,8 +74,8 @@ def build_run(config: TrainConfig, processes: Processes = ALONE) -> Run:
         data = open_training_data(
             config.data, model_config, preprocessing, dense=config.object_loss.dense
         )
-    c = data.camera
-    fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
+    if (c := data.camera) is not None:
+        fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
     if config.normalize_translation and not object_view:
         fields |= translation_statistics(data.poses)
     torch.manual_seed(config.seed)

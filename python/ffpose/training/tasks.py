@@ -37,9 +37,11 @@ class Task(Protocol):
 
     Attributes:
         preprocessing: Conversion from an image to the network's input.
+        val_set: Whole validation images, which select the best epoch.
     """
 
     preprocessing: Preprocessing
+    val_set: PoseDataset
 
     @property
     def loss(self) -> nn.Module:
@@ -239,11 +241,11 @@ class ObjectTask:
         digest = hashlib.sha256()
         for arrays in self.views.sets:
             digest.update(np.ascontiguousarray(arrays["labels"], "<f8").tobytes())
-        camera = self.val_set.camera
+        size = self.val_set.image_size
         return {
             "kind": kind,
             "count": len(self.views),
-            "image_size": [camera.width, camera.height],
+            "image_size": None if size is None else list(size),
             "digest": digest.hexdigest(),
         }
 

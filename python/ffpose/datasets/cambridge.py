@@ -1,0 +1,126 @@
+"""Reader of Cambridge Landmarks: photographs of buildings (Kendall et al., PoseNet, ICCV 2015).
+
+A set is the folder of a scene with ``dataset_train.txt`` and ``dataset_test.txt``: three lines of
+header, then for each image ``seq1/frame00001.png X Y Z W P Q R``. Or it is a folder with CSV files
+of the columns ``scene, split, seq, img_path, t1, t2, t3, q1, q2, q3, q4`` in any order, whose paths
+are relative to it; then the column ``split`` names the splits, and several scenes may be joined.
+
+Either way a label is the camera's center in the world, meters, and the quaternion from the world to
+the camera frame, scalar first. Some have norms up to 1.043 and are normalized.
+
+The camera is that of ``camera.json`` (`ffpose.geometry.Camera.read`) if there is one, else
+`CAMERA`, at the size of the first image.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from ffpose.datasets.cameras import read_camera
+from ffpose.datasets.parsing import Entry, Names, expect_set, find_image, read_table
+from ffpose.datasets.records import Record
+from ffpose.datasets.targets import Target, camera_pose
+from ffpose.errors import DataError
+from ffpose.files import read_text
+from ffpose.geometry import Camera, Pose
+
+TARGET: Target = "camera"
+
+CAMERA = Camera(width=1920, height=1080, fx=1674.0, fy=1674.0, cx=960.0, cy=540.0)
+"""Camera of the photographs: the focal length that Brachmann and Rother (CVPR 2018) use, 744 pixels
+at a height of 480. The images' own differ by some percent; only drawings depend on it."""
+
+NORM_TOLERANCE = 0.05
+"""Deviation of a quaternion's norm from one that is normalized; published ones reach 0.043."""
+
+POSE = ("X", "Y", "Z", "W", "P", "Q", "R")
+CSV_POSE = ("t1", "t2", "t3", "q1", "q2", "q3", "q4")
+COLUMNS = ("scene", "split", "seq", "img_path", *CSV_POSE)
+TEXT_FILES = {split: f"dataset_{split}.txt" for split in ("train", "test")}
+_HEADER = "ImageFile, Camera Position [X Y Z W P Q R]"
+
+
+def splits(root: Path) -> list[str]:
+    """Return the splits of the set, train first.
+
+    Raises:
+        FileNotFoundError: The folder does not exist, or contains no list.
+        NotADirectoryError: ``root`` is a file.
+        DataError: A CSV file is invalid.
+    """
+    expect_set(root, "Cambridge Landmarks")
+    found = [split for split, file in TEXT_FILES.items() if (root / file).is_file()]
+    if found:
+        return found
+    named = dict.fromkeys(entry.text("split") for entry in _csv_entries(root))
+    return sorted(named, key=lambda split: split != "train")
+
+
+def read(root: Path, split: str) -> list[Record]:
+    """Read the labeled images of a split.
+
+    Raises:
+        ValueError: ``split`` is not in the set.
+        FileNotFoundError: The folder does not exist, or contains no list.
+        NotADirectoryError: ``root`` is a file.
+        DataError: A name or label is invalid, or an image is missing or listed twice; the error
+            names file and line.
+    """
+    known = splits(root)
+    if split not in known:
+        raise ValueError(f"split: expected one of {(*known, 'all')}, got {split!r}")
+    path = root / TEXT_FILES.get(split, "")
+    if path.is_file():
+        rows = [(e, e.text("image"), e.parsed(POSE)) for e in _text_entries(path)]
+    else:
+        chosen = (entry for entry in _csv_entries(root) if entry.text("split") == split)
+        rows = [(e, e.text("img_path"), e.parsed(CSV_POSE)) for e in chosen]
+    names = Names()
+    records = [_record(root, names, *row) for row in rows]
+    camera = read_camera(root, records[0], CAMERA)
+    return [replace(record, camera=camera) for record in records]
+
+
+def _text_entries(path: Path) -> Iterator[Entry]:
+    lines = read_text(path).splitlines()
+    if len(lines) < 3 or lines[1].strip() != _HEADER or lines[2].strip():
+        raise DataError(f"expected {_HEADER!r} on line 2 and line 3 empty", path, 2)
+    columns = ("image", *POSE)
+    for line, text in enumerate(lines[3:], start=4):
+        fields = text.split()
+        if len(fields) != len(columns):
+            raise DataError(f"expected {' '.join(columns)}, got {text!r}", path, line)
+        yield Entry(dict(zip(columns, fields, strict=True)), path, line)
+    if len(lines) == 3:
+        raise DataError("expected at least one image, got none", path)
+
+
+def _csv_entries(root: Path) -> Iterator[Entry]:
+    paths = sorted(root.glob("*.csv"))
+    if not paths:
+        names = ", ".join(TEXT_FILES.values())
+        raise FileNotFoundError(
+            f"Cambridge Landmarks set: expected one of {names}, or a CSV file, in {root}, got none"
+        )
+    for path in paths:
+        header, entries = read_table(path)
+        if sorted(header) != sorted(COLUMNS):
+            raise DataError(f"expected the columns {', '.join(COLUMNS)}, got {header}", path, 1)
+        yield from entries
+
+
+def _record(root: Path, names: Names, entry: Entry, name: str, values: tuple[float, ...]) -> Record:
+    name = names.add(entry, name)
+    pose, (w, x, y, z) = _pose(entry, values), values[3:]
+    image = find_image(root, name, entry)
+    return Record(image, name, CAMERA, pose, entry.file, entry.line, (w, x, y, z))
+
+
+def _pose(entry: Entry, values: tuple[float, ...]) -> Pose:
+    norm = math.hypot(*values[3:])
+    if abs(norm - 1) > NORM_TOLERANCE:
+        raise entry.error(f"quaternion: expected norm 1 within {NORM_TOLERANCE}, got {norm:.6g}")
+    return camera_pose(values[:3], [value / norm for value in values[3:]])

@@ -1,0 +1,249 @@
+"""Parts of the readers: tables, lists in JSON, names and labels, with errors by file and line."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
+
+from ffpose.errors import DataError
+from ffpose.files import expect_folder, read_text
+from ffpose.geometry import Pose
+
+
+class Entry(NamedTuple):
+    """A row of a table or a member of a list, and its line in the file.
+
+    Attributes:
+        values: The values by name: strings in a table, anything in JSON.
+        file: The file.
+        line: The line that it begins on, counted from one.
+    """
+
+    values: Mapping[str, Any]
+    file: Path
+    line: int
+
+    def error(self, message: str) -> DataError:
+        """Return an error that names file and line."""
+        return DataError(message, self.file, self.line)
+
+    def text(self, key: str) -> str:
+        """Return a value that must be a text of at least one character."""
+        value = self._value(key)
+        if not isinstance(value, str) or not value.strip():
+            raise self.error(f"{key}: expected a name, got {value!r}")
+        return value.strip()
+
+    def number(self, key: str) -> float:
+        """Return a finite number."""
+        return self._finite(key, self._value(key))
+
+    def numbers(self, key: str, count: int) -> tuple[float, ...]:
+        """Return a list of ``count`` finite numbers."""
+        value = self._value(key)
+        if not isinstance(value, list) or len(value) != count:
+            raise self.error(f"{key}: expected {count} numbers, got {value!r}")
+        return tuple(self._finite(key, each) for each in value)
+
+    def parsed(self, keys: Sequence[str]) -> tuple[float, ...]:
+        """Return values that a table holds as text, which must be finite numbers."""
+        return tuple(map(self._parsed, keys))
+
+    def _parsed(self, key: str) -> float:
+        text = self._value(key)
+        try:
+            return self._finite(key, float(text))
+        except ValueError as error:
+            raise self.error(f"{key}: expected a finite number, got {text!r}") from error
+
+    def _value(self, key: str) -> Any:
+        if key not in self.values:
+            raise self.error(f"expected the key {key}, got {', '.join(self.values) or 'none'}")
+        return self.values[key]
+
+    def _finite(self, key: str, value: object) -> float:
+        if type(value) not in (int, float) or not math.isfinite(value):  # type: ignore[arg-type]  # a number by then
+            raise self.error(f"{key}: expected a finite number, got {value!r}")
+        return float(value)  # type: ignore[arg-type]  # as above
+
+    def pose(self, t: Sequence[float], q: Sequence[float]) -> Pose:
+        """Return the pose of a label; what is wrong with it becomes an error of this entry."""
+        try:
+            return Pose(t, q)
+        except ValueError as error:
+            raise self.error(str(error)) from error
+
+
+class Names:
+    """Names of images, each a path within a folder, and unique."""
+
+    def __init__(self) -> None:
+        self._first_line: dict[str, int] = {}
+
+    def add(self, entry: Entry, name: str) -> str:
+        """Return ``name`` in a normal form, with slashes.
+
+        Raises:
+            DataError: It leaves the folder, or was added before.
+        """
+        path = PurePosixPath(name.replace("\\", "/"))
+        if path.is_absolute() or ".." in path.parts or not path.parts:
+            raise entry.error(f"expected the path of an image within its folder, got {name!r}")
+        normal = str(path)
+        if normal in self._first_line:
+            raise entry.error(f"{normal} is on line {self._first_line[normal]} already")
+        self._first_line[normal] = entry.line
+        return normal
+
+
+def find_image(folder: Path, name: str, entry: Entry) -> Path:
+    """Return the path of an image.
+
+    Raises:
+        DataError: There is no such file.
+    """
+    path = folder / name
+    if not path.is_file():
+        raise entry.error(f"expected the image {path}, got no such file")
+    return path
+
+
+def expect_set(root: Path, kind: str) -> None:
+    """Check that ``root`` is a folder.
+
+    Raises:
+        FileNotFoundError: It does not exist.
+        NotADirectoryError: It is a file.
+    """
+    if not root.exists():
+        raise FileNotFoundError(f"{kind} set: expected {root}, got no such file or folder")
+    expect_folder(root)
+
+
+def existing_splits(root: Path, kind: str, files: Mapping[str, str]) -> list[str]:
+    """Return the splits whose files exist.
+
+    Args:
+        root: The dataset's folder.
+        kind: Name of the kind, for the error message.
+        files: For each split, the file that lists it, relative to the folder.
+
+    Raises:
+        FileNotFoundError: The folder does not exist, or contains no such file.
+        NotADirectoryError: ``root`` is a file.
+    """
+    expect_set(root, kind)
+    found = [split for split, file in files.items() if (root / file).is_file()]
+    if not found:
+        names = ", ".join(files.values())
+        raise FileNotFoundError(f"{kind} set: expected one of {names} in {root}, got none")
+    return found
+
+
+def split_file(root: Path, kind: str, files: Mapping[str, str], split: str) -> Path:
+    """Return the file that lists a split.
+
+    Raises:
+        ValueError: There is no split of that name in such sets.
+        FileNotFoundError: The file does not exist.
+        NotADirectoryError: ``root`` is a file.
+    """
+    if split not in files:
+        raise ValueError(f"split: expected one of {(*files, 'all')}, got {split!r}")
+    expect_set(root, kind)
+    path = root / files[split]
+    if not path.is_file():
+        raise FileNotFoundError(f"{kind} set: expected {path}, got no such file")
+    return path
+
+
+def read_table(path: Path) -> tuple[list[str], list[Entry]]:
+    """Read a CSV file with a header; lines may end as on Windows.
+
+    Returns:
+        The header and the rows, of as many fields.
+
+    Raises:
+        DataError: It is empty, a column is there twice, a row is short or long, or there are none.
+    """
+    table = csv.reader(read_text(path).splitlines())
+    header = [name.strip() for name in next(table, [])]
+    if len(set(header)) != len(header) or not header:
+        raise DataError(f"expected a header of distinct columns, got {header}", path, 1)
+    rows = []
+    for fields in table:
+        if len(fields) != len(header):
+            expected = f"expected {len(header)} fields, got {len(fields)}"
+            raise DataError(expected, path, table.line_num)
+        rows.append(Entry(dict(zip(header, fields, strict=True)), path, table.line_num))
+    if not rows:
+        raise DataError("expected at least one row, got none", path)
+    return header, rows
+
+
+def read_list(path: Path) -> list[Entry]:
+    """Read a JSON file that holds a list of objects.
+
+    Raises:
+        DataError: It is not JSON, or not such a list, or the list is empty.
+    """
+    text = read_text(path)
+    decoder, place, line = json.JSONDecoder(), _skip(text, 0, ""), 1
+    if text[place : place + 1] != "[":
+        raise DataError("expected a list of objects in JSON", path, 1)
+    entries, counted = [], 0
+    place = _skip(text, place + 1, "")
+    while text[place : place + 1] != "]":
+        line, counted = line + text.count("\n", counted, place), place
+        try:
+            values, place = decoder.raw_decode(text, place)
+        except json.JSONDecodeError as error:
+            raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
+        if not isinstance(values, dict):
+            raise DataError(f"expected an object, got {values!r}", path, line)
+        entries.append(Entry(values, path, line))
+        place = _separator(text, place, path)
+    if text[place + 1 :].strip():
+        raise DataError("not JSON: expected the end after the list", path)
+    if not entries:
+        raise DataError("expected at least one image, got none", path)
+    return entries
+
+
+def _separator(text: str, place: int, path: Path) -> int:
+    """Return the place of the next member, or of the bracket that closes the list."""
+    place = _skip(text, place, "")
+    following = _skip(text, place, ",")
+    closes = text[place : place + 1] == "]"
+    if closes or (following > place and text[following : following + 1] not in ("]", "")):
+        return place if closes else following
+    raise DataError("not JSON: expected ',' or ']'", path, text.count("\n", 0, place) + 1)
+
+
+def _skip(text: str, place: int, separator: str) -> int:
+    """Return the next place that is not white space, past one ``separator`` if it is there."""
+    if separator and text[place : place + 1] == separator:
+        place += 1
+    while text[place : place + 1].isspace():
+        place += 1
+    return place
+
+
+def read_object(path: Path) -> Entry:
+    """Read a JSON file that holds one object.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        DataError: It is not JSON, or no object.
+    """
+    try:
+        values = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
+    if not isinstance(values, dict):
+        raise DataError(f"expected an object, got {values!r}", path, 1)
+    return Entry(values, path, 1)

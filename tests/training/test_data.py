@@ -1,0 +1,131 @@
+"""Training on sets other than URSO's: which images validate, and what selects the best epoch."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ffpose.evaluation import evaluate
+from ffpose.models import CONFIGS, read_metadata
+from ffpose.preprocessing import Preprocessing
+from ffpose.training import DataConfig
+from ffpose.training.data import open_training_data
+from ffpose.training.engine import train
+from tiny_runs import train_config
+
+CAMERA = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
+IMAGES = 6
+
+
+def write_images(root, names):
+    generator = np.random.default_rng(0)
+    for name in names:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        pixels = generator.integers(0, 256, (48, 64, 3), dtype=np.uint8)
+        Image.fromarray(pixels).save(root / name)
+    (root / "camera.json").write_text(json.dumps(CAMERA))
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A scene of Cambridge's whose cameras stand around (100, 200, 300)."""
+    root = tmp_path / "scene"
+    names = [f"seq1/{index}.png" for index in range(IMAGES)]
+    write_images(root, names)
+    rows = [f"{name} {100 + i} 200 {300 - i} 0.6 0 0.8 0\n" for i, name in enumerate(names)]
+    header = "Visual\nImageFile, Camera Position [X Y Z W P Q R]\n\n"
+    (root / "dataset_train.txt").write_text(header + "".join(rows))
+    (root / "dataset_test.txt").write_text(header + "".join(rows[:2]))
+    return root
+
+
+@pytest.fixture
+def own(tmp_path):
+    """A user's own images, without a split that validates."""
+    root = tmp_path / "own"
+    names = [f"{index}.png" for index in range(IMAGES)]
+    write_images(root, names)
+    rows = [f"{name},0,0,{5 + index},1,0,0,0\n" for index, name in enumerate(names)]
+    (root / "train.csv").write_text("image,tx,ty,tz,qw,qx,qy,qz\n" + "".join(rows))
+    return root
+
+
+def opened(config, model="tiny"):
+    return open_training_data(config, CONFIGS[model], Preprocessing((32, 32)), dense=False)
+
+
+def test_held_out_images_validate_and_do_not_train(own):
+    data = opened(DataConfig("csv", own, holdout=3))
+    assert data.val_set.names == ["0.png", "3.png"]
+    assert data.train_set.names == ["1.png", "2.png", "4.png", "5.png"]
+    assert data.val_set.augmentation is None
+    np.testing.assert_array_equal(data.poses[:, 2], [6, 7, 9, 10])
+
+
+def test_a_set_that_validates_on_nothing_is_refused(own):
+    with pytest.raises(ValueError, match=r"data\.val_split: expected one of train, got 'val'"):
+        opened(DataConfig("csv", own))
+
+
+def test_any_split_validates(scene):
+    data = opened(DataConfig("cambridge", scene, val_split="test"))
+    assert (len(data.train_set), len(data.val_set)) == (IMAGES, 2)
+
+
+@pytest.mark.parametrize("options", [{"holdout": 1}, {"holdout": -2}, {"white": 0.0}])
+def test_bad_options_are_refused(own, options):
+    with pytest.raises(ValueError, match=r"data\.(holdout|white): expected"):
+        DataConfig("csv", own, **options)
+
+
+def second_look(config):
+    return open_training_data(config, CONFIGS["compact"], Preprocessing((64, 64)), dense=False)
+
+
+def test_a_second_look_needs_an_object_and_a_pinhole(scene, own):
+    with pytest.raises(ValueError, match=r"locate an object, got .*locate the camera"):
+        second_look(DataConfig("cambridge", scene, val_split="test"))
+    text = json.dumps(CAMERA | {"distortion": [0.1, 0, 0, 0, 0]})
+    (own / "camera.json").write_text(text)
+    config = DataConfig("csv", own, holdout=2)
+    with pytest.raises(ValueError, match=r"camera without distortion \(--data\.undistort\)"):
+        second_look(config)
+    small = replace(CONFIGS["compact"], image_size=(64, 64))
+    undistorted = replace(config, undistort=True)
+    data = open_training_data(undistorted, small, Preprocessing((64, 64)), dense=False)
+    assert len(data.views) == 1
+
+
+def test_a_scene_trains_and_selects_by_its_spread(scene, tmp_path):
+    """Positions 100 + i, 300 - i of i = 0, 1 are 0.5 from their mean along two axes."""
+    config = train_config(scene, tmp_path / "run")
+    result = train(replace(config, data=DataConfig("cambridge", scene, val_split="test")))
+    scores = [row["val_scene_score"] for row in result.history]
+    for row, score in zip(result.history, scores, strict=True):
+        position = row["val_median_translation_error_m"] / math.sqrt(0.5)
+        rotation = math.radians(row["val_median_rotation_error_deg"])
+        assert score == pytest.approx(position + rotation)
+    assert result.best_epoch == 1 + scores.index(min(scores))
+    evaluation = evaluate(result.folder.best, "cambridge", scene)
+    errors = evaluation.errors
+    ranked = errors.translation_m.numpy() / math.sqrt(0.5) + np.radians(errors.rotation_deg.numpy())
+    assert evaluation.ranking.tolist() == np.argsort(ranked, kind="stable").tolist()
+    assert errors.translation_m.max() < 20  # of the center, 374 m from the origin
+    assert read_metadata(result.folder.best).data["kind"] == "cambridge"
+
+
+def test_images_of_several_cameras_train(own, tmp_path):
+    other = CAMERA | {"fx": 60.0}
+    (own / "other.json").write_text(json.dumps(other))
+    lines = (own / "train.csv").read_text().splitlines()
+    cameras = ["camera", "camera.json", "other.json", *["camera.json"] * (IMAGES - 2)]
+    text = "\n".join(f"{line},{camera}" for line, camera in zip(lines, cameras, strict=True))
+    (own / "train.csv").write_text(text)
+    config = train_config(own, tmp_path / "run", epochs=1)
+    result = train(replace(config, data=DataConfig("csv", own, holdout=2, cache=True)))
+    assert read_metadata(result.folder.best).camera is None
+    evaluation = evaluate(result.folder.best, "csv", own, "train")
+    assert len(evaluation.errors.translation_m) == IMAGES
