@@ -72,7 +72,10 @@ ALLOWED = {
     "demo_record": set(),
     "demo_report": {"arrays", "demo_config", "evaluation", "report", "training"},
     "render": {"geometry", "arrays", "views"},
-    "bench": {"ops", "arrays", "models", "nn", "config"},
+    "bench": {
+        *("ops", "arrays", "models", "nn", "config", "onnx", "geometry", "preprocessing"),
+        "predictor",
+    },
     "info": {"arrays"},
 }
 COMPOSE = {"cli", "demo"}  # these two put the others together

@@ -409,19 +409,43 @@ def ablate(options: Namespace) -> None:
 def bench_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `bench`."""
     parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
+    parser.add_argument(
+        "network",
+        nargs="?",
+        help="of a model: base, small, tiny, compact, weights, gfnet, or attention: their"
+        " inference and training with and without torch's attention (default: base; quick: tiny)",
+    )
     parser.add_argument("--json", type=Path, help="file for every timing")
-    parser.add_argument("--plot", type=Path, help="picture to draw, of the filter alone")
+    parser.add_argument("--plot", type=Path, help="picture to draw")
     parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
+    parser.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")
+    parser.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
 
 
 def bench(options: Namespace) -> None:
-    """Measure the filter against torch.fft, or the networks against what they were."""
-    from ffpose.bench import filter, model
+    """Measure the filter against torch.fft, or a network in the runtimes it can be deployed in."""
+    from ffpose.bench import deployment, filter, model
 
+    network = options.network or ("tiny" if options.quick else "base")
+    deployed = options.subject == "model" and network != "attention"
+    if options.subject == "filter" and options.network is not None:
+        raise ValueError(f"network: expected with model, got {options.network!r} with filter")
+    for name in ("batch", "threads"):
+        if options[name] is not None and not deployed:
+            raise ValueError(f"--{name}: expected with a network that is deployed")
     if options.subject == "filter":
         filter.run(options.json, options.plot, options.quick)
+    elif deployed:
+        deployment.run(
+            network,
+            options.json,
+            options.plot,
+            options.quick,
+            batches=options.batch,
+            threads=options.threads,
+        )
     elif options.plot is not None:
-        raise ValueError("--plot: expected with filter, the networks have no plot")
+        raise ValueError("--plot: expected with filter or a network, attention has no plot")
     else:
         model.run(options.json, options.quick)
 
