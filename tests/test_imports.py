@@ -45,7 +45,7 @@ ALLOWED = {
     "overlay": {"geometry"},
     "prediction": {"models", "onnx", "predictor", "geometry", "arrays", "overlay"},
     "predictor": {"models", "geometry", "preprocessing", "reprojection"},
-    "onnx": {"ops", "models", "config", "geometry", "preprocessing", "reprojection"},
+    "onnx": {"ops", "models", "config", "geometry", "preprocessing", "reprojection", "arrays"},
     "plots": {"evaluation", "calibration", "geometry", "datasets", "overlay"},
     "inspection": {"datasets", "geometry", "arrays", "overlay"},
     "pictures": set(),

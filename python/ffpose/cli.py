@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ffpose.errors import MissingExtraError, require, without_traceback
@@ -269,16 +270,36 @@ def export_arguments(parser: ArgumentParser) -> None:
         default="custom",
         help="filters by ffpose's operator, or by standard ones alone (default: custom)",
     )
+    parser.add_argument(
+        "--int8", action="store_true", help="convolutions and matrix products in 8 bits"
+    )
+    parser.add_argument(
+        "--calibrate", type=Path, help="folder of typical images, unlabeled; with --int8"
+    )
 
 
 def export(options: Namespace) -> None:
-    """Write a network as an ONNX graph, and check it against torch on random images."""
-    from ffpose.onnx.pose_graph import export_weights
+    """Write a network as an ONNX graph, and check it against torch on random images.
 
-    exported = export_weights(options.weights, options.out, options.filter, say=say)
-    for name, difference in exported.differences.items():
-        print(f"largest difference of {name}: {difference:.2g}")
-    say(f"{exported.path}: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
+    With --int8, the differences of poses from float32 on the calibration images are printed too.
+    """
+    from ffpose.onnx.pose_graph import export_weights
+    from ffpose.onnx.pose_int8 import calibration_images, quantize_graph
+
+    if options.int8 != (options.calibrate is not None):
+        raise ValueError("--int8 and --calibrate DIR: expected both or neither, got one")
+    images = calibration_images(options.calibrate) if options.int8 else []
+    with TemporaryDirectory(prefix="ffpose-export-") as folder:
+        path = Path(folder) / "float32.onnx" if options.int8 else options.out
+        exported = export_weights(options.weights, path, options.filter, say=say)
+        for name, difference in exported.differences.items():
+            print(f"largest difference of {name}: {difference:.2g}")
+        say(f"float32: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
+        if options.int8:
+            quantized = quantize_graph(path, options.out, images, say=say)
+            print(*quantized.lines(), sep="\n")
+            say(f"int8: {quantized.bytes / 1e6:.1f} MB, {quantized.nodes} nodes")
+    say(str(options.out))
 
 
 def inspect_arguments(parser: ArgumentParser) -> None:
