@@ -47,7 +47,7 @@ ALLOWED = {
     "overlay": {"geometry"},
     "prediction": {"models", "onnx", "predictor", "geometry", "arrays", "overlay"},
     "predictor": {"models", "geometry", "preprocessing", "reprojection"},
-    "onnx": {"ops", "models", "config", "geometry", "preprocessing", "reprojection"},
+    "onnx": {"ops", "models", "config", "geometry", "preprocessing", "reprojection", "arrays"},
     "plots": {"evaluation", "calibration", "geometry", "datasets", "overlay"},
     "inspection": {"datasets", "geometry", "arrays", "overlay", "preprocessing"},
     "pictures": set(),
@@ -74,7 +74,10 @@ ALLOWED = {
     "demo_record": set(),
     "demo_report": {"arrays", "demo_config", "evaluation", "report", "training"},
     "render": {"geometry", "arrays", "views"},
-    "bench": {"ops", "arrays", "models", "nn", "config"},
+    "bench": {
+        *("ops", "arrays", "models", "nn", "config", "onnx", "geometry", "preprocessing"),
+        "predictor",
+    },
     "info": {"arrays"},
 }
 COMPOSE = {"cli", "demo"}  # these two put the others together

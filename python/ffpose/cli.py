@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ffpose.errors import MissingExtraError, require, without_traceback
@@ -299,16 +300,36 @@ def export_arguments(parser: ArgumentParser) -> None:
         default="custom",
         help="filters by ffpose's operator, or by standard ones alone (default: custom)",
     )
+    parser.add_argument(
+        "--int8", action="store_true", help="convolutions and matrix products in 8 bits"
+    )
+    parser.add_argument(
+        "--calibrate", type=Path, help="folder of typical images, unlabeled; with --int8"
+    )
 
 
 def export(options: Namespace) -> None:
-    """Write a network as an ONNX graph, and check it against torch on random images."""
-    from ffpose.onnx.pose_graph import export_weights
+    """Write a network as an ONNX graph, and check it against torch on random images.
 
-    exported = export_weights(options.weights, options.out, options.filter, say=say)
-    for name, difference in exported.differences.items():
-        print(f"largest difference of {name}: {difference:.2g}")
-    say(f"{exported.path}: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
+    With --int8, the differences of poses from float32 on the calibration images are printed too.
+    """
+    from ffpose.onnx.pose_graph import export_weights
+    from ffpose.onnx.pose_int8 import calibration_images, quantize_graph
+
+    if options.int8 != (options.calibrate is not None):
+        raise ValueError("--int8 and --calibrate DIR: expected both or neither, got one")
+    images = calibration_images(options.calibrate) if options.int8 else []
+    with TemporaryDirectory(prefix="ffpose-export-") as folder:
+        path = Path(folder) / "float32.onnx" if options.int8 else options.out
+        exported = export_weights(options.weights, path, options.filter, say=say)
+        for name, difference in exported.differences.items():
+            print(f"largest difference of {name}: {difference:.2g}")
+        say(f"float32: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
+        if options.int8:
+            quantized = quantize_graph(path, options.out, images, say=say)
+            print(*quantized.lines(), sep="\n")
+            say(f"int8: {quantized.bytes / 1e6:.1f} MB, {quantized.nodes} nodes")
+    say(str(options.out))
 
 
 def inspect_arguments(parser: ArgumentParser) -> None:
@@ -438,19 +459,43 @@ def ablate(options: Namespace) -> None:
 def bench_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `bench`."""
     parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
+    parser.add_argument(
+        "network",
+        nargs="?",
+        help="of a model: base, small, tiny, compact, weights, gfnet, or attention: their"
+        " inference and training with and without torch's attention (default: base; quick: tiny)",
+    )
     parser.add_argument("--json", type=Path, help="file for every timing")
-    parser.add_argument("--plot", type=Path, help="picture to draw, of the filter alone")
+    parser.add_argument("--plot", type=Path, help="picture to draw")
     parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
+    parser.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")
+    parser.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
 
 
 def bench(options: Namespace) -> None:
-    """Measure the filter against torch.fft, or the networks against what they were."""
-    from ffpose.bench import filter, model
+    """Measure the filter against torch.fft, or a network in the runtimes it can be deployed in."""
+    from ffpose.bench import deployment, filter, model
 
+    network = options.network or ("tiny" if options.quick else "base")
+    deployed = options.subject == "model" and network != "attention"
+    if options.subject == "filter" and options.network is not None:
+        raise ValueError(f"network: expected with model, got {options.network!r} with filter")
+    for name in ("batch", "threads"):
+        if options[name] is not None and not deployed:
+            raise ValueError(f"--{name}: expected with a network that is deployed")
     if options.subject == "filter":
         filter.run(options.json, options.plot, options.quick)
+    elif deployed:
+        deployment.run(
+            network,
+            options.json,
+            options.plot,
+            options.quick,
+            batches=options.batch,
+            threads=options.threads,
+        )
     elif options.plot is not None:
-        raise ValueError("--plot: expected with filter, the networks have no plot")
+        raise ValueError("--plot: expected with filter or a network, attention has no plot")
     else:
         model.run(options.json, options.quick)
 

@@ -1,4 +1,4 @@
-"""The benchmark of the networks as a whole, on one that takes no time."""
+"""The benchmark of networks with ours and torch's attention, on one that takes no time."""
 
 import json
 import re
@@ -40,7 +40,10 @@ def test_run_prints_tables_and_writes_a_document(tmp_path, monkeypatch, capsys):
     cases.append(NetworkCase("speck", 1, threads=2))
     monkeypatch.setattr(bench, "make_plan", lambda quick: NetworkPlan(cases, 0.001, ("a note",)))
     before = torch.get_num_threads()
-    assert main(["bench", "model", "--quick", "--json", str(tmp_path / "model.json")]) == 0
+    assert (
+        main(["bench", "model", "attention", "--quick", "--json", str(tmp_path / "model.json")])
+        == 0
+    )
     assert torch.get_num_threads() == before
     document = json.loads((tmp_path / "model.json").read_text())
     assert document["notes"] == ["a note"]
@@ -109,6 +112,6 @@ def test_a_missing_folder_is_found_before_the_work(tmp_path, monkeypatch):
         bench.run(tmp_path / "absent" / "model.json")
 
 
-def test_there_is_no_picture_of_the_networks(tmp_path, capsys):
-    assert main(["bench", "model", "--plot", str(tmp_path / "model.png")]) == 1
-    assert "--plot: expected with filter" in capsys.readouterr().err
+def test_there_is_no_picture_of_attention(tmp_path, capsys):
+    assert main(["bench", "model", "attention", "--plot", str(tmp_path / "model.png")]) == 1
+    assert "--plot: expected with filter or a network" in capsys.readouterr().err

@@ -96,7 +96,7 @@ def test_the_operator_computes_the_graph_with_constant_weights(mixed):
 
     SpectralFilterByNumpy.__name__ = "SpectralFilter"
     x = torch.randn(3, 36, 8)
-    ir_model = exporter._record(mixed, (torch.randn(2, 36, 8),), None, None)
+    ir_model = exporter.record(mixed, (torch.randn(2, 36, 8),))
     model = pytest.importorskip("onnx_ir").to_proto(ir_model)
     constants = {tensor.name for tensor in model.graph.initializer}
     nodes = [node for node in model.graph.node if node.domain == "ffpose"]

@@ -8,6 +8,7 @@ import platform
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,8 @@ def environment() -> dict[str, Any]:
     return {
         "ffpose": ffpose.__version__,
         "torch": torch.__version__,
+        "onnxruntime": _installed("onnxruntime"),
+        "openvino": _installed("openvino"),
         "python": platform.python_version(),
         "machine": platform.machine(),
         "processor": _processor(),
@@ -70,6 +73,13 @@ def environment() -> dict[str, Any]:
         "bfloat16_instructions": bfloat16_instructions(),
         "cores": cores(),
     }
+
+
+def _installed(package: str) -> str:
+    """Return the version of a package, without importing it; "not installed" without one."""
+    with suppress(metadata.PackageNotFoundError):
+        return metadata.version(package)
+    return "not installed"
 
 
 def bfloat16_instructions() -> list[str]:

@@ -1,4 +1,4 @@
-"""`ffpose bench model`: inference and training of the whole network, against torch's attention.
+"""`ffpose bench model attention`: inference and training with ours and torch's attention.
 
 The baseline ("before") runs the forward of `torch.nn.MultiheadAttention`. The contenders of a case
 are timed in turn in this process (`ffpose.bench.timing`), so that other load on the machine affects

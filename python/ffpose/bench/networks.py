@@ -1,4 +1,4 @@
-"""The contenders of `ffpose bench model`: a network with our attention, and with torch's.
+"""The contenders of `ffpose bench model attention`: a network with our attention, and with torch's.
 
 The baseline differs in one layer: it runs the forward of `torch.nn.MultiheadAttention`, which in
 evaluation on CPUs writes the scores of all pairs of tokens to memory.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import torch
 from torch import Tensor, nn
@@ -24,6 +24,8 @@ TASKS: tuple[Task, ...] = get_args(Task)
 
 Precision = Literal["float32", "bfloat16"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
+
+Network = TypeVar("Network", bound=nn.Module)
 
 BEFORE = "nn.MultiheadAttention"
 APART = 1e-4
@@ -67,7 +69,7 @@ class BuiltInAttention(nn.Module):
         return result
 
 
-def with_built_in_attention(model: FilterformerPose) -> FilterformerPose:
+def with_built_in_attention(model: Network) -> Network:
     """Return a copy of ``model`` whose attention is torch's."""
     model = copy.deepcopy(model)
     for parent in list(model.modules()):

@@ -138,14 +138,10 @@ def write_graph(
     if module.training:
         raise ValueError("module: expected evaluation mode, got training; call module.eval()")
     say("recording the graph")
-    model = _record(module, batches[0], input_names, output_names)
-    kind: Filter = filter if filters_of(model) else "none"
-    if kind == "matmul":
+    model = record(module, batches[0], input_names, output_names)
+    if filter == "matmul":
         say(f"replacing {len(filters_of(model))} filters by matrices")
-        replace_filters(model)
-    model.metadata_props.clear()
-    model.metadata_props.update(entries(kind))
-    data = sealed(require("onnx_ir", "export").to_proto(model).SerializeToString())
+    data, kind = serialized(model, filter, entries)
     with atomic_write(path) as temporary:
         temporary.write_bytes(data)
         say(f"comparing with torch, batches of {', '.join(str(len(b[0])) for b in batches)}")
@@ -155,6 +151,24 @@ def write_graph(
 
 
 Outputs = Mapping[str, NDArray[Any]]
+
+
+def serialized(
+    model: Any, filter: FilterChoice, entries: Callable[[Filter], Mapping[str, str]]
+) -> tuple[bytes, Filter]:
+    """Return the bytes of a recorded graph's file, and how it computes its filters.
+
+    Args:
+        model: An `onnx_ir.Model`; with ``"matmul"`` its filters are replaced in place.
+        filter: As `export`.
+        entries: As `write_graph`.
+    """
+    kind: Filter = filter if filters_of(model) else "none"
+    if kind == "matmul":
+        replace_filters(model)
+    model.metadata_props.clear()
+    model.metadata_props.update(entries(kind))
+    return sealed(require("onnx_ir", "export").to_proto(model).SerializeToString()), kind
 
 
 def relative_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
@@ -170,13 +184,13 @@ def _largest(values: NDArray[Any]) -> float:
     return float(np.max(np.abs(values), initial=0.0))
 
 
-def _record(
+def record(
     module: nn.Module,
     args: tuple[Tensor, ...],
-    input_names: Sequence[str] | None,
-    output_names: Sequence[str] | None,
+    input_names: Sequence[str] | None = None,
+    output_names: Sequence[str] | None = None,
 ) -> Any:
-    """Return the `onnx_ir.Model` of a module, its batch of any size."""
+    """Return the `onnx_ir.Model` of a module, its batch of any size; arguments as `export`."""
     optimizer = require("onnxscript.optimizer", "export")
     shapes = tuple({0: torch.export.Dim.DYNAMIC} for _ in args)
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), torch.no_grad():

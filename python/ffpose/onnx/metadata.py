@@ -3,7 +3,8 @@
 Each is a string: ``ffpose_format`` (of these entries), ``ffpose_version``, ``architecture``,
 ``quaternion_order``, ``filter``, ``weights_sha256``; and, as JSON, ``config``, ``preprocessing``,
 ``camera`` (of the images trained on), ``view_camera`` (of the network's input) and
-``in_view_threshold``.
+``in_view_threshold``. A graph in int8 has ``precision`` and ``calibration_sha256`` too: of the
+SHA-256s in hexadecimal, one behind the other, of the images that it was calibrated with.
 
 The last record of the file is the entry ``ffpose_sha256``: the SHA-256 of all bytes before it, by
 which an altered file is known, with nothing beside it. ONNX is protobuf, whose records may stand in
@@ -37,6 +38,8 @@ Filter = Literal["custom", "matmul", "none"]
 """How the graph computes its spectral filters: by the library's operator, by standard ones; none
 are in it."""
 
+Precision = Literal["float32", "int8"]
+
 METADATA_PROPS = 14
 """Number of the field in ONNX's ModelProto; within an entry, 1 is the key and 2 the value."""
 
@@ -54,6 +57,8 @@ class ModelMetadata:
             flagged.
         weights_sha256: Of the weights file that the graph was made of.
         version: Of ffpose that wrote the graph.
+        precision: Of its convolutions and matrix products.
+        calibration_sha256: Of the calibration images of a graph in int8.
     """
 
     config: FilterformerPoseConfig
@@ -63,6 +68,8 @@ class ModelMetadata:
     in_view_threshold: float | None = None
     weights_sha256: str | None = None
     version: str = __version__
+    precision: Precision = "float32"
+    calibration_sha256: str | None = None
 
     def to_entries(self) -> dict[str, str]:
         """Return the entries but for the checksum."""
@@ -81,8 +88,14 @@ class ModelMetadata:
             "filter": self.filter,
             "weights_sha256": self.weights_sha256 or "",
             "config": self.config.to_json(),
+            **self._int8_entries(),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
         }
+
+    def _int8_entries(self) -> dict[str, str]:
+        if self.precision == "float32":
+            return {}
+        return {"precision": self.precision, "calibration_sha256": self.calibration_sha256 or ""}
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, str]) -> ModelMetadata:
@@ -96,6 +109,10 @@ class ModelMetadata:
         for name, known in {**expected, "filter": get_args(Filter)}.items():
             if entries[name] not in known:
                 raise ValueError(f"{name}: expected one of {known}, got {entries[name]!r}")
+        precision: Any = entries.get("precision", "float32")
+        if precision not in get_args(Precision):
+            known = get_args(Precision)
+            raise ValueError(f"precision: expected one of {known}, got {precision!r}")
         camera = json.loads(entries["camera"])
         filter: Any = entries["filter"]
         return cls(
@@ -106,6 +123,8 @@ class ModelMetadata:
             json.loads(entries["in_view_threshold"]),
             entries["weights_sha256"] or None,
             entries["ffpose_version"],
+            precision,
+            entries.get("calibration_sha256") or None,
         )
 
 

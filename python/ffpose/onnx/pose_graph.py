@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from ffpose.config import FilterformerPoseConfig
 from ffpose.files import sha256
 from ffpose.models import FilterformerPose, PosePrediction, read_metadata
 from ffpose.models.filterformer_pose import UncertainPose
@@ -26,6 +28,8 @@ from ffpose.preprocessing import Preprocessing
 
 BATCHES = (2, 1, 3)
 """Sizes of the batches that graph and network are compared on; the first is exported with."""
+
+INPUT_NAMES = ["images"]
 
 PATCHES = 8
 """Of a random image, along each side."""
@@ -58,8 +62,23 @@ def export_weights(
     if Path(path).suffix != ".onnx":
         raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
     source = read_metadata(weights)
-    model = FilterformerPose.from_pretrained(weights)
-    digest = sha256(resolve(weights))
+    return write_graph(
+        FilterformerPose.from_pretrained(weights),
+        [(random_images(source.preprocessing, count),) for count in BATCHES],
+        path,
+        filter,
+        graph_entries(weights),
+        pose_differences,
+        input_names=INPUT_NAMES,
+        output_names=output_names(source.config),
+        tolerance=tolerance,
+        say=say,
+    )
+
+
+def graph_entries(weights: str | Path) -> Callable[[Filter], dict[str, str]]:
+    """Return what gives the metadata of a graph of these weights, for how it computes filters."""
+    source, digest = read_metadata(weights), sha256(resolve(weights))
 
     def entries(kind: Filter) -> dict[str, str]:
         return ModelMetadata(
@@ -71,19 +90,13 @@ def export_weights(
             digest,
         ).to_entries()
 
-    names = UncertainPose if source.config.orientation_view == "object" else PosePrediction
-    return write_graph(
-        model,
-        [(random_images(source.preprocessing, count),) for count in BATCHES],
-        path,
-        filter,
-        entries,
-        pose_differences,
-        input_names=["images"],
-        output_names=list(names._fields),
-        tolerance=tolerance,
-        say=say,
-    )
+    return entries
+
+
+def output_names(config: FilterformerPoseConfig) -> list[str]:
+    """Return the names of a network's outputs, in order."""
+    looks_twice = config.orientation_view == "object"
+    return list((UncertainPose if looks_twice else PosePrediction)._fields)
 
 
 def random_images(preprocessing: Preprocessing, count: int) -> torch.Tensor:

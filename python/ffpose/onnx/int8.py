@@ -1,0 +1,133 @@
+"""Static quantization of a graph to int8: what takes the time, in eight bits.
+
+Convolutions and products with constant matrices of the backbone and of the branches become int8:
+weights by channel, activations by the range that calibration images show. Spectral filters,
+normalizations, heads and the geometry of a second look stay float32. Written as pairs of
+QuantizeLinear and DequantizeLinear, which ONNX Runtime and OpenVINO fuse into integer operators.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.errors import require
+from ffpose.onnx.library import get_library_path
+from ffpose.onnx.metadata import Filter
+
+OPERATORS = ("Conv", "Gemm", "MatMul")
+"""What is quantized where it has a constant weight."""
+
+PARTS = ("backbone", "object_backbone", "projection", "attention", "feed_forward", "flatten")
+"""Words of a module's path within which operators are quantized."""
+
+SCOPES = "pkg.torch.onnx.name_scopes"
+"""Metadata of a node: the path of the module that it comes from."""
+
+
+def quantize(
+    graph: Path, out: Path, filter: Filter, inputs: Iterable[NDArray[np.float32]]
+) -> list[str]:
+    """Write the int8 form of a graph, and return the names of the nodes that were quantized.
+
+    Args:
+        graph: The float32 graph, as torch's exporter names its nodes.
+        out: File to write, in a folder that other files may be written to meanwhile.
+        filter: How the graph computes its filters.
+        inputs: Calibration batches of the graph's first input, at least one.
+
+    Raises:
+        MissingExtraError: onnx or onnxruntime is not installed.
+        RuntimeError: No node can be quantized.
+    """
+    onnx, tools = require("onnx", "export"), require("onnxruntime.quantization", "export")
+    wanted = set(_quantizable(onnx.load(str(graph))))
+    folded = out.with_name("folded.onnx")
+    name = _fold(graph, folded, filter)
+    model = onnx.load(str(folded))
+    nodes = [node.name for node in model.graph.node if node.name in wanted]
+    if not nodes:
+        raise RuntimeError(f"int8: expected a graph with {', '.join(OPERATORS)} in it, got none")
+    quantizer = require("onnxruntime.quantization.qdq_quantizer", "export").QDQQuantizer(
+        model,
+        per_channel=True,
+        reduce_range=False,
+        weight_qType=tools.QuantType.QInt8,
+        activation_qType=tools.QuantType.QUInt8,
+        tensors_range=_ranges(folded, out.with_name("observed.onnx"), filter, name, inputs),
+        nodes_to_quantize=nodes,
+        nodes_to_exclude=[],
+        op_types_to_quantize=list(OPERATORS),
+        extra_options={"MatMulConstBOnly": True},
+    )
+    quantizer.quantize_model()
+    quantizer.model.save_model_to_file(str(out))
+    return nodes
+
+
+def _quantizable(model: Any) -> list[str]:
+    """Return the names of the nodes of an ONNX model whose module lies in one of `PARTS`."""
+    return [
+        node.name
+        for node in model.graph.node
+        if node.op_type in OPERATORS and set(PARTS) & set(_module_path(node))
+    ]
+
+
+def _module_path(node: Any) -> list[str]:
+    """Return the words of the path of a node's module; none of a node that ffpose wrote."""
+    entries = {entry.key: entry.value for entry in node.metadata_props}
+    scopes = ast.literal_eval(entries.get(SCOPES, "[]"))
+    return ".".join(scopes[:-1]).split(".")
+
+
+def _fold(graph: Path, folded: Path, filter: Filter) -> str:
+    """Write a graph with its batch norms folded into convolutions; return its input's name."""
+    runtime = require("onnxruntime", "export")
+    options = _options(runtime, filter)
+    options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_ENABLE_BASIC
+    options.optimized_model_filepath = str(folded)
+    session = runtime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
+    name: str = session.get_inputs()[0].name
+    return name
+
+
+def _ranges(
+    graph: Path, observed: Path, filter: Filter, name: str, inputs: Iterable[NDArray[np.float32]]
+) -> Any:
+    """Return the ranges of the tensors about `OPERATORS`, over all calibration batches."""
+    runtime = require("onnxruntime", "export")
+    calibrate = require("onnxruntime.quantization.calibrate", "export")
+    calibrator = calibrate.MinMaxCalibrater(graph, list(OPERATORS), str(observed))
+    calibrator.augment_graph()
+    options = _options(runtime, filter)  # the calibrator's own know no library
+    options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    calibrator.infer_session = runtime.InferenceSession(
+        str(observed), options, providers=["CPUExecutionProvider"]
+    )
+    calibrator.collect_data(_Reader(name, iter(inputs)))
+    return calibrator.compute_data()
+
+
+class _Reader:
+    """Calibration batches as ONNX Runtime's calibrator asks for them."""
+
+    def __init__(self, name: str, inputs: Iterator[NDArray[np.float32]]) -> None:
+        self.name, self.inputs = name, inputs
+
+    def get_next(self) -> dict[str, NDArray[np.float32]] | None:
+        """Return the next batch by the input's name; None after the last."""
+        batch = next(self.inputs, None)
+        return None if batch is None else {self.name: batch}
+
+
+def _options(runtime: Any, filter: Filter) -> Any:
+    options = runtime.SessionOptions()
+    if filter == "custom":
+        options.register_custom_ops_library(get_library_path())
+    return options

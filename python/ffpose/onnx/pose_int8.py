@@ -1,0 +1,121 @@
+"""``ffpose export --int8``: a pose network's graph in int8, and what it loses by that."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.arrays import rotation_error, translation_error
+from ffpose.errors import require
+from ffpose.files import atomic_write, sha256
+from ffpose.onnx.int8 import quantize
+from ffpose.onnx.metadata import read_model_metadata, sealed
+from ffpose.onnx.runtime import PoseEstimator
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class Quantized:
+    """What was written, and how far its poses are from float32's on the calibration images.
+
+    Attributes:
+        path: The ONNX file.
+        bytes: Length of the file.
+        nodes: Number of nodes in int8.
+        translation_m: ``(N,)`` differences by image, metres.
+        rotation_deg: ``(N,)`` differences by image, degrees.
+    """
+
+    path: Path
+    bytes: int
+    nodes: int
+    translation_m: NDArray[np.floating[Any]]
+    rotation_deg: NDArray[np.floating[Any]]
+
+    def lines(self) -> list[str]:
+        """Return the differences in words, median and largest."""
+        pairs = (("translation", self.translation_m, "m"), ("rotation", self.rotation_deg, "deg"))
+        return [
+            f"int8 against float32, {what}: median {np.median(values):.3g} {unit}, largest"
+            f" {values.max():.3g} {unit}"
+            for what, values, unit in pairs
+        ]
+
+
+def calibration_images(folder: str | Path) -> list[Path]:
+    """Return the PNG and JPEG files of a folder, sorted by name.
+
+    Raises:
+        FileNotFoundError: There is no such folder, or no image in it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"calibrate: expected a folder of images, got {folder}")
+    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    if not images:
+        raise FileNotFoundError(f"calibrate: expected PNG or JPEG files in {folder}, got none")
+    return images
+
+
+def quantize_graph(
+    graph: str | Path,
+    path: str | Path,
+    images: Sequence[Path],
+    *,
+    say: Callable[[str], None] = lambda _: None,
+) -> Quantized:
+    """Write the int8 form of a graph of ``ffpose export``.
+
+    Args:
+        graph: The float32 graph.
+        path: The ONNX file to write; its folder must exist.
+        images: To calibrate with: as the network will see them, by the camera of the weights.
+        say: Is told what is under way.
+
+    Raises:
+        FileNotFoundError: There is no such graph or image, or the operator's library is missing.
+        MissingExtraError: onnx or onnxruntime is not installed.
+        ffpose.DataError: The graph is not of ``ffpose export``, or an image cannot be read.
+        ValueError: ``images`` is empty, the graph is int8 already, or an image is of another aspect
+            ratio than the camera's.
+    """
+    metadata = read_model_metadata(graph)
+    if metadata.precision != "float32":
+        raise ValueError(f"graph: expected float32, got {metadata.precision}: {graph}")
+    if not images:
+        raise ValueError("images: expected at least 1, got none")
+    estimator = PoseEstimator(graph)
+    digests = "".join(sha256(image) for image in images)
+    described = replace(
+        metadata,
+        precision="int8",
+        calibration_sha256=hashlib.sha256(digests.encode()).hexdigest(),
+    )
+    onnx = require("onnx", "export")
+    with tempfile.TemporaryDirectory(prefix="ffpose-int8-") as folder:
+        say(f"calibrating with {len(images)} images")
+        out = Path(folder) / "int8.onnx"
+        inputs = (estimator.preprocess(image)[None] for image in images)
+        nodes = quantize(Path(graph), out, metadata.filter, inputs)
+        model = onnx.load(str(out))
+    onnx.helper.set_model_props(model, described.to_entries())
+    data = sealed(model.SerializeToString())
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(data)
+        say("comparing with float32")
+        in_int8 = PoseEstimator(temporary)
+        pairs = [(estimator(image), in_int8(image)) for image in images]
+    t, t_hat, q, q_hat = (
+        np.array(values) for values in zip(*((a.t, b.t, a.q, b.q) for a, b in pairs), strict=True)
+    )
+    return Quantized(
+        Path(path), len(data), len(nodes), translation_error(t, t_hat), rotation_error(q, q_hat)
+    )

@@ -1,0 +1,173 @@
+"""Quantization to int8, of a graph made by hand: what is quantized, what is lost."""
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ffpose.cli import main
+from ffpose.config import CONFIGS
+from ffpose.errors import DataError
+from ffpose.onnx.metadata import ModelMetadata, read_model_metadata, sealed
+from ffpose.onnx.runtime import PoseEstimator
+from ffpose.preprocessing import Preprocessing
+
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+pose_int8 = pytest.importorskip("ffpose.onnx.pose_int8")
+
+SIZE = (16, 32)
+CHANNELS = 8
+
+
+def node(kind, inputs, output, scope, **attributes):
+    made = onnx.helper.make_node(kind, inputs, [output], name=f"node_{output}", **attributes)
+    entry = made.metadata_props.add()
+    entry.key, entry.value = "pkg.torch.onnx.name_scopes", repr(["", *scope, output])
+    return made
+
+
+@pytest.fixture
+def graph(tmp_path):
+    """A convolution in the backbone, and a linear head to position and quaternion."""
+    random = np.random.default_rng(0)
+    constants = {
+        "kernel": random.normal(size=(CHANNELS, 3, 3, 3)).astype(np.float32),
+        "weight": random.normal(size=(CHANNELS, 7)).astype(np.float32),
+        "ends": np.array([3, 4]),
+    }
+    head = ["translation_branch", "translation_branch.head"]
+    nodes = [
+        node("Conv", ["images", "kernel"], "maps", ["backbone"], pads=[1, 1, 1, 1]),
+        node("Relu", ["maps"], "bright", ["backbone"]),
+        node("GlobalAveragePool", ["bright"], "means", ["translation_branch"]),
+        node("Flatten", ["means"], "latent", ["translation_branch"]),
+        node("MatMul", ["latent", "weight"], "numbers", head),
+        onnx.helper.make_node("Split", ["numbers", "ends"], ["translation", "raw"], axis=1),
+        onnx.helper.make_node("LpNormalization", ["raw"], ["orientation"], axis=1),
+    ]
+    kinds = {"images": ["b", 3, *SIZE], "translation": ["b", 3], "orientation": ["b", 4]}
+    images, *outputs = (
+        onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
+        for name, shape in kinds.items()
+    )
+    body = onnx.helper.make_graph(
+        nodes,
+        "g",
+        [images],
+        outputs,
+        [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    model = onnx.helper.make_model(
+        body, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=10
+    )
+    config = replace(CONFIGS["tiny"], image_size=SIZE)
+    metadata = ModelMetadata(config, Preprocessing(SIZE), "none", weights_sha256=64 * "a")
+    onnx.helper.set_model_props(model, metadata.to_entries())
+    path = tmp_path / "float.onnx"
+    path.write_bytes(sealed(model.SerializeToString()))
+    return path
+
+
+@pytest.fixture
+def images(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    (folder / "labels.csv").write_text("no image")
+    random = np.random.default_rng(1)
+    for name in ("b.PNG", "a.png", "c.jpg"):
+        Image.fromarray(random.integers(0, 256, (*SIZE, 3), np.uint8)).save(folder / name)
+    return pose_int8.calibration_images(folder)
+
+
+def test_the_backbone_is_int8_and_the_head_float(graph, images, tmp_path):
+    out = tmp_path / "int8.onnx"
+    quantized = pose_int8.quantize_graph(graph, out, images)
+    model = onnx.load(out)
+    onnx.checker.check_model(model, full_check=True)
+    makers = {output: node for node in model.graph.node for output in node.output}
+    convolution, product = (
+        next(node for node in model.graph.node if node.op_type == kind)
+        for kind in ("Conv", "MatMul")
+    )
+    assert {makers[name].op_type for name in convolution.input} == {"DequantizeLinear"}
+    scales = {each.name: each for each in model.graph.initializer}
+    weight = makers[convolution.input[1]]
+    assert scales[weight.input[0]].data_type == onnx.TensorProto.INT8
+    assert list(scales[weight.input[1]].dims) == [CHANNELS]  # by channel
+    assert product.input[1] == "weight"
+    assert "DequantizeLinear" not in {makers[name].op_type for name in product.input[:1]}
+    assert quantized.nodes == 1
+    assert quantized.bytes == out.stat().st_size
+
+
+def test_the_loss_is_that_of_the_poses(graph, images, tmp_path):
+    out = tmp_path / "int8.onnx"
+    quantized = pose_int8.quantize_graph(graph, out, images)
+    single, eight = PoseEstimator(graph), PoseEstimator(out)
+    for place, image in enumerate(images):
+        a, b = single(image), eight(image)
+        apart = np.linalg.norm(a.t - b.t)
+        assert quantized.translation_m[place] == pytest.approx(apart)
+        assert 0 < apart < 0.02 * np.linalg.norm(a.t)
+        angle = np.degrees(2 * np.arccos(min(1.0, abs(a.q @ b.q))))
+        assert quantized.rotation_deg[place] == pytest.approx(angle, abs=1e-4)
+
+
+def test_median_and_largest_loss_in_words(tmp_path):
+    values = np.array([1.0, 5.0, 2.0])
+    assert pose_int8.Quantized(tmp_path, 0, 0, values, values / 10).lines() == [
+        "int8 against float32, translation: median 2 m, largest 5 m",
+        "int8 against float32, rotation: median 0.2 deg, largest 0.5 deg",
+    ]
+
+
+def test_the_metadata_names_precision_and_images(graph, images, tmp_path):
+    out = tmp_path / "int8.onnx"
+    pose_int8.quantize_graph(graph, out, images)
+    before, after = read_model_metadata(graph), read_model_metadata(out)
+    digests = [hashlib.sha256(image.read_bytes()).hexdigest() for image in images]
+    digest = hashlib.sha256("".join(digests).encode()).hexdigest()
+    assert before.precision == "float32"
+    assert after == replace(before, precision="int8", calibration_sha256=digest)
+
+
+def test_images_are_sorted_and_other_files_left_out(images):
+    assert [image.name for image in images] == ["a.png", "b.PNG", "c.jpg"]
+
+
+def test_what_cannot_be_calibrated_is_refused(graph, images, tmp_path):
+    out = tmp_path / "int8.onnx"
+    with pytest.raises(FileNotFoundError, match="calibrate: expected a folder of images, got"):
+        pose_int8.calibration_images(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileNotFoundError, match=r"PNG or JPEG files in .*empty, got none"):
+        pose_int8.calibration_images(tmp_path / "empty")
+    with pytest.raises(ValueError, match="images: expected at least 1, got none"):
+        pose_int8.quantize_graph(graph, out, [])
+    images[1].write_bytes(b"\x89PNG\r\n\x1a\n")
+    with pytest.raises(DataError, match=r"b\.PNG"):
+        pose_int8.quantize_graph(graph, out, images)
+    assert not out.exists()
+    pose_int8.quantize_graph(graph, out, images[:1])
+    with pytest.raises(ValueError, match="graph: expected float32, got int8"):
+        pose_int8.quantize_graph(out, tmp_path / "again.onnx", images[:1])
+
+
+def test_a_graph_without_a_backbone_is_refused(graph, images, tmp_path):
+    model = onnx.load(graph)
+    for each in model.graph.node:
+        del each.metadata_props[:]
+    checksum = [entry for entry in model.metadata_props if entry.key == "ffpose_sha256"]
+    model.metadata_props.remove(*checksum)
+    graph.write_bytes(sealed(model.SerializeToString()))
+    with pytest.raises(RuntimeError, match="int8: expected a graph with Conv, Gemm, MatMul"):
+        pose_int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
+
+
+@pytest.mark.parametrize("words", [["--int8"], ["--calibrate", "images"]])
+def test_int8_and_calibrate_belong_together(words, capsys):
+    assert main(["export", "soyuz-easy", "--out", "a.onnx", *words]) == 1
+    assert "expected both or neither" in capsys.readouterr().err
