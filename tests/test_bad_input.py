@@ -33,6 +33,7 @@ GOOD = {
     "weight": W,
     "layout": "tokens",
     "num_threads": 1,
+    "out": None,
     "need_x": True,
     "need_weight": True,
     "q": Q,

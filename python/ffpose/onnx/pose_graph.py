@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,7 +31,10 @@ BATCHES = (2, 1, 3)
 INPUT_NAMES = ["images"]
 
 PATCHES = 8
-"""Of a random image, along each side."""
+"""Of a random image, along each side of their square."""
+
+SHARE = 4
+"""The shorter side of a random image over that of the square."""
 
 
 def export_weights(
@@ -100,15 +102,19 @@ def output_names(config: FilterformerPoseConfig) -> list[str]:
 
 
 def random_images(preprocessing: Preprocessing, count: int) -> torch.Tensor:
-    """Return standardized images of random patches, ``(count, 3, h, w)``, always the same.
+    """Return standardized images of random patches amid black, ``(count, 3, h, w)``.
 
-    Not of random pixels: on those a network that looks twice loses three of float32's digits, in
-    torch as in any runtime (against float64), and a graph could not be told from a wrong one.
+    Something to look at twice, in its place. Where there is nothing, such as on random pixels, a
+    network that looks twice loses up to three of float32's digits, in torch as in any runtime
+    (against float64), and a graph could not be told from a wrong one.
     """
     height, width = preprocessing.size
-    sides = (math.ceil(height / PATCHES), math.ceil(width / PATCHES))
+    side = max(min(height, width) // SHARE // PATCHES, 1)
     colors = np.random.default_rng(count).random((count, 3, PATCHES, PATCHES), np.float32)
-    pixels = np.kron(colors, np.ones(sides, np.float32))[..., :height, :width]
+    patches = np.kron(colors, np.ones((side, side), np.float32))
+    pixels = np.zeros((count, 3, height, width), np.float32)
+    top, left = (height - patches.shape[2]) // 2, (width - patches.shape[3]) // 2
+    pixels[:, :, top : top + patches.shape[2], left : left + patches.shape[3]] = patches
     mean, std = np.array((preprocessing.mean, preprocessing.std), np.float32)[:, :, None, None]
     return torch.from_numpy((pixels - mean) / std)
 
