@@ -375,7 +375,7 @@ mod tests {
         }
     }
 
-    /// Of the grids and tokens of the networks, and of sizes that no power of two divides.
+    /// Shapes of the networks, and sizes that no power of two divides.
     const SHAPES: [(Layout, [usize; 3]); 12] = [
         (Layout::Grid, [7, 7, 512]),
         (Layout::Grid, [14, 14, 256]),
@@ -564,7 +564,7 @@ mod tests {
         }
     }
 
-    /// Weight's gradients of a grid, as planned for cores with a second cache of so many bytes.
+    /// Gradient of the weight of a grid, as planned for cores with `cache` bytes of L2 cache.
     fn weight_gradient(isa: Isa, shape: Shape, cache: usize, threads: usize) -> ArrayD<f32> {
         let kernel = Arc::new(Grid::tuned(isa, shape, cache));
         let filter = SpectralFilter { isa, shape, kernel: Some(kernel) };

@@ -30,7 +30,7 @@ pub struct Picture {
     pub width: usize,
     /// In pixels.
     pub height: usize,
-    /// Of shape `(height, width, 3)`.
+    /// Red, green and blue, `(height, width, 3)`.
     pub pixels: Vec<u8>,
 }
 

@@ -20,9 +20,9 @@ enum Mode {
 /// Turns an image into the network's input.
 #[derive(Debug)]
 pub struct Preprocessing {
-    /// Of the input, in pixels.
+    /// Height of the network's input, in pixels.
     pub height: usize,
-    /// Of the input, in pixels.
+    /// Width of the network's input, in pixels.
     pub width: usize,
     mode: Mode,
     mean: [f32; 3],

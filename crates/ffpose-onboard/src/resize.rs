@@ -10,7 +10,7 @@
 
 use crate::picture::Picture;
 
-/// Of a weight, behind the point: 32 without 8 of a pixel and 2 for sums beyond the range.
+/// Fractional bits of a weight: 32 less the 8 of a pixel and 2 for sums beyond its range.
 const BITS: u32 = 22;
 
 /// The filters that networks are trained with.

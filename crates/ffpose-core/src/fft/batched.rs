@@ -17,7 +17,7 @@ use crate::{Layout, Shape};
 
 const BATCH: Axis = Axis(0);
 
-/// Points of an image that are copied before those of the next: their lines stay in the first cache.
+/// Points of an image that are copied before those of the next: their lines stay in the L1 cache.
 const BLOCK: usize = 64;
 
 /// The plan for images of fewer channels than a vector has lanes; tokens have one.
@@ -25,7 +25,7 @@ pub(crate) struct Batched<T> {
     isa: Isa,
     inner: Inner<T>,
     shape: Shape,
-    /// Of a plane.
+    /// Points of a plane.
     points: usize,
     channels: usize,
     /// Lanes of a vector.

@@ -17,7 +17,7 @@ use crate::Shape;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{
-    Element, Isa, LINE_BYTES, Stored, Tile, TileMut, aligned, come_unasked, second_cache, slack,
+    Element, Isa, LINE_BYTES, Stored, Tile, TileMut, aligned, come_unasked, l2_cache, slack,
 };
 
 /// Bytes of the lanes of a narrow tile, as they are computed with. Neighbouring lines of an image soon after each other are what
@@ -27,14 +27,14 @@ const TILE_BYTES: usize = 8 * LINE_BYTES;
 /// The same of the widest tile.
 const WIDEST_TILE_BYTES: usize = 4 * TILE_BYTES;
 
-/// What part of the second cache the packed weight of a tile wider than a narrow one takes at most.
+/// What part of the L2 cache the packed weight of a tile wider than a narrow one takes at most.
 const PACKED_SHARE: usize = 8;
 
 /// Bytes of a spectrum up to which lanes of a tile go together: about what a second-level cache holds. Several images come
 /// from memory, which is quicker at longer runs.
 const SPECTRA_BYTES: usize = 1 << 20;
 
-/// Bytes of the second cache that one image alone, likely to be there, leaves to what streams through beside its spectrum.
+/// Bytes of the L2 cache that one image alone, likely to be there, leaves to what streams through beside its spectrum.
 const STREAM_BYTES: usize = 3 << 18;
 
 /// What the spectrum of one image alone has at least.
@@ -82,11 +82,11 @@ struct Scratch<'a, T> {
 
 impl<T: Element> Grid<T> {
     pub(crate) fn new(isa: Isa, shape: Shape) -> Self {
-        Self::tuned(isa, shape, second_cache())
+        Self::tuned(isa, shape, l2_cache())
     }
 
-    /// The plan for cores that have a second cache of so many bytes.
-    pub(crate) fn tuned(isa: Isa, shape: Shape, second_cache: usize) -> Self {
+    /// The plan for cores with so many bytes of L2 cache.
+    pub(crate) fn tuned(isa: Isa, shape: Shape, l2_cache: usize) -> Self {
         let (height, width) = (shape.rows, shape.columns);
         let rows = Rows::new(isa, width);
         let row_frequencies = rows.frequencies();
@@ -119,13 +119,13 @@ impl<T: Element> Grid<T> {
         };
         let lanes = isa.lanes::<T>();
         let bytes = columns.packed_len() * size_of::<T>() / lanes;
-        let tile = tile::<T>(shape.lanes, second_cache / PACKED_SHARE / bytes);
+        let tile = tile::<T>(shape.lanes, l2_cache / PACKED_SHARE / bytes);
         // a power of two, so that a narrow tile has no rest
         let together = |bytes: usize| {
             let fitting = bytes / (columns.len() * size_of::<T>()) * lanes;
             1 << fitting.min(tile).max(lanes).ilog2()
         };
-        let alone = second_cache.saturating_sub(STREAM_BYTES);
+        let alone = l2_cache.saturating_sub(STREAM_BYTES);
         let alone = together(alone.clamp(ALONE_BYTES, SPECTRA_BYTES));
         let together = together(SPECTRA_BYTES);
         let is_whole = shape.lanes.is_multiple_of(lanes);
@@ -175,9 +175,9 @@ impl<T: Element> Grid<T> {
         self.place(!come_unasked(bytes, each))
     }
 
-    /// For lanes of one image: far are those that do not fit in the second cache together with their result and their weight.
+    /// For lanes of one image: far are those that do not fit in the L2 cache together with their result and their weight.
     fn place_of_one<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
-        self.place(3 * size_of::<X>() * x.len() > second_cache())
+        self.place(3 * size_of::<X>() * x.len() > l2_cache())
     }
 
     /// Parts of `lanes` lanes, at most `together` in each: whole vectors, then the rest.

@@ -117,7 +117,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
 /// As [`Product`], with a weight in natural order.
 pub(crate) struct NaturalProduct<'a, T> {
     pub(crate) packing: &'a Packing<T>,
-    /// Of complex numbers.
+    /// Complex numbers, as pairs of real ones.
     pub(crate) weight: Tile<'a, T>,
     pub(crate) conjugate: bool,
 }
@@ -142,7 +142,7 @@ pub(crate) struct NaturalGradient<'a, T> {
     pub(crate) packing: &'a Packing<T>,
     /// By position.
     pub(crate) x: Tile<'a, T>,
-    /// Of complex numbers.
+    /// Complex numbers, as pairs of real ones.
     pub(crate) gradient: TileMut<'a, T>,
 }
 

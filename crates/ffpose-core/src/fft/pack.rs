@@ -9,9 +9,9 @@ use crate::simd::{Algorithm, Complex, Element, Isa, Tile, TileMut, Vector};
 
 /// Where the places of kernel order come from.
 pub(crate) struct Packing<T> {
-    /// Of the first column: the bin and its mirror.
+    /// Places of the first column: the bin and its mirror.
     hermitian: Vec<(usize, usize)>,
-    /// Of all others: the bin, and whether it is conjugated.
+    /// Places of all others: the bin, and whether it is conjugated.
     plain: Vec<(usize, bool)>,
     weight: Scales<T>,
     gradient: Scales<T>,

@@ -26,7 +26,7 @@ impl Failure {
         Self { code: INVALID_ARGUMENT, message }
     }
 
-    /// The same, with words before it.
+    /// Adds to the message where it happened.
     pub(crate) fn at(self, place: impl Display) -> Self {
         Self { message: format!("{place}: {}", self.message), ..self }
     }

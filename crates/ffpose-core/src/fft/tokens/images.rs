@@ -28,7 +28,7 @@ pub(super) struct BackwardImage<'a, X> {
 }
 
 impl<'a, X> BackwardImage<'a, X> {
-    /// The same for a shorter time.
+    /// The same image, borrowed for a shorter time.
     pub(super) fn reborrow<'b>(self) -> BackwardImage<'b, X>
     where
         'a: 'b,

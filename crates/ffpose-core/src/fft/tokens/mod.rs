@@ -46,7 +46,7 @@ use self::weight::Plan;
 use super::roots::root;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
-use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, second_cache, slack};
+use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, l2_cache, slack};
 use crate::tiling::{chunks_mut, in_order};
 
 /// The plan for images `(X, Y)`.
@@ -118,7 +118,7 @@ impl<T: Element> Tokens<T> {
         self.spectrum_len() * size_of::<X>()
     }
 
-    /// Bytes of an image, its result and the weight, about: where the second cache has room for them, the layer before has left
+    /// Bytes of an image, its result and the weight, about: where the L2 cache has room for them, the layer before has left
     /// a single image there.
     fn bytes(&self) -> usize {
         3 * self.spectrum_len() * size_of::<T>()
@@ -269,7 +269,7 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
     ) {
         let weight = weight.to_slice().expect("a whole weight");
         let (spectra, mut team) = team.share(self.spectrum_len());
-        let means = Means { spectra, far: self.bytes() > second_cache(), team: &mut team };
+        let means = Means { spectra, far: self.bytes() > l2_cache(), team: &mut team };
         self.forward_images(vec![(x, y)], weight, means);
     }
 
@@ -280,7 +280,7 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
         let gradients = grad_weight
             .map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural).collect());
         let part = Part { images: vec![BackwardImage { grad, x, grad_x }], gradients };
-        let means = Means { spectra, far: self.bytes() > second_cache(), team: &mut team };
+        let means = Means { spectra, far: self.bytes() > l2_cache(), team: &mut team };
         self.backward_images(vec![part], weight, means);
     }
 }

@@ -53,7 +53,7 @@ impl Plan {
         (0..rows.len()).flat_map(firsts).map(run).collect()
     }
 
-    /// Of each pair of rows where among the sums of a step the real part of `k = 0` is.
+    /// Indices of the real part of `k = 0` among the sums of a step, one for each pair of rows.
     fn zeroth(self, pairs: usize, lanes: usize) -> impl Iterator<Item = usize> {
         (0..pairs).map(move |pair| {
             let item = 2 * pair * self.slots;
