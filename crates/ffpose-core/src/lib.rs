@@ -14,35 +14,28 @@
 
 #![deny(unsafe_code)]
 
-mod batch;
+mod arrays;
 pub mod earth;
 mod error;
 mod fft;
-mod general;
 mod kernel;
 pub mod noise;
 mod number;
 mod parallel;
-mod plans;
 pub mod pose_error;
-mod prepared;
 pub mod quaternion;
 mod real;
-mod rows;
 mod scratch;
 mod shape;
 #[allow(unsafe_code)] // fenced in this one folder
 mod simd;
 mod spectral;
-mod tiling;
-mod widened;
 
 pub use error::Error;
 pub use number::Number;
 pub use parallel::{Pool, StdThreads};
-pub use prepared::Prepared;
 pub use real::Real;
 pub use scratch::{Scratch, Scratches};
 pub use shape::{Layout, Shape};
 pub use simd::{Bf16, F16, Isa};
-pub use spectral::{Gradients, SpectralFilter};
+pub use spectral::{Gradients, Prepared, SpectralFilter};

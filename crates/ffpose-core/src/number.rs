@@ -4,7 +4,7 @@ use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 
 use crate::kernel::{Kernel, TakesHalf};
 use crate::simd::{Algorithm, Bf16, F16, Stored, Vector, narrow, widen};
-use crate::widened::Widened;
+use crate::spectral::Widened;
 use crate::{Isa, Real};
 
 const LANES: Axis = Axis(2);

@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 
 use ndarray::{ArrayD, ArrayViewD, Axis};
 
-use crate::rows::{array_of, finite_rows_of};
+use crate::arrays::{array_of, finite_rows_of};
 use crate::{Error, Real};
 
 /// Relative translation error below which SPEED+ counts none.

@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 
 use ndarray::{ArrayD, ArrayViewD};
 
-use crate::rows::{array_of, rows_of};
+use crate::arrays::{array_of, rows_of};
 use crate::shape::{tuple, wrong};
 use crate::{Error, Real};
 

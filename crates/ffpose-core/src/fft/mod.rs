@@ -43,33 +43,21 @@
 
 #![allow(clippy::needless_range_loop)] // indices say which numbers meet; closures would not be inlined
 
+mod along;
 mod batched;
-mod butterfly;
-mod chirp;
+mod codelets;
 mod columns;
-mod fused;
 mod grid;
-mod lines;
-mod middle;
-mod pack;
-mod pair;
-mod passes;
 mod planes;
-mod planes_pack;
-mod prime;
-mod real;
-mod roots;
-mod rows;
 mod sequence;
-mod spread;
 #[cfg(test)]
 mod tests;
 mod tokens;
 mod transform;
-mod unroll;
 
 use std::sync::Arc;
 
+pub(crate) use along::AlongLines;
 pub(crate) use batched::Batched;
 pub(crate) use grid::Grid;
 use planes::Planes;

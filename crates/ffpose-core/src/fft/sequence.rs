@@ -1,14 +1,14 @@
 //! The filter on sequences, which are grids of height one: lanes are channels, up to two vectors of them at a time.
 //!
 //! A channel sees nothing of the others: of a real line of even length the even and the odd points are real and imaginary part of
-//! a complex line of half the length, which the product takes apart and joins again ([`super::pair`]). A line of odd length is the
+//! a complex line of half the length, which the product takes apart and joins again ([`crate::fft::codelets::pair`]). A line of odd length is the
 //! real part of a complex one.
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use super::columns::{Columns, First};
-use super::pack::{Bins, Packing, Scales};
-use super::passes::inverted;
+use crate::fft::columns::order::{Bins, Packing, Scales};
+use crate::fft::columns::{Columns, First};
+use crate::fft::transform::inverted;
 use crate::kernel::{Backward, Kernel, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{

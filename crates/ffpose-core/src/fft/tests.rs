@@ -1,8 +1,8 @@
 //! Transforms against the sums that define them, for every instruction set of the machine.
 
 use super::grid::Grid;
-use super::rows::{Place, Rows};
-use super::transform::Transform;
+use super::grid::rows::{Place, Rows};
+use crate::fft::transform::Transform;
 use crate::kernel::Kernel;
 use crate::simd::{Bf16, Isa, LINE_BYTES, Tile, TileMut, aligned, slack};
 use crate::{Layout, Real, Shape};

@@ -3,14 +3,14 @@
 use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3};
 
 use super::Tokens;
-use super::columns::Block;
-use super::lanes::{Accumulate, Product};
-use super::order::Step;
+use super::blocks::Block;
+use super::groups::{Accumulate, Product};
 use super::passes::{Parts, Rows};
+use super::steps::Step;
 use super::weight::{GradientRows, Unpack, Weight};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored};
-use crate::tiling::in_order;
+use crate::spectral::in_order;
 
 /// Where the gradient of the weight of a step goes.
 pub(super) enum StepGradient<'a, T> {

@@ -4,10 +4,8 @@
 //! real and imaginary part. `M = P Q`: `P` real across, then `Q`; for odd `Q` without twiddles (Good–Thomas), for a power of two
 //! with (Cooley–Tukey).
 
-use super::columns::Block;
-use crate::fft::butterfly::{Codelet, Dft, turn};
-use crate::fft::real::{RealDft, TwoReal};
-use crate::fft::unroll::unroll;
+use super::blocks::Block;
+use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, turn, unroll};
 use crate::simd::{
     Algorithm, Complex, Isa, Stored, Tile, TileMut, Vector, complex_vectors, gather, scatter,
 };

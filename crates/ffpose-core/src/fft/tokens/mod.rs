@@ -3,9 +3,9 @@
 //! Element `L y1 + y0` of a row is lane `y0` of vector `y1`, so that a row is a real line of `M = Y / L` vectors, and all but
 //! one of the transforms go across vectors. That one, over `y0`, comes last, next to the product, with one transpose each way:
 //!
-//! 1. For each `x2`, rows `x = B x1 + x2`: the lines, then `A` over `x1`, twiddles ([`lines`], [`columns`]).
+//! 1. For each `x2`, rows `x = B x1 + x2`: the lines, then `A` over `x1`, twiddles ([`lines`], [`blocks`]).
 //! 2. For each pair of blocks `u1` and `-u1`, rows `u = u1 + A u2`: `B` over `x2`; transpose, `L` over `y0`, product, and back
-//!    ([`lanes`]); `B` back.
+//!    ([`groups`]); `B` back.
 //! 3. As the first, back.
 //!
 //! Between passes the spectrum is in the output, or in scratch where that is of half precision, block after block. No pass moves
@@ -27,13 +27,12 @@ macro_rules! with_run {
     };
 }
 
-mod columns;
+mod blocks;
+mod groups;
 mod images;
-mod lanes;
 mod lines;
-mod order;
 mod passes;
-mod turned;
+mod steps;
 mod weight;
 
 use std::collections::VecDeque;
@@ -41,13 +40,13 @@ use std::collections::VecDeque;
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
 use self::images::{BackwardImage, Means, Part, StepGradient};
-use self::order::Step;
+use self::steps::Step;
 use self::weight::Plan;
-use super::roots::root;
+use crate::fft::codelets::root;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, l2_cache, slack};
-use crate::tiling::{chunks_mut, in_order};
+use crate::spectral::{chunks_mut, in_order};
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
@@ -99,7 +98,7 @@ impl<T: Element> Tokens<T> {
             twiddles: twiddles.collect(),
             steps,
             rows_each,
-            turns: Table::new(&lanes::twiddles([points, width], lanes, rows_each)),
+            turns: Table::new(&groups::twiddles([points, width], lanes, rows_each)),
         })
     }
 
@@ -297,6 +296,6 @@ fn images_of_mut<X>(batch: ArrayViewMut3<'_, X>) -> impl Iterator<Item = ArrayVi
 
 /// `X = A B` with codelets for both, as near to a square as can be.
 fn factors(points: usize) -> Option<[usize; 2]> {
-    let pairs = columns::LENGTHS.into_iter().flat_map(|a| columns::LENGTHS.map(|b| [a, b]));
+    let pairs = blocks::LENGTHS.into_iter().flat_map(|a| blocks::LENGTHS.map(|b| [a, b]));
     pairs.filter(|[a, b]| a * b == points).min_by_key(|[a, b]| a.abs_diff(*b))
 }

@@ -2,13 +2,13 @@
 
 use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis};
 
-use super::columns::{Block, block_to_image, image_to_block};
-use super::lanes::{Filter, Middle, Turns};
-use super::order::Step;
+use super::blocks::{Block, block_to_image, image_to_block};
+use super::groups::{Filter, Middle, Turns};
+use super::steps::Step;
 use super::{Tokens, lines};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored, Tile, TileMut, aligned, slack};
-use crate::tiling::chunks_mut;
+use crate::spectral::chunks_mut;
 
 /// The rows of blocks `u1` and, unless it is the same, `-u1`.
 pub(super) type Rows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];

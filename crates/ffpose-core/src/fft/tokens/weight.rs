@@ -3,7 +3,7 @@
 //! Vector `j` of a group is frequency `k + M j` along Y, with `k` that of the lane. Below `Y / 2` these stand in the weight's row
 //! of `u`, above it in that of `-u` in reverse; either way the lanes of a run are neighbours.
 
-use super::order::Step;
+use super::steps::Step;
 use crate::simd::{Algorithm, Complex, Element, MAX_LANES, Runs, Tile, TileMut, Vector};
 
 /// The rows of a weight: real and imaginary part of each bin.

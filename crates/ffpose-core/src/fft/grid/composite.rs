@@ -4,10 +4,8 @@
 //! leave `P / 2` rows of `Q`: row 0 is two real lines, the others are complex. Slot `s Q + k` of the spectrum is frequency `k` of
 //! row `s`, with row 0 as [`TwoReal`] has it.
 
-use super::butterfly::{Codelet, Dft, turn};
-use super::passes::remainders;
-use super::real::{RealDft, TwoReal};
-use super::unroll::unroll;
+use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, turn, unroll};
+use crate::fft::transform::remainders;
 use crate::simd::{Complex, Stored, Tile, TileMut, Vector, gather, scatter};
 
 /// A line of `P Q`; `ROWS` is `P / 2`.

@@ -4,9 +4,8 @@
 //! radices with twiddles (Cooley–Tukey, decimation in frequency forward and in time back). Nothing is put in order:
 //! [`Passes::inputs`] says where the input goes, [`Passes::outputs`] where the output is.
 
-use super::butterfly::{Codelet, Dft};
 use super::prime::{self, PrimeRoots};
-use super::roots::root;
+use crate::fft::codelets::{Codelet, Dft, root};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
 
 /// The radices that have a codelet.
@@ -287,7 +286,7 @@ pub(crate) fn remainders(m: usize, n: usize) -> impl Fn(usize, usize) -> usize {
 }
 
 /// The radices of each prime power of `length`; primes without a codelet first, so that the last pass has one if any has, and
-/// the power of two last, as [`super::fused`] expects.
+/// the power of two last, as [`crate::fft::columns::fused`] expects.
 fn groups(length: usize) -> Vec<Vec<usize>> {
     let mut groups = Vec::new();
     let (mut rest, mut p) = (length, 2);

@@ -14,12 +14,9 @@
 
 use std::hint::black_box;
 
-use super::columns::Block;
-use super::turned::TurnedDft;
+use super::blocks::Block;
 use super::weight::{GroupWeight, Run, Weight};
-use crate::fft::butterfly::{Codelet, Dft};
-use crate::fft::roots::root;
-use crate::fft::unroll::unroll;
+use crate::fft::codelets::{Codelet, Dft, TurnedDft, root, unroll};
 use crate::simd::{
     Algorithm, Complex, Element, MAX_LANES, Vector, complex_vectors, complex_vectors_of,
 };

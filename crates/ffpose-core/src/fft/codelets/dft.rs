@@ -55,7 +55,7 @@ fn swap<V: Vector, const N: usize>(mut x: [Complex<V>; N]) -> [Complex<V>; N] {
 }
 
 #[inline(always)]
-pub(crate) fn constant<V: Vector>(x: f64) -> V {
+pub(super) fn constant<V: Vector>(x: f64) -> V {
     V::splat(V::Element::nearest(x))
 }
 

@@ -4,7 +4,7 @@
 //! negation, in the order in which it comes; [`RealDft::frequencies`] says which. A line of even length packs its two real
 //! frequencies, 0 and `N / 2`, as real and imaginary part of slot 0.
 
-use super::butterfly::{Codelet, Dft, constant};
+use super::dft::{Codelet, Dft, constant};
 use super::roots::Roots;
 use crate::simd::{Complex, Vector, mirrored};
 

@@ -1,10 +1,10 @@
 //! Columns of short lengths: the last pass forward, what is done with the spectrum, and the first pass back share registers.
 
-use super::butterfly::{Codelet, Dft};
-use super::columns::{Layout, Through, pair_step};
-use super::middle::Middle;
-use super::passes::{Digits, Pass, forward, inverse};
-use super::transform::Transform;
+use super::{Layout, Through, pair_step};
+use crate::fft::codelets::{Codelet, Dft};
+use crate::fft::columns::pointwise::Middle;
+use crate::fft::transform::Transform;
+use crate::fft::transform::mixed_radix::{Digits, Pass, forward, inverse};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
 
 /// A length `P Q` as two passes known at compile time; `P` may be 1.

@@ -2,18 +2,21 @@
 //!
 //! Rows forward to columns of complex vectors, each column forward, times the weight and back while it is in cache, rows
 //! back. Transforms do not put anything in order; the weight is brought to their order, or read bin by bin for a single image
-//! ([`super::pack`]).
+//! ([`crate::fft::columns::order`]).
+
+mod composite;
+pub(crate) mod rows;
 
 use std::ops::Range;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use super::columns::{Columns, First};
-use super::middle::{NaturalGradient, NaturalProduct};
-use super::pack::{Bins, Packing, Scales};
-use super::passes::inverted;
-use super::rows::{Place, Rows};
+use self::rows::{Place, Rows};
 use crate::Shape;
+use crate::fft::columns::order::{Bins, Packing, Scales};
+use crate::fft::columns::pointwise::{NaturalGradient, NaturalProduct};
+use crate::fft::columns::{Columns, First};
+use crate::fft::transform::inverted;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{

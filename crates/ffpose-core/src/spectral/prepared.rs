@@ -2,13 +2,13 @@
 
 use ndarray::{ArrayViewD, ArrayViewMutD};
 
-use crate::batch::{Batch, Weight, packed_offset};
+use super::batch::{Batch, Weight, packed_offset};
+use super::tiling::Tiling;
+use super::widened::Widened;
+use super::{SpectralFilter, widened_len};
 use crate::number::Number;
 use crate::parallel::{Pool, StdThreads};
 use crate::scratch::{Aligned, Needs, Scratch};
-use crate::spectral::{SpectralFilter, widened_len};
-use crate::tiling::Tiling;
-use crate::widened::Widened;
 use crate::{Error, Real};
 
 /// A filter with its weight, which no call brings to kernel order again.

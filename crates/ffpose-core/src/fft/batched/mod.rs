@@ -3,13 +3,15 @@
 //! Images that go together are copied side by side, to one image `(points, lanes)` of as many lanes as a vector has, and another
 //! kernel filters that. Lanes do not see each other, so that an image is filtered the same way in any company.
 
+mod spread;
+
 use std::ops::Range;
 
 use bytemuck::{cast_slice, cast_slice_mut};
 use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
 
-use super::spread::{Transpose, TransposeBack, collect, fold, repeat, spread};
-use super::{Grid, Sequence};
+use self::spread::{Transpose, TransposeBack, collect, fold, repeat, spread};
+use crate::fft::{Grid, Sequence};
 use crate::kernel::{Backward, Kernel, TakesHalf};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Stored, Tile, TileMut};

@@ -1,6 +1,6 @@
 //! What is done with a spectrum between a transform and its inverse.
 
-use super::pack::Packing;
+use crate::fft::columns::order::Packing;
 use crate::simd::{Complex, Element, Tile, TileMut, Vector};
 
 /// Where the first of some vectors of one column is.

@@ -4,11 +4,11 @@
 //! Its even and its odd coefficients are polynomials in the square of the point. A sum and a difference with one product in
 //! them are six instructions for a complex vector, so that the turns cost nothing beyond the transform's own.
 
-use crate::fft::butterfly::Codelet;
+use super::dft::Codelet;
 use crate::simd::{Complex, Vector};
 
 /// The transform of length `J`.
-pub(super) trait TurnedDft<const J: usize> {
+pub(crate) trait TurnedDft<const J: usize> {
     /// What the transform multiplies by, in its order: powers of `s`, each turned by so many eighths.
     const FACTORS: &'static [(usize, usize)];
 

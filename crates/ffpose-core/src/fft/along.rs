@@ -18,7 +18,7 @@ use crate::kernel::{Backward, Kernel};
 use crate::parallel::Team;
 use crate::{Layout, Real, Shape};
 
-pub(crate) struct General<T: Real> {
+pub(crate) struct AlongLines<T: Real> {
     shape: Shape,
     rows_forward: Arc<dyn RealToComplex<T>>,
     rows_inverse: Arc<dyn ComplexToReal<T>>,
@@ -45,7 +45,7 @@ struct Work<'a, T> {
     inner: &'a mut [Complex<T>],
 }
 
-impl<T: Real> General<T> {
+impl<T: Real> AlongLines<T> {
     /// Plans a shape without zeros.
     pub(crate) fn new(shape: Shape) -> Self {
         let (mut rows, mut columns) = (RealFftPlanner::new(), FftPlanner::new());
@@ -122,7 +122,7 @@ impl<T: Real> General<T> {
         self.columns_forward.process_with_scratch(spectrum, work.inner);
     }
 
-    /// The inverse of [`General::transform`], times the points of a plane; `spectrum` is lost.
+    /// The inverse of [`AlongLines::transform`], times the points of a plane; `spectrum` is lost.
     fn invert(&self, spectrum: &mut [Complex<T>], plane: &mut [T], work: &mut Work<'_, T>) {
         let Shape { rows, columns, .. } = self.shape;
         let half = self.shape.half();
@@ -161,7 +161,7 @@ impl<T: Real> General<T> {
     }
 }
 
-impl<T: Real> Kernel<T> for General<T> {
+impl<T: Real> Kernel<T> for AlongLines<T> {
     fn tile(&self) -> usize {
         self.shape.lanes
     }

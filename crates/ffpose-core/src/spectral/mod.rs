@@ -6,20 +6,27 @@
 //!
 //! This file checks shapes, hands out jobs and adds up in a fixed order; the transforms are [`Kernel`]s.
 
+mod batch;
+mod plans;
+mod prepared;
+mod tiling;
+mod widened;
+
 use std::sync::Arc;
 
 use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimension};
 
-use crate::batch::{Batch, Images, Weight};
-use crate::fft::Batched;
-use crate::general::General;
+use self::batch::{Batch, Images, Weight};
+use crate::fft::{AlongLines, Batched};
 use crate::kernel::{Kernel, Single, SingleBackward};
 use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{self, Scratch};
-use crate::tiling::in_order;
-use crate::widened::Widened;
-use crate::{Error, Isa, Layout, Real, Shape, fft, plans};
+use crate::{Error, Isa, Layout, Real, Shape, fft};
+
+pub use self::prepared::Prepared;
+pub(crate) use self::tiling::{chunks_mut, in_order};
+pub(crate) use self::widened::Widened;
 
 const BATCH: Axis = Axis(0);
 
@@ -296,7 +303,7 @@ pub(crate) fn plan_kernel<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>>
     if is_batched(isa.lanes::<T>(), shape) {
         Arc::new(Batched::new(isa, shape))
     } else if 2 * lines <= isa.lanes::<T>() {
-        Arc::new(General::new(shape))
+        Arc::new(AlongLines::new(shape))
     } else {
         fft::plan(isa, shape)
     }

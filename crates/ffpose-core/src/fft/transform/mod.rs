@@ -1,7 +1,12 @@
 //! DFTs of any length along a line of complex vectors, in place.
 
-use super::chirp::Chirp;
-use super::passes::{Pass, Passes};
+mod bluestein;
+pub(crate) mod mixed_radix;
+mod prime;
+
+use self::bluestein::Chirp;
+use self::mixed_radix::{Pass, Passes};
+pub(crate) use self::mixed_radix::{inverted, remainders};
 use crate::simd::{Element, Isa};
 
 /// A planned DFT of one length.

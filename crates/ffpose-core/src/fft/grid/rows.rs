@@ -3,11 +3,10 @@
 //! Row `h` becomes place `positions[h]` of each column, column `s` starts at `s * pitch`, and `frequencies[s]` is what column
 //! `s` holds. Column 0 of an even length packs the real frequencies 0 and `W / 2` as real and imaginary part.
 
-use super::butterfly::{Codelet, Dft};
-use super::lines::Line;
-use super::pair;
-use super::real::{RealDft, TwoReal};
-use super::transform::Transform;
+use super::composite::Line;
+use crate::fft::codelets::pair;
+use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal};
+use crate::fft::transform::Transform;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Stored, Tile, TileMut, Vector, complex_vectors, gather,
     scatter,

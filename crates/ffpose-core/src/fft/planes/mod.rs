@@ -5,12 +5,14 @@
 //! together as there are lanes: squares of vectors are transposed on the way in and on the way out, next to the product. Then
 //! back along X. Rows 0 and `X / 2`, which stand for real lines, need nothing of their own: their weight is Hermitian.
 
+mod order;
+
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use super::columns::{Columns, First};
-use super::pair::{join, split};
-use super::planes_pack::Packing;
-use super::transform::Transform;
+use self::order::Packing;
+use crate::fft::codelets::pair::{join, split};
+use crate::fft::columns::{Columns, First};
+use crate::fft::transform::Transform;
 use crate::kernel::{Backward, Kernel};
 use crate::parallel::Team;
 use crate::simd::{

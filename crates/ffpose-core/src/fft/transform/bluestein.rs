@@ -1,7 +1,7 @@
 //! DFTs of any length as a convolution of a smooth length (Bluestein): `k n = (k² + n² - (k - n)²) / 2`.
 
-use super::passes::Passes;
-use super::roots::root;
+use super::mixed_radix::Passes;
+use crate::fft::codelets::root;
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors};
 
 /// A DFT of `turns.len()` as a convolution of `passes.len()`.

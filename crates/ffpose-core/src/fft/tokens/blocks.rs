@@ -10,8 +10,7 @@
 
 use std::hint::black_box;
 
-use crate::fft::butterfly::{Codelet, Dft};
-use crate::fft::unroll::unroll;
+use crate::fft::codelets::{Codelet, Dft, unroll};
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, gather_at, scatter_at,
 };

@@ -3,12 +3,12 @@
 use bytemuck::cast_slice_mut;
 use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 
+use super::tiling::{Grain, Tiling, in_order};
 use crate::kernel::{Backward, Kernel};
 use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{Needs, Workers};
 use crate::simd::{LINE_BYTES, Stored};
-use crate::tiling::{Grain, Tiling, in_order};
 use crate::{Real, Shape};
 
 const BATCH: Axis = Axis(0);

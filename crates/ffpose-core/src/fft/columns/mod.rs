@@ -4,11 +4,15 @@
 //! Nyquist, packed together are `W(0), N(0), W(1), N(1), ...` up to row frequency `H / 2`; both are Hermitian in it. Those of one
 //! real line of `2 H` are `X(0), X(H), X(1), X(H - 1), ...`.
 
-use super::fused::Fused;
-use super::middle::{Accumulate, At, Middle, Product};
-use super::pair::{join, merge, split, unmerge};
-use super::roots::root;
-use super::transform::Transform;
+mod fused;
+pub(crate) mod order;
+pub(crate) mod pointwise;
+
+use self::fused::Fused;
+use crate::fft::codelets::pair::{join, merge, split, unmerge};
+use crate::fft::codelets::root;
+use crate::fft::columns::pointwise::{Accumulate, At, Middle, Product};
+use crate::fft::transform::Transform;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter,
 };

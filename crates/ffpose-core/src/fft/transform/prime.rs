@@ -1,6 +1,6 @@
 //! DFTs of odd prime lengths without a codelet, from the definition: `p²` operations, half of them shared by mirrored outputs.
 
-use super::roots::root;
+use crate::fft::codelets::root;
 use crate::simd::{Complex, Element, Vector};
 
 /// The largest prime that is transformed like this; beyond it a convolution is faster.

@@ -1,0 +1,14 @@
+//! DFTs of small fixed lengths in registers, and what else transforms are made of.
+
+mod dft;
+pub(crate) mod pair;
+mod real_dft;
+mod roots;
+mod turned_dft;
+mod unroll;
+
+pub(crate) use dft::{Codelet, Dft, turn};
+pub(crate) use real_dft::{RealDft, TwoReal};
+pub(crate) use roots::root;
+pub(crate) use turned_dft::TurnedDft;
+pub(crate) use unroll::unroll;
