@@ -27,7 +27,7 @@ pub(crate) struct AlongLines<T: Real> {
 }
 
 /// Scratch of a call, cut into its uses.
-struct Buffers<'a, T> {
+struct AlongBuffers<'a, T> {
     /// Planes of `x` or of the gradient, one after the other.
     planes: &'a mut [T],
     /// Planes of `x` beside those of the gradient.
@@ -81,7 +81,7 @@ impl<T: Real> AlongLines<T> {
         rows.max(forward).max(self.columns_inverse.get_inplace_scratch_len())
     }
 
-    fn buffers<'a>(&self, scratch: &'a mut [T]) -> Buffers<'a, T> {
+    fn buffers<'a>(&self, scratch: &'a mut [T]) -> AlongBuffers<'a, T> {
         let len = self.planes() * self.plane_len();
         let (planes, rest) = scratch.split_at_mut(len);
         let (inputs, rest) = rest.split_at_mut(len);
@@ -89,7 +89,7 @@ impl<T: Real> AlongLines<T> {
         let (spectrum, rest) = cast_slice_mut(rest).split_at_mut(len);
         let (input, rest) = rest.split_at_mut(len);
         let (by_rows, inner) = rest.split_at_mut(len);
-        Buffers { planes, inputs, spectrum, input, work: Work { by_rows, inner } }
+        AlongBuffers { planes, inputs, spectrum, input, work: Work { by_rows, inner } }
     }
 
     /// Copies an image `(points, lanes)` to planes.
@@ -192,7 +192,7 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
         team: &mut Team<'_, T>,
     ) {
         let weights = cast_slice(packed).chunks_exact(self.spectrum_len());
-        let Buffers { planes, spectrum, mut work, .. } = self.buffers(team.scratch());
+        let AlongBuffers { planes, spectrum, mut work, .. } = self.buffers(team.scratch());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.gather(x, planes);
             for (plane, weight) in planes.chunks_exact_mut(self.plane_len()).zip(weights.clone()) {
@@ -206,7 +206,8 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
 
     fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
-        let Buffers { planes, inputs, spectrum, input, mut work } = self.buffers(team.scratch());
+        let AlongBuffers { planes, inputs, spectrum, input, mut work } =
+            self.buffers(team.scratch());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {
             self.gather(grad, planes);
             if grad_sum.is_some() {

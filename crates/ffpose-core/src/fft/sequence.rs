@@ -6,7 +6,7 @@
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use crate::fft::columns::order::{Bins, Packing, Scales};
+use crate::fft::columns::order::{BinOrder, Bins, Scales};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::inverted;
 use crate::kernel::{Backward, Kernel, TakesHalf};
@@ -26,11 +26,11 @@ pub(crate) struct Sequence<T> {
     lanes: usize,
     length: usize,
     columns: Columns<T>,
-    packing: Packing<T>,
+    packing: BinOrder<T>,
 }
 
-/// Scratch of one call.
-struct Scratch<'a, T> {
+/// The scratch of one call, cut into its uses.
+struct SequenceBuffers<'a, T> {
     spectrum: &'a mut [T],
     other: &'a mut [T],
     work: &'a mut [T],
@@ -55,13 +55,13 @@ impl<T: Element> Sequence<T> {
         VECTORS * self.lanes
     }
 
-    fn scratch<'a>(&self, scratch: &'a mut [T]) -> Scratch<'a, T> {
+    fn scratch<'a>(&self, scratch: &'a mut [T]) -> SequenceBuffers<'a, T> {
         let spectra = VECTORS * self.columns.len();
         let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
         let (other, rest) = rest.split_at_mut(spectra);
         let (work, rest) = rest.split_at_mut(self.columns.work_len());
         let (padded, rest) = rest.split_at_mut(self.length * self.most());
-        Scratch { spectrum, other, work, padded, bins: &mut rest[..self.bins_len()] }
+        SequenceBuffers { spectrum, other, work, padded, bins: &mut rest[..self.bins_len()] }
     }
 
     /// Numbers of a weight of a tile.
@@ -96,9 +96,9 @@ impl<T: Element> Sequence<T> {
                 .expect("room for a tile");
             view.fill(T::default());
             view.slice_mut(s![.., ..lanes]).zip_mut_with(&image, |wide, x| *wide = x.widened());
-            self.isa.run(Enter { plan: self, image: Tile::dense(padded, whole), lines });
+            self.isa.run(EnterPoints { plan: self, image: Tile::dense(padded, whole), lines });
         } else {
-            self.isa.run(Enter { plan: self, image: Tile::new(image), lines });
+            self.isa.run(EnterPoints { plan: self, image: Tile::new(image), lines });
         }
     }
 
@@ -113,18 +113,18 @@ impl<T: Element> Sequence<T> {
         let whole = lanes.next_multiple_of(self.lanes);
         if lanes < whole {
             let padded = &mut padded[..self.length * whole];
-            self.isa.run(Leave { plan: self, image: TileMut::dense(padded, whole), lines });
+            self.isa.run(LeavePoints { plan: self, image: TileMut::dense(padded, whole), lines });
             let whole =
                 ArrayView2::from_shape((self.length, whole), padded).expect("room for a tile");
             image.zip_mut_with(&whole.slice(s![.., ..lanes]), |x, &wide| *x = X::nearest_to(wide));
         } else {
-            self.isa.run(Leave { plan: self, image: TileMut::new(image), lines });
+            self.isa.run(LeavePoints { plan: self, image: TileMut::new(image), lines });
         }
     }
 }
 
 /// Where the places of kernel order come from, for transforms whose frequency `k` is at `outputs[k]`.
-fn packing<T: Element>(length: usize, outputs: &[usize]) -> Packing<T> {
+fn packing<T: Element>(length: usize, outputs: &[usize]) -> BinOrder<T> {
     let bins = Bins { rows: 1, columns: length };
     let norm = 1.0 / length as f64;
     let scales = |plain| Scales { hermitian: T::nearest(plain / 2.0), plain: T::nearest(plain) };
@@ -133,11 +133,11 @@ fn packing<T: Element>(length: usize, outputs: &[usize]) -> Packing<T> {
         let places = (1..=half / 2).flat_map(|k| [bins.of(0, k), bins.of(0, half - k)]);
         let ends = vec![bins.with_mirror(0, 0), bins.with_mirror(0, half)];
         // the product sees doubled spectra, and each half of the way back doubles them
-        Packing::new(ends, places.collect(), scales(norm / 2.0), scales(norm / 2.0))
+        BinOrder::new(ends, places.collect(), scales(norm / 2.0), scales(norm / 2.0))
     } else {
         let places = inverted(outputs)[1..].iter().map(|&k| bins.of(0, k)).collect();
         let ends = vec![bins.with_mirror(0, 0)];
-        Packing::new(ends, places, scales(norm), scales(2.0 * norm))
+        BinOrder::new(ends, places, scales(norm), scales(2.0 * norm))
     }
 }
 
@@ -187,7 +187,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         mut y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
-        let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
+        let SequenceBuffers { spectrum, work, padded, .. } = self.scratch(team.scratch());
         let lines = self.lines(spectrum, x.len_of(Axis(2)));
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.enter(x, lines, padded);
@@ -198,7 +198,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
-        let Scratch { spectrum, other, work, padded, .. } = self.scratch(team.scratch());
+        let SequenceBuffers { spectrum, other, work, padded, .. } = self.scratch(team.scratch());
         let lanes = grad.len_of(Axis(2));
         let (lines, other) = (self.lines(spectrum, lanes), self.lines(other, lanes));
         for (image, grad) in grad.outer_iter().enumerate() {
@@ -243,13 +243,13 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
 const AHEAD: usize = 16;
 
 /// Real lines to complex ones.
-struct Enter<'a, X: Stored> {
+struct EnterPoints<'a, X: Stored> {
     plan: &'a Sequence<X::Real>,
     image: Tile<'a, X>,
     lines: &'a mut [X::Real],
 }
 
-impl<X: Stored> Algorithm<X::Real> for Enter<'_, X> {
+impl<X: Stored> Algorithm<X::Real> for EnterPoints<'_, X> {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
         let Self { plan: Sequence { columns, length, .. }, image, lines } = self;
@@ -273,14 +273,14 @@ impl<X: Stored> Algorithm<X::Real> for Enter<'_, X> {
     }
 }
 
-/// Undoes [`Enter`].
-struct Leave<'a, X: Stored> {
+/// Undoes [`EnterPoints`].
+struct LeavePoints<'a, X: Stored> {
     plan: &'a Sequence<X::Real>,
     image: TileMut<'a, X>,
     lines: &'a mut [X::Real],
 }
 
-impl<X: Stored> Algorithm<X::Real> for Leave<'_, X> {
+impl<X: Stored> Algorithm<X::Real> for LeavePoints<'_, X> {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
         let Self { plan: Sequence { columns, length, .. }, mut image, lines } = self;

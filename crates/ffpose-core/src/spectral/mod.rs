@@ -59,7 +59,7 @@ pub struct Gradients<'a, X, W> {
 }
 
 /// The arguments of a backward pass, checked: images `(batch, points, lanes)`, weights `(bins, lanes, 2)`.
-struct Pass<'a, X, W> {
+struct BackwardCall<'a, X, W> {
     grad: ArrayView3<'a, X>,
     x: ArrayView3<'a, X>,
     weight: ArrayView3<'a, W>,
@@ -218,10 +218,10 @@ impl<T: Real> SpectralFilter<T> {
         x: ArrayViewD<'a, X>,
         weight: ArrayViewD<'a, W>,
         gradients: Gradients<'a, X, W>,
-    ) -> Result<Pass<'a, X, W>, Error> {
+    ) -> Result<BackwardCall<'a, X, W>, Error> {
         let (shape, dim) = (self.shape, x.raw_dim());
         let like_x = dim.slice();
-        Ok(Pass {
+        Ok(BackwardCall {
             x: shape.images("x", like_x, x)?,
             grad: shape.images("grad", like_x, grad)?,
             weight: shape.bins("weight", weight)?,
@@ -233,11 +233,11 @@ impl<T: Real> SpectralFilter<T> {
     fn run_backward<X: Number<Real = T>, W: Number<Real = T>>(
         &self,
         batch: &Batch<'_, X>,
-        pass: Pass<'_, X, W>,
+        pass: BackwardCall<'_, X, W>,
         pool: &dyn Pool,
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
-        let Pass { grad, x, weight, grad_x, grad_weight } = pass;
+        let BackwardCall { grad, x, weight, grad_x, grad_weight } = pass;
         let summed = grad_weight.is_some();
         let lens = [batch.packed_len(), if summed { batch.sums_len() } else { 0 }];
         let shared = lens[0].saturating_add(lens[1]).saturating_add(widened_len::<W>(weight.len()));
@@ -260,11 +260,11 @@ impl<T: Real> SpectralFilter<T> {
         &self,
         batch: &Batch<'_, X>,
         single: &dyn Single<X>,
-        pass: Pass<'_, X, W>,
+        pass: BackwardCall<'_, X, W>,
         pool: &dyn Pool,
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
-        let Pass { grad, x, weight, grad_x, grad_weight } = pass;
+        let BackwardCall { grad, x, weight, grad_x, grad_weight } = pass;
         let bins_len = widened_len::<W>(weight.len());
         let (mut workers, shared) = scratch.lend(pool, batch.needs(2 * bins_len))?;
         let (wide_weight, wide_grad_weight) = shared.split_at_mut(bins_len);

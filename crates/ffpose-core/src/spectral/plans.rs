@@ -10,7 +10,7 @@ use crate::Shape;
 const KEPT: usize = 64;
 
 /// A plan with what it is for.
-type Plan = (TypeId, Shape, Arc<dyn Any + Send + Sync>);
+type Entry = (TypeId, Shape, Arc<dyn Any + Send + Sync>);
 
 static SHARED: Mutex<Plans> = Mutex::new(Plans(Vec::new()));
 
@@ -19,14 +19,14 @@ thread_local! {
 }
 
 /// Few plans, compared one by one: that is quicker than hashing.
-struct Plans(Vec<Plan>);
+struct Plans(Vec<Entry>);
 
 impl Plans {
-    fn find<P: 'static>(&self, shape: Shape) -> Option<&Plan> {
+    fn find<P: 'static>(&self, shape: Shape) -> Option<&Entry> {
         self.0.iter().find(|plan| (plan.0, plan.1) == (TypeId::of::<P>(), shape))
     }
 
-    fn keep(&mut self, plan: Plan) {
+    fn keep(&mut self, plan: Entry) {
         if self.0.len() >= KEPT {
             self.0.clear();
         }
@@ -58,7 +58,7 @@ fn kept_in<P: Clone + Send + Sync + 'static, E>(
         let plan = if let Some(plan) = found {
             plan
         } else {
-            let plan: Plan = (TypeId::of::<P>(), shape, Arc::new(make()?));
+            let plan: Entry = (TypeId::of::<P>(), shape, Arc::new(make()?));
             if let Ok(mut plans) = shared.try_lock() {
                 plans.keep(plan.clone());
             }
@@ -70,7 +70,7 @@ fn kept_in<P: Clone + Send + Sync + 'static, E>(
     })
 }
 
-fn cloned<P: Clone + 'static>(plan: &Plan) -> P {
+fn cloned<P: Clone + 'static>(plan: &Entry) -> P {
     plan.2.downcast_ref::<P>().expect("a plan has the type that it is kept under").clone()
 }
 

@@ -1,8 +1,8 @@
 //! Columns of short lengths: the last pass forward, what is done with the spectrum, and the first pass back share registers.
 
-use super::{Layout, Through, pair_step};
+use super::{Geometry, Through, pair_step};
 use crate::fft::codelets::{Codelet, Dft};
-use crate::fft::columns::pointwise::Middle;
+use crate::fft::columns::pointwise::Pointwise;
 use crate::fft::transform::Transform;
 use crate::fft::transform::mixed_radix::{Digits, Pass, forward, inverse};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
@@ -44,26 +44,26 @@ impl Fused {
         with_radices!(radices, (P, Q) => { let _ = (P, Q); Some(Self { radices }) }, _ => None)
     }
 
-    /// Transforms the columns, applies the middle and transforms back; without `INVERSE` the spectrum stays.
-    pub(crate) fn run<T: Element, M: Middle<T>, const INVERSE: bool>(
+    /// Transforms the columns, applies the pointwise operation and transforms back; without `INVERSE` the spectrum stays.
+    pub(crate) fn run<T: Element, M: Pointwise<T>, const INVERSE: bool>(
         self,
         isa: Isa,
         passes: &[Pass<T>],
         columns: Through<'_, T, M>,
     ) {
         with_radices!(self.radices, (P, Q) => {
-            isa.run_tuned(Run::<T, M, INVERSE, P, Q> { passes, columns });
+            isa.run_tuned(RunFused::<T, M, INVERSE, P, Q> { passes, columns });
         }, _ => unreachable!("supported pairs only"));
     }
 }
 
-struct Run<'a, T, M, const INVERSE: bool, const P: usize, const Q: usize> {
+struct RunFused<'a, T, M, const INVERSE: bool, const P: usize, const Q: usize> {
     passes: &'a [Pass<T>],
     columns: Through<'a, T, M>,
 }
 
-impl<T: Element, M: Middle<T>, const INVERSE: bool, const P: usize, const Q: usize>
-    Run<'_, T, M, INVERSE, P, Q>
+impl<T: Element, M: Pointwise<T>, const INVERSE: bool, const P: usize, const Q: usize>
+    RunFused<'_, T, M, INVERSE, P, Q>
 where
     Codelet: Dft<P> + Dft<Q>,
 {
@@ -91,25 +91,25 @@ where
     }
 }
 
-impl<T: Element, M: Middle<T>, const INVERSE: bool, const P: usize, const Q: usize> Algorithm<T>
-    for Run<'_, T, M, INVERSE, P, Q>
+impl<T: Element, M: Pointwise<T>, const INVERSE: bool, const P: usize, const Q: usize> Algorithm<T>
+    for RunFused<'_, T, M, INVERSE, P, Q>
 where
     Codelet: Dft<P> + Dft<Q>,
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let layout @ Layout { pitch, .. } = self.columns.layout;
+        let geometry @ Geometry { pitch, .. } = self.columns.geometry;
         let spectrum = complex_vectors::<V>(std::mem::take(&mut self.columns.spectrum));
         let places = complex_vectors::<V>(std::mem::take(&mut self.columns.work));
-        for (column, vector) in layout.lines(spectrum.len() / pitch) {
-            let at = layout.at(column, vector);
+        for (column, vector) in geometry.lines(spectrum.len() / pitch) {
+            let at = geometry.at(column, vector);
             let line = &mut spectrum[at.position..][..pitch];
             self.enter(line);
-            if layout.is_pair(column) {
+            if geometry.is_pair(column) {
                 for start in (0..P * Q).step_by(Q) {
                     scatter(line, start, 1, <Codelet as Dft<Q>>::dft(gather(line, start, 1)));
                 }
-                pair_step::<_, _, INVERSE>(layout, line, places, &mut self.columns.middle, at);
+                pair_step::<_, _, INVERSE>(geometry, line, places, &mut self.columns.pointwise, at);
                 if INVERSE {
                     for start in (0..P * Q).step_by(Q) {
                         scatter(line, start, 1, <Codelet as Dft<Q>>::idft(gather(line, start, 1)));
@@ -118,7 +118,7 @@ where
             } else {
                 for start in (0..P * Q).step_by(Q) {
                     let z = <Codelet as Dft<Q>>::dft(gather(line, start, 1));
-                    let z = self.columns.middle.apply(at.plus(start), z);
+                    let z = self.columns.pointwise.apply(at.plus(start), z);
                     let z = if INVERSE { <Codelet as Dft<Q>>::idft(z) } else { z };
                     scatter(line, start, 1, z);
                 }

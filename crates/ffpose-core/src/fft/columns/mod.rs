@@ -11,7 +11,7 @@ pub(crate) mod pointwise;
 use self::fused::Fused;
 use crate::fft::codelets::pair::{join, merge, split, unmerge};
 use crate::fft::codelets::root;
-use crate::fft::columns::pointwise::{Accumulate, At, Middle, Product};
+use crate::fft::columns::pointwise::{Accumulate, At, Pointwise, Product};
 use crate::fft::transform::Transform;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter,
@@ -132,48 +132,53 @@ impl<T: Element> Columns<T> {
         }
     }
 
-    /// Forward transform, then `middle` on the spectrum, which stays. The gradient of the weight alone, without that of the image, is
+    /// Forward transform, then `pointwise` on the spectrum, which stays. The gradient of the weight alone, without that of the image, is
     /// rare, and not worth kernels of its own.
-    pub(crate) fn look<M: Middle<T>>(&self, spectrum: &mut [T], mut middle: M, work: &mut [T]) {
+    pub(crate) fn look<M: Pointwise<T>>(
+        &self,
+        spectrum: &mut [T],
+        mut pointwise: M,
+        work: &mut [T],
+    ) {
         self.through::<_, false>(spectrum, (), work);
-        let layout = self.layout();
-        for (column, vector) in layout.lines(spectrum.len() / self.numbers(layout.pitch)) {
-            let at = layout.at(column, vector);
+        let geometry = self.geometry();
+        for (column, vector) in geometry.lines(spectrum.len() / self.numbers(geometry.pitch)) {
+            let at = geometry.at(column, vector);
             let places = if column == 0 { self.first_places() } else { self.transform.len() };
             let line = &mut spectrum[self.numbers(at.position)..][..self.numbers(places)];
-            self.isa.run(Step { line, middle: &mut middle, at });
+            self.isa.run(PointwiseStep { line, pointwise: &mut pointwise, at });
         }
     }
 
-    /// Forward transform, `middle` and inverse, for every vector of lanes in `spectrum`. Without inverse the spectrum stays, a
+    /// Forward transform, `pointwise` and inverse, for every vector of lanes in `spectrum`. Without inverse the spectrum stays, a
     /// pair as its places.
-    pub(crate) fn through<M: Middle<T>, const INVERSE: bool>(
+    pub(crate) fn through<M: Pointwise<T>, const INVERSE: bool>(
         &self,
         spectrum: &mut [T],
-        mut middle: M,
+        mut pointwise: M,
         work: &mut [T],
     ) {
-        let (isa, transform, layout) = (self.isa, &self.transform, self.layout());
+        let (isa, transform, geometry) = (self.isa, &self.transform, self.geometry());
         if let Some(fused) = self.fused {
-            let columns = Through { layout, spectrum, middle, work };
+            let columns = Through { geometry, spectrum, pointwise, work };
             fused.run::<T, M, INVERSE>(isa, transform.passes(), columns);
             return;
         }
-        let (length, pitch) = (self.numbers(transform.len()), self.numbers(layout.pitch));
-        for (column, vector) in layout.lines(spectrum.len() / pitch) {
-            let at = layout.at(column, vector);
+        let (length, pitch) = (self.numbers(transform.len()), self.numbers(geometry.pitch));
+        for (column, vector) in geometry.lines(spectrum.len() / pitch) {
+            let at = geometry.at(column, vector);
             let line = &mut spectrum[self.numbers(at.position)..][..pitch];
             transform.forward(&mut line[..length], work);
-            if layout.is_pair(column) {
+            if geometry.is_pair(column) {
                 isa.run(PairStep::<T, M, INVERSE> {
-                    layout,
+                    geometry,
                     column: line,
                     places: work,
-                    middle: &mut middle,
+                    pointwise: &mut pointwise,
                     at,
                 });
             } else {
-                isa.run(Step { line: &mut line[..length], middle: &mut middle, at });
+                isa.run(PointwiseStep { line: &mut line[..length], pointwise: &mut pointwise, at });
             }
             if INVERSE {
                 transform.inverse(&mut line[..length], work);
@@ -181,8 +186,8 @@ impl<T: Element> Columns<T> {
         }
     }
 
-    fn layout(&self) -> Layout<'_, T> {
-        Layout {
+    fn geometry(&self) -> Geometry<'_, T> {
+        Geometry {
             outputs: self.transform.outputs(),
             count: self.count,
             pitch: self.pitch(),
@@ -193,7 +198,7 @@ impl<T: Element> Columns<T> {
 }
 
 /// Where columns and their places are.
-pub(crate) struct Layout<'a, T> {
+pub(crate) struct Geometry<'a, T> {
     /// The position of each frequency.
     pub(crate) outputs: &'a [usize],
     /// Columns of one vector.
@@ -204,15 +209,15 @@ pub(crate) struct Layout<'a, T> {
     first_places: usize,
 }
 
-impl<T> Clone for Layout<'_, T> {
+impl<T> Clone for Geometry<'_, T> {
     fn clone(&self) -> Self {
         *self
     }
 }
 
-impl<T> Copy for Layout<'_, T> {}
+impl<T> Copy for Geometry<'_, T> {}
 
-impl<T: Element> Layout<'_, T> {
+impl<T: Element> Geometry<'_, T> {
     /// Whether a column is two real lines.
     #[inline(always)]
     pub(crate) fn is_pair(&self, column: usize) -> bool {
@@ -235,70 +240,72 @@ impl<T: Element> Layout<'_, T> {
     }
 }
 
-/// Columns that go forward, through a middle, and back.
+/// Columns that go forward, through a pointwise operation, and back.
 pub(crate) struct Through<'a, T, M> {
-    pub(crate) layout: Layout<'a, T>,
+    pub(crate) geometry: Geometry<'a, T>,
     pub(crate) spectrum: &'a mut [T],
-    pub(crate) middle: M,
+    pub(crate) pointwise: M,
     /// Room for the places of column 0.
     pub(crate) work: &'a mut [T],
 }
 
-/// `middle` on a column.
-struct Step<'a, T, M> {
+/// `pointwise` on a column.
+struct PointwiseStep<'a, T, M> {
     line: &'a mut [T],
-    middle: &'a mut M,
+    pointwise: &'a mut M,
     at: At,
 }
 
-impl<T: Element, M: Middle<T>> Algorithm<T> for Step<'_, T, M> {
+impl<T: Element, M: Pointwise<T>> Algorithm<T> for PointwiseStep<'_, T, M> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         for (i, z) in complex_vectors::<V>(self.line).iter_mut().enumerate() {
-            [*z] = self.middle.apply(self.at.plus(i), [*z]);
+            [*z] = self.pointwise.apply(self.at.plus(i), [*z]);
         }
     }
 }
 
 /// [`pair_step`] on vectors of an instruction set.
 struct PairStep<'a, T, M, const INVERSE: bool> {
-    layout: Layout<'a, T>,
+    geometry: Geometry<'a, T>,
     column: &'a mut [T],
     places: &'a mut [T],
-    middle: &'a mut M,
+    pointwise: &'a mut M,
     at: At,
 }
 
-impl<T: Element, M: Middle<T>, const INVERSE: bool> Algorithm<T> for PairStep<'_, T, M, INVERSE> {
+impl<T: Element, M: Pointwise<T>, const INVERSE: bool> Algorithm<T>
+    for PairStep<'_, T, M, INVERSE>
+{
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let (column, places) =
             (complex_vectors::<V>(self.column), complex_vectors::<V>(self.places));
-        pair_step::<V, M, INVERSE>(self.layout, column, places, self.middle, self.at);
+        pair_step::<V, M, INVERSE>(self.geometry, column, places, self.pointwise, self.at);
     }
 }
 
-/// `middle` on the packed column 0, and its real columns packed again if the inverse follows, else left as places.
+/// `pointwise` on the packed column 0, and its real columns packed again if the inverse follows, else left as places.
 #[inline(always)]
-pub(crate) fn pair_step<V: Vector, M: Middle<V::Element>, const INVERSE: bool>(
-    layout: Layout<'_, V::Element>,
+pub(crate) fn pair_step<V: Vector, M: Pointwise<V::Element>, const INVERSE: bool>(
+    geometry: Geometry<'_, V::Element>,
     column: &mut [Complex<V>],
     places: &mut [Complex<V>],
-    middle: &mut M,
+    pointwise: &mut M,
     at: At,
 ) {
-    let outputs = layout.outputs;
+    let outputs = geometry.outputs;
     let length = outputs.len();
     for k in 0..=length / 2 {
         // a division would take as long as the arithmetic
         let (position, mirror) = (outputs[k], outputs[if k == 0 { 0 } else { length - k }]);
         let mut both = split(column[position], column[mirror]);
-        if let First::Halves(turns) = layout.first {
+        if let First::Halves(turns) = geometry.first {
             both = merge(both, turns[k].splat());
         }
-        both = middle.apply(at.plus(2 * k), both);
+        both = pointwise.apply(at.plus(2 * k), both);
         if INVERSE {
-            if let First::Halves(turns) = layout.first {
+            if let First::Halves(turns) = geometry.first {
                 both = unmerge(both, turns[k].splat());
             }
             let (z, opposite) = join(both);

@@ -8,7 +8,7 @@ use ndarray::{ArrayView3, ArrayViewMut3};
 use crate::simd::{Algorithm, Complex, Element, Isa, Tile, TileMut, Vector};
 
 /// Where the places of kernel order come from.
-pub(crate) struct Packing<T> {
+pub(crate) struct BinOrder<T> {
     /// Places of the first column: the bin and its mirror.
     hermitian: Vec<(usize, usize)>,
     /// Places of all others: the bin, and whether it is conjugated.
@@ -19,6 +19,7 @@ pub(crate) struct Packing<T> {
 
 /// What bins are multiplied by.
 pub(crate) struct Scales<T> {
+    /// In the columns of DC and Nyquist.
     pub(crate) hermitian: T,
     pub(crate) plain: T,
 }
@@ -47,7 +48,7 @@ impl Bins {
     }
 }
 
-impl<T: Element> Packing<T> {
+impl<T: Element> BinOrder<T> {
     pub(crate) fn new(
         hermitian: Vec<(usize, usize)>,
         plain: Vec<(usize, bool)>,
@@ -133,35 +134,35 @@ impl<T: Element> Packing<T> {
 
     /// `weight` `(bins, lanes, 2)`, of whole vectors, to `packed`, one vector of lanes after the other.
     pub(crate) fn pack(&self, isa: Isa, weight: ArrayView3<'_, T>, packed: &mut [T]) {
-        isa.run(Pack { packing: self, weight: Tile::of_complex(weight), packed });
+        isa.run(PackLanes { order: self, weight: Tile::of_complex(weight), packed });
     }
 
     /// `sum`, packed, to `gradient` `(bins, lanes, 2)`, of whole vectors.
     pub(crate) fn unpack(&self, isa: Isa, sum: &[T], gradient: ArrayViewMut3<'_, T>) {
-        isa.run(Unpack { packing: self, sum, gradient: TileMut::of_complex(gradient) });
+        isa.run(UnpackLanes { order: self, sum, gradient: TileMut::of_complex(gradient) });
     }
 }
 
 /// Places ahead of the work that are brought to the cache.
 const AHEAD: usize = 16;
 
-struct Pack<'a, T> {
-    packing: &'a Packing<T>,
+struct PackLanes<'a, T> {
+    order: &'a BinOrder<T>,
     weight: Tile<'a, T>,
     packed: &'a mut [T],
 }
 
 /// All lanes of a bin, then the next bin: whole runs of memory.
-impl<T: Element> Algorithm<T> for Pack<'_, T> {
+impl<T: Element> Algorithm<T> for PackLanes<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let len = self.packing.packed_len(V::LANES);
-        for place in 0..self.packing.places() {
+        let len = self.order.packed_len(V::LANES);
+        for place in 0..self.order.places() {
             for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
                 let weight = self.weight.skip_lanes(2 * i * V::LANES);
-                self.packing.prefetch::<V>(weight, place + AHEAD);
+                self.order.prefetch::<V>(weight, place + AHEAD);
                 let mut packed = TileMut::dense(packed, V::LANES);
-                self.packing.read::<V, 1>(weight, false, place, |_, z| {
+                self.order.read::<V, 1>(weight, false, place, |_, z| {
                     packed.scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
                 });
             }
@@ -169,21 +170,21 @@ impl<T: Element> Algorithm<T> for Pack<'_, T> {
     }
 }
 
-struct Unpack<'a, T> {
-    packing: &'a Packing<T>,
+struct UnpackLanes<'a, T> {
+    order: &'a BinOrder<T>,
     sum: &'a [T],
     gradient: TileMut<'a, T>,
 }
 
-impl<T: Element> Algorithm<T> for Unpack<'_, T> {
+impl<T: Element> Algorithm<T> for UnpackLanes<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let sums = self.sum.chunks_exact(self.packing.packed_len(V::LANES));
-        for place in 0..self.packing.places() {
+        let sums = self.sum.chunks_exact(self.order.packed_len(V::LANES));
+        for place in 0..self.order.places() {
             for (i, sum) in sums.clone().enumerate() {
                 let [re, im] = Tile::dense(sum, V::LANES).gather::<V, 2>(2 * place, 1);
                 let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
-                self.packing.write(&mut gradient, place, [Complex::new(re, im)]);
+                self.order.write(&mut gradient, place, [Complex::new(re, im)]);
             }
         }
     }

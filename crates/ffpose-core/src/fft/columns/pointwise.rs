@@ -1,6 +1,6 @@
 //! What is done with a spectrum between a transform and its inverse.
 
-use crate::fft::columns::order::Packing;
+use crate::fft::columns::order::BinOrder;
 use crate::simd::{Complex, Element, Tile, TileMut, Vector};
 
 /// Where the first of some vectors of one column is.
@@ -23,7 +23,7 @@ impl At {
 }
 
 /// A step on complex vectors, in registers.
-pub(crate) trait Middle<T: Element> {
+pub(crate) trait Pointwise<T: Element> {
     /// The new values of the `R` vectors of the spectrum from `at` on.
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
@@ -33,7 +33,7 @@ pub(crate) trait Middle<T: Element> {
 }
 
 /// Nothing.
-impl<T: Element> Middle<T> for () {
+impl<T: Element> Pointwise<T> for () {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
@@ -46,7 +46,7 @@ impl<T: Element> Middle<T> for () {
 
 /// Both see the same spectrum; the result is the second's, and it goes first. What the first writes often has the same offset in
 /// a page as what the second reads, and a read soon after such a write waits for it.
-impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
+impl<T: Element, A: Pointwise<T>, B: Pointwise<T>> Pointwise<T> for (A, B) {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
@@ -66,7 +66,7 @@ pub(crate) struct Product<'a, T, const CONJUGATE: bool> {
     pub(crate) places: usize,
 }
 
-impl<T: Element, const CONJUGATE: bool> Middle<T> for Product<'_, T, CONJUGATE> {
+impl<T: Element, const CONJUGATE: bool> Pointwise<T> for Product<'_, T, CONJUGATE> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
@@ -93,7 +93,7 @@ pub(crate) struct Accumulate<'a, T> {
     pub(crate) places: usize,
 }
 
-impl<T: Element> Middle<T> for Accumulate<'_, T> {
+impl<T: Element> Pointwise<T> for Accumulate<'_, T> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
@@ -116,13 +116,13 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
 
 /// As [`Product`], with a weight in natural order.
 pub(crate) struct NaturalProduct<'a, T> {
-    pub(crate) packing: &'a Packing<T>,
+    pub(crate) order: &'a BinOrder<T>,
     /// Complex numbers, as pairs of real ones.
     pub(crate) weight: Tile<'a, T>,
     pub(crate) conjugate: bool,
 }
 
-impl<T: Element> Middle<T> for NaturalProduct<'_, T> {
+impl<T: Element> Pointwise<T> for NaturalProduct<'_, T> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
@@ -130,7 +130,7 @@ impl<T: Element> Middle<T> for NaturalProduct<'_, T> {
         mut spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
         let weight = self.weight.skip_lanes(2 * at.vector * V::LANES);
-        self.packing.read::<V, R>(weight, self.conjugate, at.place, |i, weight| {
+        self.order.read::<V, R>(weight, self.conjugate, at.place, |i, weight| {
             spectrum[i] = spectrum[i].times(weight);
         });
         spectrum
@@ -139,14 +139,14 @@ impl<T: Element> Middle<T> for NaturalProduct<'_, T> {
 
 /// `conj(x) · spectrum` as a gradient in natural order; the spectrum itself is passed on.
 pub(crate) struct NaturalGradient<'a, T> {
-    pub(crate) packing: &'a Packing<T>,
+    pub(crate) order: &'a BinOrder<T>,
     /// By position.
     pub(crate) x: Tile<'a, T>,
     /// Complex numbers, as pairs of real ones.
     pub(crate) gradient: TileMut<'a, T>,
 }
 
-impl<T: Element> Middle<T> for NaturalGradient<'_, T> {
+impl<T: Element> Pointwise<T> for NaturalGradient<'_, T> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
@@ -159,7 +159,7 @@ impl<T: Element> Middle<T> for NaturalGradient<'_, T> {
             products[i] = spectrum[i].times_conj(Complex::new(re[i], im[i]));
         }
         let mut gradient = self.gradient.skip_lanes(2 * at.vector * V::LANES);
-        self.packing.write(&mut gradient, at.place, products);
+        self.order.write(&mut gradient, at.place, products);
         spectrum
     }
 }

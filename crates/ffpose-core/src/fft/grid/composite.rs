@@ -9,9 +9,9 @@ use crate::fft::transform::remainders;
 use crate::simd::{Complex, Stored, Tile, TileMut, Vector, gather, scatter};
 
 /// A line of `P Q`; `ROWS` is `P / 2`.
-pub(crate) struct Line<const P: usize, const Q: usize, const ROWS: usize>;
+pub(crate) struct CompositeRow<const P: usize, const Q: usize, const ROWS: usize>;
 
-impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS>
+impl<const P: usize, const Q: usize, const ROWS: usize> CompositeRow<P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {

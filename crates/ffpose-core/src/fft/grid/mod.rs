@@ -13,7 +13,7 @@ use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use self::rows::{Place, Rows};
 use crate::Shape;
-use crate::fft::columns::order::{Bins, Packing, Scales};
+use crate::fft::columns::order::{BinOrder, Bins, Scales};
 use crate::fft::columns::pointwise::{NaturalGradient, NaturalProduct};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::inverted;
@@ -70,11 +70,11 @@ pub(crate) struct Grid<T> {
     padded_bins: usize,
     rows: Rows<T>,
     columns: Columns<T>,
-    packing: Packing<T>,
+    order: BinOrder<T>,
 }
 
-/// Scratch of one call.
-struct Scratch<'a, T> {
+/// The scratch of one call, cut into its uses.
+struct GridBuffers<'a, T> {
     spectrum: &'a mut [T],
     other: &'a mut [T],
     work: &'a mut [T],
@@ -142,7 +142,7 @@ impl<T: Element> Grid<T> {
             padded_bins: if is_whole { 0 } else { 2 * lanes * shape.bins_len() },
             rows,
             columns,
-            packing: Packing::new(hermitian, plain, weight, gradient),
+            order: BinOrder::new(hermitian, plain, weight, gradient),
         }
     }
 
@@ -150,14 +150,14 @@ impl<T: Element> Grid<T> {
         (2 * self.lanes * self.rows.work_len()).max(self.columns.work_len())
     }
 
-    fn scratch<'a>(&self, scratch: &'a mut [T]) -> Scratch<'a, T> {
+    fn scratch<'a>(&self, scratch: &'a mut [T]) -> GridBuffers<'a, T> {
         let spectra = self.spectra(self.together);
         let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
         let (other, rest) = rest.split_at_mut(spectra);
         let (work, rest) = rest.split_at_mut(self.work_len());
         let (padded, rest) = rest.split_at_mut(self.points * self.lanes);
         let (weight, rest) = rest.split_at_mut(self.padded_bins);
-        Scratch { spectrum, other, work, padded, bins: [weight, &mut rest[..self.padded_bins]] }
+        GridBuffers { spectrum, other, work, padded, bins: [weight, &mut rest[..self.padded_bins]] }
     }
 
     /// `far`: whether images are likely to be in memory, as several are, rather than in cache.
@@ -260,9 +260,9 @@ impl<T: Element> Grid<T> {
         packed: &[T],
         grad_x: Option<ArrayViewMut2<'_, X>>,
         sum: Option<&mut [T]>,
-        scratch: &mut Scratch<'_, T>,
+        scratch: &mut GridBuffers<'_, T>,
     ) {
-        let Scratch { spectrum, other, work, padded, .. } = scratch;
+        let GridBuffers { spectrum, other, work, padded, .. } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
         self.rows_forward(place, grad, spectrum, work, padded);
@@ -286,9 +286,9 @@ impl<T: Element> Grid<T> {
         x: ArrayView2<'_, X>,
         weight: ArrayView3<'_, T>,
         y: ArrayViewMut2<'_, X>,
-        scratch: &mut Scratch<'_, T>,
+        scratch: &mut GridBuffers<'_, T>,
     ) {
-        let Scratch { spectrum, work, padded, .. } = scratch;
+        let GridBuffers { spectrum, work, padded, .. } = scratch;
         let spectrum = &mut spectrum[..self.spectra(x.ncols())];
         let place = self.place_of_one(&x);
         self.rows_forward(place, x, spectrum, work, padded);
@@ -300,10 +300,10 @@ impl<T: Element> Grid<T> {
     fn backward_single<X: Stored<Real = T>>(
         &self,
         pass: SingleBackward<'_, X>,
-        scratch: &mut Scratch<'_, T>,
+        scratch: &mut GridBuffers<'_, T>,
     ) {
         let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
-        let Scratch { spectrum, other, work, padded, .. } = scratch;
+        let GridBuffers { spectrum, other, work, padded, .. } = scratch;
         let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
         let other = &mut other[..spectrum.len()];
         let place = self.place_of_one(&grad);
@@ -317,7 +317,7 @@ impl<T: Element> Grid<T> {
             Some(gradient) => {
                 self.columns.through::<_, false>(other, (), work);
                 let gradient = NaturalGradient {
-                    packing: &self.packing,
+                    order: &self.order,
                     x: Tile::dense(other, self.lanes),
                     gradient: TileMut::of_complex(gradient),
                 };
@@ -334,7 +334,7 @@ impl<T: Element> Grid<T> {
     }
 
     fn product<'a>(&'a self, weight: ArrayView3<'a, T>, conjugate: bool) -> NaturalProduct<'a, T> {
-        NaturalProduct { packing: &self.packing, weight: Tile::of_complex(weight), conjugate }
+        NaturalProduct { order: &self.order, weight: Tile::of_complex(weight), conjugate }
     }
 
     /// `room` as a weight `(bins, lanes, 2)` of one vector of lanes.
@@ -385,10 +385,10 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
             (part, packed) = packed.split_at_mut(Kernel::<X>::packed_len(self, lanes.len()));
             let weight = weight.slice(s![.., lanes.clone(), ..]);
             if lanes.len().is_multiple_of(self.lanes) {
-                self.packing.pack(self.isa, weight, part);
+                self.order.pack(self.isa, weight, part);
             } else {
                 let [room, _] = self.scratch(team.scratch()).bins;
-                self.packing.pack(self.isa, self.padded_bins(weight, room), part);
+                self.order.pack(self.isa, self.padded_bins(weight, room), part);
             }
         }
     }
@@ -400,7 +400,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         mut y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
-        let Scratch { spectrum, work, padded, .. } = self.scratch(team.scratch());
+        let GridBuffers { spectrum, work, padded, .. } = self.scratch(team.scratch());
         let packed_len = self.columns.packed_len();
         let place = self.place_of_several(&x, 1);
         for image in 0..x.len_of(Axis(0)) {
@@ -448,10 +448,10 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
             (part, grad_sum) = grad_sum.split_at(Kernel::<X>::packed_len(self, lanes.len()));
             let mut gradient = grad_weight.slice_mut(s![.., lanes.clone(), ..]);
             if lanes.len().is_multiple_of(self.lanes) {
-                self.packing.unpack(self.isa, part, gradient);
+                self.order.unpack(self.isa, part, gradient);
             } else {
                 let mut whole = self.bins(self.scratch(team.scratch()).bins[0]);
-                self.packing.unpack(self.isa, part, whole.view_mut());
+                self.order.unpack(self.isa, part, whole.view_mut());
                 gradient.assign(&whole.slice(s![.., ..lanes.len(), ..]));
             }
         }

@@ -3,7 +3,7 @@
 //! Row `h` becomes place `positions[h]` of each column, column `s` starts at `s * pitch`, and `frequencies[s]` is what column
 //! `s` holds. Column 0 of an even length packs the real frequencies 0 and `W / 2` as real and imaginary part.
 
-use super::composite::Line;
+use super::composite::CompositeRow;
 use crate::fft::codelets::pair;
 use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal};
 use crate::fft::transform::Transform;
@@ -35,7 +35,7 @@ pub(crate) struct Place<'a> {
 }
 
 /// Runs one of two expressions for a line of `$length` points: `$single` with the constants of its codelet `RealDft<$n, $s>`, or
-/// `$double` with those of `Line<$p, $q, $rows>`.
+/// `$double` with those of `CompositeRow<$p, $q, $rows>`.
 macro_rules! with_codelet {
     ($length:expr, ($n:ident, $s:ident) => $single:expr, ($p:ident, $q:ident, $rows:ident) => $double:expr) => {
         with_codelet!(@ $length, $n, $s, $single, $p, $q, $rows, $double,
@@ -76,7 +76,7 @@ impl<T: Element> Rows<T> {
             Self::Codelet(length) => {
                 with_codelet!(*length,
                     (N, S) => <Codelet as RealDft<N, S>>::frequencies().to_vec(),
-                    (P, Q, ROWS) => Line::<P, Q, ROWS>::frequencies())
+                    (P, Q, ROWS) => CompositeRow::<P, Q, ROWS>::frequencies())
             }
             Self::Pairs(transform) => (0..transform.len().div_ceil(2)).collect(),
         }
@@ -117,8 +117,8 @@ impl<T: Element> Rows<T> {
     ) {
         match self {
             Self::Codelet(length) => with_codelet!(*length,
-                (N, S) => isa.run_tuned(Forward::<X, N, S> { image, place, spectrum }),
-                (P, Q, ROWS) => isa.run_tuned(ForwardLines::<X, P, Q, ROWS> { image, place, spectrum, work })),
+                (N, S) => isa.run_tuned(ShortForward::<X, N, S> { image, place, spectrum }),
+                (P, Q, ROWS) => isa.run_tuned(CompositeForward::<X, P, Q, ROWS> { image, place, spectrum, work })),
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
                     (transform.outputs(), transform.len(), isa.lanes::<T>());
@@ -135,9 +135,15 @@ impl<T: Element> Rows<T> {
                             image.prefetch_share(ahead, 2 * width, i, vectors);
                         }
                         let image = image.skip_lanes(i * lanes);
-                        isa.run(Enter { inputs: transform.inputs(), image, first, second, line });
+                        isa.run(EnterPair {
+                            inputs: transform.inputs(),
+                            image,
+                            first,
+                            second,
+                            line,
+                        });
                         transform.forward(line, work);
-                        isa.run(Split { outputs, line, spectrum, pitch: place.pitch, places });
+                        isa.run(SplitPair { outputs, line, spectrum, pitch: place.pitch, places });
                     }
                 }
             }
@@ -155,8 +161,8 @@ impl<T: Element> Rows<T> {
     ) {
         match self {
             Self::Codelet(length) => with_codelet!(*length,
-                (N, S) => isa.run_tuned(Inverse::<X, N, S> { image, place, spectrum }),
-                (P, Q, ROWS) => isa.run_tuned(InverseLines::<X, P, Q, ROWS> { image, place, spectrum, work })),
+                (N, S) => isa.run_tuned(ShortInverse::<X, N, S> { image, place, spectrum }),
+                (P, Q, ROWS) => isa.run_tuned(CompositeInverse::<X, P, Q, ROWS> { image, place, spectrum, work })),
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
                     (transform.outputs(), transform.len(), isa.lanes::<T>());
@@ -173,9 +179,15 @@ impl<T: Element> Rows<T> {
                             image.reader().prefetch_share(ahead, 2 * width, i, vectors);
                         }
                         let image = &mut image.skip_lanes(i * lanes);
-                        isa.run(Join { outputs, line, spectrum, pitch: place.pitch, places });
+                        isa.run(JoinPair { outputs, line, spectrum, pitch: place.pitch, places });
                         transform.inverse(line, work);
-                        isa.run(Leave { inputs: transform.inputs(), image, first, second, line });
+                        isa.run(LeavePair {
+                            inputs: transform.inputs(),
+                            image,
+                            first,
+                            second,
+                            line,
+                        });
                     }
                 }
             }
@@ -183,13 +195,13 @@ impl<T: Element> Rows<T> {
     }
 }
 
-struct Forward<'a, X: Stored, const N: usize, const S: usize> {
+struct ShortForward<'a, X: Stored, const N: usize, const S: usize> {
     image: Tile<'a, X>,
     place: Place<'a>,
     spectrum: &'a mut [X::Real],
 }
 
-impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for Forward<'_, X, N, S>
+impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for ShortForward<'_, X, N, S>
 where
     Codelet: RealDft<N, S>,
 {
@@ -211,7 +223,7 @@ where
     }
 }
 
-struct ForwardLines<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
+struct CompositeForward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     image: Tile<'a, X>,
     place: Place<'a>,
     spectrum: &'a mut [X::Real],
@@ -219,7 +231,7 @@ struct ForwardLines<'a, X: Stored, const P: usize, const Q: usize, const ROWS: u
 }
 
 impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
-    for ForwardLines<'_, X, P, Q, ROWS>
+    for CompositeForward<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
@@ -236,13 +248,13 @@ where
                     self.image.prefetch_share(first + AHEAD.max(P * Q), P * Q, i, vectors);
                 }
                 let image = self.image.skip_lanes(i * V::LANES);
-                Line::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
+                CompositeRow::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
             }
         }
     }
 }
 
-struct InverseLines<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
+struct CompositeInverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     image: TileMut<'a, X>,
     place: Place<'a>,
     spectrum: &'a mut [X::Real],
@@ -250,7 +262,7 @@ struct InverseLines<'a, X: Stored, const P: usize, const Q: usize, const ROWS: u
 }
 
 impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
-    for InverseLines<'_, X, P, Q, ROWS>
+    for CompositeInverse<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
@@ -268,19 +280,19 @@ where
                     image.prefetch_share(first + AHEAD.max(P * Q), P * Q, i, vectors);
                 }
                 let image = &mut self.image.skip_lanes(i * V::LANES);
-                Line::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
+                CompositeRow::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
             }
         }
     }
 }
 
-struct Inverse<'a, X: Stored, const N: usize, const S: usize> {
+struct ShortInverse<'a, X: Stored, const N: usize, const S: usize> {
     image: TileMut<'a, X>,
     place: Place<'a>,
     spectrum: &'a mut [X::Real],
 }
 
-impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for Inverse<'_, X, N, S>
+impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for ShortInverse<'_, X, N, S>
 where
     Codelet: RealDft<N, S>,
 {
@@ -303,7 +315,7 @@ where
 }
 
 /// The lines of a pair of rows as one complex line; a missing second row is zero.
-struct Enter<'a, X: Stored> {
+struct EnterPair<'a, X: Stored> {
     inputs: &'a [usize],
     image: Tile<'a, X>,
     first: usize,
@@ -311,7 +323,7 @@ struct Enter<'a, X: Stored> {
     line: &'a mut [X::Real],
 }
 
-impl<X: Stored> Algorithm<X::Real> for Enter<'_, X> {
+impl<X: Stored> Algorithm<X::Real> for EnterPair<'_, X> {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
         let line = complex_vectors::<V>(self.line);
@@ -327,7 +339,7 @@ impl<X: Stored> Algorithm<X::Real> for Enter<'_, X> {
 }
 
 /// The real part of a complex line to a row, the imaginary part to a second one.
-struct Leave<'a, 'b, X: Stored> {
+struct LeavePair<'a, 'b, X: Stored> {
     inputs: &'a [usize],
     image: &'a mut TileMut<'b, X>,
     first: usize,
@@ -335,7 +347,7 @@ struct Leave<'a, 'b, X: Stored> {
     line: &'a mut [X::Real],
 }
 
-impl<X: Stored> Algorithm<X::Real> for Leave<'_, '_, X> {
+impl<X: Stored> Algorithm<X::Real> for LeavePair<'_, '_, X> {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
         let line = complex_vectors::<V>(self.line);
@@ -349,7 +361,7 @@ impl<X: Stored> Algorithm<X::Real> for Leave<'_, '_, X> {
 }
 
 /// The doubled spectra of the two rows of a complex line, to places `[first, second]` of the columns.
-struct Split<'a, T> {
+struct SplitPair<'a, T> {
     outputs: &'a [usize],
     line: &'a mut [T],
     spectrum: &'a mut [T],
@@ -357,7 +369,7 @@ struct Split<'a, T> {
     places: [usize; 2],
 }
 
-impl<T: Element> Algorithm<T> for Split<'_, T> {
+impl<T: Element> Algorithm<T> for SplitPair<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let (line, spectrum) =
@@ -377,8 +389,8 @@ impl<T: Element> Algorithm<T> for Split<'_, T> {
     }
 }
 
-/// Undoes [`Split`] up to a factor 2.
-struct Join<'a, T> {
+/// Undoes [`SplitPair`] up to a factor 2.
+struct JoinPair<'a, T> {
     outputs: &'a [usize],
     line: &'a mut [T],
     spectrum: &'a mut [T],
@@ -386,7 +398,7 @@ struct Join<'a, T> {
     places: [usize; 2],
 }
 
-impl<T: Element> Algorithm<T> for Join<'_, T> {
+impl<T: Element> Algorithm<T> for JoinPair<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let (line, spectrum) =

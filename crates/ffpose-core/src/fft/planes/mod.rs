@@ -9,7 +9,7 @@ mod order;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use self::order::Packing;
+use self::order::SquareOrder;
 use crate::fft::codelets::pair::{join, split};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::Transform;
@@ -27,11 +27,11 @@ pub(crate) struct Planes<T> {
     width: usize,
     along_x: Transform<T>,
     along_y: Columns<T>,
-    packing: Packing<T>,
+    order: SquareOrder<T>,
 }
 
-/// Scratch of one call.
-struct Scratch<'a, T> {
+/// The scratch of one call, cut into its uses.
+struct PlanesBuffers<'a, T> {
     spectrum: &'a mut [T],
     other: &'a mut [T],
     line: &'a mut [T],
@@ -42,7 +42,7 @@ struct Scratch<'a, T> {
 
 /// Rows of a spectrum, `pitch` complex vectors apart.
 #[derive(Clone, Copy)]
-struct Rows {
+struct SpectrumRows {
     count: usize,
     pitch: usize,
 }
@@ -52,8 +52,8 @@ impl<T: Element> Planes<T> {
         let along_x = Transform::new(isa, points);
         let along_y = Columns::new(isa, width, 1, First::Complex);
         let outputs = along_y.transform().outputs().to_vec();
-        let packing = Packing::new(points, outputs, isa.lanes::<T>());
-        Self { isa, lanes: isa.lanes::<T>(), width, along_x, along_y, packing }
+        let order = SquareOrder::new(points, outputs, isa.lanes::<T>());
+        Self { isa, lanes: isa.lanes::<T>(), width, along_x, along_y, order }
     }
 
     /// Width up to a whole number of pairs of vectors.
@@ -62,8 +62,11 @@ impl<T: Element> Planes<T> {
     }
 
     /// Rows of the half spectrum; an odd pitch, since an even one would meet the same few sets of the cache.
-    fn rows(&self) -> Rows {
-        Rows { count: self.along_x.len() / 2 + 1, pitch: (self.padded_width() / self.lanes) | 1 }
+    fn rows(&self) -> SpectrumRows {
+        SpectrumRows {
+            count: self.along_x.len() / 2 + 1,
+            pitch: (self.padded_width() / self.lanes) | 1,
+        }
     }
 
     /// Blocks of rows that are transformed together.
@@ -87,14 +90,14 @@ impl<T: Element> Planes<T> {
         if self.width < self.padded_width() { self.along_x.len() * self.padded_width() } else { 0 }
     }
 
-    fn scratch<'a>(&self, scratch: &'a mut [T]) -> Scratch<'a, T> {
+    fn scratch<'a>(&self, scratch: &'a mut [T]) -> PlanesBuffers<'a, T> {
         let (spectrum, rest) = aligned(scratch).split_at_mut(self.spectrum_len());
         let (other, rest) = rest.split_at_mut(self.spectrum_len());
         let (line, rest) = rest.split_at_mut(self.line_len());
         let (other_line, rest) = rest.split_at_mut(self.line_len());
         let (work, rest) = rest.split_at_mut(self.work_len());
         let padded = &mut rest[..self.padded_len()];
-        Scratch { spectrum, other, line, other_line, work, padded }
+        PlanesBuffers { spectrum, other, line, other_line, work, padded }
     }
 
     /// An image `(points, width)` to rows of its spectrum; `padded` holds it if its width is no multiple of two vectors.
@@ -118,10 +121,10 @@ impl<T: Element> Planes<T> {
         let line = &mut line[..2 * self.lanes * self.along_x.len()];
         for pair in 0..self.padded_width() / (2 * self.lanes) {
             let image = image.skip_lanes(2 * pair * self.lanes);
-            self.isa.run(Enter { image, inputs: self.along_x.inputs(), line });
+            self.isa.run(EnterVectors { image, inputs: self.along_x.inputs(), line });
             self.along_x.forward(line, work);
             let outputs = self.along_x.outputs();
-            self.isa.run(Split { outputs, line, spectrum, rows: self.rows(), pair });
+            self.isa.run(SplitVectors { outputs, line, spectrum, rows: self.rows(), pair });
         }
     }
 
@@ -155,17 +158,17 @@ impl<T: Element> Planes<T> {
         let line = &mut line[..2 * self.lanes * self.along_x.len()];
         let (inputs, outputs) = (self.along_x.inputs(), self.along_x.outputs());
         for pair in 0..self.padded_width() / (2 * self.lanes) {
-            self.isa.run(Join { outputs, line, spectrum, rows: self.rows(), pair });
+            self.isa.run(JoinVectors { outputs, line, spectrum, rows: self.rows(), pair });
             self.along_x.inverse(line, work);
             let image = image.skip_lanes(2 * pair * self.lanes);
-            self.isa.run(Leave { image, inputs, line });
+            self.isa.run(LeaveVectors { image, inputs, line });
         }
     }
 
     /// Lanes of a block from and to rows, in the order of the transform along Y.
-    fn block(&self, block: usize) -> Block<'_> {
+    fn block(&self, block: usize) -> RowBlock<'_> {
         let inputs = self.along_y.transform().inputs();
-        Block { rows: self.rows(), first: block * self.lanes, inputs }
+        RowBlock { rows: self.rows(), first: block * self.lanes, inputs }
     }
 
     /// The block's numbers of a packed weight.
@@ -189,7 +192,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
     }
 
     fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
-        self.packing.pack(self.isa, weight, packed);
+        self.order.pack(self.isa, weight, packed);
     }
 
     fn forward(
@@ -199,7 +202,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
         mut y: ArrayViewMut3<'_, T>,
         team: &mut Team<'_, T>,
     ) {
-        let Scratch { spectrum, line, work, padded, .. } = self.scratch(team.scratch());
+        let PlanesBuffers { spectrum, line, work, padded, .. } = self.scratch(team.scratch());
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.forward_x(x, spectrum, line, work, padded);
             for (block, weight) in packed.chunks_exact(self.block_len()).enumerate() {
@@ -214,7 +217,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
 
     fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
         let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
-        let Scratch { spectrum, other, line, other_line, work, padded } =
+        let PlanesBuffers { spectrum, other, line, other_line, work, padded } =
             self.scratch(team.scratch());
         for image in 0..grad.len_of(Axis(0)) {
             self.forward_x(grad.index_axis(Axis(0), image), spectrum, line, work, padded);
@@ -252,18 +255,18 @@ impl<T: Element> Kernel<T> for Planes<T> {
         grad_weight: ArrayViewMut3<'_, T>,
         _: &mut Team<'_, T>,
     ) {
-        self.packing.unpack(self.isa, grad_sum, grad_weight);
+        self.order.unpack(self.isa, grad_sum, grad_weight);
     }
 }
 
 /// Two vectors of each point as one complex line.
-struct Enter<'a, T> {
+struct EnterVectors<'a, T> {
     image: Tile<'a, T>,
     inputs: &'a [usize],
     line: &'a mut [T],
 }
 
-impl<T: Element> Algorithm<T> for Enter<'_, T> {
+impl<T: Element> Algorithm<T> for EnterVectors<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let line = complex_vectors::<V>(self.line);
@@ -275,14 +278,14 @@ impl<T: Element> Algorithm<T> for Enter<'_, T> {
     }
 }
 
-/// Undoes [`Enter`].
-struct Leave<'a, T> {
+/// Undoes [`EnterVectors`].
+struct LeaveVectors<'a, T> {
     image: TileMut<'a, T>,
     inputs: &'a [usize],
     line: &'a mut [T],
 }
 
-impl<T: Element> Algorithm<T> for Leave<'_, T> {
+impl<T: Element> Algorithm<T> for LeaveVectors<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
         let line = complex_vectors::<V>(self.line);
@@ -294,15 +297,15 @@ impl<T: Element> Algorithm<T> for Leave<'_, T> {
 }
 
 /// The doubled spectra of the two real lines of a complex line, to vectors `2 pair` and `2 pair + 1` of the rows.
-struct Split<'a, T> {
+struct SplitVectors<'a, T> {
     outputs: &'a [usize],
     line: &'a mut [T],
     spectrum: &'a mut [T],
-    rows: Rows,
+    rows: SpectrumRows,
     pair: usize,
 }
 
-impl<T: Element> Algorithm<T> for Split<'_, T> {
+impl<T: Element> Algorithm<T> for SplitVectors<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let line = complex_vectors::<V>(self.line);
@@ -316,16 +319,16 @@ impl<T: Element> Algorithm<T> for Split<'_, T> {
     }
 }
 
-/// Undoes [`Split`] up to a factor 2. The spectra of real lines are real in rows 0 and `X / 2`.
-struct Join<'a, T> {
+/// Undoes [`SplitVectors`] up to a factor 2. The spectra of real lines are real in rows 0 and `X / 2`.
+struct JoinVectors<'a, T> {
     outputs: &'a [usize],
     line: &'a mut [T],
     spectrum: &'a mut [T],
-    rows: Rows,
+    rows: SpectrumRows,
     pair: usize,
 }
 
-impl<T: Element> Algorithm<T> for Join<'_, T> {
+impl<T: Element> Algorithm<T> for JoinVectors<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let line = complex_vectors::<V>(self.line);
@@ -345,15 +348,15 @@ impl<T: Element> Algorithm<T> for Join<'_, T> {
 
 /// Rows `first` and following of a spectrum as the lanes of a line; lanes without a row repeat the last one.
 #[derive(Clone, Copy)]
-struct Block<'a> {
-    rows: Rows,
+struct RowBlock<'a> {
+    rows: SpectrumRows,
     first: usize,
     inputs: &'a [usize],
 }
 
 /// Rows to lanes.
 struct Gather<'a, T> {
-    block: Block<'a>,
+    block: RowBlock<'a>,
     spectrum: &'a mut [T],
     line: &'a mut [T],
 }
@@ -361,7 +364,7 @@ struct Gather<'a, T> {
 impl<T: Element> Algorithm<T> for Gather<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Block { rows: Rows { count, pitch }, first, inputs } = self.block;
+        let RowBlock { rows: SpectrumRows { count, pitch }, first, inputs } = self.block;
         let spectrum = complex_vectors::<V>(self.spectrum);
         let line = complex_vectors::<V>(self.line);
         let (mut re, mut im) =
@@ -382,7 +385,7 @@ impl<T: Element> Algorithm<T> for Gather<'_, T> {
 
 /// Lanes to rows.
 struct Put<'a, T> {
-    block: Block<'a>,
+    block: RowBlock<'a>,
     spectrum: &'a mut [T],
     line: &'a mut [T],
 }
@@ -390,7 +393,7 @@ struct Put<'a, T> {
 impl<T: Element> Algorithm<T> for Put<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Block { rows: Rows { count, pitch }, first, inputs } = self.block;
+        let RowBlock { rows: SpectrumRows { count, pitch }, first, inputs } = self.block;
         let spectrum = complex_vectors::<V>(self.spectrum);
         let line = complex_vectors::<V>(self.line);
         let (mut re, mut im) =

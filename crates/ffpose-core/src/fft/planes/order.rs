@@ -5,51 +5,39 @@
 
 use ndarray::{ArrayView3, ArrayViewMut3};
 
+use crate::fft::columns::order::Scales;
 use crate::simd::{Algorithm, Complex, Element, Isa, MAX_LANES, Tile, TileMut, Vector};
 
 /// How the frequencies of one shape are ordered and scaled.
-pub(crate) struct Packing<T> {
+pub(crate) struct SquareOrder<T> {
     points: usize,
     /// The place of each column frequency.
     outputs: Vec<usize>,
     blocks: usize,
-    weight: Scales<T>,
-    gradient: Scales<T>,
+    /// Of weight and gradient alike.
+    scales: Scales<T>,
 }
 
-/// What numbers are multiplied by.
-#[derive(Clone, Copy)]
-struct Scales<T> {
-    /// In the columns of DC and Nyquist.
-    hermitian: T,
-    plain: T,
-}
-
-impl<T: Element> Packing<T> {
+impl<T: Element> SquareOrder<T> {
     /// For spectra that come doubled.
     pub(crate) fn new(points: usize, outputs: Vec<usize>, lanes: usize) -> Self {
         let norm = 1.0 / (points * outputs.len()) as f64;
-        let scales = |hermitian, plain| Scales {
-            hermitian: T::nearest(hermitian),
-            plain: T::nearest(plain),
-        };
         Self {
             points,
             blocks: (points / 2 + 1).div_ceil(lanes),
             outputs,
-            weight: scales(norm / 4.0, norm / 2.0),
-            gradient: scales(norm / 4.0, norm / 2.0),
+            scales: Scales { hermitian: T::nearest(norm / 4.0), plain: T::nearest(norm / 2.0) },
         }
     }
 
     /// `weight` `(X, Y/2+1, 2)` to `packed`.
     pub(crate) fn pack(&self, isa: Isa, weight: ArrayView3<'_, T>, packed: &mut [T]) {
-        isa.run(Pack { packing: self, weight: Tile::of_complex(weight), packed });
+        isa.run(PackSquares { order: self, weight: Tile::of_complex(weight), packed });
     }
 
     /// `sum`, packed, to `gradient` `(X, Y/2+1, 2)`.
     pub(crate) fn unpack(&self, isa: Isa, sum: &[T], gradient: ArrayViewMut3<'_, T>) {
-        isa.run(Unpack { packing: self, sum, gradient: TileMut::of_complex(gradient) });
+        isa.run(UnpackSquares { order: self, sum, gradient: TileMut::of_complex(gradient) });
     }
 
     /// Whether the mirrored column frequency is the same.
@@ -95,23 +83,23 @@ impl<V: Vector> Square<V> {
     }
 }
 
-struct Pack<'a, T> {
-    packing: &'a Packing<T>,
+struct PackSquares<'a, T> {
+    order: &'a SquareOrder<T>,
     weight: Tile<'a, T>,
     packed: &'a mut [T],
 }
 
-impl<T: Element> Algorithm<T> for Pack<'_, T> {
+impl<T: Element> Algorithm<T> for PackSquares<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Packing { outputs, blocks, weight: scales, .. } = self.packing;
+        let SquareOrder { outputs, blocks, scales, .. } = self.order;
         let (hermitian, plain) = (V::splat(scales.hermitian), V::splat(scales.plain));
         let (width, mut packed) = (outputs.len(), TileMut::dense(self.packed, V::LANES));
         let (mut square, mut mirror) = (Square::<V>::new(), Square::<V>::new());
         for block in 0..*blocks {
             for start in (0..=width / 2).step_by(V::LANES) {
                 for lane in 0..V::LANES {
-                    let (u, minus_u) = self.packing.row(block * V::LANES + lane);
+                    let (u, minus_u) = self.order.row(block * V::LANES + lane);
                     square.set(lane, self.weight.complex_from(u, start));
                     mirror.set(lane, self.weight.complex_from(minus_u, start));
                 }
@@ -120,7 +108,7 @@ impl<T: Element> Algorithm<T> for Pack<'_, T> {
                 for (i, v) in (start..(start + V::LANES).min(width / 2 + 1)).enumerate() {
                     let (z, mirror) = (square.get(i), mirror.get(i).conj());
                     let place = 2 * (block * width + outputs[v]);
-                    if self.packing.is_hermitian(v) {
+                    if self.order.is_hermitian(v) {
                         let z = (z + mirror).scale(hermitian);
                         packed.scatter(place, 1, [z.re, z.im]);
                     } else {
@@ -135,23 +123,23 @@ impl<T: Element> Algorithm<T> for Pack<'_, T> {
     }
 }
 
-struct Unpack<'a, T> {
-    packing: &'a Packing<T>,
+struct UnpackSquares<'a, T> {
+    order: &'a SquareOrder<T>,
     sum: &'a [T],
     gradient: TileMut<'a, T>,
 }
 
-impl<T: Element> Algorithm<T> for Unpack<'_, T> {
+impl<T: Element> Algorithm<T> for UnpackSquares<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Packing { outputs, blocks, gradient: scales, points, .. } = self.packing;
+        let SquareOrder { outputs, blocks, scales, points, .. } = self.order;
         let (hermitian, plain) = (V::splat(scales.hermitian), V::splat(scales.plain));
         let (width, sum) = (outputs.len(), Tile::dense(self.sum, V::LANES));
         let (mut square, mut mirror) = (Square::<V>::new(), Square::<V>::new());
         for block in 0..*blocks {
             for start in (0..=width / 2).step_by(V::LANES) {
                 for (i, v) in (start..(start + V::LANES).min(width / 2 + 1)).enumerate() {
-                    let scale = if self.packing.is_hermitian(v) { hermitian } else { plain };
+                    let scale = if self.order.is_hermitian(v) { hermitian } else { plain };
                     let [re, im] = sum.gather(2 * (block * width + outputs[v]), 1);
                     square.set(i, Complex::new(re, im).scale(scale));
                     let [re, im] =
@@ -161,7 +149,7 @@ impl<T: Element> Algorithm<T> for Unpack<'_, T> {
                 square.transpose();
                 mirror.transpose();
                 for lane in 0..V::LANES.min(points / 2 + 1 - block * V::LANES) {
-                    let (u, minus_u) = self.packing.row(block * V::LANES + lane);
+                    let (u, minus_u) = self.order.row(block * V::LANES + lane);
                     self.gradient.set_complex_from(minus_u, start, mirror.get(lane));
                     self.gradient.set_complex_from(u, start, square.get(lane));
                 }

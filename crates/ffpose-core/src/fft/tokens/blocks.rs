@@ -74,9 +74,9 @@ pub(super) fn block_to_image<T: Element, const INVERSE: bool>(
 }
 
 /// A DFT of length `P Q`, coprime: `P` across, then `Q`, without twiddles (Good–Thomas).
-struct Column<const P: usize, const Q: usize>;
+struct GoodThomas<const P: usize, const Q: usize>;
 
-impl<const P: usize, const Q: usize> Column<P, Q>
+impl<const P: usize, const Q: usize> GoodThomas<P, Q>
 where
     Codelet: Dft<P> + Dft<Q>,
 {
@@ -135,9 +135,9 @@ where
             let im = self.image.skip_lanes((2 * slot + 1) * V::LANES);
             let mut across = [[Complex::zero(); Q]; P];
             unroll!(q in 0..Q {
-                let inputs = Column::<P, Q>::INPUTS[q];
-                let re = re.gather_at::<V, P>(0, inputs, Column::<P, Q>::LENGTH);
-                let im = im.gather_at::<V, P>(0, inputs, Column::<P, Q>::LENGTH);
+                let inputs = GoodThomas::<P, Q>::INPUTS[q];
+                let re = re.gather_at::<V, P>(0, inputs, GoodThomas::<P, Q>::LENGTH);
+                let im = im.gather_at::<V, P>(0, inputs, GoodThomas::<P, Q>::LENGTH);
                 let mut z = [Complex::zero(); P];
                 for p in 0..P {
                     z[p] = Complex::new(re[p], im[p]);
@@ -160,7 +160,7 @@ where
                     across[p][..Q - 1].copy_from_slice(&waiting[Q * p..][..Q - 1]);
                 }
                 let z = dft::<V, Q, INVERSE>(across[p]);
-                scatter_at(block, slot, Column::<P, Q>::OUTPUTS[p], pitch, P * Q, z);
+                scatter_at(block, slot, GoodThomas::<P, Q>::OUTPUTS[p], pitch, P * Q, z);
             });
         }
     }
@@ -193,7 +193,7 @@ where
         for slot in 0..self.image.reader().lanes() / (2 * V::LANES) {
             let mut across = [[Complex::zero(); Q]; P];
             unroll!(q in 0..Q {
-                let inputs = Column::<P, Q>::INPUTS[q];
+                let inputs = GoodThomas::<P, Q>::INPUTS[q];
                 let z = dft::<V, P, INVERSE>(gather_at(block, slot, inputs, pitch, P * Q));
                 for p in 0..P {
                     if Self::WAITS && q + 1 < Q {
@@ -208,7 +208,7 @@ where
                 if Self::WAITS {
                     across[p][..Q - 1].copy_from_slice(&waiting[Q * p..][..Q - 1]);
                 }
-                let outputs = Column::<P, Q>::OUTPUTS[p];
+                let outputs = GoodThomas::<P, Q>::OUTPUTS[p];
                 let z = dft::<V, Q, INVERSE>(across[p]);
                 let (mut re, mut im) = ([z[0].re; Q], [z[0].im; Q]);
                 for q in 0..Q {
@@ -219,8 +219,8 @@ where
                     (re[q], im[q]) = (z.re, z.im);
                 }
                 let mut image = self.image.skip_lanes(2 * slot * V::LANES);
-                image.scatter_at(0, outputs, Column::<P, Q>::LENGTH, re);
-                image.skip_lanes(V::LANES).scatter_at(0, outputs, Column::<P, Q>::LENGTH, im);
+                image.scatter_at(0, outputs, GoodThomas::<P, Q>::LENGTH, re);
+                image.skip_lanes(V::LANES).scatter_at(0, outputs, GoodThomas::<P, Q>::LENGTH, im);
             });
         }
     }

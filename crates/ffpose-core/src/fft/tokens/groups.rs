@@ -15,7 +15,7 @@
 use std::hint::black_box;
 
 use super::blocks::Block;
-use super::weight::{GroupWeight, Run, Weight};
+use super::weight::{GroupWeight, NaturalWeight, Run};
 use crate::fft::codelets::{Codelet, Dft, TurnedDft, root, unroll};
 use crate::simd::{
     Algorithm, Complex, Element, MAX_LANES, Vector, complex_vectors, complex_vectors_of,
@@ -57,7 +57,7 @@ pub(super) struct Group<'a, V, const RUN: usize, const J: usize> {
 }
 
 /// What is done to the spectrum of a group.
-pub(super) trait Middle<T: Element> {
+pub(super) trait GroupPointwise<T: Element> {
     /// Whether the spectrum goes back to its block.
     const INVERSE: bool;
 
@@ -86,9 +86,9 @@ pub(super) trait Middle<T: Element> {
 }
 
 /// The product with a weight, or with its conjugate.
-pub(super) struct Product<'a, T, const CONJUGATE: bool>(pub(super) Weight<'a, T>);
+pub(super) struct GroupProduct<'a, T, const CONJUGATE: bool>(pub(super) NaturalWeight<'a, T>);
 
-impl<'a, T: Element, const CONJUGATE: bool> Middle<T> for Product<'a, T, CONJUGATE> {
+impl<'a, T: Element, const CONJUGATE: bool> GroupPointwise<T> for GroupProduct<'a, T, CONJUGATE> {
     const INVERSE: bool = true;
     type Ready<const RUN: usize, const J: usize> = GroupWeight<'a, T, RUN, J>;
 
@@ -122,12 +122,12 @@ impl<'a, T: Element, const CONJUGATE: bool> Middle<T> for Product<'a, T, CONJUGA
 }
 
 /// `sum += conj(x) · z` with the spectrum of the block `x`, which is spent; `z` is passed on.
-pub(super) struct Accumulate<'a, T> {
+pub(super) struct GroupAccumulate<'a, T> {
     pub(super) x: Block<'a, T>,
     pub(super) sum: &'a mut [T],
 }
 
-impl<T: Element> Middle<T> for Accumulate<'_, T> {
+impl<T: Element> GroupPointwise<T> for GroupAccumulate<'_, T> {
     const INVERSE: bool = false;
     type Ready<const RUN: usize, const J: usize> = ();
 
@@ -181,7 +181,7 @@ impl<T: Element> Middle<T> for Accumulate<'_, T> {
 }
 
 /// One after the other.
-impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
+impl<T: Element, A: GroupPointwise<T>, B: GroupPointwise<T>> GroupPointwise<T> for (A, B) {
     const INVERSE: bool = A::INVERSE || B::INVERSE;
     type Ready<const RUN: usize, const J: usize> = (A::Ready<RUN, J>, B::Ready<RUN, J>);
 
@@ -215,14 +215,14 @@ impl<T: Element, A: Middle<T>, B: Middle<T>> Middle<T> for (A, B) {
     }
 }
 
-/// `middle` on all groups of a block, there and back. `RUN` divides the lanes and the slots of a row.
+/// `pointwise` on all groups of a block, there and back. `RUN` divides the lanes and the slots of a row.
 pub(super) struct Filter<'a, T, M, const RUN: usize> {
     pub(super) block: Block<'a, T>,
     pub(super) turns: Turns<'a, T>,
-    pub(super) middle: M,
+    pub(super) pointwise: M,
 }
 
-impl<T: Element, M: Middle<T>, const RUN: usize> Algorithm<T> for Filter<'_, T, M, RUN> {
+impl<T: Element, M: GroupPointwise<T>, const RUN: usize> Algorithm<T> for Filter<'_, T, M, RUN> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         match V::LANES {
@@ -235,7 +235,7 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Algorithm<T> for Filter<'_, T, 
     }
 }
 
-impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
+impl<T: Element, M: GroupPointwise<T>, const RUN: usize> Filter<'_, T, M, RUN> {
     #[inline(always)]
     fn run_lanes<V: Vector<Element = T>, const J: usize>(mut self)
     where
@@ -251,7 +251,7 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
         let groups = rows_each * slots / V::LANES;
         for (turn, rows) in rows.chunks_exact(rows_each).enumerate() {
             split_rows(block, pitch, rows);
-            self.middle.begin::<V>(rows);
+            self.pointwise.begin::<V>(rows);
             for number in 0..groups {
                 let place = turn * groups + number;
                 let runs = &runs[place * (V::LANES / RUN)..][..V::LANES / RUN];
@@ -272,11 +272,11 @@ impl<T: Element, M: Middle<T>, const RUN: usize> Filter<'_, T, M, RUN> {
                     back: back.as_chunks().0.first_chunk().expect("a table"),
                 };
                 group.check(block);
-                let ready = self.middle.enter::<V, RUN, J>(group);
+                let ready = self.pointwise.enter::<V, RUN, J>(group);
                 let mut halves = group.halves_of(block);
                 unroll!(p in 0..HALVES {
                     let z = Codelet::turned_dft(transposed(halves[p]), group.factors[p]);
-                    let z = self.middle.apply(&ready, group, p, z);
+                    let z = self.pointwise.apply(&ready, group, p, z);
                     if M::INVERSE {
                         halves[p] = transposed(Codelet::idft(z));
                     }

@@ -4,10 +4,10 @@ use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3};
 
 use super::Tokens;
 use super::blocks::Block;
-use super::groups::{Accumulate, Product};
-use super::passes::{Parts, Rows};
+use super::groups::{GroupAccumulate, GroupProduct};
+use super::passes::{StepRows, TokensBuffers};
 use super::steps::Step;
-use super::weight::{GradientRows, Unpack, Weight};
+use super::weight::{GradientRows, NaturalWeight, UnpackGroups};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored};
 use crate::spectral::in_order;
@@ -40,14 +40,14 @@ impl<'a, X> BackwardImage<'a, X> {
 }
 
 /// Images whose gradients of the weight are added up in their order, or whose own are not wanted.
-pub(super) struct Part<'a, X: Stored> {
+pub(super) struct SumPart<'a, X: Stored> {
     pub(super) images: Vec<BackwardImage<'a, X>>,
     /// For each step.
     pub(super) gradients: Option<Vec<StepGradient<'a, X::Real>>>,
 }
 
 /// What images are filtered with, besides the plan.
-pub(super) struct Means<'a, 'b, T> {
+pub(super) struct Context<'a, 'b, T> {
     /// Room for the spectrum of each image, used where the output is of half precision; in a backward pass, for two.
     pub(super) spectra: &'a mut [T],
     /// Whether memory is to be asked for ahead. What is near anyway would only be made to wait.
@@ -56,16 +56,16 @@ pub(super) struct Means<'a, 'b, T> {
 }
 
 /// The spectra of an image on its way, and its result where that is of half precision.
-struct Way<'a, X: Stored> {
+struct ImageSpectra<'a, X: Stored> {
     spectrum: ArrayViewMut2<'a, X::Real>,
     of_x: Option<ArrayViewMut2<'a, X::Real>>,
     result: Option<ArrayViewMut2<'a, X>>,
 }
 
 /// Rows of a spectrum, and of that of `x` if there is one.
-type RowsOfImage<'a, T> = (Rows<'a, T>, Option<Rows<'a, T>>);
+type RowsOfImage<'a, T> = (StepRows<'a, T>, Option<StepRows<'a, T>>);
 
-impl<'a, X: Stored> Way<'a, X> {
+impl<'a, X: Stored> ImageSpectra<'a, X> {
     /// By way of the result, unless that is of half precision or not wanted; then through the next of `room`.
     fn new(
         result: Option<ArrayViewMut2<'a, X>>,
@@ -87,20 +87,26 @@ impl<T: Element> Tokens<T> {
         &self,
         images: Vec<(ArrayView2<'a, X>, ArrayViewMut2<'a, X>)>,
         weight: &[T],
-        Means { spectra, far, team }: Means<'a, '_, T>,
+        Context { spectra, far, team }: Context<'a, '_, T>,
     ) {
         let mut room = spectra.chunks_exact_mut(self.spectrum_len()).map(|room| self.image(room));
-        let (images, mut ways): (Vec<_>, Vec<_>) =
-            images.into_iter().map(|(x, y)| (x, Way::new(Some(y), None, &mut room))).unzip();
+        let (images, mut ways): (Vec<_>, Vec<_>) = images
+            .into_iter()
+            .map(|(x, y)| (x, ImageSpectra::new(Some(y), None, &mut room)))
+            .unzip();
         let entering = images.into_iter().zip(ways.iter_mut().map(|way| way.spectrum.view_mut()));
         self.first_pass(entering, far, team);
         let steps = ways
             .iter_mut()
             .flat_map(|way| self.steps.iter().zip(self.rows_of_steps(way.spectrum.view_mut())));
         team.run(steps, |(step, mut rows), scratch| {
-            let Parts { block, work, .. } = self.scratch(scratch);
+            let TokensBuffers { block, work, .. } = self.scratch(scratch);
             self.gather(step, &rows, block, work);
-            self.filter(step, block, Product::<T, false>(Weight::new(self.plan, weight)));
+            self.filter(
+                step,
+                block,
+                GroupProduct::<T, false>(NaturalWeight::new(self.plan, weight)),
+            );
             self.put(block, &mut rows, work);
         });
         self.leave(ways, far, team);
@@ -109,19 +115,19 @@ impl<T: Element> Tokens<T> {
     /// The gradients of images, pass by pass all of them. The images of a part are taken in turn.
     pub(super) fn backward_images<'a, X: Stored<Real = T> + 'a>(
         &self,
-        parts: Vec<Part<'a, X>>,
+        parts: Vec<SumPart<'a, X>>,
         weight: &[T],
-        Means { spectra, far, team }: Means<'a, '_, T>,
+        Context { spectra, far, team }: Context<'a, '_, T>,
     ) {
         let inverse = parts.iter().flat_map(|part| &part.images).any(|i| i.grad_x.is_some());
         let mut room = spectra.chunks_exact_mut(self.spectrum_len()).map(|room| self.image(room));
         let (mut entering, mut ways, mut gradients) = (Vec::new(), Vec::new(), Vec::new());
-        for Part { images, gradients: of_part } in parts {
+        for SumPart { images, gradients: of_part } in parts {
             let mut ways_of_part = Vec::with_capacity(images.len());
             for BackwardImage { grad, x, grad_x } in images {
                 let of_x = of_part.is_some().then(|| room.next().expect("room for two"));
                 entering.push((grad, of_part.is_some().then_some(x)));
-                ways_of_part.push(Way::new(grad_x, of_x, &mut room));
+                ways_of_part.push(ImageSpectra::new(grad_x, of_x, &mut room));
             }
             ways.push(ways_of_part);
             gradients.push(of_part);
@@ -148,13 +154,14 @@ impl<T: Element> Tokens<T> {
     fn backward_step(
         &self,
         step: &Step,
-        images: Vec<(Rows<'_, T>, Option<Rows<'_, T>>)>,
+        images: Vec<(StepRows<'_, T>, Option<StepRows<'_, T>>)>,
         weight: Option<&[T]>,
         gradient: Option<StepGradient<'_, T>>,
         scratch: &mut [T],
     ) {
-        let Parts { block, other, sum, work } = self.scratch(scratch);
-        let product = || weight.map(|weight| Product::<T, true>(Weight::new(self.plan, weight)));
+        let TokensBuffers { block, other, sum, work } = self.scratch(scratch);
+        let product =
+            || weight.map(|weight| GroupProduct::<T, true>(NaturalWeight::new(self.plan, weight)));
         let (mut sum, natural) = match gradient {
             None => (None, None),
             Some(StepGradient::Sum(sum)) => (Some(sum), None),
@@ -169,7 +176,7 @@ impl<T: Element> Tokens<T> {
             if let (Some(x), Some(sum)) = (x, &mut sum) {
                 self.gather(step, &x, other, work);
                 let x = Block { vectors: &mut *other, pitch: self.plan.pitch() };
-                let accumulate = Accumulate { x, sum };
+                let accumulate = GroupAccumulate { x, sum };
                 match product() {
                     Some(product) => self.filter(step, block, (accumulate, product)),
                     None => self.filter(step, block, accumulate),
@@ -189,10 +196,10 @@ impl<T: Element> Tokens<T> {
     /// For each step its rows of each image.
     fn rows_of_parts<'a, X: Stored<Real = T> + 'a>(
         &self,
-        ways: &'a mut [Way<'_, X>],
+        ways: &'a mut [ImageSpectra<'_, X>],
     ) -> Vec<Vec<RowsOfImage<'a, T>>> {
         let mut of_steps: Vec<_> = self.steps.iter().map(|_| Vec::new()).collect();
-        for Way { spectrum, of_x, .. } in ways {
+        for ImageSpectra { spectrum, of_x, .. } in ways {
             let of_x = of_x.as_mut().map(|x| self.rows_of_steps(x.view_mut()).into_iter());
             let of_x = in_order(self.steps.len(), of_x);
             let rows = self.rows_of_steps(spectrum.view_mut()).into_iter().zip(of_x);
@@ -204,7 +211,7 @@ impl<T: Element> Tokens<T> {
     /// Spectra to the results.
     fn leave<'a, X: Stored<Real = T> + 'a>(
         &self,
-        ways: impl IntoIterator<Item = Way<'a, X>>,
+        ways: impl IntoIterator<Item = ImageSpectra<'a, X>>,
         far: bool,
         team: &mut Team<'_, T>,
     ) {
@@ -217,7 +224,7 @@ impl<T: Element> Tokens<T> {
 
     pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {
         let plan = self.plan;
-        with_run!(self.run, RUN => self.isa.run_tuned(Unpack::<T, RUN> { plan, step, sum, gradient }));
+        with_run!(self.run, RUN => self.isa.run_tuned(UnpackGroups::<T, RUN> { plan, step, sum, gradient }));
     }
 
     /// The rows of a weight's gradient that belong to each step.

@@ -49,7 +49,7 @@ pub(super) fn forward<X: Stored>(
     work: &mut [X::Real],
 ) {
     with_codelet!(image.lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
-        isa.run_tuned(Forward::<X, P, Q, ROWS> { image, target, block, work });
+        isa.run_tuned(LinesForward::<X, P, Q, ROWS> { image, target, block, work });
     });
 }
 
@@ -64,7 +64,7 @@ pub(super) fn inverse<X: Stored>(
     far: bool,
 ) {
     with_codelet!(image.reader().lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
-        isa.run_tuned(Inverse::<X, P, Q, ROWS> { block, image, work, far });
+        isa.run_tuned(LinesInverse::<X, P, Q, ROWS> { block, image, work, far });
     });
 }
 
@@ -138,7 +138,7 @@ const fn real_frequency(n: usize, slot: usize) -> usize {
     }
 }
 
-struct Forward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
+struct LinesForward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     image: Tile<'a, X>,
     target: Option<Tile<'a, X::Real>>,
     block: Block<'a, X::Real>,
@@ -146,7 +146,7 @@ struct Forward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize>
 }
 
 impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
-    for Forward<'_, X, P, Q, ROWS>
+    for LinesForward<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
@@ -210,7 +210,7 @@ impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS> {
     }
 }
 
-struct Inverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
+struct LinesInverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     block: Block<'a, X::Real>,
     image: TileMut<'a, X>,
     work: &'a mut [X::Real],
@@ -218,7 +218,7 @@ struct Inverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize>
 }
 
 impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
-    for Inverse<'_, X, P, Q, ROWS>
+    for LinesInverse<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {

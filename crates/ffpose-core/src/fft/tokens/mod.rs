@@ -39,9 +39,9 @@ use std::collections::VecDeque;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 
-use self::images::{BackwardImage, Means, Part, StepGradient};
+use self::images::{BackwardImage, Context, StepGradient, SumPart};
 use self::steps::Step;
-use self::weight::Plan;
+use self::weight::TokenShape;
 use crate::fft::codelets::root;
 use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
 use crate::parallel::Team;
@@ -52,7 +52,7 @@ use crate::spectral::{chunks_mut, in_order};
 pub(crate) struct Tokens<T> {
     isa: Isa,
     lanes: usize,
-    plan: Plan,
+    plan: TokenShape,
     /// Items of one row that stay together in a group.
     run: usize,
     /// `X = A B`.
@@ -77,7 +77,7 @@ impl<T: Element> Tokens<T> {
         }
         let factors = factors(points)?;
         let slots = width / lanes / 2;
-        let plan = Plan { points, width, slots };
+        let plan = TokenShape { points, width, slots };
         // a power of two that divides both
         let run = lanes.min(slots & slots.wrapping_neg());
         let pairs_each = lanes / lanes.min((2 * slots) & (2 * slots).wrapping_neg());
@@ -191,7 +191,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         let mut images = images_of(x).zip(images_of_mut(y)).peekable();
         while images.peek().is_some() {
             let together: Vec<_> = images.by_ref().take(members).collect();
-            let means = Means { spectra: &mut *spectra, far, team: &mut team };
+            let means = Context { spectra: &mut *spectra, far, team: &mut team };
             self.forward_images(together, &packed[..self.weight_len()], means);
         }
     }
@@ -224,10 +224,10 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
                     let images = images.drain(..images_each.min(images.len()));
                     let images = images.map(BackwardImage::reborrow).collect();
                     let sums = sum.as_deref_mut().map(|sum| self.parts_mut(sum));
-                    Part { images, gradients: sums.map(|s| s.map(StepGradient::Sum).collect()) }
+                    SumPart { images, gradients: sums.map(|s| s.map(StepGradient::Sum).collect()) }
                 });
                 let round: Vec<_> = round.collect();
-                let means = Means { spectra: &mut *spectra, far, team: &mut team };
+                let means = Context { spectra: &mut *spectra, far, team: &mut team };
                 self.backward_images(round, &packed[..self.weight_len()], means);
             }
         }
@@ -268,7 +268,7 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
     ) {
         let weight = weight.to_slice().expect("a whole weight");
         let (spectra, mut team) = team.share(self.spectrum_len());
-        let means = Means { spectra, far: self.bytes() > l2_cache(), team: &mut team };
+        let means = Context { spectra, far: self.bytes() > l2_cache(), team: &mut team };
         self.forward_images(vec![(x, y)], weight, means);
     }
 
@@ -278,8 +278,8 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
         let weight = weight.to_slice().expect("a whole weight");
         let gradients = grad_weight
             .map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural).collect());
-        let part = Part { images: vec![BackwardImage { grad, x, grad_x }], gradients };
-        let means = Means { spectra, far: self.bytes() > l2_cache(), team: &mut team };
+        let part = SumPart { images: vec![BackwardImage { grad, x, grad_x }], gradients };
+        let means = Context { spectra, far: self.bytes() > l2_cache(), team: &mut team };
         self.backward_images(vec![part], weight, means);
     }
 }

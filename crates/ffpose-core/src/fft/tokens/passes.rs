@@ -3,7 +3,7 @@
 use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis};
 
 use super::blocks::{Block, block_to_image, image_to_block};
-use super::groups::{Filter, Middle, Turns};
+use super::groups::{Filter, GroupPointwise, Turns};
 use super::steps::Step;
 use super::{Tokens, lines};
 use crate::parallel::Team;
@@ -11,10 +11,10 @@ use crate::simd::{Element, Stored, Tile, TileMut, aligned, slack};
 use crate::spectral::chunks_mut;
 
 /// The rows of blocks `u1` and, unless it is the same, `-u1`.
-pub(super) type Rows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];
+pub(super) type StepRows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];
 
 /// The scratch of one member of a team.
-pub(super) struct Parts<'a, T> {
+pub(super) struct TokensBuffers<'a, T> {
     /// The rows of two blocks, and of those of `x` in a backward pass.
     pub(super) block: &'a mut [T],
     pub(super) other: &'a mut [T],
@@ -48,11 +48,11 @@ impl<T: Element> Tokens<T> {
     }
 
     #[inline(always)]
-    pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> Parts<'a, T> {
+    pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> TokensBuffers<'a, T> {
         let (block, rest) = aligned(scratch).split_at_mut(self.block_len());
         let (other, rest) = rest.split_at_mut(self.block_len());
         let (sum, rest) = rest.split_at_mut(self.largest_step());
-        Parts { block, other, sum, work: &mut rest[..self.work_len()] }
+        TokensBuffers { block, other, sum, work: &mut rest[..self.work_len()] }
     }
 
     /// `spectrum` as an image.
@@ -75,7 +75,7 @@ impl<T: Element> Tokens<T> {
             x.zip(self.columns(spectrum)).zip(self.twiddles.chunks_exact(a))
         });
         team.run(columns, |((x, y), twiddles), scratch| {
-            let Parts { block: vectors, work, .. } = self.scratch(scratch);
+            let TokensBuffers { block: vectors, work, .. } = self.scratch(scratch);
             let y = TileMut::new(y);
             let target = far.then(|| y.reader());
             lines::forward(self.isa, Tile::new(x), target, Block { vectors, pitch }, work);
@@ -94,7 +94,7 @@ impl<T: Element> Tokens<T> {
         let columns =
             spectra.flat_map(|spectrum| self.columns(spectrum).zip(self.twiddles.chunks_exact(a)));
         team.run(columns, |(spectrum, twiddles), scratch| {
-            let Parts { block: vectors, work, .. } = self.scratch(scratch);
+            let TokensBuffers { block: vectors, work, .. } = self.scratch(scratch);
             let image = TileMut::new(spectrum);
             let block = Block { vectors: &mut *vectors, pitch };
             image_to_block::<T, true>(self.isa, image.reader(), twiddles, block, work);
@@ -115,7 +115,7 @@ impl<T: Element> Tokens<T> {
             columns.zip(self.twiddles.chunks_exact(a))
         });
         team.run(columns, |((x, y), twiddles), scratch| {
-            let Parts { block: vectors, work, .. } = self.scratch(scratch);
+            let TokensBuffers { block: vectors, work, .. } = self.scratch(scratch);
             let x = Tile::new(x.view());
             let block = Block { vectors: &mut *vectors, pitch };
             image_to_block::<T, true>(self.isa, x, twiddles, block, work);
@@ -139,7 +139,7 @@ impl<T: Element> Tokens<T> {
     }
 
     /// The rows of each step.
-    pub(super) fn rows_of_steps<'a>(&self, spectrum: ArrayViewMut2<'a, T>) -> Vec<Rows<'a, T>> {
+    pub(super) fn rows_of_steps<'a>(&self, spectrum: ArrayViewMut2<'a, T>) -> Vec<StepRows<'a, T>> {
         let a = self.factors[0];
         let (mut blocks, mut rest) = (Vec::with_capacity(a), self.blocks(spectrum));
         for _ in 0..a {
@@ -154,7 +154,13 @@ impl<T: Element> Tokens<T> {
 
     /// The blocks of a step to `block`, transformed.
     #[inline(always)]
-    pub(super) fn gather(&self, step: &Step, rows: &Rows<'_, T>, block: &mut [T], work: &mut [T]) {
+    pub(super) fn gather(
+        &self,
+        step: &Step,
+        rows: &StepRows<'_, T>,
+        block: &mut [T],
+        work: &mut [T],
+    ) {
         let (pitch, row) = (self.plan.pitch(), 2 * self.lanes * self.plan.pitch());
         for (rows, vectors) in rows.iter().flatten().zip(block.chunks_mut(self.factors[1] * row)) {
             let (image, block) = (Tile::new(rows.view()), Block { vectors, pitch });
@@ -168,7 +174,7 @@ impl<T: Element> Tokens<T> {
 
     /// Undoes [`gather`](Self::gather), up to a factor.
     #[inline(always)]
-    pub(super) fn put(&self, block: &mut [T], rows: &mut Rows<'_, T>, work: &mut [T]) {
+    pub(super) fn put(&self, block: &mut [T], rows: &mut StepRows<'_, T>, work: &mut [T]) {
         let (pitch, row) = (self.plan.pitch(), 2 * self.lanes * self.plan.pitch());
         for (rows, vectors) in
             rows.iter_mut().flatten().zip(block.chunks_mut(self.factors[1] * row))
@@ -178,9 +184,9 @@ impl<T: Element> Tokens<T> {
         }
     }
 
-    /// `middle` on the spectrum of a block.
+    /// `pointwise` on the spectrum of a block.
     #[inline(always)]
-    pub(super) fn filter(&self, step: &Step, block: &mut [T], middle: impl Middle<T>) {
+    pub(super) fn filter(&self, step: &Step, block: &mut [T], pointwise: impl GroupPointwise<T>) {
         let turns = Turns {
             rows: &step.rows,
             rows_each: self.rows_each,
@@ -189,6 +195,6 @@ impl<T: Element> Tokens<T> {
             twiddles: self.turns.values(),
         };
         let block = Block { vectors: block, pitch: self.plan.pitch() };
-        with_run!(self.run, RUN => self.isa.run_tuned(Filter::<T, _, RUN> { block, turns, middle }));
+        with_run!(self.run, RUN => self.isa.run_tuned(Filter::<T, _, RUN> { block, turns, pointwise }));
     }
 }

@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use super::weight::{Plan, Run};
+use super::weight::{Run, TokenShape};
 
 /// Blocks `u1` and `A - u1` as one: rows `u2`, then `B + u2`, then copies and fillers.
 pub(super) struct Step {
@@ -25,7 +25,7 @@ pub(super) struct Step {
 impl Step {
     /// The step of blocks `u1 <= A / 2` and `-u1`, of a multiple of `pairs_each` pairs, in runs of `run` items.
     pub(super) fn new(
-        plan: Plan,
+        plan: TokenShape,
         [a, b]: [usize; 2],
         u1: usize,
         pairs_each: usize,

@@ -8,14 +8,14 @@ use crate::simd::{Algorithm, Complex, Element, MAX_LANES, Runs, Tile, TileMut, V
 
 /// The rows of a weight: real and imaginary part of each bin.
 #[derive(Clone, Copy)]
-pub(super) struct Plan {
+pub(super) struct TokenShape {
     /// Along X and Y.
     pub(super) points: usize,
     pub(super) width: usize,
     pub(super) slots: usize,
 }
 
-impl Plan {
+impl TokenShape {
     fn norm(self) -> f64 {
         1.0 / (self.points * self.width) as f64
     }
@@ -72,8 +72,8 @@ pub(super) struct Run {
 }
 
 /// A weight `(X, Y/2+1)` in natural order.
-pub(super) struct Weight<'a, T> {
-    plan: Plan,
+pub(super) struct NaturalWeight<'a, T> {
+    plan: TokenShape,
     bins: &'a [[T; 2]],
 }
 
@@ -86,8 +86,8 @@ pub(super) struct GroupWeight<'a, T, const RUN: usize, const J: usize> {
     edges: [[[T; 2]; MAX_LANES]; 2],
 }
 
-impl<'a, T: Element> Weight<'a, T> {
-    pub(super) fn new(plan: Plan, weight: &'a [T]) -> Self {
+impl<'a, T: Element> NaturalWeight<'a, T> {
+    pub(super) fn new(plan: TokenShape, weight: &'a [T]) -> Self {
         Self { plan, bins: weight.as_chunks().0 }
     }
 
@@ -159,14 +159,14 @@ fn hermitian<T: Element>(a: [T; 2], b: [T; 2]) -> [T; 2] {
 pub(super) type GradientRows<'a, T> = Vec<&'a mut [[T; 2]]>;
 
 /// The sums of the groups of a step to the gradient.
-pub(super) struct Unpack<'a, 'b, T, const RUN: usize> {
-    pub(super) plan: Plan,
+pub(super) struct UnpackGroups<'a, 'b, T, const RUN: usize> {
+    pub(super) plan: TokenShape,
     pub(super) step: &'a Step,
     pub(super) sum: &'a [T],
     pub(super) gradient: &'a mut GradientRows<'b, T>,
 }
 
-impl<T: Element, const RUN: usize> Algorithm<T> for Unpack<'_, '_, T, RUN> {
+impl<T: Element, const RUN: usize> Algorithm<T> for UnpackGroups<'_, '_, T, RUN> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let Self { plan, step, sum, gradient } = self;

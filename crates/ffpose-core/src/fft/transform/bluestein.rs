@@ -1,21 +1,21 @@
 //! DFTs of any length as a convolution of a smooth length (Bluestein): `k n = (k² + n² - (k - n)²) / 2`.
 
-use super::mixed_radix::Passes;
+use super::mixed_radix::MixedRadix;
 use crate::fft::codelets::root;
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors};
 
 /// A DFT of `turns.len()` as a convolution of `passes.len()`.
-pub(crate) struct Chirp<T> {
+pub(crate) struct Bluestein<T> {
     isa: Isa,
     /// `exp(-πi n² / N)`
     turns: Vec<Complex<T>>,
     /// The spectrum of the conjugate chirp by position, over the length of the convolution.
     spectrum: Vec<Complex<T>>,
-    passes: Passes<T>,
+    passes: MixedRadix<T>,
     natural: Vec<usize>,
 }
 
-impl<T: Element> Chirp<T> {
+impl<T: Element> Bluestein<T> {
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
         let chirp = |n: usize| {
             let (c, s) = root(n * n % (2 * length), 2 * length);
@@ -57,22 +57,22 @@ impl<T: Element> Chirp<T> {
 
     fn run<const INVERSE: bool>(&self, line: &mut [T], work: &mut [T]) {
         let (padded, work) = work.split_at_mut(2 * self.isa.lanes::<T>() * self.passes.len());
-        self.isa.run(Enter::<T, INVERSE> { plan: self, line, padded });
+        self.isa.run(Modulate::<T, INVERSE> { plan: self, line, padded });
         self.passes.forward(padded, work);
         self.isa.run(Multiply { by: &self.spectrum, padded });
         self.passes.inverse(padded, work);
-        self.isa.run(Leave::<T, INVERSE> { plan: self, line, padded });
+        self.isa.run(Demodulate::<T, INVERSE> { plan: self, line, padded });
     }
 }
 
 /// The line times the chirp, padded with zeros.
-struct Enter<'a, T, const INVERSE: bool> {
-    plan: &'a Chirp<T>,
+struct Modulate<'a, T, const INVERSE: bool> {
+    plan: &'a Bluestein<T>,
     line: &'a mut [T],
     padded: &'a mut [T],
 }
 
-impl<T: Element, const INVERSE: bool> Algorithm<T> for Enter<'_, T, INVERSE> {
+impl<T: Element, const INVERSE: bool> Algorithm<T> for Modulate<'_, T, INVERSE> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let (line, padded) = (complex_vectors::<V>(self.line), complex_vectors::<V>(self.padded));
@@ -102,13 +102,13 @@ impl<T: Element> Algorithm<T> for Multiply<'_, T> {
 }
 
 /// The convolution times the chirp.
-struct Leave<'a, T, const INVERSE: bool> {
-    plan: &'a Chirp<T>,
+struct Demodulate<'a, T, const INVERSE: bool> {
+    plan: &'a Bluestein<T>,
     line: &'a mut [T],
     padded: &'a mut [T],
 }
 
-impl<T: Element, const INVERSE: bool> Algorithm<T> for Leave<'_, T, INVERSE> {
+impl<T: Element, const INVERSE: bool> Algorithm<T> for Demodulate<'_, T, INVERSE> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let (line, padded) = (complex_vectors::<V>(self.line), complex_vectors::<V>(self.padded));
@@ -123,7 +123,7 @@ impl<T: Element, const INVERSE: bool> Algorithm<T> for Leave<'_, T, INVERSE> {
 
 /// The spectrum of the conjugate chirp wrapped to `length`, over `length`, by position of a plan of that length.
 fn filter(chirp: &[Complex<f64>], length: usize) -> Vec<Complex<f64>> {
-    let passes = Passes::new(Isa::scalar(), length).expect("a smooth length");
+    let passes = MixedRadix::new(Isa::scalar(), length).expect("a smooth length");
     let mut numbers = vec![0.0; 2 * length];
     for (n, z) in chirp.iter().enumerate() {
         for m in [n, (length - n) % length] {
@@ -137,7 +137,7 @@ fn filter(chirp: &[Complex<f64>], length: usize) -> Vec<Complex<f64>> {
 }
 
 /// The plan for the smallest length from `least` on whose only primes are 2, 3, 5 and 7.
-fn smooth<T: Element>(isa: Isa, least: usize) -> Passes<T> {
+fn smooth<T: Element>(isa: Isa, least: usize) -> MixedRadix<T> {
     let is_smooth = |n: &usize| {
         let mut rest = *n;
         for p in [2, 3, 5, 7] {
@@ -148,5 +148,5 @@ fn smooth<T: Element>(isa: Isa, least: usize) -> Passes<T> {
         rest == 1
     };
     let length = (least..=2 * least).find(is_smooth).expect("there is a power of two");
-    Passes::new(isa, length).expect("a smooth length")
+    MixedRadix::new(isa, length).expect("a smooth length")
 }

@@ -2,7 +2,7 @@
 //!
 //! The length is split into coprime prime powers, which need no twiddles between them (Good–Thomas); a prime power is split into
 //! radices with twiddles (Cooley–Tukey, decimation in frequency forward and in time back). Nothing is put in order:
-//! [`Passes::inputs`] says where the input goes, [`Passes::outputs`] where the output is.
+//! [`MixedRadix::inputs`] says where the input goes, [`MixedRadix::outputs`] where the output is.
 
 use super::prime::{self, PrimeRoots};
 use crate::fft::codelets::{Codelet, Dft, root};
@@ -12,7 +12,7 @@ use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gat
 const CODELETS: [usize; 9] = [2, 3, 4, 5, 7, 8, 11, 13, 16];
 
 /// A planned DFT of a length without primes above [`prime::MAX`].
-pub(crate) struct Passes<T> {
+pub(crate) struct MixedRadix<T> {
     isa: Isa,
     inputs: Vec<usize>,
     outputs: Vec<usize>,
@@ -37,7 +37,7 @@ pub(crate) struct Digits {
     pub(crate) inner: usize,
 }
 
-impl<T: Element> Passes<T> {
+impl<T: Element> MixedRadix<T> {
     /// The plan for `length`, or nothing if it has too large a prime.
     pub(crate) fn new(isa: Isa, length: usize) -> Option<Self> {
         let groups = groups(length);

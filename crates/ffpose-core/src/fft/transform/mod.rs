@@ -4,15 +4,15 @@ mod bluestein;
 pub(crate) mod mixed_radix;
 mod prime;
 
-use self::bluestein::Chirp;
-use self::mixed_radix::{Pass, Passes};
+use self::bluestein::Bluestein;
+use self::mixed_radix::{MixedRadix, Pass};
 pub(crate) use self::mixed_radix::{inverted, remainders};
 use crate::simd::{Element, Isa};
 
 /// A planned DFT of one length.
 pub(crate) enum Transform<T> {
-    Passes(Passes<T>),
-    Chirp(Chirp<T>),
+    MixedRadix(MixedRadix<T>),
+    Bluestein(Bluestein<T>),
 }
 
 macro_rules! delegate {
@@ -20,8 +20,8 @@ macro_rules! delegate {
         $(#[doc = $doc])*
         pub(crate) fn $name(&self, $($argument: $type),*) $(-> $result)? {
             match self {
-                Self::Passes(passes) => passes.$name($($argument),*),
-                Self::Chirp(chirp) => chirp.$name($($argument),*),
+                Self::MixedRadix(passes) => passes.$name($($argument),*),
+                Self::Bluestein(chirp) => chirp.$name($($argument),*),
             }
         }
     };
@@ -29,7 +29,8 @@ macro_rules! delegate {
 
 impl<T: Element> Transform<T> {
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
-        Passes::new(isa, length).map_or_else(|| Self::Chirp(Chirp::new(isa, length)), Self::Passes)
+        MixedRadix::new(isa, length)
+            .map_or_else(|| Self::Bluestein(Bluestein::new(isa, length)), Self::MixedRadix)
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -39,8 +40,8 @@ impl<T: Element> Transform<T> {
     /// The passes of a transform that is no more than that.
     pub(crate) fn passes(&self) -> &[Pass<T>] {
         match self {
-            Self::Passes(passes) => passes.passes(),
-            Self::Chirp(_) => &[],
+            Self::MixedRadix(passes) => passes.passes(),
+            Self::Bluestein(_) => &[],
         }
     }
 
