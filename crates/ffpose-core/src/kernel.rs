@@ -1,4 +1,4 @@
-//! What a hand-made kernel offers and what it may rely on.
+//! What a kernel offers and what it may rely on.
 //!
 //! The driver in [`crate::spectral`] sees both layouts as one picture, cuts it into tiles of lanes and ranges of
 //! images, and gives a kernel one such piece at a time:
@@ -8,13 +8,12 @@
 //!
 //! In an image view the lanes are contiguous, batch and point strides are positive and otherwise arbitrary. In a
 //! weight view real and imaginary part are neighbours and the stride of the lanes is 2. No dimension is zero, and
-//! `packed`, `grad_sum` and the team's scratches have exactly the lengths that the kernel asked for, and
+//! weights, gradient sums and the team's scratches have exactly the lengths that the kernel asked for, and
 //! begin where a vector may; the driver has seen to it.
 //! A team has several members only where a call is one single piece; results must not depend on how many.
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
-use crate::fft::{Batched, Grid, Sequence, Tokens};
 use crate::parallel::Team;
 use crate::simd::Stored;
 
@@ -36,31 +35,21 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
         1
     }
 
-    /// Numbers in the packed weight of a tile of at most `lanes` lanes, and in its gradient sum. A tile's packed weight is
-    /// that of its narrowest tiles, one after the other.
-    fn packed_len(&self, lanes: usize) -> usize;
-
-    /// Whether the order of the packed weight is another than that of the weight.
-    fn packs(&self) -> bool {
-        true
-    }
-
     /// Numbers of scratch that each member of a team needs, with any content.
     fn scratch_len(&self) -> usize;
 
-    /// Brings the weight of one tile from natural order to the kernel's own, scaled by the norm of the transform.
-    fn pack(
-        &self,
-        weight: ArrayView3<'_, X::Real>,
-        packed: &mut [X::Real],
-        team: &mut Team<'_, X::Real>,
-    );
+    /// How a weight is packed, unless the kernel reads it as it is, all of it.
+    fn packing(&self) -> Option<&dyn Packing<X::Real>>;
+
+    /// Numbers in the gradient sum of a tile of at most `lanes` lanes. That of a tile is those of its narrowest tiles, one after
+    /// the other.
+    fn sum_len(&self, lanes: usize) -> usize;
 
     /// `y = irfft2(rfft2(x) · W)`, overwriting `y`.
     fn forward(
         &self,
         x: ArrayView3<'_, X>,
-        packed: &[X::Real],
+        weight: &[X::Real],
         y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     );
@@ -86,23 +75,25 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
     fn single(&self) -> Option<&dyn Single<X>> {
         None
     }
-
-    /// The kernel as one that takes half precision, if it does.
-    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
-        None
-    }
 }
 
-/// The kernels that take images of any stored type.
-pub(crate) enum TakesHalf<'a, T> {
-    Batched(&'a Batched<T>),
-    Grid(&'a Grid<T>),
-    Sequence(&'a Sequence<T>),
-    Tokens(&'a Tokens<T>),
+/// How a weight is brought from natural order to a kernel's own, scaled by the norm of the transform.
+pub(crate) trait Packing<T>: Sync {
+    /// Numbers in the packed weight of a tile of at most `lanes` lanes. That of a tile is those of its narrowest tiles, one
+    /// after the other.
+    fn packed_len(&self, lanes: usize) -> usize;
+
+    /// Where the packed weight of the lanes from `lane` on begins, in tiles of a multiple of `granule` lanes.
+    fn offset(&self, granule: usize, lane: usize) -> usize {
+        lane.div_ceil(granule).saturating_mul(self.packed_len(granule))
+    }
+
+    /// Packs the weight of one tile; the team's scratches are the kernel's.
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>);
 }
 
 /// One image, for which bringing a weight to kernel order and a gradient back would not pay: both stay in natural order.
-/// `y` and the gradient of `x` have the same bits as with [`Kernel::pack`].
+/// `y` and the gradient of `x` have the same bits as with [`Kernel::forward`] and [`Kernel::backward`].
 pub(crate) trait Single<X: Stored>: Sync {
     /// As [`Kernel::forward`].
     fn forward(
@@ -132,8 +123,8 @@ pub(crate) struct Backward<'a, X: Stored> {
     pub(crate) grad: ArrayView3<'a, X>,
     /// Input of the filter; read only for `grad_sum`.
     pub(crate) x: ArrayView3<'a, X>,
-    /// Weight in kernel order; read only for `grad_x`.
-    pub(crate) packed: &'a [X::Real],
+    /// Weight as in [`Kernel::forward`]; read only for `grad_x`.
+    pub(crate) weight: &'a [X::Real],
     /// Becomes `irfft2(G · conj W)`.
     pub(crate) grad_x: Option<ArrayViewMut3<'a, X>>,
     /// Grows by `Σ_b conj(X_b) · G_b` in kernel order, image by image; one sum after the other where there are several parts.

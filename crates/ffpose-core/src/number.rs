@@ -2,7 +2,8 @@
 
 use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 
-use crate::kernel::{Kernel, TakesHalf};
+use crate::fft::Plan;
+use crate::kernel::Kernel;
 use crate::simd::{Algorithm, Bf16, F16, Stored, Vector, narrow, widen};
 use crate::spectral::Widened;
 use crate::{Isa, Real};
@@ -11,11 +12,11 @@ const LANES: Axis = Axis(2);
 
 /// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`]. `Real` is what is computed in.
 pub trait Number: Default + Stored<Real: Real> + 'static {
-    /// `kernel` itself if it takes images of this type, else `widened`.
+    /// The kernel of a plan if it takes images of this type, else `widened`.
     #[doc(hidden)]
     #[allow(private_interfaces)] // sealed: nobody outside can name the supertrait
-    fn kernel<'a>(
-        kernel: &'a dyn Kernel<Self::Real>,
+    fn kernel_of<'a>(
+        plan: &'a Plan<Self::Real>,
         widened: &'a Widened<'a, Self::Real>,
     ) -> &'a dyn Kernel<Self>;
 
@@ -41,11 +42,12 @@ macro_rules! computed_in_itself {
     ($real:ty) => {
         #[allow(private_interfaces)] // as above
         impl Number for $real {
-            fn kernel<'a>(
-                kernel: &'a dyn Kernel<Self>,
+            #[inline(never)] // or each crate that calls it would compile the kernels
+            fn kernel_of<'a>(
+                plan: &'a Plan<Self>,
                 _: &'a Widened<'a, Self>,
             ) -> &'a dyn Kernel<Self> {
-                kernel
+                plan.kernel()
             }
 
             fn read<'a>(
@@ -75,20 +77,15 @@ macro_rules! computed_in_f32 {
     ($half:ident) => {
         #[allow(private_interfaces)] // as above
         impl Number for $half {
-            fn kernel<'a>(
-                kernel: &'a dyn Kernel<f32>,
+            #[inline(never)] // as above
+            fn kernel_of<'a>(
+                plan: &'a Plan<f32>,
                 widened: &'a Widened<'a, f32>,
             ) -> &'a dyn Kernel<Self> {
                 if !cfg!(feature = "half") {
                     return widened;
                 }
-                match kernel.takes_half() {
-                    Some(TakesHalf::Batched(batched)) => batched,
-                    Some(TakesHalf::Grid(grid)) => grid,
-                    Some(TakesHalf::Sequence(sequence)) => sequence,
-                    Some(TakesHalf::Tokens(tokens)) => tokens,
-                    None => widened,
-                }
+                plan.kernel_of_half().unwrap_or(widened)
             }
 
             fn read<'a>(

@@ -1,22 +1,28 @@
 //! The two element types of every array in this crate.
 
-use std::sync::Arc;
-
 use bytemuck::Pod;
 use rustfft::FftNum;
 
+use crate::fft::Plan;
 use crate::kernel::Kernel;
 use crate::simd::Element;
-use crate::{Isa, Shape, spectral};
+use crate::{Isa, Shape};
 
 pub(crate) mod sealed {
-    use super::{Arc, Isa, Kernel, Shape};
+    use super::{Isa, Kernel, Plan, Real, Shape};
 
+    /// The types are named here, so that kernels are compiled with this crate, once, and not with each crate that filters.
     #[allow(private_interfaces)] // sealed: nobody outside can name the trait
     pub trait Sealed: Sized {
-        /// Plans the kernel for a shape. The types are named here, so that kernels are compiled with this crate, once,
-        /// and not with each crate that filters.
-        fn plan(isa: Isa, shape: Shape) -> Arc<dyn Kernel<Self>>;
+        /// Plans the kernel for a shape.
+        fn plan(isa: Isa, shape: Shape) -> Plan<Self>
+        where
+            Self: Real;
+
+        /// The kernel of a plan.
+        fn kernel(plan: &Plan<Self>) -> &dyn Kernel<Self>
+        where
+            Self: Real;
     }
 }
 
@@ -27,8 +33,14 @@ macro_rules! real {
     ($type:ty) => {
         #[allow(private_interfaces)] // as above
         impl sealed::Sealed for $type {
-            fn plan(isa: Isa, shape: Shape) -> Arc<dyn Kernel<Self>> {
-                spectral::plan_kernel(isa, shape)
+            #[inline(never)]
+            fn plan(isa: Isa, shape: Shape) -> Plan<Self> {
+                Plan::new(isa, shape)
+            }
+
+            #[inline(never)]
+            fn kernel(plan: &Plan<Self>) -> &dyn Kernel<Self> {
+                plan.kernel()
             }
         }
 

@@ -14,7 +14,7 @@ use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
 use transpose::transpose;
 
-use crate::kernel::{Backward, Kernel};
+use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
 use crate::{Layout, Real, Shape};
 
@@ -161,17 +161,9 @@ impl<T: Real> AlongLines<T> {
     }
 }
 
-impl<T: Real> Kernel<T> for AlongLines<T> {
-    fn tile(&self) -> usize {
-        self.shape.lanes
-    }
-
+impl<T: Real> Packing<T> for AlongLines<T> {
     fn packed_len(&self, _: usize) -> usize {
         2 * self.planes() * self.spectrum_len()
-    }
-
-    fn scratch_len(&self) -> usize {
-        2 * (self.planes() * self.plane_len() + 3 * self.spectrum_len() + self.inner_len())
     }
 
     fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
@@ -182,6 +174,24 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
             let to = packed[first..].iter_mut().step_by(step);
             lanes.outer_iter().zip(to).for_each(|(w, to)| *to = Complex::new(w[0], w[1]) * norm);
         }
+    }
+}
+
+impl<T: Real> Kernel<T> for AlongLines<T> {
+    fn tile(&self) -> usize {
+        self.shape.lanes
+    }
+
+    fn scratch_len(&self) -> usize {
+        2 * (self.planes() * self.plane_len() + 3 * self.spectrum_len() + self.inner_len())
+    }
+
+    fn packing(&self) -> Option<&dyn Packing<T>> {
+        Some(self)
+    }
+
+    fn sum_len(&self, lanes: usize) -> usize {
+        self.packed_len(lanes)
     }
 
     fn forward(
@@ -205,7 +215,7 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
     }
 
     fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
+        let Backward { grad, x, weight: packed, mut grad_x, mut grad_sum, .. } = pass;
         let AlongBuffers { planes, inputs, spectrum, input, mut work } =
             self.buffers(team.scratch());
         for (image, (grad, x)) in grad.outer_iter().zip(x.outer_iter()).enumerate() {

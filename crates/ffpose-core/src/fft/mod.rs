@@ -48,6 +48,7 @@ mod batched;
 mod codelets;
 mod columns;
 mod grid;
+mod plan;
 mod planes;
 mod sequence;
 #[cfg(test)]
@@ -55,27 +56,6 @@ mod tests;
 mod tokens;
 mod transform;
 
-use std::sync::Arc;
-
-pub(crate) use along::AlongLines;
-pub(crate) use batched::Batched;
+#[cfg(test)]
 pub(crate) use grid::Grid;
-use planes::Planes;
-pub(crate) use sequence::Sequence;
-pub(crate) use tokens::Tokens;
-
-use crate::kernel::Kernel;
-use crate::simd::Isa;
-use crate::{Layout, Real, Shape};
-
-/// The kernel for a shape without zeros.
-pub(crate) fn plan<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>> {
-    match shape.layout {
-        Layout::Grid if shape.rows == 1 => Arc::new(Sequence::new(isa, shape.columns)),
-        Layout::Grid => Arc::new(Grid::new(isa, shape)),
-        Layout::Tokens => match Tokens::new(isa, shape.rows, shape.columns) {
-            Some(tokens) => Arc::new(tokens),
-            None => Arc::new(Planes::new(isa, shape.rows, shape.columns)),
-        },
-    }
-}
+pub(crate) use plan::Plan;

@@ -9,7 +9,7 @@ use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 use crate::fft::columns::order::{BinOrder, Bins, Scales};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::inverted;
-use crate::kernel::{Backward, Kernel, TakesHalf};
+use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, LINE_BYTES, Stored, Tile, TileMut, Vector, aligned,
@@ -26,7 +26,7 @@ pub(crate) struct Sequence<T> {
     lanes: usize,
     length: usize,
     columns: Columns<T>,
-    packing: BinOrder<T>,
+    order: BinOrder<T>,
 }
 
 /// The scratch of one call, cut into its uses.
@@ -46,8 +46,8 @@ impl<T: Element> Sequence<T> {
         } else {
             Columns::new(isa, length, 1, First::Complex)
         };
-        let packing = packing(length, columns.transform().outputs());
-        Self { isa, lanes: isa.lanes::<T>(), length, columns, packing }
+        let order = order(length, columns.transform().outputs());
+        Self { isa, lanes: isa.lanes::<T>(), length, columns, order }
     }
 
     /// Most lanes of a tile.
@@ -124,7 +124,7 @@ impl<T: Element> Sequence<T> {
 }
 
 /// Where the places of kernel order come from, for transforms whose frequency `k` is at `outputs[k]`.
-fn packing<T: Element>(length: usize, outputs: &[usize]) -> BinOrder<T> {
+fn order<T: Element>(length: usize, outputs: &[usize]) -> BinOrder<T> {
     let bins = Bins { rows: 1, columns: length };
     let norm = 1.0 / length as f64;
     let scales = |plain| Scales { hermitian: T::nearest(plain / 2.0), plain: T::nearest(plain) };
@@ -141,6 +141,26 @@ fn packing<T: Element>(length: usize, outputs: &[usize]) -> BinOrder<T> {
     }
 }
 
+impl<T: Element> Packing<T> for Sequence<T> {
+    fn packed_len(&self, lanes: usize) -> usize {
+        lanes.div_ceil(self.lanes) * self.columns.packed_len()
+    }
+
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
+        let lanes = weight.len_of(Axis(1));
+        let whole = lanes.next_multiple_of(self.lanes);
+        let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
+        if lanes < whole {
+            let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
+            padded.slice_mut(s![.., lanes.., ..]).fill(T::default());
+            padded.slice_mut(s![.., ..lanes, ..]).assign(&weight);
+            self.order.pack(self.isa, padded.view(), packed);
+        } else {
+            self.order.pack(self.isa, weight, packed);
+        }
+    }
+}
+
 impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     fn tile(&self) -> usize {
         self.most()
@@ -151,33 +171,18 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         (LINE_BYTES / size_of::<X>()).next_multiple_of(self.lanes).min(self.most())
     }
 
-    fn packed_len(&self, lanes: usize) -> usize {
-        lanes.div_ceil(self.lanes) * self.columns.packed_len()
-    }
-
     fn scratch_len(&self) -> usize {
         let padded = self.length * self.most();
         let spectra = 2 * VECTORS * self.columns.len();
         slack::<X::Real>() + spectra + self.columns.work_len() + padded + self.bins_len()
     }
 
-    fn pack(
-        &self,
-        weight: ArrayView3<'_, X::Real>,
-        packed: &mut [X::Real],
-        team: &mut Team<'_, X::Real>,
-    ) {
-        let lanes = weight.len_of(Axis(1));
-        let whole = lanes.next_multiple_of(self.lanes);
-        let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
-        if lanes < whole {
-            let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
-            padded.slice_mut(s![.., lanes.., ..]).fill(X::Real::default());
-            padded.slice_mut(s![.., ..lanes, ..]).assign(&weight);
-            self.packing.pack(self.isa, padded.view(), packed);
-        } else {
-            self.packing.pack(self.isa, weight, packed);
-        }
+    fn packing(&self) -> Option<&dyn Packing<X::Real>> {
+        Some(self)
+    }
+
+    fn sum_len(&self, lanes: usize) -> usize {
+        self.packed_len(lanes)
     }
 
     fn forward(
@@ -197,13 +202,13 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
+        let Backward { grad, x, weight, mut grad_x, mut grad_sum, .. } = pass;
         let SequenceBuffers { spectrum, other, work, padded, .. } = self.scratch(team.scratch());
         let lanes = grad.len_of(Axis(2));
         let (lines, other) = (self.lines(spectrum, lanes), self.lines(other, lanes));
         for (image, grad) in grad.outer_iter().enumerate() {
             self.enter(grad, lines, padded);
-            let weight = grad_x.is_some().then_some(packed);
+            let weight = grad_x.is_some().then_some(weight);
             if let Some(sum) = grad_sum.as_deref_mut() {
                 self.enter(x.index_axis(Axis(0), image), other, padded);
                 self.columns.gradient(lines, other, weight, sum, work);
@@ -227,15 +232,11 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         let grad_sum = &grad_sum[..whole / self.lanes * self.columns.packed_len()];
         if lanes < whole {
             let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
-            self.packing.unpack(self.isa, grad_sum, padded.view_mut());
+            self.order.unpack(self.isa, grad_sum, padded.view_mut());
             grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
         } else {
-            self.packing.unpack(self.isa, grad_sum, grad_weight);
+            self.order.unpack(self.isa, grad_sum, grad_weight);
         }
-    }
-
-    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
-        Some(TakesHalf::Sequence(self))
     }
 }
 

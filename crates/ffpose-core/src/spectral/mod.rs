@@ -4,7 +4,7 @@
 //! column of DC and, when the second axis is even, in that of Nyquist: a learned weight acts there as
 //! `(W(u) + conj W(-u)) / 2`. Source: Ye et al., Sensors 2023, 23(20), 8633, Eq. 1-3; the grid layout is `GFNet`'s.
 //!
-//! This file checks shapes, hands out jobs and adds up in a fixed order; the transforms are [`Kernel`]s.
+//! This file checks shapes, hands out jobs and adds up in a fixed order; the transforms are [`crate::kernel`]s.
 
 mod batch;
 mod plans;
@@ -17,12 +17,12 @@ use std::sync::Arc;
 use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimension};
 
 use self::batch::{Batch, Images, Weight};
-use crate::fft::{AlongLines, Batched};
-use crate::kernel::{Kernel, Single, SingleBackward};
+use crate::fft::Plan;
+use crate::kernel::{Single, SingleBackward};
 use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{self, Scratch};
-use crate::{Error, Isa, Layout, Real, Shape, fft};
+use crate::{Error, Isa, Real, Shape};
 
 pub use self::prepared::Prepared;
 pub(crate) use self::tiling::{chunks_mut, in_order};
@@ -42,11 +42,11 @@ const BYTES_A_POINT: usize = 512;
 /// Elements are `T`, or half precision where `T` is `f32`: computed in `f32`, each result rounded once.
 /// Results are bit-identical for any number of threads, and `y` and the gradient of `x` for any split of the batch.
 #[derive(Clone)]
-pub struct SpectralFilter<T> {
+pub struct SpectralFilter<T: Real> {
     pub(crate) isa: Isa,
     pub(crate) shape: Shape,
     /// None for images without elements, which have no transform.
-    pub(crate) kernel: Option<Arc<dyn Kernel<T>>>,
+    pub(crate) plan: Option<Arc<Plan<T>>>,
 }
 
 /// Where the gradients of a backward pass go, if they are wanted.
@@ -71,8 +71,8 @@ impl<T: Real> SpectralFilter<T> {
     /// Plans the transform of images of one shape, for one instruction set.
     #[must_use]
     pub fn new(isa: Isa, shape: Shape) -> Self {
-        let kernel = (!shape.is_empty()).then(|| T::plan(isa, shape));
-        Self { isa, shape, kernel }
+        let plan = (!shape.is_empty()).then(|| Arc::new(T::plan(isa, shape)));
+        Self { isa, shape, plan }
     }
 
     /// The plan for a shape, made at its first use and kept for the next, on any thread.
@@ -129,12 +129,12 @@ impl<T: Real> SpectralFilter<T> {
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let weight = self.shape.bins("weight", weight)?;
-        let Some(kernel) = self.kernel.as_deref().filter(|_| !y.is_empty()) else {
+        let Some(plan) = self.plan.as_deref().filter(|_| !y.is_empty()) else {
             return Ok(());
         };
-        let granule = kernel.narrowest_tile();
-        let widened = Widened::new(self.isa, self.shape, kernel);
-        let kernel = X::kernel(kernel, &widened);
+        let granule = T::kernel(plan).narrowest_tile();
+        let widened = Widened::new(self.isa, self.shape, T::kernel(plan));
+        let kernel = X::kernel_of(plan, &widened);
         let single = kernel.single().filter(|_| y.dim().0 == 1);
         let batch = Batch::new(self.shape, kernel, granule, (y.dim().0, false), pool);
         let packed_len = if single.is_some() { 0 } else { batch.packed_len() };
@@ -180,16 +180,16 @@ impl<T: Real> SpectralFilter<T> {
         scratch: &mut Scratch,
     ) -> Result<(), Error> {
         let mut pass = self.pass(grad, x, weight, gradients)?;
-        let Some(kernel) = self.kernel.as_deref().filter(|_| !pass.x.is_empty()) else {
+        let Some(plan) = self.plan.as_deref().filter(|_| !pass.x.is_empty()) else {
             pass.grad_weight.iter_mut().for_each(|grad| grad.fill(W::default()));
             return Ok(());
         };
         if pass.grad_x.is_none() && pass.grad_weight.is_none() {
             return Ok(());
         }
-        let granule = kernel.narrowest_tile();
-        let widened = Widened::new(self.isa, self.shape, kernel);
-        let kernel = X::kernel(kernel, &widened);
+        let granule = T::kernel(plan).narrowest_tile();
+        let widened = Widened::new(self.isa, self.shape, T::kernel(plan));
+        let kernel = X::kernel_of(plan, &widened);
         let images = pass.x.dim().0;
         let single = kernel.single().filter(|_| images == 1);
         let summed = single.is_none() && pass.grad_weight.is_some();
@@ -290,37 +290,6 @@ impl<T: Real> SpectralFilter<T> {
             None => run(None),
         }
         Ok(())
-    }
-}
-
-/// The kernel for a shape: vectors across its lines, unless these would leave half of every vector empty. Then across several
-/// images, or, measured with AVX2, rustfft along the lines is two to six times faster, and else two to fourteen times slower.
-pub(crate) fn plan_kernel<T: Real>(isa: Isa, shape: Shape) -> Arc<dyn Kernel<T>> {
-    let lines = match shape.layout {
-        Layout::Tokens => shape.rows,
-        Layout::Grid => shape.lanes,
-    };
-    if is_batched(isa.lanes::<T>(), shape) {
-        Arc::new(Batched::new(isa, shape))
-    } else if 2 * lines <= isa.lanes::<T>() {
-        Arc::new(AlongLines::new(shape))
-    } else {
-        fft::plan(isa, shape)
-    }
-}
-
-/// Whether images are filtered several together in vectors of so many lanes. One alone takes as long as all of them, so that
-/// large ones are not: of sequences up to these lengths a batch of 32 was measured at 3 to 5 times the speed of rustfft along the
-/// lines, a single one of the longest at half of it.
-fn is_batched(lanes: usize, shape: Shape) -> bool {
-    const POINTS: usize = 1 << 10; // of a plane, for each channel
-    const SEQUENCE: usize = 1 << 12; // the same of a sequence, and of tokens
-    let Shape { layout, rows, columns, lanes: channels } = shape;
-    match layout {
-        // two columns fill a small part of the vectors across them
-        Layout::Tokens => lanes > 2 && columns <= 2 && rows <= SEQUENCE,
-        Layout::Grid if rows == 1 => channels < lanes && columns <= SEQUENCE * channels,
-        Layout::Grid => channels < lanes && rows * columns <= POINTS * channels,
     }
 }
 

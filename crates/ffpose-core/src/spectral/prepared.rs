@@ -2,7 +2,7 @@
 
 use ndarray::{ArrayViewD, ArrayViewMutD};
 
-use super::batch::{Batch, Weight, packed_offset};
+use super::batch::{Batch, Weight};
 use super::tiling::Tiling;
 use super::widened::Widened;
 use super::{SpectralFilter, widened_len};
@@ -12,9 +12,10 @@ use crate::scratch::{Aligned, Needs, Scratch};
 use crate::{Error, Real};
 
 /// A filter with its weight, which no call brings to kernel order again.
-pub struct Prepared<T> {
+pub struct Prepared<T: Real> {
     filter: SpectralFilter<T>,
-    packed: Aligned<T>,
+    /// As the kernel reads it.
+    weight: Aligned<T>,
 }
 
 impl<T: Real> SpectralFilter<T> {
@@ -28,24 +29,31 @@ impl<T: Real> SpectralFilter<T> {
     ) -> Result<Prepared<T>, Error> {
         let weight = self.shape.bins("weight", weight)?;
         let filter = self.clone();
-        let Some(kernel) = self.kernel.as_deref() else {
-            return Ok(Prepared { filter, packed: Aligned::new(0)? });
+        let Some(plan) = self.plan.as_deref() else {
+            return Ok(Prepared { filter, weight: Aligned::new(0)? });
         };
-        let offset = |lane| packed_offset(kernel, kernel.narrowest_tile(), lane);
-        let mut packed = Aligned::new(offset(self.shape.lanes))?;
+        let (kernel, packing) = (T::kernel(plan), T::kernel(plan).packing());
+        let granule = kernel.narrowest_tile();
+        let len = packing.map_or(weight.len(), |packing| packing.offset(granule, self.shape.lanes));
+        let mut prepared = Aligned::new(len)?;
         let shared = widened_len::<W>(weight.len());
         let needs = Needs { workers: 1, members: 1, kernel: kernel.scratch_len(), shared };
         let mut scratch = Scratch::default();
         let (mut workers, wide) = scratch.lend(&StdThreads(1), needs)?;
         let weight = W::read(self.isa, weight, wide);
+        let Some(packing) = packing else {
+            let weight = weight.to_slice().expect("a whole weight has no gaps");
+            prepared.numbers_mut().copy_from_slice(weight);
+            return Ok(Prepared { filter, weight: prepared });
+        };
         let tiling = Tiling::new(self.shape, kernel.tile(), 1, 1);
         for tile in 0..tiling.tiles() {
             let lanes = tiling.lanes_of(tile);
-            let packed = &mut packed.numbers_mut()[offset(lanes.start)..];
-            let packed = &mut packed[..kernel.packed_len(lanes.len())];
-            kernel.pack(tiling.bins(weight, tile), packed, &mut workers.together());
+            let packed = &mut prepared.numbers_mut()[packing.offset(granule, lanes.start)..];
+            let packed = &mut packed[..packing.packed_len(lanes.len())];
+            packing.pack(tiling.bins(weight, tile), packed, &mut workers.together());
         }
-        Ok(Prepared { filter, packed })
+        Ok(Prepared { filter, weight: prepared })
     }
 }
 
@@ -63,17 +71,17 @@ impl<T: Real> Prepared<T> {
     ) -> Result<(), Error> {
         let (filter, images) = (&self.filter, self.filter.images(x, y)?);
         let count = images.0.dim().0;
-        let Some(kernel) = filter.kernel.as_deref().filter(|_| count > 0) else {
+        let Some(plan) = filter.plan.as_deref().filter(|_| count > 0) else {
             return Ok(());
         };
-        let granule = kernel.narrowest_tile();
-        let widened = Widened::new(filter.isa, filter.shape, kernel);
-        let kernel = X::kernel(kernel, &widened);
+        let granule = T::kernel(plan).narrowest_tile();
+        let widened = Widened::new(filter.isa, filter.shape, T::kernel(plan));
+        let kernel = X::kernel_of(plan, &widened);
         let batch = Batch::new(filter.shape, kernel, granule, (count, false), pool);
         let (mut workers, _) = scratch.lend(pool, batch.needs(0))?;
         batch.forward(
             (Some(images.0), images.1),
-            Weight::Packed(self.packed.numbers()),
+            Weight::Prepared(self.weight.numbers()),
             &mut [],
             &mut workers,
         );

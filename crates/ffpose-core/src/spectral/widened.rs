@@ -2,7 +2,7 @@
 
 use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
 
-use crate::kernel::{Backward, Kernel};
+use crate::kernel::{Backward, Kernel, Packing};
 use crate::number::Number;
 use crate::parallel::Team;
 use crate::simd::slack;
@@ -54,31 +54,22 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
         self.kernel.images_together()
     }
 
-    fn packed_len(&self, lanes: usize) -> usize {
-        self.kernel.packed_len(lanes)
-    }
-
     fn scratch_len(&self) -> usize {
         self.kernel.scratch_len().saturating_add(self.wide_len())
     }
 
-    fn packs(&self) -> bool {
-        self.kernel.packs()
+    fn packing(&self) -> Option<&dyn Packing<X::Real>> {
+        self.kernel.packing()
     }
 
-    fn pack(
-        &self,
-        weight: ArrayView3<'_, X::Real>,
-        packed: &mut [X::Real],
-        team: &mut Team<'_, X::Real>,
-    ) {
-        self.kernel.pack(weight, packed, &mut self.share(team).1);
+    fn sum_len(&self, lanes: usize) -> usize {
+        self.kernel.sum_len(lanes)
     }
 
     fn forward(
         &self,
         x: ArrayView3<'_, X>,
-        packed: &[X::Real],
+        weight: &[X::Real],
         mut y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
@@ -87,13 +78,13 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
             let image = Slice::from(image..image + 1);
             let x = X::read(self.isa, x.slice_axis(BATCH, image), wide_x);
             X::write(self.isa, y.slice_axis_mut(BATCH, image), wide_y, |y| {
-                self.kernel.forward(x, packed, y, &mut team);
+                self.kernel.forward(x, weight, y, &mut team);
             });
         }
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum, images_each } = pass;
+        let Backward { grad, x, weight, mut grad_x, mut grad_sum, images_each } = pass;
         let ([wide_grad, wide_x, wide_grad_x], mut team) = self.share(team);
         for image in 0..grad.len_of(BATCH) {
             let image = Slice::from(image..image + 1);
@@ -104,7 +95,7 @@ impl<X: Number> Kernel<X> for Widened<'_, X::Real> {
             };
             let mut run = |grad_x: Option<ArrayViewMut3<'_, X::Real>>| {
                 let grad_sum = grad_sum.as_deref_mut();
-                let pass = Backward { grad, x, packed, grad_x, grad_sum, images_each };
+                let pass = Backward { grad, x, weight, grad_x, grad_sum, images_each };
                 self.kernel.backward(pass, &mut team);
             };
             match &mut grad_x {

@@ -17,7 +17,7 @@ use crate::fft::columns::order::{BinOrder, Bins, Scales};
 use crate::fft::columns::pointwise::{NaturalGradient, NaturalProduct};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::inverted;
-use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
+use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{
     Element, Isa, LINE_BYTES, Stored, Tile, TileMut, aligned, come_unasked, l2_cache, slack,
@@ -352,6 +352,27 @@ impl<T: Element> Grid<T> {
     }
 }
 
+impl<T: Element> Packing<T> for Grid<T> {
+    fn packed_len(&self, lanes: usize) -> usize {
+        lanes.div_ceil(self.lanes) * self.columns.packed_len()
+    }
+
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
+        let mut packed = &mut packed[..];
+        for lanes in self.parts(weight.len_of(Axis(1)), usize::MAX) {
+            let part;
+            (part, packed) = packed.split_at_mut(self.packed_len(lanes.len()));
+            let weight = weight.slice(s![.., lanes.clone(), ..]);
+            if lanes.len().is_multiple_of(self.lanes) {
+                self.order.pack(self.isa, weight, part);
+            } else {
+                let [room, _] = self.scratch(team.scratch()).bins;
+                self.order.pack(self.isa, self.padded_bins(weight, room), part);
+            }
+        }
+    }
+}
+
 impl<X: Stored> Kernel<X> for Grid<X::Real> {
     fn tile(&self) -> usize {
         self.tile
@@ -359,10 +380,6 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
 
     fn narrowest_tile(&self) -> usize {
         LINE_BYTES / size_of::<X>()
-    }
-
-    fn packed_len(&self, lanes: usize) -> usize {
-        lanes.div_ceil(self.lanes) * self.columns.packed_len()
     }
 
     fn scratch_len(&self) -> usize {
@@ -373,24 +390,12 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
             + 2 * self.padded_bins
     }
 
-    fn pack(
-        &self,
-        weight: ArrayView3<'_, X::Real>,
-        packed: &mut [X::Real],
-        team: &mut Team<'_, X::Real>,
-    ) {
-        let mut packed = &mut packed[..];
-        for lanes in self.parts(weight.len_of(Axis(1)), usize::MAX) {
-            let part;
-            (part, packed) = packed.split_at_mut(Kernel::<X>::packed_len(self, lanes.len()));
-            let weight = weight.slice(s![.., lanes.clone(), ..]);
-            if lanes.len().is_multiple_of(self.lanes) {
-                self.order.pack(self.isa, weight, part);
-            } else {
-                let [room, _] = self.scratch(team.scratch()).bins;
-                self.order.pack(self.isa, self.padded_bins(weight, room), part);
-            }
-        }
+    fn packing(&self) -> Option<&dyn Packing<X::Real>> {
+        Some(self)
+    }
+
+    fn sum_len(&self, lanes: usize) -> usize {
+        self.packed_len(lanes)
     }
 
     fn forward(
@@ -416,7 +421,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
+        let Backward { grad, x, weight, mut grad_x, mut grad_sum, .. } = pass;
         let mut scratch = self.scratch(team.scratch());
         let (lanes, packed_len) = (grad.len_of(Axis(2)), self.columns.packed_len());
         let place = self.place_of_several(&grad, 2);
@@ -427,7 +432,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
                 self.backward_lanes(
                     place,
                     [grad.slice(part), x.slice(part)],
-                    &packed[start..],
+                    &weight[start..],
                     grad_x.as_mut().map(|grad_x| grad_x.slice_mut(part)),
                     grad_sum.as_deref_mut().map(|sum| &mut sum[start..]),
                     &mut scratch,
@@ -445,7 +450,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         let mut grad_sum = grad_sum;
         for lanes in self.parts(grad_weight.len_of(Axis(1)), usize::MAX) {
             let part;
-            (part, grad_sum) = grad_sum.split_at(Kernel::<X>::packed_len(self, lanes.len()));
+            (part, grad_sum) = grad_sum.split_at(self.packed_len(lanes.len()));
             let mut gradient = grad_weight.slice_mut(s![.., lanes.clone(), ..]);
             if lanes.len().is_multiple_of(self.lanes) {
                 self.order.unpack(self.isa, part, gradient);
@@ -459,10 +464,6 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
 
     fn single(&self) -> Option<&dyn Single<X>> {
         Some(self)
-    }
-
-    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
-        Some(TakesHalf::Grid(self))
     }
 }
 

@@ -13,7 +13,7 @@ use self::order::SquareOrder;
 use crate::fft::codelets::pair::{join, split};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::Transform;
-use crate::kernel::{Backward, Kernel};
+use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, MAX_LANES, Tile, TileMut, Vector, aligned, complex_vectors,
@@ -177,13 +177,19 @@ impl<T: Element> Planes<T> {
     }
 }
 
+impl<T: Element> Packing<T> for Planes<T> {
+    fn packed_len(&self, _: usize) -> usize {
+        self.blocks() * self.block_len()
+    }
+
+    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
+        self.order.pack(self.isa, weight, packed);
+    }
+}
+
 impl<T: Element> Kernel<T> for Planes<T> {
     fn tile(&self) -> usize {
         self.width
-    }
-
-    fn packed_len(&self, _: usize) -> usize {
-        self.blocks() * self.block_len()
     }
 
     fn scratch_len(&self) -> usize {
@@ -191,8 +197,12 @@ impl<T: Element> Kernel<T> for Planes<T> {
         slack::<T>() + lines + self.work_len() + self.padded_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
-        self.order.pack(self.isa, weight, packed);
+    fn packing(&self) -> Option<&dyn Packing<T>> {
+        Some(self)
+    }
+
+    fn sum_len(&self, lanes: usize) -> usize {
+        self.packed_len(lanes)
     }
 
     fn forward(
@@ -216,7 +226,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
     }
 
     fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
-        let Backward { grad, x, packed, mut grad_x, mut grad_sum, .. } = pass;
+        let Backward { grad, x, weight: packed, mut grad_x, mut grad_sum, .. } = pass;
         let PlanesBuffers { spectrum, other, line, other_line, work, padded } =
             self.scratch(team.scratch());
         for image in 0..grad.len_of(Axis(0)) {

@@ -105,7 +105,7 @@ impl<T: Element> Tokens<T> {
             self.filter(
                 step,
                 block,
-                GroupProduct::<T, false>(NaturalWeight::new(self.plan, weight)),
+                GroupProduct::<T, false>(NaturalWeight::new(self.shape, weight)),
             );
             self.put(block, &mut rows, work);
         });
@@ -161,7 +161,7 @@ impl<T: Element> Tokens<T> {
     ) {
         let TokensBuffers { block, other, sum, work } = self.scratch(scratch);
         let product =
-            || weight.map(|weight| GroupProduct::<T, true>(NaturalWeight::new(self.plan, weight)));
+            || weight.map(|weight| GroupProduct::<T, true>(NaturalWeight::new(self.shape, weight)));
         let (mut sum, natural) = match gradient {
             None => (None, None),
             Some(StepGradient::Sum(sum)) => (Some(sum), None),
@@ -175,7 +175,7 @@ impl<T: Element> Tokens<T> {
             self.gather(step, &rows, block, work);
             if let (Some(x), Some(sum)) = (x, &mut sum) {
                 self.gather(step, &x, other, work);
-                let x = Block { vectors: &mut *other, pitch: self.plan.pitch() };
+                let x = Block { vectors: &mut *other, pitch: self.shape.pitch() };
                 let accumulate = GroupAccumulate { x, sum };
                 match product() {
                     Some(product) => self.filter(step, block, (accumulate, product)),
@@ -223,8 +223,8 @@ impl<T: Element> Tokens<T> {
     }
 
     pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {
-        let plan = self.plan;
-        with_run!(self.run, RUN => self.isa.run_tuned(UnpackGroups::<T, RUN> { plan, step, sum, gradient }));
+        let shape = self.shape;
+        with_run!(self.run, RUN => self.isa.run_tuned(UnpackGroups::<T, RUN> { shape, step, sum, gradient }));
     }
 
     /// The rows of a weight's gradient that belong to each step.
@@ -235,7 +235,7 @@ impl<T: Element> Tokens<T> {
         let [a, b] = self.factors;
         let gradient = gradient.into_slice().expect("a whole weight");
         let mut rows: Vec<_> = (0..a).map(|_| Vec::with_capacity(b)).collect();
-        for (u, row) in gradient.chunks_exact_mut(self.plan.width + 2).enumerate() {
+        for (u, row) in gradient.chunks_exact_mut(self.shape.width + 2).enumerate() {
             rows[u % a].push(row.as_chunks_mut().0);
         }
         (0..=a / 2).map(move |u1| {

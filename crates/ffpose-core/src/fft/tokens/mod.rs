@@ -43,7 +43,7 @@ use self::images::{BackwardImage, Context, StepGradient, SumPart};
 use self::steps::Step;
 use self::weight::TokenShape;
 use crate::fft::codelets::root;
-use crate::kernel::{Backward, Kernel, Single, SingleBackward, TakesHalf};
+use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, l2_cache, slack};
 use crate::spectral::{chunks_mut, in_order};
@@ -52,7 +52,7 @@ use crate::spectral::{chunks_mut, in_order};
 pub(crate) struct Tokens<T> {
     isa: Isa,
     lanes: usize,
-    plan: TokenShape,
+    shape: TokenShape,
     /// Items of one row that stay together in a group.
     run: usize,
     /// `X = A B`.
@@ -77,12 +77,12 @@ impl<T: Element> Tokens<T> {
         }
         let factors = factors(points)?;
         let slots = width / lanes / 2;
-        let plan = TokenShape { points, width, slots };
+        let shape = TokenShape { points, width, slots };
         // a power of two that divides both
         let run = lanes.min(slots & slots.wrapping_neg());
         let pairs_each = lanes / lanes.min((2 * slots) & (2 * slots).wrapping_neg());
         let steps: Vec<_> =
-            (0..=factors[0] / 2).map(|u1| Step::new(plan, factors, u1, pairs_each, run)).collect();
+            (0..=factors[0] / 2).map(|u1| Step::new(shape, factors, u1, pairs_each, run)).collect();
         let twiddles = (0..points).map(|i| (i / factors[0]) * (i % factors[0]));
         let twiddles = twiddles.map(|n| {
             let (c, s) = root(n, points);
@@ -92,7 +92,7 @@ impl<T: Element> Tokens<T> {
         Some(Self {
             isa,
             lanes,
-            plan,
+            shape,
             run,
             factors,
             twiddles: twiddles.collect(),
@@ -104,12 +104,12 @@ impl<T: Element> Tokens<T> {
 
     /// Numbers of the sum of a step's gradient.
     fn sum_len_of(&self, step: &Step) -> usize {
-        step.rows.len() * self.plan.width
+        step.rows.len() * self.shape.width
     }
 
     /// Numbers of the spectrum of an image.
     fn spectrum_len(&self) -> usize {
-        self.plan.points * self.plan.width
+        self.shape.points * self.shape.width
     }
 
     /// Bytes of an image as it is stored.
@@ -121,11 +121,6 @@ impl<T: Element> Tokens<T> {
     /// a single image there.
     fn bytes(&self) -> usize {
         3 * self.spectrum_len() * size_of::<T>()
-    }
-
-    /// Numbers of a weight.
-    fn weight_len(&self) -> usize {
-        self.plan.points * (self.plan.width + 2)
     }
 
     /// The parts of a sum that belong to each step.
@@ -151,37 +146,27 @@ impl<T: Element> Tokens<T> {
 
 impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     fn tile(&self) -> usize {
-        self.plan.width
-    }
-
-    fn packed_len(&self, _: usize) -> usize {
-        let sum: usize = self.steps.iter().map(|step| self.sum_len_of(step)).sum();
-        sum.max(self.weight_len()).next_multiple_of(slack::<X::Real>())
+        self.shape.width
     }
 
     fn scratch_len(&self) -> usize {
         2 * self.spectrum_len() + self.member_len()
     }
 
-    /// The weight stays in natural order, in which the product reads it.
-    fn packs(&self) -> bool {
-        false
+    /// The product reads the weight in natural order.
+    fn packing(&self) -> Option<&dyn Packing<X::Real>> {
+        None
     }
 
-    fn pack(
-        &self,
-        weight: ArrayView3<'_, X::Real>,
-        packed: &mut [X::Real],
-        _: &mut Team<'_, X::Real>,
-    ) {
-        let weight = weight.to_slice().expect("a whole weight");
-        packed[..weight.len()].copy_from_slice(weight);
+    fn sum_len(&self, _: usize) -> usize {
+        let sum: usize = self.steps.iter().map(|step| self.sum_len_of(step)).sum();
+        sum.next_multiple_of(slack::<X::Real>())
     }
 
     fn forward(
         &self,
         x: ArrayView3<'_, X>,
-        packed: &[X::Real],
+        weight: &[X::Real],
         y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
@@ -192,12 +177,12 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         while images.peek().is_some() {
             let together: Vec<_> = images.by_ref().take(members).collect();
             let means = Context { spectra: &mut *spectra, far, team: &mut team };
-            self.forward_images(together, &packed[..self.weight_len()], means);
+            self.forward_images(together, weight, means);
         }
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, packed, grad_x, grad_sum, images_each } = pass;
+        let Backward { grad, x, weight, grad_x, grad_sum, images_each } = pass;
         let images_each = if grad_sum.is_some() { images_each } else { 1 };
         let members = team.members();
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
@@ -205,7 +190,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         let count = x.len_of(Axis(0));
         let grad_x = in_order(count, grad_x.map(images_of_mut));
         let mut images = images_of(grad).zip(images_of(x)).zip(grad_x);
-        let len = Kernel::<X>::packed_len(self, self.plan.width);
+        let len = Kernel::<X>::sum_len(self, self.shape.width);
         let parts = count.div_ceil(images_each);
         let sums = in_order(parts, grad_sum.map(|sums| sums.chunks_exact_mut(len)));
         let mut parts: Vec<_> = sums
@@ -228,7 +213,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
                 });
                 let round: Vec<_> = round.collect();
                 let means = Context { spectra: &mut *spectra, far, team: &mut team };
-                self.backward_images(round, &packed[..self.weight_len()], means);
+                self.backward_images(round, weight, means);
             }
         }
     }
@@ -250,10 +235,6 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
 
     fn is_shared(&self) -> bool {
         true
-    }
-
-    fn takes_half(&self) -> Option<TakesHalf<'_, X::Real>> {
-        Some(TakesHalf::Tokens(self))
     }
 }
 

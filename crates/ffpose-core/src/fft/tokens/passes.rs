@@ -28,7 +28,7 @@ impl<T: Element> Tokens<T> {
     /// Numbers of a block of any step.
     fn block_len(&self) -> usize {
         let rows = self.steps.iter().map(|step| step.fillers.end).max().unwrap_or(0);
-        2 * self.lanes * self.plan.pitch() * rows.max(self.factors[0])
+        2 * self.lanes * self.shape.pitch() * rows.max(self.factors[0])
     }
 
     /// Numbers of the sum of the largest step's gradient.
@@ -39,7 +39,7 @@ impl<T: Element> Tokens<T> {
     /// Numbers of half a line, or of a column, of complex vectors.
     fn work_len(&self) -> usize {
         let [a, b] = self.factors;
-        self.plan.width.max(2 * self.lanes * a.max(b))
+        self.shape.width.max(2 * self.lanes * a.max(b))
     }
 
     /// Scratch of one member of a team.
@@ -57,7 +57,7 @@ impl<T: Element> Tokens<T> {
 
     /// `spectrum` as an image.
     pub(super) fn image<'a>(&self, spectrum: &'a mut [T]) -> ArrayViewMut2<'a, T> {
-        ArrayViewMut2::from_shape((self.plan.points, self.plan.width), spectrum)
+        ArrayViewMut2::from_shape((self.shape.points, self.shape.width), spectrum)
             .expect("room for an image")
     }
 
@@ -68,9 +68,9 @@ impl<T: Element> Tokens<T> {
         far: bool,
         team: &mut Team<'_, T>,
     ) {
-        let ([a, b], pitch) = (self.factors, self.plan.pitch());
+        let ([a, b], pitch) = (self.factors, self.shape.pitch());
         let columns = images.flat_map(|(x, spectrum)| {
-            let x = x.into_shape_with_order((a, b, self.plan.width)).expect("rows without gaps");
+            let x = x.into_shape_with_order((a, b, self.shape.width)).expect("rows without gaps");
             let x = (0..b).map(move |x2| x.index_axis_move(Axis(1), x2));
             x.zip(self.columns(spectrum)).zip(self.twiddles.chunks_exact(a))
         });
@@ -90,7 +90,7 @@ impl<T: Element> Tokens<T> {
         far: bool,
         team: &mut Team<'_, T>,
     ) {
-        let ([a, _], pitch) = (self.factors, self.plan.pitch());
+        let ([a, _], pitch) = (self.factors, self.shape.pitch());
         let columns =
             spectra.flat_map(|spectrum| self.columns(spectrum).zip(self.twiddles.chunks_exact(a)));
         team.run(columns, |(spectrum, twiddles), scratch| {
@@ -109,7 +109,7 @@ impl<T: Element> Tokens<T> {
         far: bool,
         team: &mut Team<'_, T>,
     ) {
-        let ([a, _], pitch) = (self.factors, self.plan.pitch());
+        let ([a, _], pitch) = (self.factors, self.shape.pitch());
         let columns = images.flat_map(|(spectrum, y)| {
             let columns = self.columns(spectrum).zip(self.columns(y));
             columns.zip(self.twiddles.chunks_exact(a))
@@ -135,7 +135,7 @@ impl<T: Element> Tokens<T> {
     /// Rows `(X, Y)` as `(A, B, Y)`.
     fn blocks<'a, X>(&self, rows: ArrayViewMut2<'a, X>) -> ArrayViewMut3<'a, X> {
         let [a, b] = self.factors;
-        rows.into_shape_with_order((a, b, self.plan.width)).expect("rows without gaps")
+        rows.into_shape_with_order((a, b, self.shape.width)).expect("rows without gaps")
     }
 
     /// The rows of each step.
@@ -161,7 +161,7 @@ impl<T: Element> Tokens<T> {
         block: &mut [T],
         work: &mut [T],
     ) {
-        let (pitch, row) = (self.plan.pitch(), 2 * self.lanes * self.plan.pitch());
+        let (pitch, row) = (self.shape.pitch(), 2 * self.lanes * self.shape.pitch());
         for (rows, vectors) in rows.iter().flatten().zip(block.chunks_mut(self.factors[1] * row)) {
             let (image, block) = (Tile::new(rows.view()), Block { vectors, pitch });
             image_to_block::<T, false>(self.isa, image, &[], block, work);
@@ -175,7 +175,7 @@ impl<T: Element> Tokens<T> {
     /// Undoes [`gather`](Self::gather), up to a factor.
     #[inline(always)]
     pub(super) fn put(&self, block: &mut [T], rows: &mut StepRows<'_, T>, work: &mut [T]) {
-        let (pitch, row) = (self.plan.pitch(), 2 * self.lanes * self.plan.pitch());
+        let (pitch, row) = (self.shape.pitch(), 2 * self.lanes * self.shape.pitch());
         for (rows, vectors) in
             rows.iter_mut().flatten().zip(block.chunks_mut(self.factors[1] * row))
         {
@@ -191,10 +191,10 @@ impl<T: Element> Tokens<T> {
             rows: &step.rows,
             rows_each: self.rows_each,
             runs: &step.runs,
-            slots: self.plan.slots,
+            slots: self.shape.slots,
             twiddles: self.turns.values(),
         };
-        let block = Block { vectors: block, pitch: self.plan.pitch() };
+        let block = Block { vectors: block, pitch: self.shape.pitch() };
         with_run!(self.run, RUN => self.isa.run_tuned(Filter::<T, _, RUN> { block, turns, pointwise }));
     }
 }

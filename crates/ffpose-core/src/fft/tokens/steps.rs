@@ -25,7 +25,7 @@ pub(super) struct Step {
 impl Step {
     /// The step of blocks `u1 <= A / 2` and `-u1`, of a multiple of `pairs_each` pairs, in runs of `run` items.
     pub(super) fn new(
-        plan: TokenShape,
+        shape: TokenShape,
         [a, b]: [usize; 2],
         u1: usize,
         pairs_each: usize,
@@ -51,11 +51,11 @@ impl Step {
             }
         }
         let fillers = 2 * b + copies.len();
-        let gradient_runs = plan.runs(&rows, &positions, run);
+        let gradient_runs = shape.runs(&rows, &positions, run);
         let turn = 2 * pairs_each;
         let fillers = fillers..fillers + rows.len().next_multiple_of(turn) - rows.len();
         rows.extend(fillers.clone());
-        let runs = plan.runs(&rows, &frequencies, run);
+        let runs = shape.runs(&rows, &frequencies, run);
         Self { rows, positions, runs, gradient_runs, copies, fillers }
     }
 }

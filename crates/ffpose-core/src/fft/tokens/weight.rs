@@ -73,7 +73,7 @@ pub(super) struct Run {
 
 /// A weight `(X, Y/2+1)` in natural order.
 pub(super) struct NaturalWeight<'a, T> {
-    plan: TokenShape,
+    shape: TokenShape,
     bins: &'a [[T; 2]],
 }
 
@@ -87,8 +87,8 @@ pub(super) struct GroupWeight<'a, T, const RUN: usize, const J: usize> {
 }
 
 impl<'a, T: Element> NaturalWeight<'a, T> {
-    pub(super) fn new(plan: TokenShape, weight: &'a [T]) -> Self {
-        Self { plan, bins: weight.as_chunks().0 }
+    pub(super) fn new(shape: TokenShape, weight: &'a [T]) -> Self {
+        Self { shape, bins: weight.as_chunks().0 }
     }
 
     /// The weight of the group of such runs.
@@ -97,7 +97,7 @@ impl<'a, T: Element> NaturalWeight<'a, T> {
         &self,
         runs: &[Run],
     ) -> GroupWeight<'a, T, RUN, J> {
-        let (plan, half, stride) = (self.plan, self.plan.half(), self.plan.stride());
+        let (shape, half, stride) = (self.shape, self.shape.half(), self.shape.stride());
         let (mut own, mut mirror) = ([0; MAX_LANES], [0; MAX_LANES]);
         let mut edges = [[[T::default(); 2]; MAX_LANES]; 2];
         for i in 0..V::LANES / RUN {
@@ -109,7 +109,7 @@ impl<'a, T: Element> NaturalWeight<'a, T> {
             edges[0][lane..][..RUN].copy_from_slice(&self.bins[own[i]..][..RUN]);
             edges[1][mirrored..][..RUN].copy_from_slice(&self.bins[nyquist..][..RUN]);
             if columns[0] == 0 {
-                let last = plan.width / 2;
+                let last = shape.width / 2;
                 let bin = |row: usize, k: usize| self.bins[row * half + k];
                 edges[0][lane] = hermitian(bin(u, 0), bin(minus_u, 0));
                 edges[1][V::LANES - 1 - lane] = hermitian(bin(minus_u, last), bin(u, last));
@@ -160,7 +160,7 @@ pub(super) type GradientRows<'a, T> = Vec<&'a mut [[T; 2]]>;
 
 /// The sums of the groups of a step to the gradient.
 pub(super) struct UnpackGroups<'a, 'b, T, const RUN: usize> {
-    pub(super) plan: TokenShape,
+    pub(super) shape: TokenShape,
     pub(super) step: &'a Step,
     pub(super) sum: &'a [T],
     pub(super) gradient: &'a mut GradientRows<'b, T>,
@@ -169,15 +169,15 @@ pub(super) struct UnpackGroups<'a, 'b, T, const RUN: usize> {
 impl<T: Element, const RUN: usize> Algorithm<T> for UnpackGroups<'_, '_, T, RUN> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Self { plan, step, sum, gradient } = self;
-        let (stride, each) = (plan.stride(), V::LANES / RUN);
-        let (twice, once) = (T::nearest(2.0 * plan.norm()), T::nearest(0.5 * plan.norm()));
+        let Self { shape, step, sum, gradient } = self;
+        let (stride, each) = (shape.stride(), V::LANES / RUN);
+        let (twice, once) = (T::nearest(2.0 * shape.norm()), T::nearest(0.5 * shape.norm()));
         let groups = sum.chunks_exact(2 * V::LANES * V::LANES);
         for (group, runs) in groups.zip(step.gradient_runs.chunks(each)) {
             let mut scales = [twice; MAX_LANES];
             for (i, run) in runs.iter().enumerate() {
                 for lane in 0..RUN {
-                    if (run.columns[0] + lane).is_multiple_of(plan.slots) {
+                    if (run.columns[0] + lane).is_multiple_of(shape.slots) {
                         scales[i * RUN + lane] = once;
                     }
                 }
@@ -202,10 +202,10 @@ impl<T: Element, const RUN: usize> Algorithm<T> for UnpackGroups<'_, '_, T, RUN>
             }
         }
         // of the columns of zero and Nyquist, to both rows, each of which is a column of its own
-        let shared = T::nearest(0.25 * plan.norm());
+        let shared = T::nearest(0.25 * shape.norm());
         let pairs = &step.positions;
-        for (&[u, minus_u], place) in pairs.iter().zip(plan.zeroth(pairs.len(), V::LANES)) {
-            for (j, k) in [(0, 0), (V::LANES / 2, plan.width / 2)] {
+        for (&[u, minus_u], place) in pairs.iter().zip(shape.zeroth(pairs.len(), V::LANES)) {
+            for (j, k) in [(0, 0), (V::LANES / 2, shape.width / 2)] {
                 let place = place + 2 * V::LANES * j;
                 let (re, im) = (sum[place] * shared, sum[place + V::LANES] * shared);
                 gradient[minus_u][k] = [re, T::default() - im];

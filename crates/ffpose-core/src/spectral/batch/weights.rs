@@ -1,0 +1,127 @@
+//! The packed weights of a batch: which worker packs what, and where it stands.
+
+use ndarray::ArrayView3;
+
+use super::Batch;
+use crate::kernel::Packing;
+use crate::number::Number;
+use crate::parallel::{self, Team};
+use crate::scratch::Workers;
+use crate::spectral::tiling::Tiling;
+
+/// A weight to filter a batch with.
+#[derive(Clone, Copy)]
+pub(crate) enum Weight<'a, T> {
+    /// `(bins, lanes, 2)`.
+    Natural(ArrayView3<'a, T>),
+    /// As the kernel reads it, all of it.
+    Prepared(&'a [T]),
+}
+
+impl<'a, T> Weight<'a, T> {
+    /// The weight for a kernel that reads it in natural order.
+    fn whole(self) -> &'a [T] {
+        match self {
+            Self::Natural(weight) => weight.to_slice().expect("a whole weight has no gaps"),
+            Self::Prepared(weight) => weight,
+        }
+    }
+}
+
+impl<X: Number> Batch<'_, X> {
+    /// Numbers for packed weights: of a tile for each worker, or of all tiles for all workers.
+    pub(crate) fn packed_len(&self) -> usize {
+        self.kernel.packing().map_or(0, |packing| {
+            if self.is_by_tiles() {
+                packing.offset(self.granule, self.lanes_each()).saturating_mul(self.workers)
+            } else {
+                packing.offset(self.granule, self.shape.lanes)
+            }
+        })
+    }
+
+    /// Whether each worker takes whole tiles; else several share a tile and its packed weight.
+    pub(super) fn is_by_tiles(&self) -> bool {
+        self.tiling.tiles().is_multiple_of(self.workers)
+    }
+
+    /// Runs `work` on each piece, its job and the weight of its tile, packed before that if `is_wanted`.
+    pub(super) fn run<J: Send>(
+        &self,
+        jobs: impl Iterator<Item = J>,
+        weight: Weight<'_, X::Real>,
+        is_wanted: bool,
+        packed: &mut [X::Real],
+        workers: &mut Workers<'_, X::Real>,
+        work: impl Fn(usize, J, &[X::Real], &mut Team<'_, X::Real>) + Sync,
+    ) {
+        let Some(packing) = self.kernel.packing() else {
+            let weight = weight.whole();
+            return parallel::run(self.pool, workers.each(), jobs.enumerate(), |job, team| {
+                work(job.0, job.1, weight, team);
+            });
+        };
+        let packed = match weight {
+            Weight::Prepared(packed) => packed,
+            Weight::Natural(weight) if self.is_by_tiles() => {
+                let weight = is_wanted.then_some(weight);
+                return self.run_by_tiles(jobs, (packing, weight), packed, workers, work);
+            }
+            Weight::Natural(weight) => {
+                if is_wanted {
+                    self.pack(packing, weight, packed, workers);
+                }
+                packed
+            }
+        };
+        parallel::run(self.pool, workers.each(), jobs.enumerate(), |(piece, job), team| {
+            let lanes = self.tiling.lanes_of(self.tiling.place_of(piece).0);
+            let packed = &packed[packing.offset(self.granule, lanes.start)..];
+            work(piece, job, &packed[..packing.packed_len(lanes.len())], team);
+        });
+    }
+
+    /// As [`run`](Self::run), where all pieces of a tile are one worker's: each packs the weights of his tiles where that of the
+    /// last one was, in his cache.
+    fn run_by_tiles<J: Send>(
+        &self,
+        mut jobs: impl Iterator<Item = J>,
+        (packing, weight): (&dyn Packing<X::Real>, Option<ArrayView3<'_, X::Real>>),
+        packed: &mut [X::Real],
+        workers: &mut Workers<'_, X::Real>,
+        work: impl Fn(usize, J, &[X::Real], &mut Team<'_, X::Real>) + Sync,
+    ) {
+        let parts = self.tiling.parts();
+        let tiles = (0..self.tiling.tiles())
+            .map(|tile| (tile, jobs.by_ref().take(parts).collect::<Vec<_>>()));
+        let rooms = packed.chunks_exact_mut(packing.offset(self.granule, self.lanes_each()));
+        let workers = workers.each().zip(rooms);
+        parallel::run(self.pool, workers, tiles, |(tile, jobs), (team, packed)| {
+            let packed = &mut packed[..packing.packed_len(self.tiling.lanes_of(tile).len())];
+            if let Some(weight) = weight {
+                packing.pack(self.tiling.bins(weight, tile), packed, team);
+            }
+            for (part, job) in jobs.into_iter().enumerate() {
+                work(tile * parts + part, job, packed, team);
+            }
+        });
+    }
+
+    /// Packs the whole weight, all workers together.
+    fn pack(
+        &self,
+        packing: &dyn Packing<X::Real>,
+        weight: ArrayView3<'_, X::Real>,
+        packed: &mut [X::Real],
+        workers: &mut Workers<'_, X::Real>,
+    ) {
+        let widest = self.kernel.tile().next_multiple_of(self.granule);
+        let lanes = self.share_of_lanes().min(widest);
+        let tiling = Tiling::new(self.shape, lanes, 1, 1);
+        let jobs = packed.chunks_mut(packing.offset(self.granule, lanes)).enumerate();
+        parallel::run(self.pool, workers.each(), jobs, |(tile, packed), team| {
+            let len = packing.packed_len(tiling.lanes_of(tile).len());
+            packing.pack(tiling.bins(weight, tile), &mut packed[..len], team);
+        });
+    }
+}
