@@ -1,6 +1,7 @@
 //! DFTs of small fixed lengths in registers, and what else transforms are made of.
 
 mod dft;
+mod lengths;
 pub(crate) mod pair;
 mod real_dft;
 mod roots;
@@ -8,6 +9,7 @@ mod turned_dft;
 mod unroll;
 
 pub(crate) use dft::{Codelet, Dft, turn};
+pub(crate) use lengths::{has_codelet, with_codelet};
 pub(crate) use real_dft::{RealDft, TwoReal};
 pub(crate) use roots::root;
 pub(crate) use turned_dft::TurnedDft;

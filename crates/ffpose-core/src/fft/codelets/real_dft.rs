@@ -1,7 +1,7 @@
 //! DFTs of small fixed lengths across real vectors, and their inverses.
 //!
 //! Of the frequencies `k` and `-k` of a real line either one is enough, so each codelet keeps the one that it gets without a
-//! negation, in the order in which it comes; [`RealDft::frequencies`] says which. A line of even length packs its two real
+//! negation, in the order in which it comes; [`RealDft::FREQUENCIES`] says which. A line of even length packs its two real
 //! frequencies, 0 and `N / 2`, as real and imaginary part of slot 0.
 
 use super::dft::{Codelet, Dft, constant};
@@ -11,7 +11,7 @@ use crate::simd::{Complex, Vector, mirrored};
 /// The DFT of an array of `N` real vectors, as `S = ceil(N / 2)` complex ones.
 pub(crate) trait RealDft<const N: usize, const S: usize> {
     /// The frequency, in `0..N`, of each slot. Slot 0 is frequency 0 and, for even `N`, `N / 2` in its imaginary part.
-    fn frequencies() -> [usize; S];
+    const FREQUENCIES: [usize; S];
 
     fn real_dft<V: Vector>(x: [V; N]) -> [Complex<V>; S];
 
@@ -22,9 +22,7 @@ pub(crate) trait RealDft<const N: usize, const S: usize> {
 
 /// Length 2.
 impl RealDft<2, 1> for Codelet {
-    fn frequencies() -> [usize; 1] {
-        [0]
-    }
+    const FREQUENCIES: [usize; 1] = [0];
 
     #[inline(always)]
     fn real_dft<V: Vector>([a, b]: [V; 2]) -> [Complex<V>; 1] {
@@ -39,9 +37,7 @@ impl RealDft<2, 1> for Codelet {
 
 /// Length 4.
 impl RealDft<4, 2> for Codelet {
-    fn frequencies() -> [usize; 2] {
-        [0, 1]
-    }
+    const FREQUENCIES: [usize; 2] = [0, 1];
 
     #[inline(always)]
     fn real_dft<V: Vector>([a, b, c, d]: [V; 4]) -> [Complex<V>; 2] {
@@ -58,9 +54,7 @@ impl RealDft<4, 2> for Codelet {
 
 /// Odd length 7 from its definition; slot `k` is frequency `-k`.
 impl RealDft<7, 4> for Codelet {
-    fn frequencies() -> [usize; 4] {
-        [0, 6, 5, 4]
-    }
+    const FREQUENCIES: [usize; 4] = [0, 6, 5, 4];
 
     #[inline(always)]
     fn real_dft<V: Vector>(x: [V; 7]) -> [Complex<V>; 4] {
@@ -111,9 +105,7 @@ fn sines<V: Vector>(k: usize, a: [V; 3]) -> V {
 macro_rules! real_power_of_two {
     ($n:literal, $half:literal, $frequencies:expr) => {
         impl RealDft<$n, $half> for Codelet {
-            fn frequencies() -> [usize; $half] {
-                $frequencies
-            }
+            const FREQUENCIES: [usize; $half] = $frequencies;
 
             #[inline(always)]
             fn real_dft<V: Vector>(x: [V; $n]) -> [Complex<V>; $half] {
@@ -148,7 +140,7 @@ real_power_of_two!(16, 8, [0, 4, 2, 10, 1, 5, 9, 13]);
 /// it the odd frequencies of a line of `2 Q`, of which `4 m + 1` stand for all.
 pub(crate) trait TwoReal<const Q: usize> {
     /// Of each slot: which line, and the frequency modulo `Q` in it.
-    fn frequencies() -> [(usize, usize); Q];
+    const FREQUENCIES: [(usize, usize); Q];
 
     /// Slot 0 is frequency 0 and the middle of the whole line of `P Q`.
     fn two_real_dft<V: Vector>(lines: [Complex<V>; Q]) -> [Complex<V>; Q];
@@ -158,9 +150,7 @@ pub(crate) trait TwoReal<const Q: usize> {
 
 /// Nothing to do.
 impl TwoReal<1> for Codelet {
-    fn frequencies() -> [(usize, usize); 1] {
-        [(0, 0)]
-    }
+    const FREQUENCIES: [(usize, usize); 1] = [(0, 0)];
 
     #[inline(always)]
     fn two_real_dft<V: Vector>(lines: [Complex<V>; 1]) -> [Complex<V>; 1] {
@@ -174,9 +164,7 @@ impl TwoReal<1> for Codelet {
 }
 
 impl TwoReal<3> for Codelet {
-    fn frequencies() -> [(usize, usize); 3] {
-        [(0, 0), (0, 2), (1, 2)]
-    }
+    const FREQUENCIES: [(usize, usize); 3] = [(0, 0), (0, 2), (1, 2)];
 
     #[inline(always)]
     fn two_real_dft<V: Vector>([x, y, z]: [Complex<V>; 3]) -> [Complex<V>; 3] {
@@ -196,9 +184,8 @@ impl TwoReal<3> for Codelet {
 }
 
 impl TwoReal<7> for Codelet {
-    fn frequencies() -> [(usize, usize); 7] {
-        [(0, 0), (0, 6), (0, 5), (0, 4), (1, 6), (1, 5), (1, 4)]
-    }
+    const FREQUENCIES: [(usize, usize); 7] =
+        [(0, 0), (0, 6), (0, 5), (0, 4), (1, 6), (1, 5), (1, 4)];
 
     #[inline(always)]
     fn two_real_dft<V: Vector>(lines: [Complex<V>; 7]) -> [Complex<V>; 7] {
@@ -218,12 +205,16 @@ impl TwoReal<7> for Codelet {
 macro_rules! two_real_power_of_two {
     ($q:literal, $half:literal) => {
         impl TwoReal<$q> for Codelet {
-            fn frequencies() -> [(usize, usize); $q] {
-                let even = <Self as RealDft<$q, $half>>::frequencies();
-                std::array::from_fn(|slot| {
-                    if slot < $half { (0, even[slot]) } else { (1, 2 * (slot - $half)) }
-                })
-            }
+            const FREQUENCIES: [(usize, usize); $q] = {
+                let mut frequencies = [(0, 0); $q];
+                let mut slot = 0;
+                while slot < $half {
+                    let even = <Self as RealDft<$q, $half>>::FREQUENCIES[slot];
+                    (frequencies[slot], frequencies[slot + $half]) = ((0, even), (1, 2 * slot));
+                    slot += 1;
+                }
+                frequencies
+            };
 
             #[inline(always)]
             fn two_real_dft<V: Vector>(lines: [Complex<V>; $q]) -> [Complex<V>; $q] {

@@ -1,7 +1,7 @@
 //! Columns of short lengths: the last pass forward, what is done with the spectrum, and the first pass back share registers.
 
 use super::{Geometry, Through, pair_step};
-use crate::fft::codelets::{Codelet, Dft};
+use crate::fft::codelets::{Codelet, Dft, has_codelet, with_codelet};
 use crate::fft::columns::pointwise::Pointwise;
 use crate::fft::transform::Transform;
 use crate::fft::transform::mixed_radix::{Digits, Pass, forward, inverse};
@@ -11,23 +11,6 @@ use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gat
 #[derive(Clone, Copy)]
 pub(crate) struct Fused {
     radices: (usize, usize),
-}
-
-/// Runs `$run` with constants `$p` and `$q` equal to `$radices` if that is a supported pair, else `$otherwise`.
-macro_rules! with_radices {
-    ($radices:expr, ($p:ident, $q:ident) => $run:expr, _ => $otherwise:expr) => {
-        with_radices!(@ $radices, $p, $q, $run, $otherwise, 1 7, 1 8, 1 16, 7 2, 7 4, 7 8, 4 8, 8 8)
-    };
-    (@ $radices:expr, $p:ident, $q:ident, $run:expr, $otherwise:expr, $($p_of:literal $q_of:literal),*) => {
-        match $radices {
-            $(($p_of, $q_of) => {
-                const $p: usize = $p_of;
-                const $q: usize = $q_of;
-                $run
-            })*
-            _ => $otherwise,
-        }
-    };
 }
 
 impl Fused {
@@ -41,7 +24,7 @@ impl Fused {
             [first, last] => (first.radix(), last.radix()),
             _ => return None,
         };
-        with_radices!(radices, (P, Q) => { let _ = (P, Q); Some(Self { radices }) }, _ => None)
+        has_codelet!(column radices).then_some(Self { radices })
     }
 
     /// Transforms the columns, applies the pointwise operation and transforms back; without `INVERSE` the spectrum stays.
@@ -51,9 +34,9 @@ impl Fused {
         passes: &[Pass<T>],
         columns: Through<'_, T, M>,
     ) {
-        with_radices!(self.radices, (P, Q) => {
+        with_codelet!(column self.radices, (P, Q) => {
             isa.run_tuned(RunFused::<T, M, INVERSE, P, Q> { passes, columns });
-        }, _ => unreachable!("supported pairs only"));
+        }, _ => unreachable!("planned radices"));
     }
 }
 

@@ -17,15 +17,18 @@ where
 {
     const LENGTH: usize = P * Q;
     const COPRIME: bool = Q % 2 == 1;
+    /// The frequency modulo `P` of each row.
+    const ACROSS: [usize; ROWS] = <Codelet as RealDft<P, ROWS>>::FREQUENCIES;
 
     /// The frequency of each slot.
     pub(crate) fn frequencies() -> Vec<usize> {
-        let across = <Codelet as RealDft<P, ROWS>>::frequencies();
         let coprime = Self::COPRIME.then(|| remainders(P, Q));
         let join = |p, q| coprime.as_ref().map_or(p + P * q, |join| join(p, q));
-        let zeroth = <Codelet as TwoReal<Q>>::frequencies();
+        let zeroth = <Codelet as TwoReal<Q>>::FREQUENCIES;
         let zeroth = zeroth.into_iter().map(|(line, q)| join(line * P / 2, q));
-        zeroth.chain(across[1..].iter().flat_map(|&p| (0..Q).map(move |q| join(p, q)))).collect()
+        zeroth
+            .chain(Self::ACROSS[1..].iter().flat_map(|&p| (0..Q).map(move |q| join(p, q))))
+            .collect()
     }
 
     /// Where element `p` of column `q` is on the line.
@@ -36,13 +39,6 @@ where
             *point = if Self::COPRIME { (Q * p + P * q) % Self::LENGTH } else { Q * p + q };
         }
         points
-    }
-
-    /// The frequency modulo `P` of a row, for its twiddles.
-    #[inline(always)]
-    fn row_frequency(row: usize) -> usize {
-        const EIGHT: [usize; 4] = [0, 2, 1, 5];
-        if P == 8 { EIGHT[row] } else { row }
     }
 
     /// Whether row 0 stays in registers: with more rows there are none left for it.
@@ -74,7 +70,7 @@ where
             let mut line = gather::<_, Q>(work, (row - 1) * Q, 1);
             if !Self::COPRIME {
                 for q in 1..Q {
-                    line[q] = turn::<V, 64>(line[q], 64 / Self::LENGTH * q * Self::row_frequency(row));
+                    line[q] = turn::<V, 64>(line[q], 64 / Self::LENGTH * q * Self::ACROSS[row]);
                 }
             }
             scatter(spectrum, position + row * Q * pitch, pitch, <Codelet as Dft<Q>>::dft(line));
@@ -98,7 +94,7 @@ where
             let mut line = <Codelet as Dft<Q>>::idft(gather(spectrum, position + row * Q * pitch, pitch));
             if !Self::COPRIME {
                 for q in 1..Q {
-                    let turns = 64 / Self::LENGTH * q * Self::row_frequency(row);
+                    let turns = 64 / Self::LENGTH * q * Self::ACROSS[row];
                     line[q] = turn::<V, 64>(line[q].swap(), turns).swap();
                 }
             }

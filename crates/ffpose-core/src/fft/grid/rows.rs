@@ -4,8 +4,7 @@
 //! `s` holds. Column 0 of an even length packs the real frequencies 0 and `W / 2` as real and imaginary part.
 
 use super::composite::CompositeRow;
-use crate::fft::codelets::pair;
-use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal};
+use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, has_codelet, pair, with_codelet};
 use crate::fft::transform::Transform;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Stored, Tile, TileMut, Vector, complex_vectors, gather,
@@ -34,39 +33,12 @@ pub(crate) struct Place<'a> {
     pub(crate) far: bool,
 }
 
-/// Runs one of two expressions for a line of `$length` points: `$single` with the constants of its codelet `RealDft<$n, $s>`, or
-/// `$double` with those of `CompositeRow<$p, $q, $rows>`.
-macro_rules! with_codelet {
-    ($length:expr, ($n:ident, $s:ident) => $single:expr, ($p:ident, $q:ident, $rows:ident) => $double:expr) => {
-        with_codelet!(@ $length, $n, $s, $single, $p, $q, $rows, $double,
-            2 1, 4 2, 7 4, 8 4; 14 2 7 1, 16 2 8 1, 28 4 7 2, 32 4 8 2, 56 8 7 4, 64 8 8 4)
-    };
-    (@ $length:expr, $n:ident, $s:ident, $single:expr, $p:ident, $q:ident, $rows:ident, $double:expr,
-     $($n_of:literal $s_of:literal),*; $($length_of:literal $p_of:literal $q_of:literal $rows_of:literal),*) => {
-        match $length {
-            $($n_of => {
-                const $n: usize = $n_of;
-                const $s: usize = $s_of;
-                $single
-            })*
-            $($length_of => {
-                const $p: usize = $p_of;
-                const $q: usize = $q_of;
-                const $rows: usize = $rows_of;
-                $double
-            })*
-            length => unreachable!("no codelet for lines of {length}"),
-        }
-    };
-}
-
 impl<T: Element> Rows<T> {
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
-        match length {
-            2 | 4 | 7 | 8 | 14 | 16 | 28 | 32 | 56 | 64 if isa.is_tuned::<T>() => {
-                Self::Codelet(length)
-            }
-            _ => Self::Pairs(Transform::new(isa, length)),
+        if isa.is_tuned::<T>() && has_codelet!(row length) {
+            Self::Codelet(length)
+        } else {
+            Self::Pairs(Transform::new(isa, length))
         }
     }
 
@@ -74,9 +46,10 @@ impl<T: Element> Rows<T> {
     pub(crate) fn frequencies(&self) -> Vec<usize> {
         match self {
             Self::Codelet(length) => {
-                with_codelet!(*length,
-                    (N, S) => <Codelet as RealDft<N, S>>::frequencies().to_vec(),
-                    (P, Q, ROWS) => CompositeRow::<P, Q, ROWS>::frequencies())
+                with_codelet!(row *length,
+                    (N, S) => <Codelet as RealDft<N, S>>::FREQUENCIES.to_vec(),
+                    (P, Q, ROWS) => CompositeRow::<P, Q, ROWS>::frequencies(),
+                    _ => unreachable!("planned lengths"))
             }
             Self::Pairs(transform) => (0..transform.len().div_ceil(2)).collect(),
         }
@@ -116,9 +89,10 @@ impl<T: Element> Rows<T> {
         work: &mut [T],
     ) {
         match self {
-            Self::Codelet(length) => with_codelet!(*length,
+            Self::Codelet(length) => with_codelet!(row *length,
                 (N, S) => isa.run_tuned(ShortForward::<X, N, S> { image, place, spectrum }),
-                (P, Q, ROWS) => isa.run_tuned(CompositeForward::<X, P, Q, ROWS> { image, place, spectrum, work })),
+                (P, Q, ROWS) => isa.run_tuned(CompositeForward::<X, P, Q, ROWS> { image, place, spectrum, work }),
+                _ => unreachable!("planned lengths")),
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
                     (transform.outputs(), transform.len(), isa.lanes::<T>());
@@ -160,9 +134,10 @@ impl<T: Element> Rows<T> {
         work: &mut [T],
     ) {
         match self {
-            Self::Codelet(length) => with_codelet!(*length,
+            Self::Codelet(length) => with_codelet!(row *length,
                 (N, S) => isa.run_tuned(ShortInverse::<X, N, S> { image, place, spectrum }),
-                (P, Q, ROWS) => isa.run_tuned(CompositeInverse::<X, P, Q, ROWS> { image, place, spectrum, work })),
+                (P, Q, ROWS) => isa.run_tuned(CompositeInverse::<X, P, Q, ROWS> { image, place, spectrum, work }),
+                _ => unreachable!("planned lengths")),
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
                     (transform.outputs(), transform.len(), isa.lanes::<T>());

@@ -10,35 +10,15 @@
 
 use std::hint::black_box;
 
-use crate::fft::codelets::{Codelet, Dft, unroll};
+use crate::fft::codelets::{Codelet, Dft, unroll, with_codelet};
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, gather_at, scatter_at,
 };
-
-/// The lengths that have a codelet.
-pub(super) const LENGTHS: [usize; 5] = [7, 8, 14, 16, 28];
 
 /// Rows of complex vectors in scratch, `pitch` apart.
 pub(super) struct Block<'a, T> {
     pub(super) vectors: &'a mut [T],
     pub(super) pitch: usize,
-}
-
-/// Runs `$run` with the constants `$p` and `$q` of the codelet of length `$length`; the lengths are [`LENGTHS`].
-macro_rules! with_codelet {
-    ($length:expr, ($p:ident, $q:ident) => $run:expr) => {
-        with_codelet!(@ $length, $p, $q, $run, 7 1 7, 8 1 8, 14 7 2, 16 1 16, 28 7 4)
-    };
-    (@ $length:expr, $p:ident, $q:ident, $run:expr, $($length_of:literal $p_of:literal $q_of:literal),*) => {
-        match $length {
-            $($length_of => {
-                const $p: usize = $p_of;
-                const $q: usize = $q_of;
-                $run
-            })*
-            length => unreachable!("no codelet for {length} rows"),
-        }
-    };
 }
 
 /// Transforms all rows of `image` to the first rows of `block`; `work` has room for as many complex vectors as there are rows.
@@ -52,9 +32,9 @@ pub(super) fn image_to_block<T: Element, const INVERSE: bool>(
     block: Block<'_, T>,
     work: &mut [T],
 ) {
-    with_codelet!(image.points(), (P, Q) => {
+    with_codelet!(factor image.points(), (P, Q) => {
         isa.run_tuned(ImageToBlock::<T, P, Q, INVERSE> { image, twiddles, block, work });
-    });
+    }, _ => unreachable!("planned lengths"));
 }
 
 /// Transforms the first rows of `block` to all rows of `image`; `work` as in [`image_to_block`].
@@ -68,9 +48,9 @@ pub(super) fn block_to_image<T: Element, const INVERSE: bool>(
     image: TileMut<'_, T>,
     work: &mut [T],
 ) {
-    with_codelet!(image.reader().points(), (P, Q) => {
+    with_codelet!(factor image.reader().points(), (P, Q) => {
         isa.run_tuned(BlockToImage::<T, P, Q, INVERSE> { block, twiddles, image, work });
-    });
+    }, _ => unreachable!("planned lengths"));
 }
 
 /// A DFT of length `P Q`, coprime: `P` across, then `Q`, without twiddles (Good–Thomas).

@@ -5,38 +5,10 @@
 //! with (Cooley–Tukey).
 
 use super::blocks::Block;
-use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, turn, unroll};
+use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, turn, unroll, with_codelet};
 use crate::simd::{
     Algorithm, Complex, Isa, Stored, Tile, TileMut, Vector, complex_vectors, gather, scatter,
 };
-
-/// The lengths that have a codelet.
-const LENGTHS: [usize; 7] = [4, 8, 16, 24, 32, 48, 64];
-
-/// Whether [`forward`] and [`inverse`] exist for lines of `length` vectors.
-pub(super) fn has_codelet(length: usize) -> bool {
-    LENGTHS.contains(&length)
-}
-
-/// Runs `$run` with the constants of the codelet of length `$length`; the lengths are [`LENGTHS`].
-macro_rules! with_codelet {
-    ($length:expr, ($p:ident, $q:ident, $rows:ident) => $run:expr) => {
-        with_codelet!(@ $length, $p, $q, $rows, $run,
-            4 4 1 2, 8 8 1 4, 16 4 4 2, 24 8 3 4, 32 4 8 2, 48 16 3 8, 64 8 8 4)
-    };
-    (@ $length:expr, $p:ident, $q:ident, $rows:ident, $run:expr,
-     $($length_of:literal $p_of:literal $q_of:literal $rows_of:literal),*) => {
-        match $length {
-            $($length_of => {
-                const $p: usize = $p_of;
-                const $q: usize = $q_of;
-                const $rows: usize = $rows_of;
-                $run
-            })*
-            length => unreachable!("no codelet for lines of {length}"),
-        }
-    };
-}
 
 /// Rows of `image` to rows of `block`; `work` has room for half a line of complex vectors. Where memory is far, `target` is where
 /// the rows go after that: it is asked for in time, and so are the rows of the next call.
@@ -48,9 +20,9 @@ pub(super) fn forward<X: Stored>(
     block: Block<'_, X::Real>,
     work: &mut [X::Real],
 ) {
-    with_codelet!(image.lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
+    with_codelet!(line image.lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
         isa.run_tuned(LinesForward::<X, P, Q, ROWS> { image, target, block, work });
-    });
+    }, _ => unreachable!("planned lengths"));
 }
 
 /// Rows of `block`, doubled but for slot 0, to rows of `image`, up to a factor of their length. Where memory is far, the rows of
@@ -63,15 +35,18 @@ pub(super) fn inverse<X: Stored>(
     work: &mut [X::Real],
     far: bool,
 ) {
-    with_codelet!(image.reader().lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
+    with_codelet!(line image.reader().lanes() / isa.lanes::<X::Real>(), (P, Q, ROWS) => {
         isa.run_tuned(LinesInverse::<X, P, Q, ROWS> { block, image, work, far });
-    });
+    }, _ => unreachable!("planned lengths"));
 }
 
 /// A line of `P Q`; `ROWS` is `P / 2`.
 struct Line<const P: usize, const Q: usize, const ROWS: usize>;
 
-impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS> {
+impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q>,
+{
     const LENGTH: usize = P * Q;
     const COPRIME: bool = Q % 2 == 1;
 
@@ -90,14 +65,9 @@ impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS> {
     /// The frequency of element `k` of row `row`, as the codelets leave it.
     const fn frequency(row: usize, k: usize) -> usize {
         if row > 0 {
-            return Self::joined(real_frequency(P, row), k);
+            return Self::joined(<Codelet as RealDft<P, ROWS>>::FREQUENCIES[row], k);
         }
-        let half = Q.div_ceil(2);
-        let (line, k) = match (k < half, Self::COPRIME) {
-            (true, _) => (0, real_frequency(Q, k)),
-            (false, true) => (1, real_frequency(Q, k + 1 - half)),
-            (false, false) => (1, 2 * (k - half)),
-        };
+        let (line, k) = <Codelet as TwoReal<Q>>::FREQUENCIES[k];
         Self::joined(line * P / 2, k)
     }
 
@@ -124,18 +94,6 @@ impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS> {
         }
         slots
     };
-}
-
-/// The frequency of a slot of a real codelet of length `n`.
-const fn real_frequency(n: usize, slot: usize) -> usize {
-    const EIGHT: [usize; 4] = [0, 2, 1, 5];
-    const SIXTEEN: [usize; 8] = [0, 4, 2, 10, 1, 5, 9, 13];
-    match n {
-        8 => EIGHT[slot],
-        16 => SIXTEEN[slot],
-        3 => (n - slot) % n,
-        _ => slot,
-    }
 }
 
 struct LinesForward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
@@ -182,11 +140,14 @@ where
     }
 }
 
-impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS> {
+impl<const P: usize, const Q: usize, const ROWS: usize> Line<P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q>,
+{
     /// The twiddle of an element, in parts of 64 of a turn.
     #[inline(always)]
     const fn turns(row: usize, q: usize) -> usize {
-        64 / Self::LENGTH * q * real_frequency(P, row)
+        64 / Self::LENGTH * q * <Codelet as RealDft<P, ROWS>>::FREQUENCIES[row]
     }
 
     /// Writes the elements of a row to their slots.

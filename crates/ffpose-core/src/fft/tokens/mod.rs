@@ -42,7 +42,7 @@ use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 use self::images::{BackwardImage, Context, StepGradient, SumPart};
 use self::steps::Step;
 use self::weight::TokenShape;
-use crate::fft::codelets::root;
+use crate::fft::codelets::{has_codelet, root, with_codelet};
 use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, l2_cache, slack};
@@ -69,9 +69,7 @@ impl<T: Element> Tokens<T> {
     /// The plan for images `(points, width)`, if they have codelets.
     pub(crate) fn new(isa: Isa, points: usize, width: usize) -> Option<Self> {
         let lanes = isa.lanes::<T>();
-        if !isa.is_tuned::<T>()
-            || !width.is_multiple_of(lanes)
-            || !lines::has_codelet(width / lanes)
+        if !isa.is_tuned::<T>() || !width.is_multiple_of(lanes) || !has_codelet!(line width / lanes)
         {
             return None;
         }
@@ -277,6 +275,7 @@ fn images_of_mut<X>(batch: ArrayViewMut3<'_, X>) -> impl Iterator<Item = ArrayVi
 
 /// `X = A B` with codelets for both, as near to a square as can be.
 fn factors(points: usize) -> Option<[usize; 2]> {
-    let pairs = blocks::LENGTHS.into_iter().flat_map(|a| blocks::LENGTHS.map(|b| [a, b]));
-    pairs.filter(|[a, b]| a * b == points).min_by_key(|[a, b]| a.abs_diff(*b))
+    let pairs = (1..=points.isqrt()).rev().map(|a| [a, points / a]);
+    let has_codelets = |&[a, b]: &[usize; 2]| has_codelet!(factor a) && has_codelet!(factor b);
+    pairs.filter(|[a, b]| a * b == points).find(has_codelets)
 }

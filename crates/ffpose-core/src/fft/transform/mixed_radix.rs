@@ -5,11 +5,8 @@
 //! [`MixedRadix::inputs`] says where the input goes, [`MixedRadix::outputs`] where the output is.
 
 use super::prime::{self, PrimeRoots};
-use crate::fft::codelets::{Codelet, Dft, root};
+use crate::fft::codelets::{Codelet, Dft, has_codelet, root, with_codelet};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
-
-/// The radices that have a codelet.
-const CODELETS: [usize; 9] = [2, 3, 4, 5, 7, 8, 11, 13, 16];
 
 /// A planned DFT of a length without primes above [`prime::MAX`].
 pub(crate) struct MixedRadix<T> {
@@ -104,16 +101,9 @@ impl<T: Element> MixedRadix<T> {
 
 impl<T: Element> Pass<T> {
     fn run<const INVERSE: bool>(&self, isa: Isa, line: &mut [T], work: &mut [T]) {
-        /// The codelet of this radix; the literals are [`CODELETS`].
-        macro_rules! run {
-            ($($radix:literal)*) => {
-                match self.radix {
-                    $($radix => isa.run(RunPass::<T, INVERSE, $radix> { pass: self, line }),)*
-                    _ => isa.run(RunPrimePass::<T, INVERSE> { pass: self, line, work }),
-                }
-            };
-        }
-        run!(2 3 4 5 7 8 11 13 16);
+        with_codelet!(radix self.radix,
+            R => isa.run(RunPass::<T, INVERSE, R> { pass: self, line }),
+            _ => isa.run(RunPrimePass::<T, INVERSE> { pass: self, line, work }));
     }
 
     pub(crate) fn radix(&self) -> usize {
@@ -247,7 +237,7 @@ fn group_passes<T: Element>(
         radix,
         digits: Digits { outer, middle, inner },
         twiddles: Vec::new(),
-        prime: (!CODELETS.contains(&radix)).then(|| PrimeRoots::new(radix)),
+        prime: (!has_codelet!(radix radix)).then(|| PrimeRoots::new(radix)),
     });
     let (inputs, frequencies) = group_passes(rest, outer * radix, inner, passes);
     let digits: Vec<_> = (0..radix).collect();
@@ -304,7 +294,7 @@ fn groups(length: usize) -> Vec<Vec<usize>> {
         }
         p += 1;
     }
-    groups.sort_by_key(|group| (CODELETS.contains(&group[0]), group[0].is_multiple_of(2)));
+    groups.sort_by_key(|group| (has_codelet!(radix group[0]), group[0].is_multiple_of(2)));
     groups
 }
 
