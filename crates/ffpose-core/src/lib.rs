@@ -30,6 +30,7 @@ mod shape;
 #[allow(unsafe_code)] // fenced in this one folder
 mod simd;
 mod spectral;
+pub mod tuning;
 
 pub use error::Error;
 pub use number::Number;

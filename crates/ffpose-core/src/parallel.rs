@@ -6,6 +6,8 @@ use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 
+use crate::tuning::WORTH_A_NEW_THREAD;
+
 /// Threads that a caller lends.
 pub trait Pool: Sync {
     /// Threads that may work at a time, the caller's own among them; at least 1.
@@ -32,7 +34,7 @@ impl Pool for StdThreads {
     }
 
     fn grain(&self) -> usize {
-        1 << 17 // about 20 microseconds to start a thread
+        WORTH_A_NEW_THREAD
     }
 
     fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync)) {

@@ -6,16 +6,17 @@ use rustfft::FftNum;
 use crate::fft::Plan;
 use crate::kernel::Kernel;
 use crate::simd::Element;
+use crate::tuning::Tuning;
 use crate::{Isa, Shape};
 
 pub(crate) mod sealed {
-    use super::{Isa, Kernel, Plan, Real, Shape};
+    use super::{Isa, Kernel, Plan, Real, Shape, Tuning};
 
     /// The types are named here, so that kernels are compiled with this crate, once, and not with each crate that filters.
     #[allow(private_interfaces)] // sealed: nobody outside can name the trait
     pub trait Sealed: Sized {
         /// Plans the kernel for a shape.
-        fn plan(isa: Isa, shape: Shape) -> Plan<Self>
+        fn plan(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Plan<Self>
         where
             Self: Real;
 
@@ -34,8 +35,8 @@ macro_rules! real {
         #[allow(private_interfaces)] // as above
         impl sealed::Sealed for $type {
             #[inline(never)]
-            fn plan(isa: Isa, shape: Shape) -> Plan<Self> {
-                Plan::new(isa, shape)
+            fn plan(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Plan<Self> {
+                Plan::new(isa, shape, tuning)
             }
 
             #[inline(never)]

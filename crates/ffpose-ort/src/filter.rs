@@ -4,13 +4,14 @@ use std::ffi::CStr;
 use std::marker::PhantomData;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use ffpose_core::tuning::SCRATCH_KEPT;
 use ffpose_core::{Error, Isa, Layout, Prepared, Scratches, Shape, SpectralFilter};
 use ndarray::ArrayViewD;
 
 use crate::border::{Context, Element, ElementType, Failure, Info, Kernel, Sizes};
 
-/// What runs worked in, kept for the next ones: page faults would cost more than the filter. This many bytes at most.
-static SCRATCHES: Scratches = Scratches::new(64 << 20);
+/// What runs worked in, kept for the next ones.
+static SCRATCHES: Scratches = Scratches::new(SCRATCH_KEPT);
 
 /// A weight in kernel order, and the shape of the images that it is for.
 type PreparedFor<T> = (Shape, Arc<Prepared<T>>);

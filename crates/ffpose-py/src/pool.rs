@@ -6,6 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
+use ffpose_core::tuning::WORTH_A_THREAD;
 use ffpose_core::{Pool, StdThreads};
 
 /// `torch_parallel_for(begin, end, grain, body, context)` of torch's stable C interface; 0 is success.
@@ -17,9 +18,6 @@ pub(crate) struct TorchPool {
     parallel_for: Option<ParallelFor>,
     others: StdThreads,
 }
-
-/// Elements of work below which another of torch's threads costs more than it brings.
-const WORTH_A_THREAD: usize = 1 << 14;
 
 /// What the threads of one call share.
 struct Call<'a> {

@@ -3,6 +3,7 @@
 use std::sync::LazyLock;
 use std::thread;
 
+use ffpose_core::tuning::{SCRATCH_KEPT, SCRATCH_KEPT_FOR_A_CORE};
 use ffpose_core::{
     Bf16, Error, F16, Gradients, Isa, Real, Scratch, Scratches, Shape, SpectralFilter, StdThreads,
 };
@@ -17,11 +18,7 @@ use crate::tensor::{Dtype, Tensor, TensorElement};
 /// A gradient or None.
 type Gradient<'py> = Option<Bound<'py, PyAny>>;
 
-/// Bytes of scratch that the process keeps for its next calls, whatever the number of its threads: what one call takes that
-/// uses all cores, and at least what fits small machines.
-const SCRATCH_KEPT: usize = 64 << 20;
-const SCRATCH_KEPT_FOR_A_CORE: usize = 4 << 20;
-
+/// Scratch that the process keeps for its next calls, whatever the number of its threads.
 static SCRATCHES: LazyLock<Scratches> = LazyLock::new(|| {
     let cores = thread::available_parallelism().map_or(1, Into::into);
     Scratches::new(SCRATCH_KEPT.max(SCRATCH_KEPT_FOR_A_CORE.saturating_mul(cores)))

@@ -56,6 +56,4 @@ mod tests;
 mod tokens;
 mod transform;
 
-#[cfg(test)]
-pub(crate) use grid::Grid;
 pub(crate) use plan::Plan;

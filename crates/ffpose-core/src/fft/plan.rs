@@ -8,6 +8,7 @@ use super::sequence::Sequence;
 use super::tokens::Tokens;
 use crate::kernel::Kernel;
 use crate::simd::{Isa, Stored};
+use crate::tuning::Tuning;
 use crate::{Layout, Real, Shape};
 
 /// The kernel of one shape, planned.
@@ -24,22 +25,22 @@ impl<T: Real> Plan<T> {
     /// The plan for a shape without zeros: vectors across its lines, unless these would leave half of every vector empty. Then
     /// across several images, or, measured with AVX2, rustfft along the lines is two to six times faster, and else two to
     /// fourteen times slower.
-    pub(crate) fn new(isa: Isa, shape: Shape) -> Self {
+    pub(crate) fn new(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Self {
         let Shape { layout, rows, columns, lanes } = shape;
         let lines = match layout {
             Layout::Tokens => rows,
             Layout::Grid => lanes,
         };
-        if batched::pays(isa.lanes::<T>(), shape) {
-            return Self::Batched(Batched::new(isa, shape));
+        if batched::pays(isa.lanes::<T>(), shape, tuning) {
+            return Self::Batched(Batched::new(isa, shape, tuning));
         }
         if 2 * lines <= isa.lanes::<T>() {
             return Self::AlongLines(AlongLines::new(shape));
         }
         match layout {
             Layout::Grid if rows == 1 => Self::Sequence(Sequence::new(isa, columns)),
-            Layout::Grid => Self::Grid(Grid::new(isa, shape)),
-            Layout::Tokens => match Tokens::new(isa, rows, columns) {
+            Layout::Grid => Self::Grid(Grid::new(isa, shape, tuning)),
+            Layout::Tokens => match Tokens::new(isa, rows, columns, tuning) {
                 Some(tokens) => Self::Tokens(tokens),
                 None => Self::Planes(Planes::new(isa, rows, columns)),
             },

@@ -15,9 +15,7 @@ use crate::simd::{
     Algorithm, Complex, Element, Isa, LINE_BYTES, Stored, Tile, TileMut, Vector, aligned,
     complex_vectors, slack,
 };
-
-/// Vectors of a tile: longer runs of memory than one has.
-const VECTORS: usize = 2;
+use crate::tuning::{SEQUENCE_AHEAD, SEQUENCE_VECTORS};
 
 /// The plan for sequences of one length.
 pub(crate) struct Sequence<T> {
@@ -52,11 +50,11 @@ impl<T: Element> Sequence<T> {
 
     /// Most lanes of a tile.
     fn most(&self) -> usize {
-        VECTORS * self.lanes
+        SEQUENCE_VECTORS * self.lanes
     }
 
     fn scratch<'a>(&self, scratch: &'a mut [T]) -> SequenceBuffers<'a, T> {
-        let spectra = VECTORS * self.columns.len();
+        let spectra = SEQUENCE_VECTORS * self.columns.len();
         let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
         let (other, rest) = rest.split_at_mut(spectra);
         let (work, rest) = rest.split_at_mut(self.columns.work_len());
@@ -173,7 +171,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
 
     fn scratch_len(&self) -> usize {
         let padded = self.length * self.most();
-        let spectra = 2 * VECTORS * self.columns.len();
+        let spectra = 2 * SEQUENCE_VECTORS * self.columns.len();
         slack::<X::Real>() + spectra + self.columns.work_len() + padded + self.bins_len()
     }
 
@@ -240,9 +238,6 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     }
 }
 
-/// Points ahead of the work that are brought to the cache.
-const AHEAD: usize = 16;
-
 /// Real lines to complex ones.
 struct EnterPoints<'a, X: Stored> {
     plan: &'a Sequence<X::Real>,
@@ -261,11 +256,11 @@ impl<X: Stored> Algorithm<X::Real> for EnterPoints<'_, X> {
             for (vector, line) in lines.chunks_exact_mut(pitch).enumerate() {
                 let image = image.skip_lanes(vector * V::LANES);
                 line[input] = if halves {
-                    image.prefetch(2 * n + AHEAD, 2);
+                    image.prefetch(2 * n + SEQUENCE_AHEAD, 2);
                     let [re, im] = image.gather(2 * n, 1);
                     Complex::new(re, im)
                 } else {
-                    image.prefetch(n + AHEAD, 1);
+                    image.prefetch(n + SEQUENCE_AHEAD, 1);
                     let [re] = image.gather(n, 1);
                     Complex::new(re, V::splat(X::Real::default()))
                 };
@@ -293,10 +288,10 @@ impl<X: Stored> Algorithm<X::Real> for LeavePoints<'_, X> {
                 let mut image = image.skip_lanes(vector * V::LANES);
                 let Complex { re, im } = line[input];
                 if halves {
-                    image.reader().prefetch(2 * n + AHEAD, 2);
+                    image.reader().prefetch(2 * n + SEQUENCE_AHEAD, 2);
                     image.scatter(2 * n, 1, [re, im]);
                 } else {
-                    image.reader().prefetch(n + AHEAD, 1);
+                    image.reader().prefetch(n + SEQUENCE_AHEAD, 1);
                     image.scatter(n, 1, [re]);
                 }
             }

@@ -5,6 +5,7 @@ use super::grid::rows::{Place, Rows};
 use crate::fft::transform::Transform;
 use crate::kernel::Kernel;
 use crate::simd::{Bf16, Isa, LINE_BYTES, Tile, TileMut, aligned, slack};
+use crate::tuning::Tuning;
 use crate::{Layout, Real, Shape};
 
 /// Real and imaginary part.
@@ -149,7 +150,7 @@ fn tiles_of_a_grid_share_its_lanes_evenly_in_whole_cache_lines_of_half_precision
     for isa in Isa::available() {
         for (side, lanes) in [(7, 1), (7, 512), (7, 5000), (14, 129), (14, 384), (28, 600)] {
             let shape = Shape { layout: Layout::Grid, rows: side, columns: side, lanes };
-            let grid = Grid::<f32>::new(isa, shape);
+            let grid = Grid::<f32>::new(isa, shape, Tuning::of_machine());
             for tile in [Kernel::<f32>::tile(&grid), Kernel::<Bf16>::narrowest_tile(&grid)] {
                 assert_eq!(tile * size_of::<Bf16>() % LINE_BYTES, 0, "{tile} of {lanes}");
             }

@@ -1,24 +1,8 @@
 //! What the processor says of its caches.
 
-use std::sync::LazyLock;
-
-static L2_CACHE: LazyLock<Option<usize>> = LazyLock::new(detected_l2_cache);
-static FETCHES_AHEAD: LazyLock<bool> = LazyLock::new(is_intel);
-
 /// Bytes of the L2 cache of a core; of a processor that does not say, what is common.
 pub(crate) fn l2_cache() -> usize {
-    L2_CACHE.unwrap_or(1 << 20)
-}
-
-/// Whether images, each of `each` bytes, come to the L2 cache by the hardware prefetcher; with their results and what else is as
-/// large they are `bytes`.
-///
-/// Intel's processors see to that while the L3 cache has it: on a Xeon with 2 MB of L2 cache asking cost up to 25 %, and not
-/// asking for more up to 40 %, or, where each image takes much of that cache, up to 60 %. On AMD's (Zen 5) not asking cost half as
-/// much again.
-pub(crate) fn come_unasked(bytes: usize, each: usize) -> bool {
-    let times = if each <= l2_cache() / 8 { 8 } else { 3 };
-    *FETCHES_AHEAD && bytes <= times * l2_cache()
+    detected_l2_cache().unwrap_or(1 << 20)
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -37,8 +21,9 @@ fn detected_l2_cache() -> Option<usize> {
     (kilobytes > 0).then_some((kilobytes as usize) << 10)
 }
 
+/// Whether the hardware prefetcher brings lines from the L3 cache soon enough: Intel's does.
 #[cfg(target_arch = "x86_64")]
-fn is_intel() -> bool {
+pub(crate) fn fetches_ahead() -> bool {
     let name = cpuid(0);
     [name.ebx, name.edx, name.ecx].map(u32::to_le_bytes).as_flattened() == b"GenuineIntel"
 }
@@ -49,6 +34,6 @@ fn detected_l2_cache() -> Option<usize> {
 }
 
 #[cfg(not(target_arch = "x86_64"))]
-fn is_intel() -> bool {
+pub(crate) fn fetches_ahead() -> bool {
     false
 }

@@ -23,7 +23,7 @@ mod x86;
 use std::fmt::Debug;
 use std::ops::{Add, Mul, Neg, Sub};
 
-pub(crate) use cache::{come_unasked, l2_cache};
+pub(crate) use cache::{fetches_ahead, l2_cache};
 pub(crate) use complex::{Complex, mirrored};
 pub use half::{Bf16, F16, Stored};
 pub(crate) use half::{narrow, widen};

@@ -22,6 +22,7 @@ use crate::kernel::{Single, SingleBackward};
 use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{self, Scratch};
+use crate::tuning::Tuning;
 use crate::{Error, Isa, Real, Shape};
 
 pub use self::prepared::Prepared;
@@ -43,10 +44,11 @@ const BYTES_A_POINT: usize = 512;
 /// Results are bit-identical for any number of threads, and `y` and the gradient of `x` for any split of the batch.
 #[derive(Clone)]
 pub struct SpectralFilter<T: Real> {
-    pub(crate) isa: Isa,
-    pub(crate) shape: Shape,
+    isa: Isa,
+    shape: Shape,
+    tuning: &'static Tuning,
     /// None for images without elements, which have no transform.
-    pub(crate) plan: Option<Arc<Plan<T>>>,
+    plan: Option<Arc<Plan<T>>>,
 }
 
 /// Where the gradients of a backward pass go, if they are wanted.
@@ -71,8 +73,13 @@ impl<T: Real> SpectralFilter<T> {
     /// Plans the transform of images of one shape, for one instruction set.
     #[must_use]
     pub fn new(isa: Isa, shape: Shape) -> Self {
-        let plan = (!shape.is_empty()).then(|| Arc::new(T::plan(isa, shape)));
-        Self { isa, shape, plan }
+        Self::tuned(isa, shape, Tuning::of_machine())
+    }
+
+    /// As [`new`](Self::new), for another machine than this one.
+    fn tuned(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Self {
+        let plan = (!shape.is_empty()).then(|| Arc::new(T::plan(isa, shape, tuning)));
+        Self { isa, shape, tuning, plan }
     }
 
     /// The plan for a shape, made at its first use and kept for the next, on any thread.
@@ -136,7 +143,7 @@ impl<T: Real> SpectralFilter<T> {
         let widened = Widened::new(self.isa, self.shape, T::kernel(plan));
         let kernel = X::kernel_of(plan, &widened);
         let single = kernel.single().filter(|_| y.dim().0 == 1);
-        let batch = Batch::new(self.shape, kernel, granule, (y.dim().0, false), pool);
+        let batch = Batch::new(self.shape, kernel, granule, (y.dim().0, false), pool, self.tuning);
         let packed_len = if single.is_some() { 0 } else { batch.packed_len() };
         let shared = packed_len.saturating_add(widened_len::<W>(weight.len()));
         let needs = if x.is_some() { batch.needs(shared) } else { batch.needs_in_place(shared) };
@@ -193,7 +200,7 @@ impl<T: Real> SpectralFilter<T> {
         let images = pass.x.dim().0;
         let single = kernel.single().filter(|_| images == 1);
         let summed = single.is_none() && pass.grad_weight.is_some();
-        let batch = Batch::new(self.shape, kernel, granule, (images, summed), pool);
+        let batch = Batch::new(self.shape, kernel, granule, (images, summed), pool, self.tuning);
         match single {
             Some(single) => self.run_single_backward(&batch, single, pass, pool, scratch),
             None => self.run_backward(&batch, pass, pool, scratch),

@@ -77,7 +77,7 @@ impl<T: Real> Prepared<T> {
         let granule = T::kernel(plan).narrowest_tile();
         let widened = Widened::new(filter.isa, filter.shape, T::kernel(plan));
         let kernel = X::kernel_of(plan, &widened);
-        let batch = Batch::new(filter.shape, kernel, granule, (count, false), pool);
+        let batch = Batch::new(filter.shape, kernel, granule, (count, false), pool, filter.tuning);
         let (mut workers, _) = scratch.lend(pool, batch.needs(0))?;
         batch.forward(
             (Some(images.0), images.1),

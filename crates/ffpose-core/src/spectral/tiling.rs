@@ -4,14 +4,12 @@ use std::ops::Range;
 
 use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
 
+use crate::tuning::Tuning;
 use crate::{Layout, Shape};
 
 const BATCH: Axis = Axis(0);
 const IMAGE_LANES: Axis = Axis(2);
 const WEIGHT_LANES: Axis = Axis(1);
-
-/// Pieces for each thread from which on no narrower ones are worth making.
-const PIECES_EACH: usize = 8;
 
 /// Pieces are numbered tile by tile, and part by part within a tile: neighbours share the tile's weight.
 #[derive(Clone, Copy)]
@@ -31,6 +29,7 @@ pub(crate) struct Grain {
     pub(crate) most: usize,
     /// Images that stay together.
     pub(crate) together: usize,
+    pub(crate) tuning: &'static Tuning,
 }
 
 impl Tiling {
@@ -51,13 +50,14 @@ impl Tiling {
         let groups = images.div_ceil(grain.together);
         let tile = grain.tile(shape.lanes, groups, threads);
         let tiles = shape.lanes.div_ceil(tile);
-        let groups_each = groups.div_ceil(even_parts(tiles, groups, threads));
+        let groups_each =
+            groups.div_ceil(even_parts(tiles, groups, threads, grain.tuning.pieces_each));
         Self::new(shape, tile, images, groups_each * grain.together)
     }
 
     /// As [`even`](Self::even), with the parts that a gradient is summed in, which follow from shapes alone.
     pub(crate) fn summed(shape: Shape, images: usize, grain: Grain, threads: usize) -> Self {
-        let images_each = images.div_ceil(sum_parts(shape, images));
+        let images_each = images.div_ceil(sum_parts(shape, images, grain.tuning));
         let images_each = images_each.next_multiple_of(grain.together);
         let tile = grain.tile(shape.lanes, images.div_ceil(images_each), threads);
         Self::new(shape, tile, images, images_each)
@@ -136,14 +136,14 @@ impl Tiling {
 impl Grain {
     /// Lanes of a tile with which `threads` are done soonest with `rows` of `lanes` lanes.
     fn tile(self, lanes: usize, rows: usize, threads: usize) -> usize {
-        let Self { least, most, .. } = self;
+        let Self { least, most, tuning, .. } = self;
         let pieces = |tile: usize| lanes.div_ceil(tile).saturating_mul(rows);
         if threads == 1 {
             return most;
         }
         // as wide as the others, so that nobody gets a narrow rest
         let alike = |tile: usize| lanes.div_ceil(lanes.div_ceil(tile)).next_multiple_of(least);
-        if pieces(most) >= PIECES_EACH * threads {
+        if pieces(most) >= tuning.pieces_each * threads {
             return alike(most);
         }
         let tiles = (1..=most / least).rev().map(|steps| alike(steps * least));
@@ -160,8 +160,8 @@ impl Grain {
 }
 
 /// The fewest parts of `groups` that let `threads` share `tiles` of each evenly, within a sixteenth, or else many.
-fn even_parts(tiles: usize, groups: usize, threads: usize) -> usize {
-    let many = groups.min((PIECES_EACH * threads).div_ceil(tiles)).max(1);
+fn even_parts(tiles: usize, groups: usize, threads: usize, pieces_each: usize) -> usize {
+    let many = groups.min((pieces_each * threads).div_ceil(tiles)).max(1);
     let is_even = |parts: &usize| {
         let largest = (tiles * parts).div_ceil(threads) * groups.div_ceil(*parts);
         16 * threads * largest <= 17 * tiles * groups
@@ -169,26 +169,14 @@ fn even_parts(tiles: usize, groups: usize, threads: usize) -> usize {
     (1..many).find(is_even).unwrap_or(many)
 }
 
-/// Pieces in which gradients are summed, as far as there are images for them.
-const SUM_PIECES: usize = 64;
-
-/// The most parts of a sum: each has memory of its own.
-const MOST_SUM_PARTS: usize = 8;
-
-/// Images that a part of a sum has at least: adding the part takes about a fifth of the time of one.
-const SUM_IMAGES: usize = 4;
-
-/// Lanes of a grid that are summed apart from each other in any case.
-const SUM_LANES: usize = 16;
-
 /// Parts in which a gradient is summed over `images`. They follow from shapes alone, so that the order of the sum does.
-fn sum_parts(shape: Shape, images: usize) -> usize {
+fn sum_parts(shape: Shape, images: usize, tuning: &Tuning) -> usize {
     let apart = match shape.layout {
         Layout::Tokens => 1,
-        Layout::Grid => shape.lanes.div_ceil(SUM_LANES),
+        Layout::Grid => shape.lanes.div_ceil(tuning.sum_lanes),
     };
-    let wanted = SUM_PIECES.div_ceil(apart).next_power_of_two().min(MOST_SUM_PARTS);
-    wanted.min(images.div_ceil(SUM_IMAGES)).max(1)
+    let wanted = tuning.sum_pieces.div_ceil(apart).next_power_of_two().min(tuning.most_sum_parts);
+    wanted.min(images.div_ceil(tuning.sum_images)).max(1)
 }
 
 /// Chunk number `index` of `view` along `axis`; the last one may be shorter.

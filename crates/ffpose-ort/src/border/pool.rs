@@ -8,12 +8,10 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use std::thread;
 
 use ffpose_core::Pool;
+use ffpose_core::tuning::WORTH_A_THREAD;
 
 use super::api::Api;
 use super::sys::KernelContext;
-
-/// Elements of work below which another thread costs more than it brings; an empty call of two takes 1.4 microseconds.
-const WORTH_A_THREAD: usize = 1 << 14;
 
 /// As `num_batch`: every index goes to the next thread that is free.
 const ONE_BY_ONE: usize = 0;

@@ -16,12 +16,10 @@ use crate::fft::sequence::Sequence;
 use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Stored, Tile, TileMut};
+use crate::tuning::{COPIED_POINTS, Tuning};
 use crate::{Layout, Shape};
 
 const BATCH: Axis = Axis(0);
-
-/// Points of an image that are copied before those of the next: their lines stay in the L1 cache.
-const BLOCK: usize = 64;
 
 /// The plan for images of fewer channels than a vector has lanes; tokens have one.
 pub(crate) struct Batched<T> {
@@ -36,17 +34,16 @@ pub(crate) struct Batched<T> {
 }
 
 /// Whether images are filtered several together in vectors of so many lanes. One alone takes as long as all of them, so that
-/// large ones are not: of sequences up to these lengths a batch of 32 was measured at 3 to 5 times the speed of rustfft along the
-/// lines, a single one of the longest at half of it.
-pub(crate) fn pays(lanes: usize, shape: Shape) -> bool {
-    const POINTS: usize = 1 << 10; // of a plane, for each channel
-    const SEQUENCE: usize = 1 << 12; // the same of a sequence, and of tokens
+/// large ones are not.
+pub(super) fn pays(lanes: usize, shape: Shape, tuning: &Tuning) -> bool {
     let Shape { layout, rows, columns, lanes: channels } = shape;
     match layout {
         // two columns fill a small part of the vectors across them
-        Layout::Tokens => lanes > 2 && columns <= 2 && rows <= SEQUENCE,
-        Layout::Grid if rows == 1 => channels < lanes && columns <= SEQUENCE * channels,
-        Layout::Grid => channels < lanes && rows * columns <= POINTS * channels,
+        Layout::Tokens => lanes > 2 && columns <= 2 && rows <= tuning.batched_sequence,
+        Layout::Grid if rows == 1 => {
+            channels < lanes && columns <= tuning.batched_sequence * channels
+        }
+        Layout::Grid => channels < lanes && rows * columns <= tuning.batched_plane * channels,
     }
 }
 
@@ -57,12 +54,12 @@ enum Inner<T> {
 }
 
 impl<T: Element> Batched<T> {
-    pub(crate) fn new(isa: Isa, shape: Shape) -> Self {
+    pub(crate) fn new(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Self {
         let lanes = isa.lanes::<T>();
         let whole = Shape { layout: Layout::Grid, lanes, ..shape };
         let inner = match shape.rows {
             1 => Inner::Sequence(Sequence::new(isa, shape.columns)),
-            _ => Inner::Grid(Grid::new(isa, whole)),
+            _ => Inner::Grid(Grid::new(isa, whole, tuning)),
         };
         let channels = match shape.layout {
             Layout::Grid => shape.lanes,
@@ -127,7 +124,7 @@ impl<T: Element> Batched<T> {
             let (lines, stage) = (Tile::dense(images, self.points), &mut *stage);
             self.isa.run(Transpose { lines, stage: TileMut::dense(stage, self.lanes) });
         }
-        for first in (turned..self.points).step_by(BLOCK) {
+        for first in (turned..self.points).step_by(COPIED_POINTS) {
             for (i, image) in images.chunks_exact(self.points * self.channels).enumerate() {
                 let (image, stage) = (&image[self.block(first)], &mut stage[first * self.lanes..]);
                 spread(self.channels, image, stage, self.lanes, i * self.channels);
@@ -144,7 +141,7 @@ impl<T: Element> Batched<T> {
             let lines = TileMut::dense(images, self.points);
             self.isa.run(TransposeBack { stage: Tile::dense(stage, self.lanes), lines });
         }
-        for first in (turned..self.points).step_by(BLOCK) {
+        for first in (turned..self.points).step_by(COPIED_POINTS) {
             for (i, image) in images.chunks_exact_mut(self.points * self.channels).enumerate() {
                 let (stage, image) = (&stage[first * self.lanes..], &mut image[self.block(first)]);
                 collect(self.channels, stage, self.lanes, i * self.channels, image);
@@ -159,7 +156,7 @@ impl<T: Element> Batched<T> {
 
     /// The block of an image from point `first` on.
     fn block(&self, first: usize) -> Range<usize> {
-        first * self.channels..(first + BLOCK).min(self.points) * self.channels
+        first * self.channels..(first + COPIED_POINTS).min(self.points) * self.channels
     }
 
     /// The images of a batch that go together, by the number of the first.

@@ -6,6 +6,7 @@
 use ndarray::{ArrayView3, ArrayViewMut3};
 
 use crate::simd::{Algorithm, Complex, Element, Isa, Tile, TileMut, Vector};
+use crate::tuning::PLACES_AHEAD;
 
 /// Where the places of kernel order come from.
 pub(crate) struct BinOrder<T> {
@@ -143,9 +144,6 @@ impl<T: Element> BinOrder<T> {
     }
 }
 
-/// Places ahead of the work that are brought to the cache.
-const AHEAD: usize = 16;
-
 struct PackLanes<'a, T> {
     order: &'a BinOrder<T>,
     weight: Tile<'a, T>,
@@ -160,7 +158,7 @@ impl<T: Element> Algorithm<T> for PackLanes<'_, T> {
         for place in 0..self.order.places() {
             for (i, packed) in self.packed.chunks_exact_mut(len).enumerate() {
                 let weight = self.weight.skip_lanes(2 * i * V::LANES);
-                self.order.prefetch::<V>(weight, place + AHEAD);
+                self.order.prefetch::<V>(weight, place + PLACES_AHEAD);
                 let mut packed = TileMut::dense(packed, V::LANES);
                 self.order.read::<V, 1>(weight, false, place, |_, z| {
                     packed.scatter::<V, 2>(2 * place, 1, [z.re, z.im]);

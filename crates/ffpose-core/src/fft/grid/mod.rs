@@ -19,45 +19,20 @@ use crate::fft::columns::{Columns, First};
 use crate::fft::transform::inverted;
 use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
 use crate::parallel::Team;
-use crate::simd::{
-    Element, Isa, LINE_BYTES, Stored, Tile, TileMut, aligned, come_unasked, l2_cache, slack,
-};
-
-/// Bytes of the lanes of a narrow tile, as they are computed with. Neighbouring lines of an image soon after each other are what
-/// memory is quick at; alone, lines at a distance of a power of two meet in the same few sets of the cache.
-const TILE_BYTES: usize = 8 * LINE_BYTES;
-
-/// The same of the widest tile.
-const WIDEST_TILE_BYTES: usize = 4 * TILE_BYTES;
-
-/// What part of the L2 cache the packed weight of a tile wider than a narrow one takes at most.
-const PACKED_SHARE: usize = 8;
-
-/// Bytes of a spectrum up to which lanes of a tile go together: about what a second-level cache holds. Several images come
-/// from memory, which is quicker at longer runs.
-const SPECTRA_BYTES: usize = 1 << 20;
-
-/// Bytes of the L2 cache that one image alone, likely to be there, leaves to what streams through beside its spectrum.
-const STREAM_BYTES: usize = 3 << 18;
-
-/// What the spectrum of one image alone has at least.
-const ALONE_BYTES: usize = 1 << 18;
-
-/// Lanes of a narrow tile.
-const fn narrow_tile<T>() -> usize {
-    TILE_BYTES / size_of::<T>()
-}
+use crate::simd::{Element, Isa, LINE_BYTES, Stored, Tile, TileMut, aligned, slack};
+use crate::tuning::Tuning;
 
 /// Lanes of tiles that share `lanes` evenly, of at most `most` unless that is less than a narrow tile; whole cache lines, of half
 /// precision too.
-fn tile<T>(lanes: usize, most: usize) -> usize {
-    let most = most.clamp(narrow_tile::<T>(), WIDEST_TILE_BYTES / size_of::<T>());
-    lanes.div_ceil(lanes.div_ceil(most)).next_multiple_of(narrow_tile::<T>() / 2)
+fn tile<T>(lanes: usize, most: usize, tuning: &Tuning) -> usize {
+    let [narrow, widest] = [tuning.narrow_tile, tuning.widest_tile].map(|b| b / size_of::<T>());
+    lanes.div_ceil(lanes.div_ceil(most.clamp(narrow, widest))).next_multiple_of(narrow / 2)
 }
 
 /// The plan for grids of one shape.
 pub(crate) struct Grid<T> {
     isa: Isa,
+    tuning: &'static Tuning,
     /// Lanes of a vector.
     lanes: usize,
     /// Most lanes of a tile.
@@ -84,12 +59,7 @@ struct GridBuffers<'a, T> {
 }
 
 impl<T: Element> Grid<T> {
-    pub(crate) fn new(isa: Isa, shape: Shape) -> Self {
-        Self::tuned(isa, shape, l2_cache())
-    }
-
-    /// The plan for cores with so many bytes of L2 cache.
-    pub(crate) fn tuned(isa: Isa, shape: Shape, l2_cache: usize) -> Self {
+    pub(crate) fn new(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Self {
         let (height, width) = (shape.rows, shape.columns);
         let rows = Rows::new(isa, width);
         let row_frequencies = rows.frequencies();
@@ -122,18 +92,19 @@ impl<T: Element> Grid<T> {
         };
         let lanes = isa.lanes::<T>();
         let bytes = columns.packed_len() * size_of::<T>() / lanes;
-        let tile = tile::<T>(shape.lanes, l2_cache / PACKED_SHARE / bytes);
+        let tile = tile::<T>(shape.lanes, tuning.l2_cache / tuning.packed_share / bytes, tuning);
         // a power of two, so that a narrow tile has no rest
         let together = |bytes: usize| {
             let fitting = bytes / (columns.len() * size_of::<T>()) * lanes;
             1 << fitting.min(tile).max(lanes).ilog2()
         };
-        let alone = l2_cache.saturating_sub(STREAM_BYTES);
-        let alone = together(alone.clamp(ALONE_BYTES, SPECTRA_BYTES));
-        let together = together(SPECTRA_BYTES);
+        let alone = tuning.l2_cache.saturating_sub(tuning.streamed);
+        let alone = together(alone.clamp(tuning.least_spectra, tuning.spectra));
+        let together = together(tuning.spectra);
         let is_whole = shape.lanes.is_multiple_of(lanes);
         Self {
             isa,
+            tuning,
             lanes,
             tile,
             together,
@@ -175,12 +146,12 @@ impl<T: Element> Grid<T> {
         let image = x.stride_of(Axis(0)).unsigned_abs(); // with the lanes of other parts
         let bytes = (1 + others) * x.len_of(Axis(0)) * image * size_of::<X>();
         let each = x.len() / x.len_of(Axis(0)) * size_of::<X>();
-        self.place(!come_unasked(bytes, each))
+        self.place(!self.tuning.come_unasked(bytes, each))
     }
 
     /// For lanes of one image: far are those that do not fit in the L2 cache together with their result and their weight.
     fn place_of_one<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
-        self.place(3 * size_of::<X>() * x.len() > l2_cache())
+        self.place(3 * size_of::<X>() * x.len() > self.tuning.l2_cache)
     }
 
     /// Parts of `lanes` lanes, at most `together` in each: whole vectors, then the rest.

@@ -10,6 +10,7 @@ use crate::simd::{
     Algorithm, Complex, Element, Isa, Stored, Tile, TileMut, Vector, complex_vectors, gather,
     scatter,
 };
+use crate::tuning::GRID_AHEAD;
 
 /// How lines of one length are transformed.
 pub(crate) enum Rows<T> {
@@ -18,9 +19,6 @@ pub(crate) enum Rows<T> {
     /// Two by two, as real and imaginary part of a complex line. The spectrum comes out doubled.
     Pairs(Transform<T>),
 }
-
-/// Points ahead of the work, counted along the image, that are at least brought to the cache.
-const AHEAD: usize = 28;
 
 /// Where columns are.
 #[derive(Clone, Copy)]
@@ -105,7 +103,7 @@ impl<T: Element> Rows<T> {
                     let vectors = spectra.len();
                     for (i, spectrum) in spectra.enumerate() {
                         if place.far {
-                            let ahead = first + AHEAD.max(2 * width);
+                            let ahead = first + GRID_AHEAD.max(2 * width);
                             image.prefetch_share(ahead, 2 * width, i, vectors);
                         }
                         let image = image.skip_lanes(i * lanes);
@@ -150,7 +148,7 @@ impl<T: Element> Rows<T> {
                     let vectors = spectra.len();
                     for (i, spectrum) in spectra.enumerate() {
                         if place.far {
-                            let ahead = first + AHEAD.max(2 * width);
+                            let ahead = first + GRID_AHEAD.max(2 * width);
                             image.reader().prefetch_share(ahead, 2 * width, i, vectors);
                         }
                         let image = &mut image.skip_lanes(i * lanes);
@@ -188,7 +186,7 @@ where
         for (row, &position) in positions.iter().enumerate() {
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
                 if far {
-                    self.image.prefetch_share(row * N + AHEAD.max(N), N, i, vectors);
+                    self.image.prefetch_share(row * N + GRID_AHEAD.max(N), N, i, vectors);
                 }
                 let image = self.image.skip_lanes(i * V::LANES);
                 let line = image.gather::<V, N>(row * N, 1);
@@ -220,7 +218,7 @@ where
             let first = row * P * Q;
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
                 if far {
-                    self.image.prefetch_share(first + AHEAD.max(P * Q), P * Q, i, vectors);
+                    self.image.prefetch_share(first + GRID_AHEAD.max(P * Q), P * Q, i, vectors);
                 }
                 let image = self.image.skip_lanes(i * V::LANES);
                 CompositeRow::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
@@ -252,7 +250,7 @@ where
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
                 if far {
                     let image = self.image.reader();
-                    image.prefetch_share(first + AHEAD.max(P * Q), P * Q, i, vectors);
+                    image.prefetch_share(first + GRID_AHEAD.max(P * Q), P * Q, i, vectors);
                 }
                 let image = &mut self.image.skip_lanes(i * V::LANES);
                 CompositeRow::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
@@ -279,7 +277,7 @@ where
         for (row, &position) in positions.iter().enumerate() {
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
                 if far {
-                    self.image.reader().prefetch_share(row * N + AHEAD.max(N), N, i, vectors);
+                    self.image.reader().prefetch_share(row * N + GRID_AHEAD.max(N), N, i, vectors);
                 }
                 let image = &mut self.image.skip_lanes(i * V::LANES);
                 let line = <Codelet as RealDft<N, S>>::real_idft(gather(spectrum, position, pitch));

@@ -45,12 +45,14 @@ use self::weight::TokenShape;
 use crate::fft::codelets::{has_codelet, root, with_codelet};
 use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
 use crate::parallel::Team;
-use crate::simd::{Complex, Element, Isa, Stored, Table, come_unasked, l2_cache, slack};
+use crate::simd::{Complex, Element, Isa, Stored, Table, slack};
 use crate::spectral::{chunks_mut, in_order};
+use crate::tuning::Tuning;
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
     isa: Isa,
+    tuning: &'static Tuning,
     lanes: usize,
     shape: TokenShape,
     /// Items of one row that stay together in a group.
@@ -67,7 +69,12 @@ pub(crate) struct Tokens<T> {
 
 impl<T: Element> Tokens<T> {
     /// The plan for images `(points, width)`, if they have codelets.
-    pub(crate) fn new(isa: Isa, points: usize, width: usize) -> Option<Self> {
+    pub(crate) fn new(
+        isa: Isa,
+        points: usize,
+        width: usize,
+        tuning: &'static Tuning,
+    ) -> Option<Self> {
         let lanes = isa.lanes::<T>();
         if !isa.is_tuned::<T>() || !width.is_multiple_of(lanes) || !has_codelet!(line width / lanes)
         {
@@ -89,6 +96,7 @@ impl<T: Element> Tokens<T> {
         let rows_each = 2 * pairs_each;
         Some(Self {
             isa,
+            tuning,
             lanes,
             shape,
             run,
@@ -170,12 +178,12 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     ) {
         let members = team.members();
         let (spectra, mut team) = team.share(self.spectrum_len());
-        let far = !come_unasked(2 * x.len() * size_of::<X>(), self.image_bytes::<X>());
+        let far = !self.tuning.come_unasked(2 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         let mut images = images_of(x).zip(images_of_mut(y)).peekable();
         while images.peek().is_some() {
             let together: Vec<_> = images.by_ref().take(members).collect();
-            let means = Context { spectra: &mut *spectra, far, team: &mut team };
-            self.forward_images(together, weight, means);
+            let context = Context { spectra: &mut *spectra, far, team: &mut team };
+            self.forward_images(together, weight, context);
         }
     }
 
@@ -184,7 +192,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         let images_each = if grad_sum.is_some() { images_each } else { 1 };
         let members = team.members();
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
-        let far = !come_unasked(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
+        let far = !self.tuning.come_unasked(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         let count = x.len_of(Axis(0));
         let grad_x = in_order(count, grad_x.map(images_of_mut));
         let mut images = images_of(grad).zip(images_of(x)).zip(grad_x);
@@ -210,8 +218,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
                     SumPart { images, gradients: sums.map(|s| s.map(StepGradient::Sum).collect()) }
                 });
                 let round: Vec<_> = round.collect();
-                let means = Context { spectra: &mut *spectra, far, team: &mut team };
-                self.backward_images(round, weight, means);
+                let context = Context { spectra: &mut *spectra, far, team: &mut team };
+                self.backward_images(round, weight, context);
             }
         }
     }
@@ -247,8 +255,9 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
     ) {
         let weight = weight.to_slice().expect("a whole weight");
         let (spectra, mut team) = team.share(self.spectrum_len());
-        let means = Context { spectra, far: self.bytes() > l2_cache(), team: &mut team };
-        self.forward_images(vec![(x, y)], weight, means);
+        let context =
+            Context { spectra, far: self.bytes() > self.tuning.l2_cache, team: &mut team };
+        self.forward_images(vec![(x, y)], weight, context);
     }
 
     fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
@@ -258,8 +267,9 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
         let gradients = grad_weight
             .map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural).collect());
         let part = SumPart { images: vec![BackwardImage { grad, x, grad_x }], gradients };
-        let means = Context { spectra, far: self.bytes() > l2_cache(), team: &mut team };
-        self.backward_images(vec![part], weight, means);
+        let context =
+            Context { spectra, far: self.bytes() > self.tuning.l2_cache, team: &mut team };
+        self.backward_images(vec![part], weight, context);
     }
 }
 

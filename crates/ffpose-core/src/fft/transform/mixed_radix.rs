@@ -7,8 +7,9 @@
 use super::prime::{self, PrimeRoots};
 use crate::fft::codelets::{Codelet, Dft, has_codelet, root, with_codelet};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
+use crate::tuning::LARGEST_PRIME;
 
-/// A planned DFT of a length without primes above [`prime::MAX`].
+/// A planned DFT of a length without primes above [`LARGEST_PRIME`].
 pub(crate) struct MixedRadix<T> {
     isa: Isa,
     inputs: Vec<usize>,
@@ -38,7 +39,7 @@ impl<T: Element> MixedRadix<T> {
     /// The plan for `length`, or nothing if it has too large a prime.
     pub(crate) fn new(isa: Isa, length: usize) -> Option<Self> {
         let groups = groups(length);
-        if groups.iter().flatten().any(|&radix| radix > prime::MAX) {
+        if groups.iter().flatten().any(|&radix| radix > LARGEST_PRIME) {
             return None;
         }
         let (mut inputs, mut frequencies) = (vec![0], vec![0]);

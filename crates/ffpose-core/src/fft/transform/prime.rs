@@ -3,9 +3,6 @@
 use crate::fft::codelets::root;
 use crate::simd::{Complex, Element, Vector};
 
-/// The largest prime that is transformed like this; beyond it a convolution is faster.
-pub(crate) const MAX: usize = 61;
-
 /// `exp(2πi k / p)` for `k` in `0..p`.
 pub(crate) struct PrimeRoots<T>(Vec<Complex<T>>);
 

@@ -10,7 +10,6 @@ mod weights;
 use bytemuck::cast_slice_mut;
 use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 
-use self::sums::ADDED_TOGETHER;
 pub(crate) use self::weights::Weight;
 use super::tiling::{Grain, Tiling, in_order};
 use crate::Shape;
@@ -19,6 +18,7 @@ use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{Needs, Workers};
 use crate::simd::LINE_BYTES;
+use crate::tuning::{ADDED_TOGETHER, Tuning};
 
 const BATCH: Axis = Axis(0);
 
@@ -51,11 +51,12 @@ impl<'a, X: Number> Batch<'a, X> {
         granule: usize,
         (images, summed): (usize, bool),
         pool: &'a dyn Pool,
+        tuning: &'static Tuning,
     ) -> Self {
         let elements = images * shape.points() * shape.lanes;
         let threads = parallel::worth(pool, elements);
         let (least, most) = (kernel.narrowest_tile(), kernel.tile());
-        let grain = Grain { least, most, together: kernel.images_together() };
+        let grain = Grain { least, most, together: kernel.images_together(), tuning };
         let cut = if summed { Tiling::summed } else { Tiling::even };
         let tiling = cut(shape, images, grain, threads);
         let images_each = tiling.images_each();

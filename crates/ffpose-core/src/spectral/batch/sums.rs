@@ -8,9 +8,7 @@ use crate::number::Number;
 use crate::parallel::{self, Team};
 use crate::scratch::Workers;
 use crate::spectral::tiling::Tiling;
-
-/// Numbers of a sum that one member of a team adds up at a time.
-pub(super) const ADDED_TOGETHER: usize = 1 << 12;
+use crate::tuning::ADDED_TOGETHER;
 
 impl<X: Number> Batch<'_, X> {
     /// Numbers for the sums of all parts.

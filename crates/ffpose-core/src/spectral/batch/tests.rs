@@ -1,13 +1,11 @@
 //! Pieces share work evenly, weights are packed once, and sums have one order.
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use ndarray::{Array3, ArrayD, Axis};
 
 use super::*;
-use crate::fft::{Grid, Plan};
 use crate::kernel::Packing;
 use crate::{Gradients, Isa, Layout, Scratch, SpectralFilter, StdThreads};
 
@@ -90,7 +88,7 @@ fn imbalance(shape: Shape, isa: Isa, (images, summed): (usize, bool), threads: u
     let filter = SpectralFilter::<f32>::new(isa, shape);
     let (kernel, pool) = (filter.plan.as_deref().unwrap().kernel(), Threads(threads));
     let granule = kernel.narrowest_tile();
-    let batch = Batch::new(shape, kernel, granule, (images, summed), &pool);
+    let batch = Batch::new(shape, kernel, granule, (images, summed), &pool, filter.tuning);
     let loads = loads(&batch, shape);
     let elements = images * shape.points() * shape.lanes;
     let worth = match batch.members {
@@ -140,7 +138,7 @@ fn small_batches_occupy_many_threads() {
             let filter = SpectralFilter::<f32>::new(isa, shape);
             let (kernel, pool) = (filter.plan.as_deref().unwrap().kernel(), Threads(threads));
             let granule = kernel.narrowest_tile();
-            let batch = Batch::new(shape, kernel, granule, (images, summed), &pool);
+            let batch = Batch::new(shape, kernel, granule, (images, summed), &pool, filter.tuning);
             assert_eq!(loads(&batch, shape).len(), threads, "{layout:?} {dim:?} {images}");
         }
     }
@@ -214,7 +212,7 @@ fn a_weight_is_packed_once_for_all_threads() {
         for threads in [1, 2, 3, 16] {
             let kernel = Counting(filter.plan.as_deref().unwrap().kernel(), AtomicUsize::new(0));
             let (granule, pool) = (kernel.narrowest_tile(), StdThreads(threads));
-            let batch = Batch::new(shape, &kernel, granule, (9, false), &pool);
+            let batch = Batch::new(shape, &kernel, granule, (9, false), &pool, filter.tuning);
             let mut scratch = Scratch::default();
             let needs = batch.needs(batch.packed_len());
             let (mut workers, packed) = scratch.lend(&pool, needs).unwrap();
@@ -228,8 +226,8 @@ fn a_weight_is_packed_once_for_all_threads() {
 
 /// Gradient of the weight of a grid, as planned for cores with `cache` bytes of L2 cache.
 fn weight_gradient(isa: Isa, shape: Shape, cache: usize, threads: usize) -> ArrayD<f32> {
-    let plan = Plan::Grid(Grid::tuned(isa, shape, cache));
-    let filter = SpectralFilter { isa, shape, plan: Some(Arc::new(plan)) };
+    let tuning = Tuning { l2_cache: cache, ..*Tuning::of_machine() };
+    let filter = SpectralFilter::<f32>::tuned(isa, shape, tuning.kept());
     let dim = [32, shape.rows, shape.columns, shape.lanes];
     let number = |i: usize| (i as f32 * 12.9898).sin();
     let images = |from| {

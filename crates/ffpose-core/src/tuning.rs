@@ -1,0 +1,137 @@
+//! Every number that was found by measurement, and where it was found.
+//!
+//! Machines: *Xeon*, two cores of an Intel server with AVX-512 and 2 MB of L2 cache a core; *Zen 4* and *Zen 5*, AMD's with
+//! 1 MB. Where none is named it is the Xeon. What plans and pieces follow from is a [`Tuning`], which a test may choose; constants
+//! are compiled into kernels.
+
+use std::sync::LazyLock;
+
+use crate::simd::{LINE_BYTES, fetches_ahead, l2_cache};
+
+/// Elements of work below which another of a pool's waiting threads costs more than it brings: an empty call of two takes 1.4
+/// microseconds.
+pub const WORTH_A_THREAD: usize = 1 << 14;
+
+/// The same of threads that a call starts: about 20 microseconds each.
+pub(crate) const WORTH_A_NEW_THREAD: usize = 1 << 17;
+
+/// Bytes of scratch that a process keeps for its next calls: page faults would cost more than the filter.
+pub const SCRATCH_KEPT: usize = 64 << 20;
+
+/// The same for each core of a process that uses all of them: what one call takes there.
+pub const SCRATCH_KEPT_FOR_A_CORE: usize = 4 << 20;
+
+/// Points ahead of the work, counted along a grid, that are at least prefetched.
+pub(crate) const GRID_AHEAD: usize = 28;
+
+/// The same along a sequence.
+pub(crate) const SEQUENCE_AHEAD: usize = 16;
+
+/// Places ahead of the work whose weight is prefetched.
+pub(crate) const PLACES_AHEAD: usize = 16;
+
+/// Vectors of a tile of sequences: longer runs of memory than one has.
+pub(crate) const SEQUENCE_VECTORS: usize = 2;
+
+/// Points of an image of few channels that are copied before those of the next: their lines stay in the L1 cache.
+pub(crate) const COPIED_POINTS: usize = 64;
+
+/// The largest prime that is transformed from the definition; beyond it a convolution is faster.
+pub(crate) const LARGEST_PRIME: usize = 61;
+
+/// Numbers of a gradient's sum that one member of a team adds up at a time.
+pub(crate) const ADDED_TOGETHER: usize = 1 << 12;
+
+/// What plans and pieces follow from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tuning {
+    /// Bytes of the L2 cache of a core.
+    pub(crate) l2_cache: usize,
+    /// Whether the hardware prefetcher brings what the L3 cache has, as Intel's do.
+    pub(crate) fetches_ahead: bool,
+
+    /// Bytes of the lanes of a grid's narrow tile, as they are computed with. Neighbouring lines of an image soon after each other
+    /// are what memory is quick at; alone, lines at a distance of a power of two meet in the same few sets of the cache.
+    pub(crate) narrow_tile: usize,
+    /// The same of the widest tile.
+    pub(crate) widest_tile: usize,
+    /// What part of the L2 cache the packed weight of a tile wider than a narrow one takes at most.
+    pub(crate) packed_share: usize,
+    /// Bytes of a grid's spectrum up to which lanes of a tile go together: about what an L2 cache holds. Several images come from
+    /// memory, which is quicker at longer runs.
+    pub(crate) spectra: usize,
+    /// Bytes of the L2 cache that one image alone, likely to be there, leaves to what streams through beside its spectrum.
+    pub(crate) streamed: usize,
+    /// What the spectrum of one image alone has at least.
+    pub(crate) least_spectra: usize,
+
+    /// Images of at most this part of the L2 cache are small.
+    pub(crate) small_share: usize,
+    /// L2 caches up to which small images, and others, with their results and what else is as large, come by themselves to a
+    /// processor that fetches ahead. Asking cost the Xeon up to 25 %, not asking for more up to 40 %, or 60 % where images are
+    /// not small. On Zen 5 not asking cost half as much again.
+    pub(crate) small_unasked: usize,
+    pub(crate) unasked: usize,
+
+    /// Points of a plane, for each channel, up to which images of few channels are filtered several together. One alone takes as
+    /// long as all of them: of sequences of up to these lengths a batch of 32 took a third to a fifth of the time of rustfft
+    /// along the lines, a single one of the longest twice as long.
+    pub(crate) batched_plane: usize,
+    /// The same of sequences and tokens.
+    pub(crate) batched_sequence: usize,
+
+    /// Pieces for each thread from which on no narrower ones are worth making.
+    pub(crate) pieces_each: usize,
+
+    /// Pieces in which gradients are summed, as far as there are images for them. This and the next three decide the order of
+    /// sums, so that they must not follow from the machine.
+    pub(crate) sum_pieces: usize,
+    /// The most parts of a sum: each has memory of its own.
+    pub(crate) most_sum_parts: usize,
+    /// Images that a part of a sum has at least: adding the part takes about a fifth of the time of one.
+    pub(crate) sum_images: usize,
+    /// Lanes of a grid that are summed apart from each other in any case.
+    pub(crate) sum_lanes: usize,
+}
+
+static OF_MACHINE: LazyLock<Tuning> = LazyLock::new(|| Tuning {
+    l2_cache: l2_cache(),
+    fetches_ahead: fetches_ahead(),
+    narrow_tile: 8 * LINE_BYTES,
+    widest_tile: 32 * LINE_BYTES,
+    packed_share: 8,
+    spectra: 1 << 20,
+    streamed: 3 << 18,
+    least_spectra: 1 << 18,
+    small_share: 8,
+    small_unasked: 8,
+    unasked: 3,
+    batched_plane: 1 << 10,
+    batched_sequence: 1 << 12,
+    pieces_each: 8,
+    sum_pieces: 64,
+    most_sum_parts: 8,
+    sum_images: 4,
+    sum_lanes: 16,
+});
+
+impl Tuning {
+    /// That of the machine that this runs on.
+    pub(crate) fn of_machine() -> &'static Self {
+        &OF_MACHINE
+    }
+
+    /// Whether images, each of `each` bytes, come to the L2 cache by the hardware prefetcher; with their results and what else is
+    /// as large they are `bytes`.
+    pub(crate) fn come_unasked(&self, bytes: usize, each: usize) -> bool {
+        let is_small = each <= self.l2_cache / self.small_share;
+        let caches = if is_small { self.small_unasked } else { self.unasked };
+        self.fetches_ahead && bytes <= caches * self.l2_cache
+    }
+
+    /// This one for as long as the program runs, as plans want it.
+    #[cfg(test)]
+    pub(crate) fn kept(self) -> &'static Self {
+        Box::leak(Box::new(self))
+    }
+}
