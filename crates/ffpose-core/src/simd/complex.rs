@@ -144,3 +144,23 @@ impl<V: Vector> Sub for Complex<V> {
 pub(crate) fn mirrored<V: Vector>(a: V, sum: V) -> V {
     a.mul_sub(V::splat(V::Element::nearest(2.0)), sum)
 }
+
+/// The real and the imaginary parts of complex vectors.
+#[inline(always)]
+pub(crate) fn parts<V: Vector, const N: usize>(z: [Complex<V>; N]) -> ([V; N], [V; N]) {
+    let (mut re, mut im) = ([z[0].re; N], [z[0].im; N]);
+    for n in 0..N {
+        (re[n], im[n]) = (z[n].re, z[n].im);
+    }
+    (re, im)
+}
+
+/// Undoes [`parts`].
+#[inline(always)]
+pub(crate) fn joined<V: Vector, const N: usize>(re: [V; N], im: [V; N]) -> [Complex<V>; N] {
+    let mut z = [Complex::new(re[0], im[0]); N];
+    for n in 0..N {
+        z[n] = Complex::new(re[n], im[n]);
+    }
+    z
+}

@@ -16,7 +16,10 @@ mod isa;
 mod memory;
 #[cfg(target_arch = "aarch64")]
 mod neon;
+mod prefetch;
+mod runs;
 mod scalar;
+mod tile;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
@@ -24,14 +27,16 @@ use std::fmt::Debug;
 use std::ops::{Add, Mul, Neg, Sub};
 
 pub(crate) use cache::{fetches_ahead, l2_cache};
-pub(crate) use complex::{Complex, mirrored};
+pub(crate) use complex::{Complex, joined, mirrored, parts};
 pub use half::{Bf16, F16, Stored};
 pub(crate) use half::{narrow, widen};
 pub use isa::Isa;
 pub(crate) use memory::{
-    LINE_BYTES, Runs, Table, Tile, TileMut, aligned, complex_vectors, complex_vectors_of, gather,
-    gather_at, scatter, scatter_at, slack,
+    LINE_BYTES, Table, aligned, complex_vectors, complex_vectors_of, gather, gather_at, scatter,
+    scatter_at, slack,
 };
+pub(crate) use runs::Runs;
+pub(crate) use tile::{Tile, TileMut};
 
 /// The most lanes that a [`Vector`] of this crate has.
 pub(crate) const MAX_LANES: usize = 16;

@@ -6,31 +6,31 @@
 macro_rules! with_codelet {
     // a radix of a mixed-radix transform: `Dft<R>`
     (radix $length:expr, $r:ident => $run:expr, _ => $otherwise:expr) => {
-        with_codelet!(@one $length, $r, $run, $otherwise, 2 3 4 5 7 8 11 13 16)
+        $crate::fft::codelets::with_codelet!(@one $length, $r, $run, $otherwise, 2 3 4 5 7 8 11 13 16)
     };
     // a row of a grid: `RealDft<N, S>`, or `RealDft<P, ROWS>` across and then `Dft<Q>`
     (row $length:expr, ($n:ident, $s:ident) => $short:expr,
      ($p:ident, $q:ident, $rows:ident) => $composite:expr, _ => $otherwise:expr) => {
-        with_codelet!(@two $length, $n, $s, $short,
-            with_codelet!(@three $length, $p, $q, $rows, $composite, $otherwise,
+        $crate::fft::codelets::with_codelet!(@two $length, $n, $s, $short,
+            $crate::fft::codelets::with_codelet!(@three $length, $p, $q, $rows, $composite, $otherwise,
                 14 => 2 7 1, 16 => 2 8 1, 28 => 4 7 2, 32 => 4 8 2, 56 => 8 7 4, 64 => 8 8 4),
             2 => 2 1, 4 => 4 2, 7 => 7 4, 8 => 8 4)
     };
     // a column of a grid, by its radices: `Dft<P>`, then `Dft<Q>` beside the product
     (column $radices:expr, ($p:ident, $q:ident) => $run:expr, _ => $otherwise:expr) => {
-        with_codelet!(@two $radices, $p, $q, $run, $otherwise,
+        $crate::fft::codelets::with_codelet!(@two $radices, $p, $q, $run, $otherwise,
             (1, 7) => 1 7, (1, 8) => 1 8, (1, 16) => 1 16, (7, 2) => 7 2, (7, 4) => 7 4,
             (7, 8) => 7 8, (4, 8) => 4 8, (8, 8) => 8 8)
     };
     // a line of tokens, in vectors: `RealDft<P, ROWS>` across, then `Dft<Q>`
     (line $length:expr, ($p:ident, $q:ident, $rows:ident) => $run:expr, _ => $otherwise:expr) => {
-        with_codelet!(@three $length, $p, $q, $rows, $run, $otherwise,
+        $crate::fft::codelets::with_codelet!(@three $length, $p, $q, $rows, $run, $otherwise,
             4 => 4 1 2, 8 => 8 1 4, 16 => 4 4 2, 24 => 8 3 4, 32 => 4 8 2, 48 => 16 3 8,
             64 => 8 8 4)
     };
     // a factor of the rows of tokens: `Dft<P>`, then `Dft<Q>`, coprime
     (factor $length:expr, ($p:ident, $q:ident) => $run:expr, _ => $otherwise:expr) => {
-        with_codelet!(@two $length, $p, $q, $run, $otherwise,
+        $crate::fft::codelets::with_codelet!(@two $length, $p, $q, $run, $otherwise,
             7 => 1 7, 8 => 1 8, 14 => 7 2, 16 => 1 16, 28 => 7 4)
     };
 
@@ -72,19 +72,19 @@ pub(crate) use with_codelet;
 /// Whether a length has a codelet in the table of [`with_codelet`].
 macro_rules! has_codelet {
     (radix $length:expr) => {
-        with_codelet!(radix $length, R => R > 0, _ => false)
+        $crate::fft::codelets::with_codelet!(radix $length, R => R > 0, _ => false)
     };
     (row $length:expr) => {
-        with_codelet!(row $length, (N, S) => N > S, (P, Q, ROWS) => P * Q > ROWS, _ => false)
+        $crate::fft::codelets::with_codelet!(row $length, (N, S) => N > S, (P, Q, ROWS) => P * Q > ROWS, _ => false)
     };
     (column $radices:expr) => {
-        with_codelet!(column $radices, (P, Q) => P * Q > 0, _ => false)
+        $crate::fft::codelets::with_codelet!(column $radices, (P, Q) => P * Q > 0, _ => false)
     };
     (line $length:expr) => {
-        with_codelet!(line $length, (P, Q, ROWS) => P * Q > ROWS, _ => false)
+        $crate::fft::codelets::with_codelet!(line $length, (P, Q, ROWS) => P * Q > ROWS, _ => false)
     };
     (factor $length:expr) => {
-        with_codelet!(factor $length, (P, Q) => P * Q > 0, _ => false)
+        $crate::fft::codelets::with_codelet!(factor $length, (P, Q) => P * Q > 0, _ => false)
     };
 }
 pub(crate) use has_codelet;

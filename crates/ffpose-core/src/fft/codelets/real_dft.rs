@@ -6,7 +6,7 @@
 
 use super::dft::{Codelet, Dft, constant};
 use super::roots::Roots;
-use crate::simd::{Complex, Vector, mirrored};
+use crate::simd::{Complex, Vector, joined, mirrored, parts};
 
 /// The DFT of an array of `N` real vectors, as `S = ceil(N / 2)` complex ones.
 pub(crate) trait RealDft<const N: usize, const S: usize> {
@@ -198,7 +198,7 @@ impl TwoReal<7> for Codelet {
     fn two_real_idft<V: Vector>(y: [Complex<V>; 7]) -> [Complex<V>; 7] {
         let a: [V; 7] = Self::real_idft([y[0], y[1], y[2], y[3]]);
         let b: [V; 7] = Self::real_idft([y[0].swap(), y[4], y[5], y[6]]);
-        complex(a, b)
+        joined(a, b)
     }
 }
 
@@ -253,7 +253,7 @@ macro_rules! two_real_power_of_two {
                     im[n] = z.im.neg_mul_add(constant(s), z.re * constant(c));
                     im[n + $half] = z.im.neg_mul_add(constant(c), z.re * constant(-s));
                 }
-                complex(re, im)
+                joined(re, im)
             }
         }
     };
@@ -261,21 +261,3 @@ macro_rules! two_real_power_of_two {
 
 two_real_power_of_two!(4, 2);
 two_real_power_of_two!(8, 4);
-
-#[inline(always)]
-fn parts<V: Vector, const N: usize>(z: [Complex<V>; N]) -> ([V; N], [V; N]) {
-    let (mut re, mut im) = ([z[0].re; N], [z[0].im; N]);
-    for n in 0..N {
-        (re[n], im[n]) = (z[n].re, z[n].im);
-    }
-    (re, im)
-}
-
-#[inline(always)]
-fn complex<V: Vector, const N: usize>(re: [V; N], im: [V; N]) -> [Complex<V>; N] {
-    let mut z = [Complex::new(re[0], im[0]); N];
-    for n in 0..N {
-        z[n] = Complex::new(re[n], im[n]);
-    }
-    z
-}

@@ -5,10 +5,12 @@
 //! real line of `2 H` are `X(0), X(H), X(1), X(H - 1), ...`.
 
 mod fused;
+mod geometry;
 pub(crate) mod order;
 pub(crate) mod pointwise;
 
 use self::fused::Fused;
+use self::geometry::Geometry;
 use crate::fft::codelets::pair::{join, merge, split, unmerge};
 use crate::fft::codelets::root;
 use crate::fft::columns::pointwise::{Accumulate, At, Pointwise, Product};
@@ -194,49 +196,6 @@ impl<T: Element> Columns<T> {
             first: &self.first,
             first_places: self.first_places(),
         }
-    }
-}
-
-/// Where columns and their places are.
-pub(crate) struct Geometry<'a, T> {
-    /// The position of each frequency.
-    pub(crate) outputs: &'a [usize],
-    /// Columns of one vector.
-    count: usize,
-    /// Complex vectors from one column to the next.
-    pub(crate) pitch: usize,
-    first: &'a First<T>,
-    first_places: usize,
-}
-
-impl<T> Clone for Geometry<'_, T> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<T> Copy for Geometry<'_, T> {}
-
-impl<T: Element> Geometry<'_, T> {
-    /// Whether a column is two real lines.
-    #[inline(always)]
-    pub(crate) fn is_pair(&self, column: usize) -> bool {
-        column == 0 && !self.first.is_complex()
-    }
-
-    /// Column and vector of each of `lines` lines, in the order in which a weight in natural order is read in longer runs.
-    #[inline(always)]
-    pub(crate) fn lines(self, lines: usize) -> impl Iterator<Item = (usize, usize)> {
-        let vectors = lines / self.count;
-        (0..self.count).flat_map(move |column| (0..vectors).map(move |vector| (column, vector)))
-    }
-
-    /// Where a line begins.
-    #[inline(always)]
-    pub(crate) fn at(&self, column: usize, vector: usize) -> At {
-        let place =
-            if column == 0 { 0 } else { self.first_places + (column - 1) * self.outputs.len() };
-        At { vector, position: (vector * self.count + column) * self.pitch, place }
     }
 }
 

@@ -5,7 +5,11 @@
 //! ([`crate::fft::columns::order`]).
 
 mod composite;
+mod packing;
+mod row_codelets;
+mod row_pairs;
 pub(crate) mod rows;
+mod single;
 
 use std::ops::Range;
 
@@ -14,10 +18,9 @@ use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 use self::rows::{Place, Rows};
 use crate::Shape;
 use crate::fft::columns::order::{BinOrder, Bins, Scales};
-use crate::fft::columns::pointwise::{NaturalGradient, NaturalProduct};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::inverted;
-use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
+use crate::kernel::{Backward, Kernel, Packing, Single};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, LINE_BYTES, Stored, Tile, TileMut, aligned, slack};
 use crate::tuning::Tuning;
@@ -149,27 +152,12 @@ impl<T: Element> Grid<T> {
         self.place(!self.tuning.come_unasked(bytes, each))
     }
 
-    /// For lanes of one image: far are those that do not fit in the L2 cache together with their result and their weight.
-    fn place_of_one<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
-        self.place(3 * size_of::<X>() * x.len() > self.tuning.l2_cache)
-    }
-
     /// Parts of `lanes` lanes, at most `together` in each: whole vectors, then the rest.
     fn parts(&self, lanes: usize, together: usize) -> impl Iterator<Item = Range<usize>> {
         let whole = lanes - lanes % self.lanes;
         let parts = (0..whole).step_by(together);
         let rest = (whole < lanes).then_some(whole..lanes);
         parts.map(move |start| start..whole.min(start.saturating_add(together))).chain(rest)
-    }
-
-    /// Lanes of one image that go together: at least a cache line of what is stored.
-    fn alone<X>(&self) -> usize {
-        self.alone.max(LINE_BYTES / size_of::<X>()).min(self.together)
-    }
-
-    /// Whether so many lanes of one image go together without padding; cutting views takes its time.
-    fn undivided<X>(&self, lanes: usize) -> bool {
-        lanes <= self.alone::<X>() && lanes.is_multiple_of(self.lanes)
     }
 
     /// Numbers in the spectra of an image of `lanes` lanes.
@@ -250,98 +238,6 @@ impl<T: Element> Grid<T> {
             self.rows_inverse(place, spectrum, grad_x, work, padded);
         }
     }
-
-    /// As [`Single::forward`], for lanes that go together.
-    fn forward_single<X: Stored<Real = T>>(
-        &self,
-        x: ArrayView2<'_, X>,
-        weight: ArrayView3<'_, T>,
-        y: ArrayViewMut2<'_, X>,
-        scratch: &mut GridBuffers<'_, T>,
-    ) {
-        let GridBuffers { spectrum, work, padded, .. } = scratch;
-        let spectrum = &mut spectrum[..self.spectra(x.ncols())];
-        let place = self.place_of_one(&x);
-        self.rows_forward(place, x, spectrum, work, padded);
-        self.columns.through::<_, true>(spectrum, self.product(weight, false), work);
-        self.rows_inverse(place, spectrum, y, work, padded);
-    }
-
-    /// As [`Single::backward`], for lanes that go together.
-    fn backward_single<X: Stored<Real = T>>(
-        &self,
-        pass: SingleBackward<'_, X>,
-        scratch: &mut GridBuffers<'_, T>,
-    ) {
-        let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
-        let GridBuffers { spectrum, other, work, padded, .. } = scratch;
-        let spectrum = &mut spectrum[..self.spectra(grad.ncols())];
-        let other = &mut other[..spectrum.len()];
-        let place = self.place_of_one(&grad);
-        self.rows_forward(place, grad, spectrum, work, padded);
-        if grad_weight.is_some() {
-            self.rows_forward(place, x, other, work, padded);
-        }
-        let product = self.product(weight, true);
-        match grad_weight {
-            None => self.columns.through::<_, true>(spectrum, product, work),
-            Some(gradient) => {
-                self.columns.through::<_, false>(other, (), work);
-                let gradient = NaturalGradient {
-                    order: &self.order,
-                    x: Tile::dense(other, self.lanes),
-                    gradient: TileMut::of_complex(gradient),
-                };
-                if grad_x.is_some() {
-                    self.columns.through::<_, true>(spectrum, (gradient, product), work);
-                } else {
-                    self.columns.look(spectrum, gradient, work);
-                }
-            }
-        }
-        if let Some(grad_x) = grad_x {
-            self.rows_inverse(place, spectrum, grad_x, work, padded);
-        }
-    }
-
-    fn product<'a>(&'a self, weight: ArrayView3<'a, T>, conjugate: bool) -> NaturalProduct<'a, T> {
-        NaturalProduct { order: &self.order, weight: Tile::of_complex(weight), conjugate }
-    }
-
-    /// `room` as a weight `(bins, lanes, 2)` of one vector of lanes.
-    fn bins<'a>(&self, room: &'a mut [T]) -> ArrayViewMut3<'a, T> {
-        let bins = room.len() / (2 * self.lanes);
-        ArrayViewMut3::from_shape((bins, self.lanes, 2), room).expect("room for a vector of lanes")
-    }
-
-    /// `weight` `(bins, lanes, 2)` with zeros up to one vector, in `room`.
-    fn padded_bins<'a>(&self, weight: ArrayView3<'_, T>, room: &'a mut [T]) -> ArrayView3<'a, T> {
-        let mut whole = self.bins(room);
-        whole.fill(T::default());
-        whole.slice_mut(s![.., ..weight.len_of(Axis(1)), ..]).assign(&weight);
-        ArrayView3::from_shape(whole.raw_dim(), room).expect("room for a vector of lanes")
-    }
-}
-
-impl<T: Element> Packing<T> for Grid<T> {
-    fn packed_len(&self, lanes: usize) -> usize {
-        lanes.div_ceil(self.lanes) * self.columns.packed_len()
-    }
-
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
-        let mut packed = &mut packed[..];
-        for lanes in self.parts(weight.len_of(Axis(1)), usize::MAX) {
-            let part;
-            (part, packed) = packed.split_at_mut(self.packed_len(lanes.len()));
-            let weight = weight.slice(s![.., lanes.clone(), ..]);
-            if lanes.len().is_multiple_of(self.lanes) {
-                self.order.pack(self.isa, weight, part);
-            } else {
-                let [room, _] = self.scratch(team.scratch()).bins;
-                self.order.pack(self.isa, self.padded_bins(weight, room), part);
-            }
-        }
-    }
 }
 
 impl<X: Stored> Kernel<X> for Grid<X::Real> {
@@ -415,78 +311,13 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
     fn unpack_gradient(
         &self,
         grad_sum: &[X::Real],
-        mut grad_weight: ArrayViewMut3<'_, X::Real>,
+        grad_weight: ArrayViewMut3<'_, X::Real>,
         team: &mut Team<'_, X::Real>,
     ) {
-        let mut grad_sum = grad_sum;
-        for lanes in self.parts(grad_weight.len_of(Axis(1)), usize::MAX) {
-            let part;
-            (part, grad_sum) = grad_sum.split_at(self.packed_len(lanes.len()));
-            let mut gradient = grad_weight.slice_mut(s![.., lanes.clone(), ..]);
-            if lanes.len().is_multiple_of(self.lanes) {
-                self.order.unpack(self.isa, part, gradient);
-            } else {
-                let mut whole = self.bins(self.scratch(team.scratch()).bins[0]);
-                self.order.unpack(self.isa, part, whole.view_mut());
-                gradient.assign(&whole.slice(s![.., ..lanes.len(), ..]));
-            }
-        }
+        self.unpack(grad_sum, grad_weight, team);
     }
 
     fn single(&self) -> Option<&dyn Single<X>> {
         Some(self)
-    }
-}
-
-impl<X: Stored> Single<X> for Grid<X::Real> {
-    fn forward(
-        &self,
-        x: ArrayView2<'_, X>,
-        weight: ArrayView3<'_, X::Real>,
-        mut y: ArrayViewMut2<'_, X>,
-        team: &mut Team<'_, X::Real>,
-    ) {
-        let mut scratch = self.scratch(team.scratch());
-        if self.undivided::<X>(x.ncols()) {
-            return self.forward_single(x, weight, y, &mut scratch);
-        }
-        for lanes in self.parts(x.ncols(), self.alone::<X>()) {
-            let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
-            let (x, weight, y) = (x.slice(part), weight.slice(bins), y.slice_mut(part));
-            if lanes.len().is_multiple_of(self.lanes) {
-                self.forward_single(x, weight, y, &mut scratch);
-            } else {
-                let room = std::mem::take(&mut scratch.bins[0]);
-                self.forward_single(x, self.padded_bins(weight, room), y, &mut scratch);
-            }
-        }
-    }
-
-    fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let mut scratch = self.scratch(team.scratch());
-        if self.undivided::<X>(pass.x.ncols()) {
-            return self.backward_single(pass, &mut scratch);
-        }
-        let SingleBackward { grad, x, weight, mut grad_x, mut grad_weight } = pass;
-        for lanes in self.parts(x.ncols(), self.alone::<X>()) {
-            let (part, bins) = (s![.., lanes.clone()], s![.., lanes.clone(), ..]);
-            let (grad, x, weight) = (grad.slice(part), x.slice(part), weight.slice(bins));
-            let grad_x = grad_x.as_mut().map(|grad_x| grad_x.slice_mut(part));
-            let mut grad_weight = grad_weight.as_mut().map(|gradient| gradient.slice_mut(bins));
-            if lanes.len().is_multiple_of(self.lanes) {
-                let pass = SingleBackward { grad, x, weight, grad_x, grad_weight };
-                self.backward_single(pass, &mut scratch);
-            } else {
-                let [room, whole] = std::mem::take(&mut scratch.bins);
-                let weight = self.padded_bins(weight, room);
-                let mut whole = self.bins(whole);
-                let of_whole = grad_weight.is_some().then(|| whole.view_mut());
-                let pass = SingleBackward { grad, x, weight, grad_x, grad_weight: of_whole };
-                self.backward_single(pass, &mut scratch);
-                if let Some(grad_weight) = &mut grad_weight {
-                    grad_weight.assign(&whole.slice(s![.., ..lanes.len(), ..]));
-                }
-            }
-        }
     }
 }

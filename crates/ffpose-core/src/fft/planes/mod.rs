@@ -6,19 +6,19 @@
 //! back along X. Rows 0 and `X / 2`, which stand for real lines, need nothing of their own: their weight is Hermitian.
 
 mod order;
+mod squares;
+mod vectors;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
 use self::order::SquareOrder;
-use crate::fft::codelets::pair::{join, split};
+use self::squares::{Gather, Put, RowBlock};
+use self::vectors::{EnterVectors, JoinVectors, LeaveVectors, SplitVectors};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::Transform;
 use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
-use crate::simd::{
-    Algorithm, Complex, Element, Isa, MAX_LANES, Tile, TileMut, Vector, aligned, complex_vectors,
-    slack,
-};
+use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 
 /// The plan for planes `(points, width)`.
 pub(crate) struct Planes<T> {
@@ -266,157 +266,5 @@ impl<T: Element> Kernel<T> for Planes<T> {
         _: &mut Team<'_, T>,
     ) {
         self.order.unpack(self.isa, grad_sum, grad_weight);
-    }
-}
-
-/// Two vectors of each point as one complex line.
-struct EnterVectors<'a, T> {
-    image: Tile<'a, T>,
-    inputs: &'a [usize],
-    line: &'a mut [T],
-}
-
-impl<T: Element> Algorithm<T> for EnterVectors<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let line = complex_vectors::<V>(self.line);
-        let second = self.image.skip_lanes(V::LANES);
-        for (point, &input) in self.inputs.iter().enumerate() {
-            let ([re], [im]) = (self.image.gather(point, 1), second.gather(point, 1));
-            line[input] = Complex::new(re, im);
-        }
-    }
-}
-
-/// Undoes [`EnterVectors`].
-struct LeaveVectors<'a, T> {
-    image: TileMut<'a, T>,
-    inputs: &'a [usize],
-    line: &'a mut [T],
-}
-
-impl<T: Element> Algorithm<T> for LeaveVectors<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(mut self) {
-        let line = complex_vectors::<V>(self.line);
-        for (point, &input) in self.inputs.iter().enumerate() {
-            self.image.scatter(point, 1, [line[input].re]);
-            self.image.skip_lanes(V::LANES).scatter(point, 1, [line[input].im]);
-        }
-    }
-}
-
-/// The doubled spectra of the two real lines of a complex line, to vectors `2 pair` and `2 pair + 1` of the rows.
-struct SplitVectors<'a, T> {
-    outputs: &'a [usize],
-    line: &'a mut [T],
-    spectrum: &'a mut [T],
-    rows: SpectrumRows,
-    pair: usize,
-}
-
-impl<T: Element> Algorithm<T> for SplitVectors<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let line = complex_vectors::<V>(self.line);
-        let rows = complex_vectors::<V>(self.spectrum).chunks_exact_mut(self.rows.pitch);
-        let length = self.outputs.len();
-        for (k, row) in rows.enumerate() {
-            let mirror = self.outputs[(length - k) % length];
-            let both = split(line[self.outputs[k]], line[mirror]);
-            row[2 * self.pair..2 * self.pair + 2].copy_from_slice(&both);
-        }
-    }
-}
-
-/// Undoes [`SplitVectors`] up to a factor 2. The spectra of real lines are real in rows 0 and `X / 2`.
-struct JoinVectors<'a, T> {
-    outputs: &'a [usize],
-    line: &'a mut [T],
-    spectrum: &'a mut [T],
-    rows: SpectrumRows,
-    pair: usize,
-}
-
-impl<T: Element> Algorithm<T> for JoinVectors<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let line = complex_vectors::<V>(self.line);
-        let rows = complex_vectors::<V>(self.spectrum).chunks_exact(self.rows.pitch);
-        let length = self.outputs.len();
-        for (k, row) in rows.enumerate() {
-            let [a, b] = [row[2 * self.pair], row[2 * self.pair + 1]];
-            let (place, mirror) = (self.outputs[k], self.outputs[(length - k) % length]);
-            if place == mirror {
-                line[place] = Complex::new(a.re, b.re);
-            } else {
-                (line[place], line[mirror]) = join([a, b]);
-            }
-        }
-    }
-}
-
-/// Rows `first` and following of a spectrum as the lanes of a line; lanes without a row repeat the last one.
-#[derive(Clone, Copy)]
-struct RowBlock<'a> {
-    rows: SpectrumRows,
-    first: usize,
-    inputs: &'a [usize],
-}
-
-/// Rows to lanes.
-struct Gather<'a, T> {
-    block: RowBlock<'a>,
-    spectrum: &'a mut [T],
-    line: &'a mut [T],
-}
-
-impl<T: Element> Algorithm<T> for Gather<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let RowBlock { rows: SpectrumRows { count, pitch }, first, inputs } = self.block;
-        let spectrum = complex_vectors::<V>(self.spectrum);
-        let line = complex_vectors::<V>(self.line);
-        let (mut re, mut im) =
-            ([V::splat(T::default()); MAX_LANES], [V::splat(T::default()); MAX_LANES]);
-        for (vector, inputs) in inputs.chunks(V::LANES).enumerate() {
-            for lane in 0..V::LANES {
-                let z = spectrum[(first + lane).min(count - 1) * pitch + vector];
-                (re[lane], im[lane]) = (z.re, z.im);
-            }
-            V::transpose(&mut re[..V::LANES]);
-            V::transpose(&mut im[..V::LANES]);
-            for (lane, &input) in inputs.iter().enumerate() {
-                line[input] = Complex::new(re[lane], im[lane]);
-            }
-        }
-    }
-}
-
-/// Lanes to rows.
-struct Put<'a, T> {
-    block: RowBlock<'a>,
-    spectrum: &'a mut [T],
-    line: &'a mut [T],
-}
-
-impl<T: Element> Algorithm<T> for Put<'_, T> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let RowBlock { rows: SpectrumRows { count, pitch }, first, inputs } = self.block;
-        let spectrum = complex_vectors::<V>(self.spectrum);
-        let line = complex_vectors::<V>(self.line);
-        let (mut re, mut im) =
-            ([V::splat(T::default()); MAX_LANES], [V::splat(T::default()); MAX_LANES]);
-        for (vector, inputs) in inputs.chunks(V::LANES).enumerate() {
-            for (lane, &input) in inputs.iter().enumerate() {
-                (re[lane], im[lane]) = (line[input].re, line[input].im);
-            }
-            V::transpose(&mut re[..V::LANES]);
-            V::transpose(&mut im[..V::LANES]);
-            for (lane, row) in (first..count.min(first + V::LANES)).enumerate() {
-                spectrum[row * pitch + vector] = Complex::new(re[lane], im[lane]);
-            }
-        }
     }
 }

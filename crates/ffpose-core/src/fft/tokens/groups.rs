@@ -15,14 +15,16 @@
 use std::hint::black_box;
 
 use super::blocks::Block;
-use super::weight::{GroupWeight, NaturalWeight, Run};
-use crate::fft::codelets::{Codelet, Dft, TurnedDft, root, unroll};
+use super::pointwise::GroupPointwise;
+use super::weight::Run;
+use crate::fft::codelets::{Codelet, Dft, TurnedDft, unroll};
 use crate::simd::{
-    Algorithm, Complex, Element, MAX_LANES, Vector, complex_vectors, complex_vectors_of,
+    Algorithm, Complex, Element, MAX_LANES, Vector, complex_vectors, complex_vectors_of, joined,
+    parts,
 };
 
 /// Halves of a group, and of the lanes of a vector.
-const HALVES: usize = 2;
+pub(super) const HALVES: usize = 2;
 
 /// The rows of a block in the order of their groups.
 #[derive(Clone, Copy)]
@@ -34,7 +36,7 @@ pub(super) struct Turns<'a, T> {
     /// The runs of all groups.
     pub(super) runs: &'a [Run],
     pub(super) slots: usize,
-    /// The tables of [`twiddles`].
+    /// The tables of [`super::twiddles`].
     pub(super) twiddles: &'a [T],
 }
 
@@ -43,176 +45,17 @@ pub(super) struct Turns<'a, T> {
 pub(super) struct Group<'a, V, const RUN: usize, const J: usize> {
     /// Its number in the block.
     place: usize,
-    runs: &'a [Run],
+    pub(super) runs: &'a [Run],
     /// Where each run begins among the vectors of the block.
     firsts: [usize; MAX_LANES],
     /// What the second half of items `r` and `r + J` is turned by against the first.
     halfway: &'a [Complex<V>; J],
     /// The factors of the transform of each half.
-    factors: [&'a [Complex<V>]; HALVES],
+    pub(super) factors: [&'a [Complex<V>]; HALVES],
     /// What the odd half is turned by on the way back, conjugate.
     odd: &'a Complex<V>,
     /// What the halves of items `r` and `r + J` are multiplied by at last, conjugate.
     back: &'a [[Complex<V>; HALVES]; J],
-}
-
-/// What is done to the spectrum of a group.
-pub(super) trait GroupPointwise<T: Element> {
-    /// Whether the spectrum goes back to its block.
-    const INVERSE: bool;
-
-    /// What is known of a group beforehand.
-    type Ready<const RUN: usize, const J: usize>;
-
-    /// Makes the slots 0 of `rows` ready.
-    fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
-
-    /// Makes a group ready, and checks all bounds: later the compiler would keep vectors on the stack meanwhile.
-    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        group: Group<'_, V, RUN, J>,
-    ) -> Self::Ready<RUN, J>;
-
-    /// The new values of vectors `p`, `p + 2`, ... of a group.
-    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        ready: &Self::Ready<RUN, J>,
-        group: Group<'_, V, RUN, J>,
-        p: usize,
-        z: [Complex<V>; J],
-    ) -> [Complex<V>; J]
-    where
-        Codelet: TurnedDft<J>;
-}
-
-/// The product with a weight, or with its conjugate.
-pub(super) struct GroupProduct<'a, T, const CONJUGATE: bool>(pub(super) NaturalWeight<'a, T>);
-
-impl<'a, T: Element, const CONJUGATE: bool> GroupPointwise<T> for GroupProduct<'a, T, CONJUGATE> {
-    const INVERSE: bool = true;
-    type Ready<const RUN: usize, const J: usize> = GroupWeight<'a, T, RUN, J>;
-
-    #[inline(always)]
-    fn begin<V: Vector<Element = T>>(&mut self, _: &[usize]) {}
-
-    #[inline(always)]
-    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        group: Group<'_, V, RUN, J>,
-    ) -> Self::Ready<RUN, J> {
-        self.0.group::<V, RUN, J>(group.runs)
-    }
-
-    #[inline(always)]
-    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        ready: &Self::Ready<RUN, J>,
-        _: Group<'_, V, RUN, J>,
-        p: usize,
-        mut z: [Complex<V>; J],
-    ) -> [Complex<V>; J]
-    where
-        Codelet: TurnedDft<J>,
-    {
-        unroll!(c in 0..J {
-            z[c] = ready.times::<V, CONJUGATE>(HALVES * c + p, z[c]);
-        });
-        z
-    }
-}
-
-/// `sum += conj(x) · z` with the spectrum of the block `x`, which is spent; `z` is passed on.
-pub(super) struct GroupAccumulate<'a, T> {
-    pub(super) x: Block<'a, T>,
-    pub(super) sum: &'a mut [T],
-}
-
-impl<T: Element> GroupPointwise<T> for GroupAccumulate<'_, T> {
-    const INVERSE: bool = false;
-    type Ready<const RUN: usize, const J: usize> = ();
-
-    #[inline(always)]
-    fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]) {
-        split_rows::<V>(complex_vectors(self.x.vectors), self.x.pitch, rows);
-    }
-
-    #[inline(always)]
-    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        group: Group<'_, V, RUN, J>,
-    ) -> Self::Ready<RUN, J> {
-        let _: &mut [[_; HALVES]; J] = group.part_mut(complex_vectors::<V>(self.sum));
-        let x = complex_vectors::<V>(self.x.vectors);
-        group.check(x);
-        let halves = group.halves_of(x);
-        unroll!(p in 0..HALVES {
-            unroll!(r in 0..J {
-                *group.item_mut(x, p * J + r) = halves[p][r];
-            });
-        });
-    }
-
-    #[inline(always)]
-    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        (): &Self::Ready<RUN, J>,
-        group: Group<'_, V, RUN, J>,
-        p: usize,
-        z: [Complex<V>; J],
-    ) -> [Complex<V>; J]
-    where
-        Codelet: TurnedDft<J>,
-    {
-        let block = complex_vectors::<V>(self.x.vectors);
-        let mut x = z;
-        for r in 0..J {
-            x[r] = *group.item(block, p * J + r);
-        }
-        let x = Codelet::turned_dft(transposed(x), group.factors[p]);
-        let sum = group.part_mut(complex_vectors::<V>(self.sum));
-        for c in 0..J {
-            let Complex { re, im } = sum[c][p];
-            let re = x[c].im.mul_add(z[c].im, x[c].re.mul_add(z[c].re, re));
-            let im = x[c].im.neg_mul_add(z[c].re, x[c].re.mul_add(z[c].im, im));
-            sum[c][p] = Complex::new(re, im);
-        }
-        z
-    }
-}
-
-/// One after the other.
-impl<T: Element, A: GroupPointwise<T>, B: GroupPointwise<T>> GroupPointwise<T> for (A, B) {
-    const INVERSE: bool = A::INVERSE || B::INVERSE;
-    type Ready<const RUN: usize, const J: usize> = (A::Ready<RUN, J>, B::Ready<RUN, J>);
-
-    #[inline(always)]
-    fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]) {
-        self.0.begin::<V>(rows);
-        self.1.begin::<V>(rows);
-    }
-
-    #[inline(always)]
-    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        group: Group<'_, V, RUN, J>,
-    ) -> Self::Ready<RUN, J> {
-        (self.0.enter(group), self.1.enter(group))
-    }
-
-    #[inline(always)]
-    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        ready: &Self::Ready<RUN, J>,
-        group: Group<'_, V, RUN, J>,
-        p: usize,
-        z: [Complex<V>; J],
-    ) -> [Complex<V>; J]
-    where
-        Codelet: TurnedDft<J>,
-    {
-        let z = self.0.apply(&ready.0, group, p, z);
-        self.1.apply(&ready.1, group, p, z)
-    }
 }
 
 /// `pointwise` on all groups of a block, there and back. `RUN` divides the lanes and the slots of a row.
@@ -292,53 +135,42 @@ impl<T: Element, M: GroupPointwise<T>, const RUN: usize> Filter<'_, T, M, RUN> {
     }
 }
 
-#[inline(always)]
-fn complex<V: Vector, const N: usize>(re: [V; N], im: [V; N]) -> [Complex<V>; N] {
-    let mut z = [Complex::new(re[0], im[0]); N];
-    for j in 0..N {
-        z[j] = Complex::new(re[j], im[j]);
-    }
-    z
-}
-
-#[inline(always)]
-fn parts<V: Vector, const N: usize>(z: [Complex<V>; N]) -> ([V; N], [V; N]) {
-    let (mut re, mut im) = ([z[0].re; N], [z[0].im; N]);
-    for j in 0..N {
-        (re[j], im[j]) = (z[j].re, z[j].im);
-    }
-    (re, im)
-}
-
 impl<V: Vector, const RUN: usize, const J: usize> Group<'_, V, RUN, J> {
     /// The vectors of this group in the sums of a step.
     #[inline(always)]
-    fn part_mut<'a>(&self, sums: &'a mut [Complex<V>]) -> &'a mut [[Complex<V>; HALVES]; J] {
+    pub(super) fn part_mut<'a>(
+        &self,
+        sums: &'a mut [Complex<V>],
+    ) -> &'a mut [[Complex<V>; HALVES]; J] {
         let pairs = sums.as_chunks_mut().0;
         pairs[self.place * J..].first_chunk_mut().expect("a whole group")
     }
 
     /// All items are in `block`.
     #[inline(always)]
-    fn check(&self, block: &[Complex<V>]) {
+    pub(super) fn check(&self, block: &[Complex<V>]) {
         for i in 0..V::LANES / RUN {
             let _ = &block[self.firsts[i]..][..RUN];
         }
     }
 
     #[inline(always)]
-    fn item<'a>(&self, block: &'a [Complex<V>], item: usize) -> &'a Complex<V> {
+    pub(super) fn item<'a>(&self, block: &'a [Complex<V>], item: usize) -> &'a Complex<V> {
         &block[self.firsts[item / RUN]..][..RUN][item % RUN]
     }
 
     #[inline(always)]
-    fn item_mut<'a>(&self, block: &'a mut [Complex<V>], item: usize) -> &'a mut Complex<V> {
+    pub(super) fn item_mut<'a>(
+        &self,
+        block: &'a mut [Complex<V>],
+        item: usize,
+    ) -> &'a mut Complex<V> {
         &mut block[self.firsts[item / RUN]..][..RUN][item % RUN]
     }
 
     /// The group up to what is done to each half alone.
     #[inline(always)]
-    fn halves_of(&self, block: &[Complex<V>]) -> [[Complex<V>; J]; HALVES] {
+    pub(super) fn halves_of(&self, block: &[Complex<V>]) -> [[Complex<V>; J]; HALVES] {
         let mut halves = [[Complex::zero(); J]; HALVES];
         unroll!(r in 0..J {
             let [low, high] = exchanged(*self.item(block, r), *self.item(block, J + r));
@@ -374,16 +206,16 @@ fn exchanged<V: Vector>(a: Complex<V>, b: Complex<V>) -> [Complex<V>; HALVES] {
 
 /// Transposed inside the halves of the vectors.
 #[inline(always)]
-fn transposed<V: Vector, const J: usize>(z: [Complex<V>; J]) -> [Complex<V>; J] {
+pub(super) fn transposed<V: Vector, const J: usize>(z: [Complex<V>; J]) -> [Complex<V>; J] {
     let (mut re, mut im) = parts(z);
     V::transpose_in_halves(&mut re);
     V::transpose_in_halves(&mut im);
-    complex(re, im)
+    joined(re, im)
 }
 
 /// Slot 0 of each pair of rows, `Z = A + iB` of real lines `a` and `b`, to `2 A(u)` and, behind the last slot, `2 B(-u)`.
 #[inline(always)]
-fn split_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) {
+pub(super) fn split_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) {
     for &[u, minus_u] in rows.as_chunks().0 {
         let (z, mirror) = (block[u * pitch], block[minus_u * pitch]);
         block[u * pitch] = Complex::new(z.re + mirror.re, z.im - mirror.im);
@@ -398,60 +230,5 @@ fn join_rows<V: Vector>(block: &mut [Complex<V>], pitch: usize, rows: &[usize]) 
         let (a, b) = (block[u * pitch], block[(minus_u + 1) * pitch - 1]);
         block[u * pitch] = Complex::new(a.re + b.im, a.im + b.re);
         block[minus_u * pitch] = Complex::new(a.re - b.im, b.re - a.im);
-    }
-}
-
-/// What [`Filter`] multiplies by, as vectors of real parts and vectors of imaginary ones: `exp(-2πi y / L)` for `y < J = L / 2`,
-/// and for each group of `rows` rows its [`Group::halfway`], its [`Group::factors`] and its [`Group::back`], which has the norm
-/// of images of `points` lines.
-pub(super) fn twiddles<T: Element>(
-    [points, width]: [usize; 2],
-    lanes: usize,
-    rows: usize,
-) -> Vec<T> {
-    let (slots, half) = (width / lanes / 2, lanes / 2);
-    let mut numbers = Vec::new();
-    let mut push = |number_of: &dyn Fn(usize) -> (f64, f64)| {
-        let values: Vec<_> = (0..lanes).map(number_of).collect();
-        numbers.extend(values.iter().map(|&(c, _)| T::nearest(c)));
-        numbers.extend(values.iter().map(|&(_, s)| T::nearest(-s)));
-    };
-    push(&|lane| root(lane % half, lanes));
-    for group in 0..rows * slots / lanes {
-        let frequency = |place: usize| {
-            let item = group * lanes + place;
-            item % slots + item / slots % 2
-        };
-        for r in 0..half {
-            push(&|lane| root(frequency(lane / half * half + r) * half, width));
-        }
-        for p in 0..HALVES {
-            for &(power, eighths) in factors_of(half) {
-                let turned = power * p * (width / lanes) + eighths * width / 8;
-                push(&|lane| root(power * frequency(lane) + turned, width));
-            }
-        }
-        for (r, y) in (0..half).flat_map(|r| [(r, 0), (r, half)]) {
-            push(&|lane| {
-                let k = frequency(lane / half * half + r);
-                // a line's own two real frequencies were doubled, the others were left out with their mirrors
-                let once = if k % slots == 0 { 0.5 } else { 2.0 };
-                let norm = once / (points * width) as f64;
-                let (c, s) = root(k * (y + lane % half), width);
-                (norm * c, norm * s)
-            });
-        }
-    }
-    numbers
-}
-
-/// The factors of the transform of length `half`.
-fn factors_of(half: usize) -> &'static [(usize, usize)] {
-    match half {
-        1 => <Codelet as TurnedDft<1>>::FACTORS,
-        2 => <Codelet as TurnedDft<2>>::FACTORS,
-        4 => <Codelet as TurnedDft<4>>::FACTORS,
-        8 => <Codelet as TurnedDft<8>>::FACTORS,
-        half => unreachable!("no transform across {half} vectors"),
     }
 }

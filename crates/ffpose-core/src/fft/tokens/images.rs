@@ -4,8 +4,8 @@ use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3};
 
 use super::Tokens;
 use super::blocks::Block;
-use super::groups::{GroupAccumulate, GroupProduct};
 use super::passes::{StepRows, TokensBuffers};
+use super::pointwise::{GroupAccumulate, GroupProduct};
 use super::steps::Step;
 use super::weight::{GradientRows, NaturalWeight, UnpackGroups};
 use crate::parallel::Team;

@@ -32,7 +32,9 @@ mod groups;
 mod images;
 mod lines;
 mod passes;
+mod pointwise;
 mod steps;
+mod twiddles;
 mod weight;
 
 use std::collections::VecDeque;
@@ -42,7 +44,7 @@ use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 use self::images::{BackwardImage, Context, StepGradient, SumPart};
 use self::steps::Step;
 use self::weight::TokenShape;
-use crate::fft::codelets::{has_codelet, root, with_codelet};
+use crate::fft::codelets::{has_codelet, root};
 use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Complex, Element, Isa, Stored, Table, slack};
@@ -88,8 +90,8 @@ impl<T: Element> Tokens<T> {
         let pairs_each = lanes / lanes.min((2 * slots) & (2 * slots).wrapping_neg());
         let steps: Vec<_> =
             (0..=factors[0] / 2).map(|u1| Step::new(shape, factors, u1, pairs_each, run)).collect();
-        let twiddles = (0..points).map(|i| (i / factors[0]) * (i % factors[0]));
-        let twiddles = twiddles.map(|n| {
+        let turns = (0..points).map(|i| (i / factors[0]) * (i % factors[0]));
+        let turns = turns.map(|n| {
             let (c, s) = root(n, points);
             Complex::new(T::nearest(c), T::nearest(-s))
         });
@@ -101,10 +103,10 @@ impl<T: Element> Tokens<T> {
             shape,
             run,
             factors,
-            twiddles: twiddles.collect(),
+            twiddles: turns.collect(),
             steps,
             rows_each,
-            turns: Table::new(&groups::twiddles([points, width], lanes, rows_each)),
+            turns: Table::new(&twiddles::twiddles([points, width], lanes, rows_each)),
         })
     }
 

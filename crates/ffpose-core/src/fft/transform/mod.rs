@@ -1,12 +1,13 @@
 //! DFTs of any length along a line of complex vectors, in place.
 
 mod bluestein;
+mod factors;
 pub(crate) mod mixed_radix;
 mod prime;
 
 use self::bluestein::Bluestein;
+pub(crate) use self::factors::{inverted, remainders};
 use self::mixed_radix::{MixedRadix, Pass};
-pub(crate) use self::mixed_radix::{inverted, remainders};
 use crate::simd::{Element, Isa};
 
 /// A planned DFT of one length.

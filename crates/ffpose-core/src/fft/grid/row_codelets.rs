@@ -1,0 +1,132 @@
+//! Rows of lengths with a codelet: all of a tile, one after the other.
+
+use super::composite::CompositeRow;
+use super::rows::Place;
+use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal};
+use crate::simd::{Algorithm, Stored, Tile, TileMut, Vector, complex_vectors, gather, scatter};
+use crate::tuning::GRID_AHEAD;
+
+/// Rows by one codelet, forward.
+pub(super) struct ShortForward<'a, X: Stored, const N: usize, const S: usize> {
+    pub(super) image: Tile<'a, X>,
+    pub(super) place: Place<'a>,
+    pub(super) spectrum: &'a mut [X::Real],
+}
+
+impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for ShortForward<'_, X, N, S>
+where
+    Codelet: RealDft<N, S>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = X::Real>>(self) {
+        let Place { positions, pitch, set, far } = self.place;
+        let spectrum = complex_vectors::<V>(self.spectrum);
+        let vectors = spectrum.len() / set;
+        for (row, &position) in positions.iter().enumerate() {
+            for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
+                if far {
+                    self.image.prefetch_share(row * N + GRID_AHEAD.max(N), N, i, vectors);
+                }
+                let image = self.image.skip_lanes(i * V::LANES);
+                let line = image.gather::<V, N>(row * N, 1);
+                scatter(spectrum, position, pitch, <Codelet as RealDft<N, S>>::real_dft(line));
+            }
+        }
+    }
+}
+
+/// Rows by one codelet, inverse.
+pub(super) struct ShortInverse<'a, X: Stored, const N: usize, const S: usize> {
+    pub(super) image: TileMut<'a, X>,
+    pub(super) place: Place<'a>,
+    pub(super) spectrum: &'a mut [X::Real],
+}
+
+impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for ShortInverse<'_, X, N, S>
+where
+    Codelet: RealDft<N, S>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = X::Real>>(mut self) {
+        let Place { positions, pitch, set, far } = self.place;
+        let spectrum = complex_vectors::<V>(self.spectrum);
+        let vectors = spectrum.len() / set;
+        for (row, &position) in positions.iter().enumerate() {
+            for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
+                if far {
+                    self.image.reader().prefetch_share(row * N + GRID_AHEAD.max(N), N, i, vectors);
+                }
+                let image = &mut self.image.skip_lanes(i * V::LANES);
+                let line = <Codelet as RealDft<N, S>>::real_idft(gather(spectrum, position, pitch));
+                image.scatter::<V, N>(row * N, 1, line);
+            }
+        }
+    }
+}
+
+/// Rows by two codelets, forward.
+pub(super) struct CompositeForward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize>
+{
+    pub(super) image: Tile<'a, X>,
+    pub(super) place: Place<'a>,
+    pub(super) spectrum: &'a mut [X::Real],
+    pub(super) work: &'a mut [X::Real],
+}
+
+impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
+    for CompositeForward<'_, X, P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = X::Real>>(self) {
+        let Place { positions, pitch, set, far } = self.place;
+        let (spectrum, work) =
+            (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
+        let vectors = spectrum.len() / set;
+        for (row, &position) in positions.iter().enumerate() {
+            let first = row * P * Q;
+            for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
+                if far {
+                    self.image.prefetch_share(first + GRID_AHEAD.max(P * Q), P * Q, i, vectors);
+                }
+                let image = self.image.skip_lanes(i * V::LANES);
+                CompositeRow::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
+            }
+        }
+    }
+}
+
+/// Rows by two codelets, inverse.
+pub(super) struct CompositeInverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize>
+{
+    pub(super) image: TileMut<'a, X>,
+    pub(super) place: Place<'a>,
+    pub(super) spectrum: &'a mut [X::Real],
+    pub(super) work: &'a mut [X::Real],
+}
+
+impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
+    for CompositeInverse<'_, X, P, Q, ROWS>
+where
+    Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
+{
+    #[inline(always)]
+    fn run<V: Vector<Element = X::Real>>(mut self) {
+        let Place { positions, pitch, set, far } = self.place;
+        let (spectrum, work) =
+            (complex_vectors::<V>(self.spectrum), complex_vectors::<V>(self.work));
+        let vectors = spectrum.len() / set;
+        for (row, &position) in positions.iter().enumerate() {
+            let first = row * P * Q;
+            for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
+                if far {
+                    let image = self.image.reader();
+                    image.prefetch_share(first + GRID_AHEAD.max(P * Q), P * Q, i, vectors);
+                }
+                let image = &mut self.image.skip_lanes(i * V::LANES);
+                CompositeRow::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
+            }
+        }
+    }
+}
