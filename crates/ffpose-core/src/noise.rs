@@ -5,7 +5,7 @@
 //! out in vectors: with AVX2 that takes less than half the time of looking them up in a table.
 //!
 //! Loops run over the lanes of a block and what they call is inlined and has no branches, so that the compiler makes vectors
-//! of the instruction set that [`Isa::run`] opened. It fuses no multiplication with an addition, so all of them agree.
+//! of the instruction set that `Isa::run` opened. It fuses no multiplication with an addition, so all of them agree.
 
 use ndarray::{Array1, ArrayView2, ArrayViewD, ArrayViewMut1, Axis, Ix1, Ix2};
 

@@ -1,7 +1,7 @@
 //! Every number that was found by measurement, and where it was found.
 //!
 //! Machines: *Xeon*, two cores of an Intel server with AVX-512 and 2 MB of L2 cache a core; *Zen 4* and *Zen 5*, AMD's with
-//! 1 MB. Where none is named it is the Xeon. What plans and pieces follow from is a [`Tuning`], which a test may choose; constants
+//! 1 MB. Where none is named it is the Xeon. What plans and pieces follow from is a `Tuning`, which a test may choose; constants
 //! are compiled into kernels.
 
 use std::sync::LazyLock;

@@ -26,7 +26,7 @@ pub(crate) fn remainders(m: usize, n: usize) -> impl Fn(usize, usize) -> usize {
 }
 
 /// The radices of each prime power of `length`; primes without a codelet first, so that the last pass has one if any has, and
-/// the power of two last, as [`crate::fft::columns::fused`] expects.
+/// the power of two last, as [`crate::fft::columns`] expects.
 pub(super) fn groups(length: usize) -> Vec<Vec<usize>> {
     let mut groups = Vec::new();
     let (mut rest, mut p) = (length, 2);
