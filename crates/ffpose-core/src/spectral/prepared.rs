@@ -42,8 +42,7 @@ impl<T: Real> SpectralFilter<T> {
         let (mut workers, wide) = scratch.lend(&StdThreads(1), needs)?;
         let weight = W::read(self.isa, weight, wide);
         let Some(packing) = packing else {
-            let weight = weight.to_slice().expect("a whole weight has no gaps");
-            prepared.numbers_mut().copy_from_slice(weight);
+            prepared.numbers_mut().iter_mut().zip(&weight).for_each(|(to, from)| *to = *from);
             return Ok(Prepared { filter, weight: prepared });
         };
         let tiling = Tiling::new(self.shape, kernel.tile(), 1, 1);
