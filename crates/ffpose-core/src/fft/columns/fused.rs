@@ -1,8 +1,8 @@
 //! Columns of short lengths: the last pass forward, what is done with the spectrum, and the first pass back share registers.
 
+use super::pointwise::Pointwise;
 use super::{Geometry, Through, pair_step};
 use crate::fft::codelets::{Codelet, Dft, has_codelet, with_codelet};
-use crate::fft::columns::pointwise::Pointwise;
 use crate::fft::transform::Transform;
 use crate::fft::transform::mixed_radix::{Digits, Pass, forward, inverse};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};

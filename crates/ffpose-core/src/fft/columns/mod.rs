@@ -11,9 +11,9 @@ pub(crate) mod pointwise;
 
 use self::fused::Fused;
 use self::geometry::Geometry;
+use self::pointwise::{Accumulate, At, Pointwise, Product};
 use crate::fft::codelets::pair::{join, merge, split, unmerge};
 use crate::fft::codelets::root;
-use crate::fft::columns::pointwise::{Accumulate, At, Pointwise, Product};
 use crate::fft::transform::Transform;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter,

@@ -1,6 +1,6 @@
 //! What is done with a spectrum between a transform and its inverse.
 
-use crate::fft::columns::order::BinOrder;
+use super::order::BinOrder;
 use crate::simd::{Complex, Element, Tile, TileMut, Vector};
 
 /// Where the first of some vectors of one column is.
