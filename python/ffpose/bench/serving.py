@@ -10,13 +10,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.utils import _pytree
 
 from ffpose.bench.graphs import Graph, GraphKind, with_torch_fft
 from ffpose.bench.networks import BEFORE, with_built_in_attention
 from ffpose.bench.subjects import Subject
 from ffpose.onnx.backends import open_session
-from ffpose.onnx.exporter import relative_differences
+from ffpose.onnx.exporter import relative_differences, tensors_of
 from ffpose.onnx.pose_graph import pose_differences
 
 TORCH = "torch"
@@ -93,7 +92,7 @@ def _in_torch(name: str, subject: Subject, images: Tensor) -> Call:
     def call() -> Outputs:
         autocast = torch.autocast("cpu", torch.bfloat16, enabled=name == TORCH_AUTOCAST)
         with torch.inference_mode(), autocast:
-            leaves = _pytree.tree_leaves(model(images))
+            leaves = tensors_of(model(images))
         arrays = (leaf.float().numpy() for leaf in leaves)
         return dict(zip(subject.outputs, arrays, strict=True))
 
