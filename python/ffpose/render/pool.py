@@ -22,7 +22,7 @@ from ffpose.files import atomic_write, sha256
 from ffpose.render.layers import render_layers, write_layers
 from ffpose.render.renderer import render
 from ffpose.render.scene import Scene
-from ffpose.render.tables import image_name
+from ffpose.urso import image_name
 
 PNG_LEVEL = 3
 """Compression level of the PNG files; noise hardly compresses, so more costs time alone."""

@@ -26,7 +26,8 @@ from ffpose.render.manifest import FILE_NAME, Manifest, difference, part_name, p
 from ffpose.render.pool import Job, prepare, render_all
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.tables import image_name, index_of, write_conditions, write_tables
+from ffpose.render.tables import write_conditions, write_tables
+from ffpose.urso import image_name, index_of
 
 MAX_COUNT = 10_000_000
 LEAST_BYTES_PER_PIXEL = 0.4
