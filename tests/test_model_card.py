@@ -15,7 +15,7 @@ from ffpose.cli import main
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.model_card import Shown, answer, measure
 from ffpose.models import FilterformerPose
-from ffpose.render.conditions import conditions_of
+from ffpose.render.dataset.conditions import conditions_of
 from ffpose.render.variations import variations
 
 COUNT = 5

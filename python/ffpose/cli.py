@@ -111,8 +111,8 @@ def render(options: Namespace) -> None:
     """Render images with exact labels, in URSO's layout."""
     from ffpose.geometry import Camera
     from ffpose.render import Randomization, get_scene, load_craft
+    from ffpose.render.dataset.writer import write_dataset
     from ffpose.render.layers import LAYERS
-    from ffpose.render.writer import write_dataset
 
     expect_folder(options.out)
     scene = get_scene(options.scene)

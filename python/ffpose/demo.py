@@ -23,7 +23,7 @@ from ffpose.evaluation import evaluate
 from ffpose.files import atomic_write
 from ffpose.models.zoo import resolve
 from ffpose.plots import save_figure, training_curves, write_evaluation_figures
-from ffpose.render.writer import write_dataset
+from ffpose.render.dataset.writer import write_dataset
 from ffpose.report import write_report
 from ffpose.results import write_results
 from ffpose.training import RunFolder, TrainConfig, train

@@ -9,9 +9,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.render import dragon, soyuz
-from ffpose.render.materials import Material
-from ffpose.render.mesh import Mesh
+from ffpose.render.spacecraft import dragon, soyuz
+from ffpose.render.spacecraft.materials import Material
+from ffpose.render.spacecraft.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.geometry import Camera
-from ffpose.render.vectors import Floats
+from ffpose.render.shading.vectors import Floats
 
 SUN_RADIUS_RAD = 0.00465
 SUN_RADIANCE = 150.0

@@ -25,10 +25,9 @@ from ffpose.render import (
     label,
     render,
     render_layers,
-    tables,
     write_dataset,
-    writer,
 )
+from ffpose.render.dataset import tables, writer
 from ffpose.render.layers import LAYERS
 
 SIZE = (64, 48)

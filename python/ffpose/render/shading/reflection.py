@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffpose.render.craft import Craft
-from ffpose.render.finish import DRAW, Surface
-from ffpose.render.randomization import stops
-from ffpose.render.tracer import Tracer
-from ffpose.render.vectors import Floats, column, dot, unit
-from ffpose.render.view import View
+from ffpose.render.shading.finish import DRAW, Surface
+from ffpose.render.shading.randomization import stops
+from ffpose.render.shading.tracer import Tracer
+from ffpose.render.shading.vectors import Floats, column, dot, unit
+from ffpose.render.shading.view import View
+from ffpose.render.spacecraft.craft import Craft
 
 EARTH_COLOR = (0.26, 0.31, 0.38)
 """Mean radiance of the sunlit Earth below, clouds and sea together."""

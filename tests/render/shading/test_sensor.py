@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from ffpose.render import SCENES, Randomization, Sensor, render, render_layers
-from ffpose.render.sensor import expose
+from ffpose.render.shading.sensor import expose
 
 SILENT = Sensor(0, 0, 0, 1e9, 0, 0)
 SIZE = (128, 96)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose import arrays
-from ffpose.render.vectors import Floats
+from ffpose.render.shading.vectors import Floats
 
 
 class Earth(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffpose.arrays import instruction_set
-from ffpose.render.earth import Earth, shade_earth
+from ffpose.render.shading.earth import Earth, shade_earth
 from noise_reference import slow_fbm
 
 DEPTH = np.array([[0.07], [0.13], [0.28]])
@@ -159,7 +159,7 @@ def test_number_of_rays_does_not_change_a_bit():
 
 SHADE = """
 import hashlib, numpy as np
-from ffpose.render.earth import Earth, shade_earth
+from ffpose.render.shading.earth import Earth, shade_earth
 rays = np.random.default_rng(0).normal((0, 0, 2), 1, (5000, 3)).T
 rays = (rays / np.linalg.norm(rays, axis=0)).astype(np.float32)
 earth = Earth(np.array([0.0, 0.0, 1.0]), 0.06, np.array([1.0, 0.0, -0.1]), np.eye(3))

@@ -1,10 +1,10 @@
 """Writing sets of images in URSO's layout, in parallel and resumably.
 
-A folder holds ``N_rgb.png``, the label files of `ffpose.render.tables` and ``manifest.json``. Runs
-over parts of a set (shards) may share a folder without a lock: no two of them write the same file,
-and each does the work of its own images alone. The run whose range covers every image in the folder
-closes the set: it writes the label files of all images. Of shards that end at the same time at most
-one sees no images but its own.
+A folder holds ``N_rgb.png``, the label files of `ffpose.render.dataset.tables` and
+``manifest.json``. Runs over parts of a set (shards) may share a folder without a lock: no two of
+them write the same file, and each does the work of its own images alone. The run whose range covers
+every image in the folder closes the set: it writes the label files of all images. Of shards that
+end at the same time at most one sees no images but its own.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from typing import NamedTuple
 from ffpose.errors import require
 from ffpose.files import expect_room, remove_leftovers, sha256
 from ffpose.geometry import Camera
-from ffpose.render.conditions import conditions_of
+from ffpose.render.dataset.conditions import conditions_of
+from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
+from ffpose.render.dataset.pool import Job, prepare, render_all
+from ffpose.render.dataset.tables import write_conditions, write_tables
 from ffpose.render.layers import check_labels, label_files
-from ffpose.render.manifest import FILE_NAME, Manifest, difference, part_name, parts
-from ffpose.render.pool import Job, prepare, render_all
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.tables import write_conditions, write_tables
 from ffpose.urso import image_name, index_of
 
 MAX_COUNT = 10_000_000

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from itertools import product
 
-from ffpose.render.materials import Material, Pattern
-from ffpose.render.mesh import (
+from ffpose.render.spacecraft.materials import Material, Pattern
+from ffpose.render.spacecraft.mesh import (
     Mesh,
     ball,
     box,

@@ -32,7 +32,7 @@ class Material:
         color: Linear RGB reflectance, each in 0…1.
         roughness: GGX roughness in (0, 1].
         metallic: 0 for paint, glass and cloth, 1 for bare metal.
-        emission: Emitted linear RGB radiance, in the unit of `ffpose.render.shading`.
+        emission: Emitted linear RGB radiance, in the unit of `ffpose.render.shading.reflection`.
         pattern: Pattern drawn over the color.
         scale: Size of the pattern in meters.
     """

@@ -10,8 +10,8 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from ffpose.render.noise import fbm
-from ffpose.render.vectors import Floats, column, rotate
+from ffpose.render.shading.noise import fbm
+from ffpose.render.shading.vectors import Floats, column, rotate
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import require
-from ffpose.render.mesh import Mesh
-from ffpose.render.vectors import Floats
+from ffpose.render.shading.vectors import Floats
+from ffpose.render.spacecraft.mesh import Mesh
 
 
 class Hits(NamedTuple):

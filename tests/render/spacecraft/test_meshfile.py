@@ -77,7 +77,7 @@ def test_surface_that_is_no_manifold_is_rendered(tmp_path):
 
 def test_huge_meshes_are_refused(brick, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("ffpose.render.meshfile.MAX_FACES", 11)
+        patch.setattr("ffpose.render.spacecraft.meshfile.MAX_FACES", 11)
         with pytest.raises(ValueError, match=r"brick\.ply: expected at most 11 triangles, got 12"):
             load_craft(brick)
     with (tmp_path / "huge.stl").open("wb") as file:

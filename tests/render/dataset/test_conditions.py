@@ -10,9 +10,9 @@ import pytest
 
 from ffpose.datasets import read_conditions
 from ffpose.render import SCENES, Randomization, label, render, renderer, write_dataset
-from ffpose.render.conditions import conditions_of
-from ffpose.render.earth import Earth, shade_earth
+from ffpose.render.dataset.conditions import conditions_of
 from ffpose.render.renderer import situation
+from ffpose.render.shading.earth import Earth, shade_earth
 
 SIZE = (64, 48)
 INDICES = range(40)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.geometry import Camera, Pose
-from ffpose.render.tracer import Hits, Tracer
-from ffpose.render.vectors import Floats, rotate
+from ffpose.render.shading.tracer import Hits, Tracer
+from ffpose.render.shading.vectors import Floats, rotate
 
 NEAR_M = 0.05
 LEAST_ROWS = 8

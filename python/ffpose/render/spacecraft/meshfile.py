@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import DataError, require
-from ffpose.render.craft import Craft
-from ffpose.render.materials import Material
-from ffpose.render.mesh import Mesh
+from ffpose.render.spacecraft.craft import Craft
+from ffpose.render.spacecraft.materials import Material
+from ffpose.render.spacecraft.mesh import Mesh
 
 FORMATS = (".obj", ".stl", ".ply", ".glb")
 MAX_FACES = 2_000_000

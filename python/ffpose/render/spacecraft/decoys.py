@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffpose.render.craft import Craft
-from ffpose.render.materials import Material, Pattern
-from ffpose.render.mesh import Mesh, ball, box, lathe, merge, tube, turn
+from ffpose.render.spacecraft.craft import Craft
+from ffpose.render.spacecraft.materials import Material, Pattern
+from ffpose.render.spacecraft.mesh import Mesh, ball, box, lathe, merge, tube, turn
 
 METAL, CELLS, WHITE, FOIL, BLANKET, BLACK = range(6)
 COVERS = (METAL, WHITE, FOIL, BLANKET)

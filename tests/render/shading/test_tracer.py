@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from ffpose.geometry import Camera, Pose
-from ffpose.render.mesh import ball, box, dish, lathe, merge, tube, turn
-from ffpose.render.shading import LIFT_M
-from ffpose.render.tracer import Tracer
-from ffpose.render.view import find_window, look
+from ffpose.render.shading.reflection import LIFT_M
+from ffpose.render.shading.tracer import Tracer
+from ffpose.render.shading.view import find_window, look
+from ffpose.render.spacecraft.mesh import ball, box, dish, lathe, merge, tube, turn
 
 CAMERA = Camera(64, 48, 32.0, 32.0, 32.0, 24.0)
 

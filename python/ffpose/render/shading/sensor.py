@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import require
-from ffpose.render.vectors import Floats, dot
+from ffpose.render.shading.vectors import Floats, dot
 
 CURVE_STEPS = 4096
 CURVE_TOP = 4.0

@@ -11,8 +11,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffpose.render.materials import Material, Pattern
-from ffpose.render.mesh import Mesh, ball, box, ellipse_arc, lathe, merge, path_tube, tube, turn
+from ffpose.render.spacecraft.materials import Material, Pattern
+from ffpose.render.spacecraft.mesh import (
+    Mesh,
+    ball,
+    box,
+    ellipse_arc,
+    lathe,
+    merge,
+    path_tube,
+    tube,
+    turn,
+)
 
 MATERIALS = (
     Material((0.80, 0.80, 0.79), 0.45, pattern=Pattern.PANELS, scale=0.62),  # SHELL

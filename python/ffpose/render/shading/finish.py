@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.render.materials import Pattern
-from ffpose.render.noise import fbm
-from ffpose.render.vectors import Floats, column
+from ffpose.render.shading.noise import fbm
+from ffpose.render.shading.vectors import Floats, column
+from ffpose.render.spacecraft.materials import Pattern
 
 Indices = NDArray[np.intp]
 

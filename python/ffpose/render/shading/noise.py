@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ffpose.arrays import fractal_noise
-from ffpose.render.vectors import Floats
+from ffpose.render.shading.vectors import Floats
 
 
 def fbm(points: Floats, octaves: int, gain: float = 0.5) -> Floats:

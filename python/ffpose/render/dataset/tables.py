@@ -13,7 +13,7 @@ from pathlib import Path
 from ffpose import urso
 from ffpose.files import atomic_write
 from ffpose.geometry import CAMERA_FILE, Camera, Pose
-from ffpose.render.conditions import Conditions
+from ffpose.render.dataset.conditions import Conditions
 
 
 def split_of(index: int) -> str:
