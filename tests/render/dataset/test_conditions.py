@@ -12,7 +12,7 @@ from ffpose.datasets import read_conditions
 from ffpose.render import SCENES, Randomization, label, render, renderer, write_dataset
 from ffpose.render.dataset.conditions import conditions_of
 from ffpose.render.renderer import situation
-from ffpose.render.shading.earth import Earth, shade_earth
+from ffpose.render.shading.sky import Earth
 
 SIZE = (64, 48)
 INDICES = range(40)
@@ -42,7 +42,7 @@ def test_earth_is_behind_where_its_shader_hides_the_stars():
         pose, around, _ = situation("soyuz_hard", 2, index)
         ray = (pose.t / np.linalg.norm(pose.t)).astype(np.float32)[:, None]
         earth = Earth(around.nadir, around.altitude, around.sun, around.ground)
-        hidden = shade_earth(earth, ray, pixel_angle=1e-6)[1][0] == 0
+        hidden = earth.shade(ray, pixel_angle=1e-6)[1][0] == 0
         assert conditions_of("soyuz_hard", 2, index).earth_behind == hidden
         found.append(hidden)
     assert 5 < sum(found) < 35

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffpose.arrays import instruction_set
-from ffpose.render.shading.earth import Earth, shade_earth
+from ffpose.render.shading.sky import Earth
 from noise_reference import slow_fbm
 
 DEPTH = np.array([[0.07], [0.13], [0.28]])
@@ -135,7 +135,7 @@ def test_light_is_that_of_the_formulas(seed):
     earth = Earth(random_unit(rng), 0.0628, random_unit(rng), turn, octaves=5)
     rays = random_unit(rng, (4001,)) + 0.9 * earth.nadir[:, None]
     rays = (rays / np.linalg.norm(rays, axis=0)).astype(np.float32)
-    radiance, behind = shade_earth(earth, rays, 1e-2)
+    radiance, behind = earth.shade(rays, 1e-2)
     expected, shows = slow_shade(earth, rays, 1e-2)
     assert 0.2 < (behind == 0).mean() < 0.9
     assert ((behind > 0) & (behind < 1)).sum() > 20
@@ -150,20 +150,20 @@ def test_number_of_rays_does_not_change_a_bit():
     rng = np.random.default_rng(3)
     earth = Earth(random_unit(rng), 0.06, random_unit(rng), np.eye(3))
     rays = random_unit(rng, (640,)).astype(np.float32)
-    whole, shows = shade_earth(earth, rays, 1e-3)
+    whole, shows = earth.shade(rays, 1e-3)
     assert whole.shape == (3, 640)
     assert shows.shape == (640,)
-    half, _ = shade_earth(earth, rays[:, 320:], 1e-3)
+    half, _ = earth.shade(rays[:, 320:], 1e-3)
     np.testing.assert_array_equal(whole[:, 320:], half)
 
 
 SHADE = """
 import hashlib, numpy as np
-from ffpose.render.shading.earth import Earth, shade_earth
+from ffpose.render.shading.sky import Earth
 rays = np.random.default_rng(0).normal((0, 0, 2), 1, (5000, 3)).T
 rays = (rays / np.linalg.norm(rays, axis=0)).astype(np.float32)
 earth = Earth(np.array([0.0, 0.0, 1.0]), 0.06, np.array([1.0, 0.0, -0.1]), np.eye(3))
-light, behind = shade_earth(earth, rays, 1e-3)
+light, behind = earth.shade(rays, 1e-3)
 print(hashlib.sha256(light.tobytes() + behind.tobytes()).hexdigest())
 """
 
@@ -186,4 +186,4 @@ def test_instruction_set_does_not_change_a_bit():
 def test_rays_of_another_shape_are_refused(shape):
     earth = Earth(np.array([0.0, 0.0, 1.0]), 0.06, np.array([1.0, 0.0, 0.0]), np.eye(3))
     with pytest.raises(ValueError, match=r"rays must have shape \(3, N\)"):
-        shade_earth(earth, np.zeros(shape, dtype=np.float32), 1e-3)
+        earth.shade(np.zeros(shape, dtype=np.float32), 1e-3)

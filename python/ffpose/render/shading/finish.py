@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.render.shading.noise import fbm
+from ffpose.arrays import fractal_noise
 from ffpose.render.shading.vectors import Floats, column
 from ffpose.render.spacecraft.materials import Pattern
 
@@ -28,6 +28,21 @@ class Surface(NamedTuple):
     metallic: Floats
     emission: Floats
     normal: Floats
+
+
+def fbm(points: Floats, octaves: int, gain: float = 0.5) -> Floats:
+    """Sum octaves of noise, each at about twice the frequency and `gain` times the amplitude.
+
+    Args:
+        points: (3, N) float32; the first octave has its lattice points 1 apart.
+        octaves: Number of octaves, at least 1.
+        gain: Ratio of successive amplitudes.
+
+    Returns:
+        (N,) float32, scaled to lie within −1…1 (most of it within ±0.5).
+    """
+    heights = gain ** np.arange(octaves)
+    return fractal_noise(points, (heights / heights.sum()).astype(np.float32))
 
 
 def _lines(coordinate: Floats, width: float, footprint: Floats) -> Floats:

@@ -1,10 +1,13 @@
-"""Stars and the sun's disk."""
+"""What is behind the spacecraft: stars, the sun's disk, the Earth seen from low orbit."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose import arrays
 from ffpose.geometry import Camera
 from ffpose.render.shading.vectors import Floats
 
@@ -53,3 +56,34 @@ def sun_disk(sun: NDArray[np.float64], rays: Floats, pixel_angle: float) -> Floa
     inside = np.clip(0.5 - (offset - radius) / pixel_angle, 0, 1)
     result: Floats = (inside * np.float32(SUN_RADIANCE)).astype(np.float32)
     return result
+
+
+class Earth(NamedTuple):
+    """The Earth in the camera frame; lengths in Earth radii.
+
+    Attributes:
+        nadir: (3,) unit vector to the Earth's center.
+        altitude: Height of the camera above the ground.
+        sun: (3,) unit vector to the sun.
+        ground: (3, 3) rotation from the camera frame to the frame of land and clouds.
+        octaves: Noise octaves of the clouds; finer images need more.
+    """
+
+    nadir: NDArray[np.float64]
+    altitude: float
+    sun: NDArray[np.float64]
+    ground: NDArray[np.float64]
+    octaves: int = 6
+
+    def shade(self, rays: Floats, pixel_angle: float) -> tuple[Floats, Floats]:
+        """Compute the radiance that reaches the camera from the Earth and its atmosphere.
+
+        Args:
+            rays: (3, N) unit vectors, camera frame.
+            pixel_angle: Angle that one pixel covers, radians; the limb is smoothed over it.
+
+        Returns:
+            Radiance (3, N), and the transmittance (N,) for what lies behind the Earth.
+        """
+        vectors = self.nadir.tolist(), self.altitude, self.sun.tolist(), self.ground.tolist()
+        return arrays.shade_earth(rays, *vectors, self.octaves, pixel_angle)
