@@ -474,7 +474,8 @@ def bench_arguments(parser: ArgumentParser) -> None:
 
 def bench(options: Namespace) -> None:
     """Measure the filter against torch.fft, or a network in the runtimes it can be deployed in."""
-    from ffpose.bench import deployment, filter, model
+    from ffpose.bench.filter.run import run as run_filter
+    from ffpose.bench.model import attention, deployment
 
     network = options.network or ("tiny" if options.quick else "base")
     deployed = options.subject == "model" and network != "attention"
@@ -484,7 +485,7 @@ def bench(options: Namespace) -> None:
         if options[name] is not None and not deployed:
             raise ValueError(f"--{name}: expected with a network that is deployed")
     if options.subject == "filter":
-        filter.run(options.json, options.plot, options.quick)
+        run_filter(options.json, options.plot, options.quick)
     elif deployed:
         deployment.run(
             network,
@@ -497,7 +498,7 @@ def bench(options: Namespace) -> None:
     elif options.plot is not None:
         raise ValueError("--plot: expected with filter or a network, attention has no plot")
     else:
-        model.run(options.json, options.quick)
+        attention.run(options.json, options.quick)
 
 
 COMMANDS = {

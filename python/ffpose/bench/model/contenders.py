@@ -1,0 +1,139 @@
+"""The contenders of a deployment: one network in torch and in the runtimes that take its graph."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ffpose.bench.model.graphs import Graph, GraphKind, with_torch_fft
+from ffpose.bench.model.networks import BEFORE, with_built_in_attention
+from ffpose.bench.model.subjects import Subject
+from ffpose.onnx.backends import open_session
+from ffpose.onnx.exporter import relative_differences, tensors_of
+from ffpose.onnx.pose_graph import pose_differences
+
+TORCH = "torch"
+TORCH_BEFORE = f"torch, {BEFORE}"
+TORCH_FFT = "torch, torch.fft"
+TORCH_AUTOCAST = "torch, bfloat16 autocast"
+TORCH_BFLOAT16 = "torch, bfloat16"
+COMPILED = "torch.compile"
+CUSTOM = "ONNX Runtime, custom operator"
+MATMUL = "ONNX Runtime, matmul"
+DFT = "ONNX Runtime, torch's DFT export"
+WITHOUT = "ONNX Runtime, without filters"
+PLAIN = "ONNX Runtime"
+OPENVINO = "OpenVINO"
+OPENVINO_BFLOAT16 = "OpenVINO, bfloat16"
+
+GRAPH_OF: Mapping[str, GraphKind] = {
+    CUSTOM: "custom",
+    PLAIN: "custom",
+    MATMUL: "matmul",
+    DFT: "dft",
+    WITHOUT: "without",
+    OPENVINO: "matmul",
+    OPENVINO_BFLOAT16: "matmul",
+}
+"""The graph that a contender runs; the others run the module."""
+
+LESS_PRECISE = (TORCH_AUTOCAST, TORCH_BFLOAT16, OPENVINO_BFLOAT16)
+APART = 1e-3
+"""Largest difference of float32 contenders that counts as rounding; `ffpose export` asks for less
+on batches of its own."""
+
+Outputs = Mapping[str, NDArray[Any]]
+Call = Callable[[], Outputs]
+
+
+def contenders(
+    subject: Subject,
+    graphs: Mapping[GraphKind, Graph],
+    names: Sequence[str],
+    batch: int,
+    threads: int,
+) -> dict[str, Call]:
+    """Return the calls of the contenders, each from the same images to outputs by name.
+
+    torch's number of threads is the caller's to set.
+    """
+    images = subject.images(batch)
+    return {
+        name: _in_runtime(name, graphs[GRAPH_OF[name]], images, threads)
+        if name in GRAPH_OF
+        else _in_torch(name, subject, images)
+        for name in names
+    }
+
+
+def _in_runtime(name: str, graph: Graph, images: Tensor, threads: int) -> Call:
+    session = open_session(
+        graph.path,
+        graph.filter,
+        backend="openvino" if name in (OPENVINO, OPENVINO_BFLOAT16) else "onnxruntime",
+        threads=threads,
+        precision="bfloat16" if name == OPENVINO_BFLOAT16 else "float32",
+    )
+    array = images.numpy()
+    return lambda: session.run(array)
+
+
+def _in_torch(name: str, subject: Subject, images: Tensor) -> Call:
+    model: Any = _module(name, subject.model)
+    if name == TORCH_BFLOAT16:
+        images = images.bfloat16()
+
+    def call() -> Outputs:
+        autocast = torch.autocast("cpu", torch.bfloat16, enabled=name == TORCH_AUTOCAST)
+        with torch.inference_mode(), autocast:
+            leaves = tensors_of(model(images))
+        arrays = (leaf.float().numpy() for leaf in leaves)
+        return dict(zip(subject.outputs, arrays, strict=True))
+
+    return call
+
+
+def _module(name: str, model: nn.Module) -> Any:
+    match name:
+        case _ if name == TORCH_BEFORE:
+            return with_built_in_attention(model)
+        case _ if name == TORCH_FFT:
+            return with_torch_fft(model)
+        case _ if name == TORCH_BFLOAT16:
+            return copy.deepcopy(model).bfloat16()
+        case _ if name == COMPILED:
+            return torch.compile(copy.deepcopy(model), dynamic=False)
+        case _:
+            return model
+
+
+def differences(calls: Mapping[str, Call], baseline: str) -> dict[str, float | None]:
+    """Return each contender's largest difference of outputs from the baseline's.
+
+    Metres of translations and quaternions of one sign; relative to the largest number otherwise.
+    None for the contender without filters, which computes something else.
+
+    Raises:
+        RuntimeError: A float32 contender differs by more than `APART`, or gives NaN.
+    """
+    expected = calls[baseline]()
+    found: dict[str, float | None] = {}
+    for name, call in calls.items():
+        if name == WITHOUT:
+            found[name] = None
+            continue
+        apart = pose_differences if "orientation" in expected else relative_differences
+        found[name] = largest = float(np.max([*apart(_named(call(), expected), expected).values()]))
+        if not largest <= (np.inf if name in LESS_PRECISE else APART):
+            raise RuntimeError(f"the outputs by {name} differ from {baseline}'s by {largest:.1e}")
+    return found
+
+
+def _named(outputs: Outputs, like: Outputs) -> Outputs:
+    return dict(zip(like, outputs.values(), strict=True))
