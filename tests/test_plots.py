@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 from ffpose.datasets import open_dataset
 from ffpose.evaluation import Evaluation
+from ffpose.figures import save_figure
 from ffpose.plots import (
     GALLERY_TILE,
     draw_prediction,
@@ -16,7 +17,6 @@ from ffpose.plots import (
     errors_by_distance,
     predicted_angles,
     reliability_diagram,
-    save_figure,
     training_curves,
     worst_gallery,
     write_evaluation_figures,

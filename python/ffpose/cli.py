@@ -175,7 +175,8 @@ def with_recipe(words: list[str]) -> list[str]:
 def train(options: Namespace) -> None:
     """Train a model."""
     expect_folder(options.out)
-    from ffpose.plots import save_figure, training_curves
+    from ffpose.figures import save_figure
+    from ffpose.plots import training_curves
     from ffpose.training import TrainConfig
     from ffpose.training.engine import train as run
 

@@ -20,9 +20,10 @@ from ffpose.demo_config import DemoConfig
 from ffpose.demo_record import DemoRecord
 from ffpose.demo_report import SHIPPED, Outcome, Weights, document, page
 from ffpose.evaluation import evaluate
+from ffpose.figures import save_figure
 from ffpose.files import atomic_write
 from ffpose.models.zoo import resolve
-from ffpose.plots import save_figure, training_curves, write_evaluation_figures
+from ffpose.plots import training_curves, write_evaluation_figures
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.report import write_report
 from ffpose.results import write_results

@@ -29,7 +29,7 @@ from ffpose.datasets import (
     list_splits,
     read_records,
 )
-from ffpose.errors import require
+from ffpose.figures import new_figure, save_figure, style_axes
 from ffpose.files import atomic_write
 from ffpose.geometry import FloatArray
 from ffpose.overlay import draw_axes
@@ -270,9 +270,7 @@ def _write_histograms(
     path: Path, quantities: Sequence[_Quantity], values: Mapping[str, FloatArray]
 ) -> None:
     """Draw a histogram of each quantity with the splits stacked; values are (N, quantities)."""
-    figure = require("matplotlib.figure", "pose").Figure(
-        figsize=(3.4 * len(quantities), 3.2), layout="constrained"
-    )
+    figure = new_figure(3.4 * len(quantities), 3.2)
     for place, (quantity, axes) in enumerate(
         zip(quantities, figure.subplots(1, len(quantities)), strict=True)
     ):
@@ -286,9 +284,8 @@ def _write_histograms(
         if quantity.edges is not None:
             axes.set_xticks(quantity.edges[::4])
         axes.set_xlabel(f"{quantity.name} [{quantity.unit}]")
-        axes.spines[["top", "right"]].set_visible(False)
+        style_axes(axes, grid=None)
     figure.axes[0].set_ylabel("images")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
-    with atomic_write(path) as temporary:
-        figure.savefig(temporary, dpi=150)
+    save_figure(figure, path, dpi=150)

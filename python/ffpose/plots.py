@@ -1,4 +1,4 @@
-"""Figures of training and evaluation; each function returns a figure, `save_figure` writes it."""
+"""Figures of training and evaluation; each function returns a figure."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 from PIL import Image
 
 from ffpose.calibration import CURVE, coverage
-from ffpose.errors import require
 from ffpose.evaluation import Evaluation
-from ffpose.files import atomic_write
+from ffpose.figures import new_figure, save_figure, style_axes
 from ffpose.geometry import FloatArray
 from ffpose.overlay import draw_axes
 
@@ -28,12 +27,6 @@ TRUTH_COLORS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
 GALLERY_TILE = (480, 360)
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write ``figure`` atomically in the format of the suffix."""
-    with atomic_write(path) as temporary:
-        figure.savefig(temporary, dpi=120)
-
-
 def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
     """Plot the loss and the validation errors over the epochs.
 
@@ -45,7 +38,7 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
     """
     if not history:
         raise ValueError("training curves: expected at least one epoch, got none")
-    figure = _figure(10.5, 2.9)
+    figure = new_figure(10.5, 2.9)
     epochs = [float(row["epoch"]) for row in history]
     panels = (
         ("train_loss", "training loss"),
@@ -64,7 +57,7 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
 
 def error_cdf(evaluation: Evaluation) -> Figure:
     """Plot the cumulative distribution of each error, for model and baseline."""
-    figure = _figure(9.0, 6.4)
+    figure = new_figure(9.0, 6.4)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
         for values, label, color in (
             (pair.model, "model", MODEL_COLOR),
@@ -83,7 +76,7 @@ def error_cdf(evaluation: Evaluation) -> Figure:
 
 def error_histograms(evaluation: Evaluation) -> Figure:
     """Plot histograms of the errors, as in the paper's Figure 8."""
-    figure = _figure(9.0, 6.0)
+    figure = new_figure(9.0, 6.0)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
         edges = np.linspace(0.0, max(pair.model.max(), pair.baseline.max()), 41)
         axes.hist(pair.baseline, edges, color=BASELINE_COLOR, alpha=0.55, label="mean pose")
@@ -97,7 +90,7 @@ def error_histograms(evaluation: Evaluation) -> Figure:
 
 def errors_by_distance(evaluation: Evaluation) -> Figure:
     """Plot each image's errors over the distance of the object."""
-    figure = _figure(9.0, 6.0)
+    figure = new_figure(9.0, 6.0)
     distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
     for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
         axes.scatter(distance, pair.model, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
@@ -110,7 +103,7 @@ def errors_by_distance(evaluation: Evaluation) -> Figure:
 
 def predicted_angles(evaluation: Evaluation) -> Figure:
     """Plot predicted over true roll, pitch and yaw: a line if they are learned, else a band."""
-    figure = _figure(10.5, 3.6)
+    figure = new_figure(10.5, 3.6)
     limits = {"roll": 180, "pitch": 90, "yaw": 180}
     panels = zip(
         figure.subplots(1, 3), limits.items(), *(a.T for a in evaluation.angles), strict=True
@@ -133,7 +126,7 @@ def reliability_diagram(evaluation: Evaluation) -> Figure:
     """
     if not evaluation.region_probabilities:
         raise ValueError("reliability diagram: expected an evaluation with covariances, got none")
-    figure = _figure(4.6, 4.2)
+    figure = new_figure(4.6, 4.2)
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color=BASELINE_COLOR, linewidth=0.8, label="calibrated")
     for (name, probability), style in zip(
@@ -180,7 +173,7 @@ def typical_gallery(evaluation: Evaluation, count: int = 8) -> Figure:
 
 def _gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) -> Figure:
     rows = -(-len(indices) // columns)
-    figure = _figure(3.0 * columns, 2.5 * rows)
+    figure = new_figure(3.0 * columns, 2.5 * rows)
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes in grid:
         axes.set_axis_off()
@@ -233,16 +226,6 @@ def _error_pairs(evaluation: Evaluation) -> list[_ErrorPair]:
     ]
 
 
-def _figure(width: float, height: float) -> Figure:
-    """Return an empty figure, size in inches, that is not in pyplot's global list."""
-    figure: Figure = require("matplotlib.figure", "pose").Figure(
-        figsize=(width, height), layout="constrained"
-    )
-    return figure
-
-
 def _title(axes: Axes, text: str) -> None:
     axes.set_title(text, fontsize=10, loc="left")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(visible=True, color="#e6e8ec", linewidth=0.8)
-    axes.set_axisbelow(True)
+    style_axes(axes)
