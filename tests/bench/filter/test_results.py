@@ -1,17 +1,20 @@
 import pytest
 
-from ffpose.bench.filter.cases import COPY, HALF, OURS, TORCH, Case
+from ffpose.bench.filter.cases import COPY, HALF, TORCH, Case
 from ffpose.bench.filter.children import Setting
-from ffpose.bench.filter.measure import Measurement
 from ffpose.bench.filter.results import (
     bring_together,
     gains_of_threads,
+    geometric_mean,
     group_means,
     half_over_single,
+    operations,
     over_copy,
     overheads,
+    traffic,
 )
-from ffpose.bench.timing import Timing
+from ffpose.bench.filter.worker import Measurement
+from ffpose.bench.timing import OURS, Timing
 
 GRID = (14, 14, 256)
 
@@ -87,3 +90,24 @@ def test_overhead_is_what_does_not_grow_with_the_batch():
     )
     assert overhead.arithmetic == pytest.approx(1e-6)
     assert (overhead.call, overhead.torch_call) == (5e-6, 50e-6)
+
+
+def test_geometric_mean_by_hand():
+    assert geometric_mean([1.0, 2.0, 4.0]) == pytest.approx(2.0)
+    assert geometric_mean([3.0, 12.0]) == pytest.approx(6.0)
+
+
+def test_operations_by_hand():
+    # 16 points: a transform is 2.5 · 16 · 4 = 160; half spectrum 4 · 3 = 12 numbers.
+    assert operations(Case("grid", (4, 4, 1), 1)) == 2 * 160 + 6 * 12
+    assert operations(Case("grid", (4, 4, 5), 2)) == 10 * (2 * 160 + 6 * 12)
+    assert operations(Case("tokens", (4, 4), 3, "forward+backward")) == 3 * (4 * 160 + 20 * 12)
+    # 8 points: 2.5 · 8 · 3 = 60; half spectrum 5 numbers.
+    assert operations(Case("sequence", (8, 2), 1)) == 2 * (2 * 60 + 6 * 5)
+
+
+def test_traffic_by_hand():
+    # x and y 2 · 4 · 4 · 3 floats each, weight 4 · 3 · 3 · 2 floats.
+    assert traffic(Case("grid", (4, 4, 3), 2)) == 4 * (2 * 96 + 72)
+    assert traffic(Case("grid", (4, 4, 3), 2, "forward+backward")) == 4 * (5 * 96 + 3 * 72)
+    assert traffic(Case("sequence", (8, 2), 1)) == 4 * (2 * 16 + 5 * 2 * 2)

@@ -3,9 +3,10 @@ import pytest
 import torch
 from scipy import fft
 
-from ffpose.bench.filter.cases import HALF, MATRICES, OURS, SCIPY, TORCH, Case
-from ffpose.bench.filter.measure import measure
+from ffpose.bench.filter.cases import HALF, MATRICES, SCIPY, TORCH, Case
 from ffpose.bench.filter.rivals import DIMS, Inputs, contenders
+from ffpose.bench.filter.worker import measure
+from ffpose.bench.timing import OURS
 
 CASES = [
     ("grid", (4, 6, 3)),

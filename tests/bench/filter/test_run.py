@@ -15,9 +15,9 @@ import torch
 from ffpose.arrays import instruction_set
 from ffpose.bench.filter import children
 from ffpose.bench.filter import run as bench
-from ffpose.bench.filter.cases import MATRICES, OURS, SCIPY, TORCH, Case, overhead_cases
-from ffpose.bench.filter.plan import Plan
+from ffpose.bench.filter.cases import MATRICES, SCIPY, TORCH, Case, Plan, overhead_cases
 from ffpose.bench.filter.worker import Request
+from ffpose.bench.timing import OURS
 
 
 def tiny_plan():

@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import nn
 
-from ffpose.bench.filter.cases import OURS
 from ffpose.bench.model import attention as bench
 from ffpose.bench.model.attention import NetworkPlan, NetworkResult
 from ffpose.bench.model.networks import (
@@ -21,7 +20,7 @@ from ffpose.bench.model.networks import (
     networks,
     random_images,
 )
-from ffpose.bench.timing import Timing
+from ffpose.bench.timing import OURS, Timing
 from ffpose.cli import main
 from ffpose.config import CONFIGS
 from ffpose.nn.filterformer import SelfAttention

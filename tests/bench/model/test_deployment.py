@@ -13,12 +13,13 @@ import torch
 from PIL import Image
 
 from ffpose.bench.model import contenders as serving
-from ffpose.bench.model import deployment, starts
+from ffpose.bench.model import deployment
 from ffpose.bench.model import plan as deployment_plan
 from ffpose.bench.model.contenders import (
     COMPILED,
     CUSTOM,
     DFT,
+    GRAPH_KINDS,
     MATMUL,
     OPENVINO,
     PLAIN,
@@ -27,12 +28,20 @@ from ffpose.bench.model.contenders import (
     TORCH_BFLOAT16,
     TORCH_FFT,
     WITHOUT,
+    with_torch_fft,
+    write_graphs,
 )
-from ffpose.bench.model.gfnet import GlobalFilterNetwork
-from ffpose.bench.model.graphs import GRAPH_KINDS, with_torch_fft, write_graphs
+from ffpose.bench.model.pipeline import (
+    STAGES,
+    TOTAL,
+    ColdStart,
+    Pipeline,
+    Start,
+    measure_starts,
+    write_image,
+)
 from ffpose.bench.model.plan import DeploymentPlan, make_plan
-from ffpose.bench.model.stages import STAGES, TOTAL, Pipeline, write_image
-from ffpose.bench.model.subjects import GFNET, subject
+from ffpose.bench.model.subjects import GFNET, GlobalFilterNetwork, subject
 from ffpose.cli import main
 from ffpose.config import CONFIGS
 from ffpose.nn import GlobalFilter
@@ -66,7 +75,7 @@ def _speck(monkeypatch):
 def test_run_prints_tables_and_writes_document_and_picture(tmp_path, monkeypatch, capsys):
     plan = DeploymentPlan(NAMES_HERE, (1, 2), (1,), 0.001, 1, ["a note"])
     monkeypatch.setattr(deployment, "make_plan", lambda *_: plan)
-    cold = {TORCH: starts.ColdStart(4.0, 8e8, 1), MATMUL: starts.ColdStart(1.0, 2e8, 1)}
+    cold = {TORCH: ColdStart(4.0, 8e8, 1), MATMUL: ColdStart(1.0, 2e8, 1)}
     monkeypatch.setattr(deployment, "measure_starts", lambda *_: cold)
     begun = torch.get_num_threads()
     words = ["--json", str(tmp_path / "d.json"), "--plot", str(tmp_path / "d.png")]
@@ -135,8 +144,8 @@ def test_pipelines_and_a_new_process_give_one_pose(tmp_path):
     )
     write_image(tmp_path / "a.png")
     image = Image.open(tmp_path / "a.png")
-    cold = starts.measure_starts(
-        {"ours": starts.Start("onnxruntime", graphs["matmul"].path)}, tmp_path / "a.png", 1, 2
+    cold = measure_starts(
+        {"ours": Start("onnxruntime", graphs["matmul"].path)}, tmp_path / "a.png", 1, 2
     )["ours"]
     assert cold.runs == 2
     assert 1e7 < cold.peak_bytes < 1e9
@@ -201,17 +210,17 @@ def test_a_contender_that_computes_something_else_is_refused(tmp_path, monkeypat
 
 
 def test_a_process_that_fails_is_named(tmp_path):
-    broken = {"ours": starts.Start("onnxruntime", tmp_path / "nowhere.onnx")}
+    broken = {"ours": Start("onnxruntime", tmp_path / "nowhere.onnx")}
     with pytest.raises(RuntimeError, match=r"the process of ours failed: .*nowhere\.onnx"):
-        starts.measure_starts(broken, tmp_path / "a.png", 1, 1)
+        measure_starts(broken, tmp_path / "a.png", 1, 1)
 
 
 @pytest.mark.slow
 def test_a_process_in_torch_gives_a_pose(tmp_path):
     measured = subject("speck", tmp_path)
     write_image(tmp_path / "a.png")
-    both = {"torch": starts.Start("torch", measured.weights)}
-    (found,) = starts.measure_starts(both, tmp_path / "a.png", 1, 1).values()
+    both = {"torch": Start("torch", measured.weights)}
+    (found,) = measure_starts(both, tmp_path / "a.png", 1, 1).values()
     assert found.peak_bytes > 2e8
 
 

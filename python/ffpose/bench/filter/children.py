@@ -12,8 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from typing import IO, Any
 
-from ffpose.bench.filter.measure import Measurement
-from ffpose.bench.filter.worker import Request
+from ffpose.bench.filter.worker import Measurement, Request
 from ffpose.bench.machine import Peak
 
 ALLOCATORS: Mapping[str, Mapping[str, str]] = {

@@ -12,14 +12,11 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from ffpose.bench.filter.cases import Plan, make_plan
 from ffpose.bench.filter.children import ALLOCATORS, Opening, Setting, run_child
-from ffpose.bench.filter.document import make_document
-from ffpose.bench.filter.measure import Measurement
-from ffpose.bench.filter.plan import Plan, make_plan
-from ffpose.bench.filter.plot import draw
+from ffpose.bench.filter.report import draw, make_document, print_tables
 from ffpose.bench.filter.results import bring_together
-from ffpose.bench.filter.tables import print_tables
-from ffpose.bench.filter.worker import Request
+from ffpose.bench.filter.worker import Measurement, Request
 from ffpose.bench.output import expect_places, make_progress, write_document
 
 

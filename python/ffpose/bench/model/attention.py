@@ -14,10 +14,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import torch
 from rich.table import Table
 
-from ffpose.bench.filter.cases import OURS
 from ffpose.bench.machine import bfloat16_instructions, cores, environment
 from ffpose.bench.model.networks import (
     BEFORE,
@@ -35,9 +33,10 @@ from ffpose.bench.output import (
     make_console,
     make_progress,
     make_table,
+    print_notes,
     write_document,
 )
-from ffpose.bench.timing import Timing, interleave
+from ffpose.bench.timing import OURS, Timing, interleave, torch_threads
 
 MODELS = ("base", "small", "tiny")
 LEGEND = (
@@ -125,16 +124,12 @@ def measure(case: NetworkCase, seconds: float) -> NetworkResult:
     Raises:
         RuntimeError: The contenders compute different poses.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(case.threads)
-    try:
+    with torch_threads(case.threads):
         models = networks(case.model)
         images = random_images(models[OURS], case.batch)
         difference = largest_difference(models, images)
         taking_part = {name: contender(model, images, case) for name, model in models.items()}
         return NetworkResult(case, interleave(taking_part, seconds), difference)
-    finally:
-        torch.set_num_threads(before)
 
 
 def _measured(plan: NetworkPlan) -> Iterator[NetworkResult]:
@@ -155,8 +150,7 @@ def print_results(results: Sequence[NetworkResult], notes: Sequence[str]) -> Non
         heading = f"{in_threads(threads)}: ffpose {about['ffpose']}, torch {about['torch']}"
         chosen = [each for each in results if each.case.threads == threads]
         console.print(_table(chosen, f"{heading}, {about['processor']}"))
-    for line in (*LEGEND, *notes):
-        console.print(f"- {line}", markup=False)
+    print_notes(console, (*LEGEND, *notes))
 
 
 def _table(results: Sequence[NetworkResult], heading: str) -> Table:

@@ -2,7 +2,7 @@
 
 Latency of the network alone, of image file to pose by stages, and of a new process to its first
 pose with its peak memory. The contenders of a case take turns in this process
-(`ffpose.bench.latency`), so that other load on the machine affects them alike: ratios are more
+(`ffpose.bench.timing`), so that other load on the machine affects them alike: ratios are more
 reliable than milliseconds. A runtime that is not installed is a note.
 """
 
@@ -14,27 +14,31 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-import torch
-
-from ffpose.bench.latency import Latency, percentiles, take_turns, timed
 from ffpose.bench.model.contenders import (
     CUSTOM,
     GRAPH_OF,
     OPENVINO,
     PLAIN,
     TORCH,
+    Graph,
+    GraphKind,
     contenders,
     differences,
+    write_graphs,
 )
-from ffpose.bench.model.document import make_document
-from ffpose.bench.model.graphs import Graph, GraphKind, write_graphs
+from ffpose.bench.model.pipeline import (
+    ColdStart,
+    Pipeline,
+    Start,
+    measure_stages,
+    measure_starts,
+    write_image,
+)
 from ffpose.bench.model.plan import DeploymentPlan, make_plan
-from ffpose.bench.model.plot import draw
-from ffpose.bench.model.stages import Pipeline, measure_stages, write_image
-from ffpose.bench.model.starts import ColdStart, Start, measure_starts
+from ffpose.bench.model.report import draw, make_document, print_results
 from ffpose.bench.model.subjects import Subject, subject
-from ffpose.bench.model.tables import print_results
 from ffpose.bench.output import expect_places, in_threads, make_progress, write_document
+from ffpose.bench.timing import Latency, percentiles, take_turns, timed, torch_threads
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,6 @@ def measure(
         batches: As `run`.
         threads: As `run`.
     """
-    before = torch.get_num_threads()
     measured = subject(network, folder)
     plan = make_plan(measured, quick, batches, threads)
     cases = list(product(plan.threads, plan.batches))
@@ -138,20 +141,16 @@ def measure(
             output_names=measured.outputs,
         )
         results, stages = [], {}
-        try:
-            for count, batch in cases:
-                words = f"{network}, batch {batch}, {in_threads(count)}"
-                progress.update(task, advance=1, description=words)
-                torch.set_num_threads(count)
+        for count, batch in cases:
+            words = f"{network}, batch {batch}, {in_threads(count)}"
+            progress.update(task, advance=1, description=words)
+            with torch_threads(count):
                 results.append(_measure_case(measured, graphs, plan, batch, count))
-            for count in plan.threads if measured.weights is not None else ():
-                progress.update(
-                    task, advance=1, description=f"image file to pose, {in_threads(count)}"
-                )
-                torch.set_num_threads(count)
+        for count in plan.threads if measured.weights is not None else ():
+            words = f"image file to pose, {in_threads(count)}"
+            progress.update(task, advance=1, description=words)
+            with torch_threads(count):
                 stages[count] = _measure_stages(measured, graphs, plan, folder, count)
-        finally:
-            torch.set_num_threads(before)
         progress.update(task, advance=1, description="new processes")
         starts = _measure_starts(measured, graphs, plan, folder)
     return DeploymentResults(network, plan.names[0], results, stages, starts, plan.notes)

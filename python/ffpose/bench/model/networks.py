@@ -14,8 +14,7 @@ from typing import Literal, TypeVar, get_args
 import torch
 from torch import Tensor, nn
 
-from ffpose.bench.filter.cases import OURS
-from ffpose.bench.timing import Contender
+from ffpose.bench.timing import OURS, Contender
 from ffpose.models import FilterformerPose
 from ffpose.nn.filterformer import SelfAttention
 

@@ -1,4 +1,4 @@
-"""Child process of `ffpose.bench.model.starts`: from start to first pose, and its peak memory.
+"""Child process of `ffpose.bench.model.pipeline`: from start to first pose, and its peak memory.
 
 ``python -m ffpose.bench.model.start RUNTIME FILE IMAGE THREADS`` prints one JSON document. It
 imports what that runtime needs and nothing else, as a program of a user would.

@@ -1,15 +1,15 @@
 import pytest
 
 from ffpose.arrays import instruction_set
-from ffpose.bench.filter import plan
+from ffpose.bench.filter import cases as bench
 from ffpose.bench.filter.cases import COMPILED, COPY, HALF, SCIPY, Case
 
 
 def test_the_whole_table(monkeypatch):
     monkeypatch.delenv("FFPOSE_ISA", raising=False)
-    monkeypatch.setattr(plan, "instruction_set", lambda: "avx512")
-    monkeypatch.setattr(plan, "cores", lambda: 2)
-    made = plan.make_plan(quick=False)
+    monkeypatch.setattr(bench, "instruction_set", lambda: "avx512")
+    monkeypatch.setattr(bench, "cores", lambda: 2)
+    made = bench.make_plan(quick=False)
     assert list(made.cases) == ["avx512", "avx2", "scalar"]
     one_thread = [case for case in made.cases["avx512"] if case.threads == 1]
     assert len({(case.kind, case.size) for case in one_thread}) == 28 + 1
@@ -20,19 +20,19 @@ def test_the_whole_table(monkeypatch):
 
 @pytest.mark.parametrize(("cores", "threads"), [(1, {1}), (2, {1, 2}), (16, {1, 2, 16})])
 def test_two_threads_are_measured_and_as_many_as_there_are_cores(monkeypatch, cores, threads):
-    monkeypatch.setattr(plan, "cores", lambda: cores)
-    cases = plan.make_plan(quick=False).cases[instruction_set()]
+    monkeypatch.setattr(bench, "cores", lambda: cores)
+    cases = bench.make_plan(quick=False).cases[instruction_set()]
     assert {case.threads for case in cases} == threads
     assert len({case.label for case in cases if case.threads == max(threads)}) > 50
 
 
 def test_a_forced_instruction_set_is_the_only_one(monkeypatch):
     monkeypatch.setenv("FFPOSE_ISA", instruction_set())
-    assert list(plan.make_plan(quick=False).cases) == [instruction_set()]
+    assert list(bench.make_plan(quick=False).cases) == [instruction_set()]
 
 
 def test_who_takes_part():
-    (largest, other) = plan.with_rivals(
+    (largest, other) = bench.with_rivals(
         [Case("grid", (28, 28, 256), 32), Case("sequence", (50, 64), 1)],
         frozenset((SCIPY, COMPILED)),
     )
@@ -43,8 +43,8 @@ def test_who_takes_part():
 
 def test_without_a_compiler_or_scipy_it_says_so(monkeypatch):
     monkeypatch.setenv("CXX", "a-compiler-that-there-is-not")
-    monkeypatch.setattr(plan.importlib.util, "find_spec", lambda name: None)
-    rivals, notes = plan.available_rivals(quick=False)
+    monkeypatch.setattr(bench.importlib.util, "find_spec", lambda name: None)
+    rivals, notes = bench.available_rivals(quick=False)
     assert not {COMPILED, SCIPY} & rivals
     assert any("C++ compiler" in note for note in notes)
     assert any("SciPy is not installed" in note for note in notes)
