@@ -6,7 +6,6 @@ import platform
 import shlex
 import sys
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ import ffpose
 from ffpose.arrays import instruction_set
 from ffpose.demo_config import DemoConfig
 from ffpose.evaluation import Evaluation
+from ffpose.machine import package_versions
 from ffpose.report import Report
 from ffpose.training.checkpoint import Row
 
@@ -61,12 +61,11 @@ class Outcome(NamedTuple):
 
 def versions() -> dict[str, str]:
     """Return the versions and the machine facts that the measurements depend on."""
-    packages = ("torch", "timm", "numpy", "embreex")
     return {
         "ffpose": ffpose.__version__,
         "instruction set": instruction_set(),
         "python": platform.python_version(),
-        **{name: metadata.version(name) for name in packages},
+        **package_versions("torch", "timm", "numpy", "embreex"),
         "platform": platform.platform(),
     }
 

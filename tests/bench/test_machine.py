@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from ffpose.bench.machine import bfloat16_instructions, environment
+from ffpose.bench.machine import environment
+from ffpose.machine import bfloat16_instructions
 
 CPUINFO = Path("/proc/cpuinfo")
 

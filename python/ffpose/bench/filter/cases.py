@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 from ffpose.arrays import instruction_set
-from ffpose.bench.machine import cores
 from ffpose.bench.timing import OURS
+from ffpose.machine import cores
 
 Kind = Literal["grid", "tokens", "sequence"]
 Work = Literal["forward", "forward+backward", "recorded"]

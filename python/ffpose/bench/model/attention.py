@@ -16,7 +16,7 @@ from typing import Any
 
 from rich.table import Table
 
-from ffpose.bench.machine import bfloat16_instructions, cores, environment
+from ffpose.bench.machine import environment
 from ffpose.bench.model.networks import (
     BEFORE,
     PRECISIONS,
@@ -37,6 +37,7 @@ from ffpose.bench.output import (
     write_document,
 )
 from ffpose.bench.timing import OURS, Timing, interleave, torch_threads
+from ffpose.machine import bfloat16_instructions, cores
 
 MODELS = ("base", "small", "tiny")
 LEGEND = (

@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ffpose.bench.machine import bfloat16_instructions, cores
 from ffpose.bench.model.contenders import (
     COMPILED,
     CUSTOM,
@@ -25,6 +24,7 @@ from ffpose.bench.model.contenders import (
     WITHOUT,
 )
 from ffpose.bench.model.subjects import Subject
+from ffpose.machine import bfloat16_instructions, cores
 from ffpose.onnx.library import get_library_path
 
 BATCHES = (1, 8)

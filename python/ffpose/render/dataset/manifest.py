@@ -11,12 +11,12 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from ffpose.errors import DataError
 from ffpose.files import atomic_write
+from ffpose.machine import package_versions
 from ffpose.render.layers import coordinates_limit
 from ffpose.render.scene import Scene
 
@@ -55,7 +55,7 @@ class Manifest:
         if "coordinates" in labels:
             parameters["coordinates_limit_m"] = coordinates_limit(scene.build())
         # Through JSON, so that it compares equal to one that was read.
-        return cls(json.loads(json.dumps(parameters)), {name: _version(name) for name in PACKAGES})
+        return cls(json.loads(json.dumps(parameters)), package_versions(*PACKAGES))
 
     @classmethod
     def read(cls, path: Path) -> Manifest | None:
@@ -111,10 +111,3 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         name = f"{prefix}{key}"
         flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
     return flat
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
