@@ -47,21 +47,14 @@ ALLOWED = {
         *("models", "metrics", "datasets", "geometry", "preprocessing", "reprojection", "arrays"),
         *("attitude", "baseline", "breakdown", "calibration", "significance"),
     },
-    "results": {"evaluation"},
     "overlay": {"geometry"},
     "prediction": {"models", "onnx", "predictor", "geometry", "arrays", "overlay"},
     "predictor": {"models", "geometry", "preprocessing", "reprojection"},
     "onnx": {"ops", "models", "config", "geometry", "preprocessing", "reprojection", "arrays"},
-    "plots": {"evaluation", "calibration", "geometry", "datasets", "overlay"},
     "inspection": {"datasets", "geometry", "arrays", "overlay", "preprocessing"},
-    "pictures": set(),
-    "card_tables": set(),
-    "card_figures": {
+    "card": {
         *("geometry", "attitude", "calibration", "significance", "metrics", "prediction"),
-    },
-    "model_card": {
-        *("card_figures", "card_tables", "pictures", "predictor", "models", "geometry"),
-        *("baseline", "evaluation", "render", "training"),
+        *("predictor", "models", "baseline", "evaluation", "render", "training"),
     },
     "ablation": {
         "config",
@@ -72,11 +65,7 @@ ALLOWED = {
         "training",
         "transforms",
     },
-    "report_tables": set(),
-    "report": {"evaluation", "plots", "report_tables", "geometry"},
-    "demo_config": {"datasets", "render", "training"},
-    "demo_record": set(),
-    "demo_report": {"arrays", "demo_config", "evaluation", "report", "training"},
+    "report": {"evaluation", "calibration", "geometry", "datasets", "overlay"},
     "render": {"geometry", "arrays", "views"},
     "bench": {
         *("ops", "arrays", "models", "nn", "config", "onnx", "geometry", "preprocessing"),

@@ -66,8 +66,8 @@ def demo_arguments(parser: ArgumentParser) -> None:
 
 def demo(options: Namespace) -> None:
     """Predict the poses of unseen images, and write a report."""
-    from ffpose.demo import run
-    from ffpose.demo_config import DemoConfig
+    from ffpose.demo.config import DemoConfig
+    from ffpose.demo.run import run
 
     out = options.out or Path("runs/demo-train" if options.train else "runs/demo")
     expect_folder(out)
@@ -176,7 +176,7 @@ def train(options: Namespace) -> None:
     """Train a model."""
     expect_folder(options.out)
     from ffpose.figures import save_figure
-    from ffpose.plots import training_curves
+    from ffpose.report.plots import training_curves
     from ffpose.training import TrainConfig
     from ffpose.training.engine import train as run
 
@@ -228,8 +228,8 @@ def evaluate(options: Namespace) -> None:
     """
     from ffpose.datasets import Decoding
     from ffpose.evaluation import evaluate as run
-    from ffpose.plots import write_evaluation_figures
-    from ffpose.results import format_table, write_results
+    from ffpose.report.plots import write_evaluation_figures
+    from ffpose.report.results import format_table, write_results
 
     expect_folder(options.out)
     data = options.data
@@ -388,8 +388,8 @@ def card(options: Namespace) -> None:
     Errors, coverage of the uncertainty, and how well images without the object are flagged. An
     image takes a third of a second of one core to render, half of them far less.
     """
-    from ffpose.card_tables import format_card
-    from ffpose.model_card import measure, write_card
+    from ffpose.card.measurement import measure, write_card
+    from ffpose.card.tables import format_card
 
     if options.out is not None:
         expect_folder(options.out)

@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Any
 
 import ffpose
-from ffpose.demo_config import DemoConfig
-from ffpose.demo_record import DemoRecord
-from ffpose.demo_report import SHIPPED, Outcome, Weights, document, page
+from ffpose.demo.config import DemoConfig
+from ffpose.demo.record import DemoRecord
+from ffpose.demo.report import SHIPPED, Outcome, Weights, document, page
 from ffpose.evaluation import evaluate
 from ffpose.figures import save_figure
 from ffpose.files import atomic_write
 from ffpose.models.zoo import resolve
-from ffpose.plots import training_curves, write_evaluation_figures
 from ffpose.render.dataset.writer import write_dataset
-from ffpose.report import write_report
-from ffpose.results import write_results
+from ffpose.report.page import write_report
+from ffpose.report.plots import training_curves, write_evaluation_figures
+from ffpose.report.results import write_results
 from ffpose.training import RunFolder, TrainConfig, train
 from ffpose.training.run import build_run
 

@@ -22,15 +22,15 @@ from PIL import Image
 
 from ffpose import __version__
 from ffpose.baseline import mean_pose
-from ffpose.card_figures import Answers, refuse, summarize
-from ffpose.card_tables import format_card
+from ffpose.card.pictures import PICTURES, draw_picture
+from ffpose.card.statistics import Answers, refuse, summarize
+from ffpose.card.tables import format_card
 from ffpose.errors import require
 from ffpose.evaluation import choose_preprocessing
 from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Pose
 from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
 from ffpose.models.zoo import resolve
-from ffpose.pictures import PICTURES, draw_picture
 from ffpose.predictor import Predictor
 from ffpose.training.config import TEST_SEEDS
 
@@ -70,7 +70,7 @@ class Plan:
     Attributes:
         with_object: Sets with the object, the first as trained.
         without: Sets without it.
-        pictures: Kinds of out-of-distribution images, names in `ffpose.pictures.PICTURES`.
+        pictures: Kinds of out-of-distribution images, names in `ffpose.card.pictures.PICTURES`.
         count: Number of images per condition.
         size: ``(width, height)`` of the images.
         seed: Seed of all images.
@@ -133,9 +133,10 @@ def measure(
 
     Returns:
         A JSON document. ``conditions``: a list, each with ``name``, ``about`` and the statistics of
-        `ffpose.card_figures.summarize`. ``mean_pose_baseline``: the same statistics for a constant
-        pose on the scenes as trained. ``without_object``: a list of `ffpose.card_figures.refuse`,
-        empty for a network without uncertainty. ``notes``: what was left out.
+        `ffpose.card.statistics.summarize`. ``mean_pose_baseline``: the same statistics for a
+        constant pose on the scenes as trained. ``without_object``: a list of
+        `ffpose.card.statistics.refuse`, empty for a network without uncertainty. ``notes``: what
+        was left out.
 
     Raises:
         FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.

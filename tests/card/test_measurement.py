@@ -8,12 +8,12 @@ import torch
 from PIL import Image
 
 from beacons import beacon_scene
-from ffpose import model_card
-from ffpose.card_figures import Answers
-from ffpose.card_tables import format_card
+from ffpose.card import measurement
+from ffpose.card.measurement import Shown, answer, measure
+from ffpose.card.statistics import Answers
+from ffpose.card.tables import format_card
 from ffpose.cli import main
 from ffpose.geometry import Pose, PoseUncertainty
-from ffpose.model_card import Shown, answer, measure
 from ffpose.models import FilterformerPose
 from ffpose.render.dataset.conditions import conditions_of
 from ffpose.render.variations import variations
@@ -167,7 +167,7 @@ def test_an_unknown_set_is_refused_with_the_known_ones(weights):
 
 
 def test_the_command_prints_one_document_and_writes_it(weights, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(model_card, "BASELINE_LABELS", 10)
+    monkeypatch.setattr(measurement, "BASELINE_LABELS", 10)
     words = ["card", str(weights), "--scene", "soyuz_easy", "--count", "1", "--size", "64x48"]
     assert main([*words, "--json", "--out", str(tmp_path / "card")]) == 0
     printed = json.loads(capsys.readouterr().out)

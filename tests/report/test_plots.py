@@ -9,7 +9,8 @@ from scipy.stats import chi2
 from ffpose.datasets import open_dataset
 from ffpose.evaluation import Evaluation
 from ffpose.figures import save_figure
-from ffpose.plots import (
+from ffpose.preprocessing import Preprocessing
+from ffpose.report.plots import (
     GALLERY_TILE,
     draw_prediction,
     error_cdf,
@@ -21,7 +22,6 @@ from ffpose.plots import (
     worst_gallery,
     write_evaluation_figures,
 )
-from ffpose.preprocessing import Preprocessing
 from tiny_runs import write_set
 
 OFFSETS = np.array([0.5, 3.0, 1.0, 2.0])

@@ -16,7 +16,7 @@ from PIL import Image
 
 from ffpose.evaluation import Evaluation
 from ffpose.files import atomic_write
-from ffpose.plots import (
+from ffpose.report.plots import (
     GALLERY_TILE,
     caption,
     draw_prediction,
@@ -27,7 +27,7 @@ from ffpose.plots import (
     reliability_diagram,
     training_curves,
 )
-from ffpose.report_tables import (
+from ffpose.report.tables import (
     conditions_table,
     correlation_text,
     figures_table,
@@ -71,7 +71,7 @@ class Report:
 
 def write_report(report: Report, path: Path) -> None:
     """Write ``report`` as one self-contained HTML file."""
-    template = resources.files("ffpose").joinpath("report.html").read_text(encoding="utf-8")
+    template = resources.files("ffpose.report").joinpath("page.html").read_text(encoding="utf-8")
     evaluation = report.evaluation
     summary = evaluation.summary()
     page = Template(template).substitute(

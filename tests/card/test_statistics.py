@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ffpose.card_figures import Answers, refuse, summarize
+from ffpose.card.statistics import Answers, refuse, summarize
 from ffpose.geometry import Pose, PoseUncertainty
 
 RNG = np.random.default_rng(0)

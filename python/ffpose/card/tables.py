@@ -1,4 +1,4 @@
-"""Markdown tables of a model card, from the document that `ffpose.model_card.measure` returns."""
+"""Markdown tables of a model card, from what `ffpose.card.measurement.measure` returns."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ffpose.pictures import PICTURES, draw_picture
+from ffpose.card.pictures import PICTURES, draw_picture
 
 SIZE = (192, 128)
 

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import ffpose
 from ffpose.arrays import instruction_set
-from ffpose.demo_config import DemoConfig
+from ffpose.demo.config import DemoConfig
 from ffpose.evaluation import Evaluation
 from ffpose.machine import package_versions
-from ffpose.report import Report
+from ffpose.report.page import Report
 from ffpose.training.checkpoint import Row
 
 SHIPPED = "soyuz-easy"

@@ -10,8 +10,8 @@ from ffpose.baseline import mean_pose
 from ffpose.datasets import open_dataset
 from ffpose.evaluation import Evaluation
 from ffpose.preprocessing import Preprocessing
-from ffpose.report import Report, write_report
-from ffpose.report_tables import comparison, conditions_table, figures_table, headline
+from ffpose.report.page import Report, write_report
+from ffpose.report.tables import comparison, conditions_table, figures_table, headline
 from tiny_runs import write_set
 
 HISTORY = [

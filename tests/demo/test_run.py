@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from ffpose.demo import run
-from ffpose.demo_config import DemoConfig
-from ffpose.demo_record import FOLDERS
+from ffpose.demo.config import DemoConfig
+from ffpose.demo.record import FOLDERS
+from ffpose.demo.run import run
 from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.models import FilterformerPose, zoo
 from ffpose.preprocessing import Preprocessing
