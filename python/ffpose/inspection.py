@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
@@ -32,6 +31,7 @@ from ffpose.datasets import (
 from ffpose.figures import new_figure, save_figure, style_axes
 from ffpose.files import atomic_write
 from ffpose.geometry import FloatArray
+from ffpose.images import decode_all
 from ffpose.overlay import draw_axes
 from ffpose.preprocessing import Preprocessing
 
@@ -162,13 +162,8 @@ def _position(datasets: Mapping[str, PoseDataset]) -> tuple[_Quantity, ...]:
 
 def _decode_all(records: Sequence[Record]) -> None:
     """Decode every image, as a header does not reveal a truncated file."""
-
-    def decode(record: Record) -> None:
-        record.decode()
-
-    with ThreadPoolExecutor() as pool:  # Pillow decodes without the GIL
-        for _ in pool.map(decode, records):
-            pass
+    for _ in decode_all(Record.decode, records):
+        pass
 
 
 def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
