@@ -73,6 +73,12 @@ ALLOWED = {
     },
     "info": {"arrays"},
 }
+# Rooms within a room, and what they may import of it.
+INNER = {
+    "render.spacecraft": {"render.spacecraft"},
+    "render.shading": {"render.shading", "render.spacecraft"},
+    "bench.filter": {"bench.filter", "bench.machine", "bench.output", "bench.timing"},
+}
 COMPOSE = {"cli", "demo"}  # these two put the others together
 LAZY = {
     "matplotlib",
@@ -132,6 +138,17 @@ def test_arrows_go_one_way(path):
     top_level_names = {"DataError", "Pose", "Camera", "__version__"}
     extra = rooms - ALLOWED[here] - LEAVES - {here} - top_level_names
     assert not extra, f"{here} imports {sorted(extra)}"
+
+
+@pytest.mark.parametrize("inner", INNER)
+def test_arrows_go_one_way_within_a_room(inner):
+    outer = inner.partition(".")[0]
+    paths = sorted((PACKAGE / inner.replace(".", "/")).glob("*.py"))
+    assert paths
+    for path in paths:
+        names = {name.removeprefix("ffpose.") for name in imported(ast.parse(path.read_text()))}
+        mine = {".".join(name.split(".")[:2]) for name in names if name.startswith(f"{outer}.")}
+        assert mine <= INNER[inner], path
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: str(path.relative_to(PACKAGE)))
