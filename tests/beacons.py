@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from ffpose.render.craft import Craft
-from ffpose.render.materials import Material
-from ffpose.render.mesh import ball, merge, tube
 from ffpose.render.scene import Scene
-from ffpose.render.sensor import Sensor
+from ffpose.render.shading.sensor import Sensor
+from ffpose.render.spacecraft.craft import Craft
+from ffpose.render.spacecraft.materials import Material
+from ffpose.render.spacecraft.mesh import ball, merge, tube
 
 LAMPS = {
     "red": ((2.0, 0.0, 0.0), (1, 0, 0)),

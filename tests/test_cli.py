@@ -401,7 +401,7 @@ def test_interruption_is_said_and_code_1(monkeypatch, capsys, tmp_path):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ffpose.render.writer.write_dataset", interrupt)
+    monkeypatch.setattr("ffpose.render.dataset.writer.write_dataset", interrupt)
     assert main(["render", "soyuz_easy", "--out", str(tmp_path), "--count", "1"]) == 1
     assert "interrupted" in capsys.readouterr().err
 

@@ -12,8 +12,8 @@ from ffpose.datasets import Conditions, read_conditions
 from ffpose.evaluation import Evaluation, evaluate
 from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.models import FilterformerPose, PosePrediction, read_metadata
+from ffpose.report.results import format_table, write_results
 from ffpose.reprojection import reproject
-from ffpose.results import format_table, write_results
 from tiny_runs import SIZE, write_set
 
 

@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ffpose.geometry import URSO_CAMERA, Camera, Pose, PoseUncertainty, rotation_matrix
+from ffpose.geometry import (
+    URSO_CAMERA,
+    Camera,
+    DistortedCamera,
+    Pose,
+    PoseUncertainty,
+    rotation_matrix,
+)
 
 ROW = {"x": 2.0, "y": 1.0, "z": 10.0, "q1": 0.0, "q2": 0.0, "q3": 0.0, "q4": 1.0}
 
@@ -211,3 +218,15 @@ def test_a_bad_camera_is_refused(change):
     fields = {"width": 4, "height": 3, "fx": 1.0, "fy": 1.0, "cx": 2.0, "cy": 1.5}
     with pytest.raises(ValueError, match="expected"):
         Camera(**(fields | change))
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(64, 48, 32.0, 33.5, 30.0, 24.25),
+        DistortedCamera(64, 48, 32.0, 33.5, 30.0, 24.25, (-0.2, 0.05, 1e-3, -2e-3, 0.0)),
+    ],
+)
+def test_a_camera_file_holds_the_camera(tmp_path, camera):
+    camera.write(tmp_path / "camera.json")
+    assert Camera.read(tmp_path / "camera.json") == camera

@@ -16,7 +16,7 @@ from torchvision.transforms import v2
 from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.preprocessing import Preprocessing
 from ffpose.render import get_scene, object_coordinates
-from ffpose.render.sensor import Sensor, expose
+from ffpose.render.shading.sensor import Sensor, expose
 from ffpose.transforms import (
     Augmentation,
     _blur,

@@ -66,8 +66,8 @@ def demo_arguments(parser: ArgumentParser) -> None:
 
 def demo(options: Namespace) -> None:
     """Predict the poses of unseen images, and write a report."""
-    from ffpose.demo import run
-    from ffpose.demo_config import DemoConfig
+    from ffpose.demo.config import DemoConfig
+    from ffpose.demo.run import run
 
     out = options.out or Path("runs/demo-train" if options.train else "runs/demo")
     expect_folder(out)
@@ -111,8 +111,8 @@ def render(options: Namespace) -> None:
     """Render images with exact labels, in URSO's layout."""
     from ffpose.geometry import Camera
     from ffpose.render import Randomization, get_scene, load_craft
+    from ffpose.render.dataset.writer import write_dataset
     from ffpose.render.layers import LAYERS
-    from ffpose.render.writer import write_dataset
 
     expect_folder(options.out)
     scene = get_scene(options.scene)
@@ -175,7 +175,8 @@ def with_recipe(words: list[str]) -> list[str]:
 def train(options: Namespace) -> None:
     """Train a model."""
     expect_folder(options.out)
-    from ffpose.plots import save_figure, training_curves
+    from ffpose.figures import save_figure
+    from ffpose.report.plots import training_curves
     from ffpose.training import TrainConfig
     from ffpose.training.engine import train as run
 
@@ -227,8 +228,8 @@ def evaluate(options: Namespace) -> None:
     """
     from ffpose.datasets import Decoding
     from ffpose.evaluation import evaluate as run
-    from ffpose.plots import write_evaluation_figures
-    from ffpose.results import format_table, write_results
+    from ffpose.report.plots import write_evaluation_figures
+    from ffpose.report.results import format_table, write_results
 
     expect_folder(options.out)
     data = options.data
@@ -387,8 +388,8 @@ def card(options: Namespace) -> None:
     Errors, coverage of the uncertainty, and how well images without the object are flagged. An
     image takes a third of a second of one core to render, half of them far less.
     """
-    from ffpose.card_tables import format_card
-    from ffpose.model_card import measure, write_card
+    from ffpose.card.measurement import measure, write_card
+    from ffpose.card.tables import format_card
 
     if options.out is not None:
         expect_folder(options.out)
@@ -474,7 +475,8 @@ def bench_arguments(parser: ArgumentParser) -> None:
 
 def bench(options: Namespace) -> None:
     """Measure the filter against torch.fft, or a network in the runtimes it can be deployed in."""
-    from ffpose.bench import deployment, filter, model
+    from ffpose.bench.filter.run import run as run_filter
+    from ffpose.bench.model import attention, deployment
 
     network = options.network or ("tiny" if options.quick else "base")
     deployed = options.subject == "model" and network != "attention"
@@ -484,7 +486,7 @@ def bench(options: Namespace) -> None:
         if options[name] is not None and not deployed:
             raise ValueError(f"--{name}: expected with a network that is deployed")
     if options.subject == "filter":
-        filter.run(options.json, options.plot, options.quick)
+        run_filter(options.json, options.plot, options.quick)
     elif deployed:
         deployment.run(
             network,
@@ -497,7 +499,7 @@ def bench(options: Namespace) -> None:
     elif options.plot is not None:
         raise ValueError("--plot: expected with filter or a network, attention has no plot")
     else:
-        model.run(options.json, options.quick)
+        attention.run(options.json, options.quick)
 
 
 COMMANDS = {

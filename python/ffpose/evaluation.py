@@ -236,7 +236,6 @@ def evaluate(
     split: Part = "test",
     *,
     batch_size: int = 32,
-    workers: int = 0,
     any_camera: bool = False,
     decoding: Decoding = AS_ON_DISK,
 ) -> Evaluation:
@@ -248,7 +247,6 @@ def evaluate(
         root: Folder of the dataset, whose training split gives the baseline.
         split: The split to evaluate; ``"all"`` for every split.
         batch_size: Images per batch.
-        workers: Additional processes that read images.
         any_camera: Reproject images of a camera other than the weights' into the network's view
             (`ffpose.reprojection`).
         decoding: From image files to the images that the network was trained on.
@@ -267,7 +265,7 @@ def evaluate(
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, any_camera)
     baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
-    loader = DataLoader(dataset, batch_size=batch_size, num_workers=workers)
+    loader = DataLoader(dataset, batch_size=batch_size)
     began = time.perf_counter()
     with torch.inference_mode():
         poses = [model(batch.image) for batch in loader]

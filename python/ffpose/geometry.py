@@ -13,28 +13,28 @@ All other modules follow these conventions, and convert data in other convention
   ``[0, width] x [0, height]``, so the center of the top left pixel is ``(0.5, 0.5)`` and a resize
   is a plain scaling.
 
-URSO (Proença and Gao, 2020) labels its images in a left-handed camera frame (x right, y *up*, z
-depth) with a JPL quaternion ``(q1, q2, q3, q4)``, scalar last, whose matrix is the transpose of
-Hamilton's for the same four numbers. Mirroring y with ``M = diag(1, -1, 1)`` takes camera and
-object to right-handed frames: ``t = M t_urso`` and ``R = M C M``, ``C`` being JPL's matrix. The
-transpose negates the vector part; the mirror maps an axis ``a`` to ``det(M) M a = (-a1, a2, -a3)``;
-together ``q = (q4, q1, -q2, q3)``, and a point of the object is ours with its y negated.
+`ffpose.urso` says how the labels of URSO convert.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ffpose import urso
 from ffpose.arrays import canonical_quaternion
 from ffpose.errors import DataError
+from ffpose.files import atomic_write, read_text
 
 FloatArray = NDArray[np.float64]
+
+CAMERA_FILE = "camera.json"
+"""Name of the file with the camera of all images in a folder (`Camera.read`, `Camera.write`)."""
 
 QUATERNION_TOLERANCE = 1e-3
 """Deviation of a quaternion's norm from one (rounding in a printed label) that is normalized."""
@@ -130,11 +130,9 @@ class Camera:
             DataError: The file is not JSON, has other keys, or the values are not a valid camera.
         """
         try:
-            values = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+            values = json.loads(read_text(Path(path)))
         except json.JSONDecodeError as error:
             raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
-        except UnicodeDecodeError as error:
-            raise DataError(f"expected text in UTF-8: {error}", path) from error
         names = [field.name for field in fields(Camera)]
         if not isinstance(values, dict) or sorted(set(values) - {"distortion"}) != sorted(names):
             raise DataError(f"expected the keys {', '.join(names)}, got {values}", path)
@@ -146,6 +144,11 @@ class Camera:
             return DistortedCamera(**values) if "distortion" in values else Camera(**values)
         except (TypeError, ValueError) as error:
             raise DataError(str(error), path) from error
+
+    def write(self, path: str | Path) -> None:
+        """Write the camera as `read` takes it."""
+        with atomic_write(path) as temporary:
+            temporary.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
 
     @property
     def matrix(self) -> FloatArray:
@@ -225,7 +228,7 @@ class DistortedCamera(Camera):
         return np.stack([u, v], axis=-1)
 
 
-URSO_CAMERA = Camera(width=1280, height=960, fx=640.0, fy=640.463, cx=640.0, cy=480.0)
+URSO_CAMERA = Camera(*urso.SIZE, *urso.FOCAL_LENGTHS, *urso.CENTER)
 """The camera of URSO's published image sets."""
 
 
@@ -333,20 +336,19 @@ class Pose:
     def from_urso(
         cls, *, x: float, y: float, z: float, q1: float, q2: float, q3: float, q4: float
     ) -> Pose:
-        """Build a pose from a row of URSO's labels; the module describes the conversion.
+        """Build a pose from a row of URSO's labels, as `ffpose.urso` converts it.
 
         Examples:
             >>> pose = Pose.from_urso(x=2, y=1, z=10, q1=0, q2=0, q3=0, q4=1)
             >>> pose.project([0.0, 0.0, 0.0], URSO_CAMERA).round(2).tolist()
             [768.0, 415.95]
         """
-        return cls((x, -y, z), (q4, q1, -q2, q3))
+        return cls(*urso.from_label(x, y, z, q1, q2, q3, q4))
 
     def to_urso(self) -> dict[str, float]:
         """Return this pose as a row of URSO's labels: x, y, z, q1, q2, q3, q4."""
-        w, x, y, z = self.q.tolist()
-        tx, ty, tz = self.t.tolist()
-        return {"x": tx, "y": -ty, "z": tz, "q1": x, "q2": -y, "q3": z, "q4": w}
+        row = urso.to_label(self.t.tolist(), self.q.tolist())
+        return dict(zip(urso.COLUMNS, row, strict=True))
 
     @property
     def vector(self) -> FloatArray:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from PIL import Image
 
 from ffpose.errors import DataError
+
+Item = TypeVar("Item")
+Decoded = TypeVar("Decoded")
 
 MODES = ("L", "LA", "P", "RGB", "RGBA")
 """Pillow's modes with 8 bits per channel, which convert to RGB without loss of range."""
@@ -17,6 +22,17 @@ MODES = ("L", "LA", "P", "RGB", "RGBA")
 
 DEEP_MODES = ("I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of monochrome images with more than 8 bits, whose white level a user states."""
+
+
+WAITING = 256
+"""Most decoded images that `decode_all` holds at a time."""
+
+
+def decode_all(decode: Callable[[Item], Decoded], items: Sequence[Item]) -> Iterator[Decoded]:
+    """Decode images on all cores and yield them in order; Pillow works without the GIL."""
+    with ThreadPoolExecutor() as pool:
+        for start in range(0, len(items), WAITING):
+            yield from pool.map(decode, items[start : start + WAITING])
 
 
 def read_rgb(path: Path) -> Image.Image:

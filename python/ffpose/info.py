@@ -16,6 +16,7 @@ from typing import Any
 
 import ffpose
 from ffpose.arrays import instruction_set
+from ffpose.machine import package_version
 
 _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+).*;\s*extra\s*==\s*['\"]([\w-]+)['\"]")
 
@@ -55,7 +56,7 @@ def extras(requirements: Sequence[str]) -> dict[str, dict[str, str | None]]:
     for line in requirements:
         package, extra = package_of(line)
         if extra is not None and package != "ffpose":
-            found.setdefault(extra, {})[package] = _version(package)
+            found.setdefault(extra, {})[package] = package_version(package)
     return found
 
 
@@ -70,13 +71,6 @@ def package_of(requirement: str) -> tuple[str, str | None]:
     """
     match = _REQUIREMENT.match(requirement)
     return (match[1], match[2]) if match else (requirement, None)
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def main(arguments: Sequence[str]) -> int:

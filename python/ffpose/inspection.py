@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
@@ -29,9 +28,10 @@ from ffpose.datasets import (
     list_splits,
     read_records,
 )
-from ffpose.errors import require
+from ffpose.figures import new_figure, save_figure, style_axes
 from ffpose.files import atomic_write
 from ffpose.geometry import FloatArray
+from ffpose.images import decode_all
 from ffpose.overlay import draw_axes
 from ffpose.preprocessing import Preprocessing
 
@@ -162,13 +162,8 @@ def _position(datasets: Mapping[str, PoseDataset]) -> tuple[_Quantity, ...]:
 
 def _decode_all(records: Sequence[Record]) -> None:
     """Decode every image, as a header does not reveal a truncated file."""
-
-    def decode(record: Record) -> None:
-        record.decode()
-
-    with ThreadPoolExecutor() as pool:  # Pillow decodes without the GIL
-        for _ in pool.map(decode, records):
-            pass
+    for _ in decode_all(Record.decode, records):
+        pass
 
 
 def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
@@ -270,9 +265,7 @@ def _write_histograms(
     path: Path, quantities: Sequence[_Quantity], values: Mapping[str, FloatArray]
 ) -> None:
     """Draw a histogram of each quantity with the splits stacked; values are (N, quantities)."""
-    figure = require("matplotlib.figure", "pose").Figure(
-        figsize=(3.4 * len(quantities), 3.2), layout="constrained"
-    )
+    figure = new_figure(3.4 * len(quantities), 3.2)
     for place, (quantity, axes) in enumerate(
         zip(quantities, figure.subplots(1, len(quantities)), strict=True)
     ):
@@ -286,9 +279,8 @@ def _write_histograms(
         if quantity.edges is not None:
             axes.set_xticks(quantity.edges[::4])
         axes.set_xlabel(f"{quantity.name} [{quantity.unit}]")
-        axes.spines[["top", "right"]].set_visible(False)
+        style_axes(axes, grid=None)
     figure.axes[0].set_ylabel("images")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
-    with atomic_write(path) as temporary:
-        figure.savefig(temporary, dpi=150)
+    save_figure(figure, path, dpi=150)

@@ -84,7 +84,7 @@ def test_the_file_is_an_array_of_the_frames(records, folder):
 
 
 def test_many_frames_are_written_in_order(records, monkeypatch):
-    monkeypatch.setattr("ffpose.datasets.cache.CHUNK", 2)
+    monkeypatch.setattr("ffpose.images.WAITING", 2)
     order = [2, 0, 1, 1, 2]
     frames = cached_frames([records[number] for number in order], PREPROCESSING)
     for index, number in enumerate(order):

@@ -18,9 +18,9 @@ from ffpose.render import (
     object_coordinates,
     render_layers,
 )
-from ffpose.render.craft import Craft
-from ffpose.render.materials import Material
-from ffpose.render.mesh import ball, box
+from ffpose.render.spacecraft.craft import Craft
+from ffpose.render.spacecraft.materials import Material
+from ffpose.render.spacecraft.mesh import ball, box
 
 CAMERA = Camera(64, 48, 40.0, 36.0, 30.0, 26.0)
 """Neither square pixels nor the principal point in the middle."""

@@ -9,7 +9,7 @@ import pytest
 from ffpose.render import SCENES, Sensor, render_layers, renderer
 from ffpose.render.layers import coordinates_limit
 from ffpose.render.renderer import shoot
-from ffpose.render.sensor import expose
+from ffpose.render.shading.sensor import expose
 from ffpose.render.views import averaging, in_window, render_view, render_views
 from ffpose.views import WINDOW, ViewSpec, cut_pieces, in_frame
 

@@ -15,10 +15,10 @@ from ffpose.render import (
     render_layers,
     renderer,
 )
-from ffpose.render.earth import Earth, shade_earth
-from ffpose.render.sensor import Sensor, expose
-from ffpose.render.vectors import unit
-from ffpose.render.view import find_window
+from ffpose.render.shading.sensor import Sensor, expose
+from ffpose.render.shading.sky import Earth
+from ffpose.render.shading.vectors import unit
+from ffpose.render.shading.view import find_window
 
 SIZE = (128, 96)
 
@@ -124,7 +124,7 @@ def earth(sun):
 
 def test_earth_ends_at_the_horizon():
     # asin(1 / 1.0628) = 70.21 degrees from nadir; the air ends within two degrees above.
-    light, behind = shade_earth(earth((0, 0, -1)), rays_from_nadir([0, 40, 69.9, 75, 120]), 1e-3)
+    light, behind = earth((0, 0, -1)).shade(rays_from_nadir([0, 40, 69.9, 75, 120]), 1e-3)
     assert (behind[:3] == 0).all()
     assert (behind[3:] == 1).all()
     assert (light[:, :3].min(axis=0) > 0.01).all()
@@ -132,15 +132,15 @@ def test_earth_ends_at_the_horizon():
 
 
 def test_air_glows_blue_above_the_limb():
-    light, behind = shade_earth(earth((0, 0, -1)), rays_from_nadir([70.6]), 1e-4)
+    light, behind = earth((0, 0, -1)).shade(rays_from_nadir([70.6]), 1e-4)
     assert 0 < behind[0] < 1
     assert light[2, 0] > light[1, 0] > light[0, 0] > 0
 
 
 def test_night_side_is_dark():
     rays = unit(np.random.default_rng(0).normal((0, 0, 3), 1, (400, 3)).T.astype(np.float32))
-    by_day, _ = shade_earth(earth((0, 0, -1)), rays, 1e-3)
-    by_night, _ = shade_earth(earth((0, 0, 1)), rays, 1e-3)
+    by_day, _ = earth((0, 0, -1)).shade(rays, 1e-3)
+    by_night, _ = earth((0, 0, 1)).shade(rays, 1e-3)
     assert by_night.mean() < 0.02 * by_day.mean()
 
 

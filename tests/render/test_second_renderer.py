@@ -11,11 +11,11 @@ import pytest
 
 from ffpose.geometry import Camera
 from ffpose.render import SCENES, label, render_layers
-from ffpose.render.finish import Surface
 from ffpose.render.renderer import prepared
-from ffpose.render.shading import HIGHLIGHT_LIMIT, Light, reflected, sun_visible
-from ffpose.render.tracer import Hits
-from ffpose.render.view import View
+from ffpose.render.shading.finish import Surface
+from ffpose.render.shading.reflection import HIGHLIGHT_LIMIT, Light, reflected, sun_visible
+from ffpose.render.shading.tracer import Hits
+from ffpose.render.shading.view import View
 
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed")
 mi.set_variant("scalar_rgb")

@@ -7,7 +7,7 @@ import pytest
 
 from beacons import beacon_scene
 from ffpose.render import SCENES, render, render_empty, variations
-from ffpose.render.sensor import Sensor, expose
+from ffpose.render.shading.sensor import Sensor, expose
 from ffpose.render.variations import (
     Variation,
     blurred,

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.evaluation import evaluate
 from ffpose.render import get_scene
+from ffpose.render.dataset.writer import write_dataset
 from ffpose.render.scene import SCENES
-from ffpose.render.writer import write_dataset
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, train
 from ffpose.training.config import TEST_SEEDS
 

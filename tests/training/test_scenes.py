@@ -10,7 +10,8 @@ from safetensors.torch import load_file
 
 from ffpose.models import CONFIGS, FilterformerPose, read_metadata
 from ffpose.preprocessing import Preprocessing
-from ffpose.render import label, views, writer
+from ffpose.render import label, views
+from ffpose.render.dataset import writer
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, data, train
 from ffpose.training.config import TEST_SEEDS
 from ffpose.training.run import build_run

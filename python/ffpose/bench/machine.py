@@ -8,7 +8,6 @@ import platform
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import torch
 import ffpose
 from ffpose.arrays import instruction_set
 from ffpose.bench.timing import Contender, time_calls
+from ffpose.machine import bfloat16_instructions, cores, package_versions, processor
 
 MATRIX_SIDE = 768
 COPIED_FLOATS = 2**24
@@ -61,11 +61,10 @@ def environment() -> dict[str, Any]:
     return {
         "ffpose": ffpose.__version__,
         "torch": torch.__version__,
-        "onnxruntime": _installed("onnxruntime"),
-        "openvino": _installed("openvino"),
+        **package_versions("onnxruntime", "openvino"),
         "python": platform.python_version(),
         "machine": platform.machine(),
-        "processor": _processor(),
+        "processor": processor(),
         "instruction_set": instruction_set(),
         "torch_cpu_capability": torch.backends.cpu.get_cpu_capability(),
         "mkl_enable_instructions": os.environ.get("MKL_ENABLE_INSTRUCTIONS", ""),
@@ -73,24 +72,6 @@ def environment() -> dict[str, Any]:
         "bfloat16_instructions": bfloat16_instructions(),
         "cores": cores(),
     }
-
-
-def _installed(package: str) -> str:
-    """Return the version of a package, without importing it; "not installed" without one."""
-    with suppress(metadata.PackageNotFoundError):
-        return metadata.version(package)
-    return "not installed"
-
-
-def bfloat16_instructions() -> list[str]:
-    """Return the processor's bfloat16 instructions as named by Linux; empty where unknown."""
-    known = {"avx512_bf16", "amx_bf16", "bf16", "svebf16"}
-    return sorted(known & set(_processor_fact("flags", "Features").split()))
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _mkl_code() -> str:
@@ -102,19 +83,4 @@ def _mkl_code() -> str:
     for library in (None, str(bundled)):
         with suppress(OSError, AttributeError):
             return "vectorized" if ctypes.CDLL(library).mkl_serv_intel_cpu_true() else "baseline"
-    return ""
-
-
-def _processor() -> str:
-    return _processor_fact("model name") or platform.processor()
-
-
-def _processor_fact(*names: str) -> str:
-    """Return the first of these entries that Linux has for the first core."""
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text().splitlines():
-            name, _, fact = line.partition(":")
-            if name.strip() in names:
-                return fact.strip()
     return ""

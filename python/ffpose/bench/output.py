@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ffpose.figures import save_figure
 from ffpose.files import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 WIDTH = 132
 
@@ -33,6 +38,11 @@ def write_document(document: dict[str, Any], path: Path) -> None:
         temporary.write_text(json.dumps(document, indent=2) + "\n")
 
 
+def save_plot(figure: Figure, path: Path) -> None:
+    """Write a plot as a PNG, whatever the suffix."""
+    save_figure(figure, path, dpi=130, format="png")
+
+
 def make_progress() -> Progress:
     """Return a progress bar on standard error."""
     return Progress(
@@ -48,6 +58,12 @@ def make_progress() -> Progress:
 def make_console() -> Console:
     """Return a console on standard output, wide enough for the tables if it is not a terminal."""
     return Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+
+
+def print_notes(console: Console, notes: Iterable[str]) -> None:
+    """Print one line for each note."""
+    for line in notes:
+        console.print(f"- {line}", markup=False)
 
 
 def make_table(title: str, *columns: str) -> Table:

@@ -1,15 +1,36 @@
-"""Interleaved timing: contenders take turns, so that drift of the machine affects them alike."""
+"""Timing of contenders that take turns, so that drift of the machine affects them alike.
+
+`interleave` gives medians and quartiles of seconds per call, `take_turns` samples of single calls,
+whose `percentiles` are latencies.
+"""
 
 from __future__ import annotations
 
 import gc
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import torch
+
+OURS = "ffpose"
+"""Name of our contender in tables and documents."""
 
 FEWEST_ROUNDS = 5
 MOST_ROUNDS = 15
+
+TURN = 4
+"""Timed calls in a row; the call before them is not timed, as the threads of the contender before
+may still wait actively for work, and as caches hold that contender's data."""
+
+Sample = TypeVar("Sample")
+
+FEWEST_TURNS = 3
+MOST_TURNS = 50
 
 
 @dataclass(frozen=True)
@@ -56,15 +77,10 @@ def interleave(
     rounds = max(FEWEST_ROUNDS, min(MOST_ROUNDS, int(seconds / slowest)))
     inner = {name: max(1, int(seconds / rounds / each)) for name, each in fastest.items()}
     samples: dict[str, list[float]] = {name: [] for name in contenders}
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
+    with _without_collection():
         for _ in range(rounds):
             for name, contender in contenders.items():
                 samples[name].append(time_calls(contender, inner[name]))
-    finally:
-        if collecting:
-            gc.enable()
     return {name: summarize(values, inner[name]) for name, values in samples.items()}
 
 
@@ -98,3 +114,77 @@ def _warm_up(contender: Contender, seconds: float) -> float:
         fastest = min(fastest, time_calls(contender, 1))
         if time.perf_counter() >= end:
             return fastest
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Percentiles of the seconds of a call, over `calls` calls."""
+
+    p50: float
+    p95: float
+    p99: float
+    calls: int
+
+
+def percentiles(seconds: list[float]) -> Latency:
+    """Return the percentiles of at least one sample, with linear interpolation."""
+    p50, p95, p99 = (float(value) for value in np.percentile(seconds, (50, 95, 99)))
+    return Latency(p50, p95, p99, len(seconds))
+
+
+def take_turns(
+    measures: Mapping[str, Callable[[], Sample]], seconds: float
+) -> dict[str, list[Sample]]:
+    """Call contenders in turn, `TURN` times in a row each.
+
+    Args:
+        measures: By name, what runs a contender once and returns what it measured (`timed`).
+        seconds: Time to spend on each, on average; more where `FEWEST_TURNS` take longer.
+
+    Returns:
+        What was measured, by name.
+
+    Raises:
+        ValueError: ``measures`` is empty.
+    """
+    if not measures:
+        raise ValueError("expected at least 1 contender, got none")
+    for measure in measures.values():
+        measure()  # memory and plans of the first call
+    once = sum(time_calls(Contender(measure), 1) for measure in measures.values())
+    turns = int(seconds * len(measures) / ((TURN + 1) * once))
+    samples: dict[str, list[Sample]] = {name: [] for name in measures}
+    with _without_collection():
+        for _ in range(max(FEWEST_TURNS, min(MOST_TURNS, turns))):
+            for name, measure in measures.items():
+                measure()
+                samples[name] += [measure() for _ in range(TURN)]
+    return samples
+
+
+def timed(call: Callable[[], object]) -> Callable[[], float]:
+    """Return what runs ``call`` once and returns the seconds that it took."""
+    return lambda: time_calls(Contender(call), 1)
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Let torch use ``count`` threads within the block."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Switch Python's garbage collection off within the block."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()

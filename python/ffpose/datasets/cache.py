@@ -16,7 +16,6 @@ import hashlib
 import math
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -25,15 +24,13 @@ from numpy.typing import NDArray
 
 from ffpose.datasets.records import Record
 from ffpose.files import atomic_write, expect_room, remove_leftovers
+from ffpose.images import decode_all
 from ffpose.preprocessing import Preprocessing
 
 FOLDER_VARIABLE = "FFPOSE_CACHE"
 
 FORMAT = 2
 """Version of the file format; changing it invalidates every cache."""
-
-CHUNK = 256
-"""Number of frames decoded between writes, which bounds the memory used."""
 
 BUILD_LIMIT_S = 86_400.0
 """Age in seconds beyond which an unfinished file is taken to be left by a killed process."""
@@ -121,21 +118,16 @@ def _write(
     folder = target.parent
     folder.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder, older_than=BUILD_LIMIT_S)
-    frames, need = range(shape[0]), math.prod(shape)
+    need = math.prod(shape)
     what = f"the frames of {shape[0]} images ({FOLDER_VARIABLE} names another folder)"
     expect_room(folder, need, what)
     header = {"descr": "|u1", "fortran_order": False, "shape": shape}
     try:
         # Written, not mapped: a full disk makes a write fail, but kills a process that maps.
-        with (
-            atomic_write(target) as path,
-            path.open("wb") as file,
-            ThreadPoolExecutor() as pool,  # Pillow decodes and resizes without the GIL
-        ):
+        with atomic_write(target) as path, path.open("wb") as file:
             np.lib.format.write_array_header_1_0(file, header)
-            for start in frames[::CHUNK]:
-                for frame in pool.map(decode, frames[start : start + CHUNK]):
-                    file.write(frame.data)
+            for frame in decode_all(decode, range(shape[0])):
+                file.write(frame.data)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = f"{os.strerror(error.errno)}: {what} need {need / 1e9:.1f} GB"

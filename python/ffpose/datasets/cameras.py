@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ffpose.datasets.records import Record
-from ffpose.geometry import Camera
-
-FILE_NAME = "camera.json"
+from ffpose.geometry import CAMERA_FILE, Camera
 
 
 def read_camera(root: Path, first: Record, published: Camera) -> Camera:
@@ -23,7 +21,7 @@ def read_camera(root: Path, first: Record, published: Camera) -> Camera:
         DataError: The camera is invalid, or the images are larger than the published ones or of
             another shape.
     """
-    path = root / FILE_NAME
+    path = root / CAMERA_FILE
     if path.exists():
         return Camera.read(path)
     width, height = first.size()

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ffpose.errors import DataError
 from ffpose.files import read_text
+from ffpose.urso import CONDITIONS
 
-FILE_NAME = "conditions.csv"
 LIMITS = {
     "eclipsed": 1.0,
     "sun_angle_deg": 180.0,
@@ -55,7 +55,7 @@ def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None
         DataError: A column, or the row of an image, is missing or duplicated, or a value is out of
             range; the error names file and line.
     """
-    path = Path(root) / FILE_NAME
+    path = Path(root) / CONDITIONS
     if not path.exists():
         return None
     rows = _read_rows(path)

@@ -18,13 +18,12 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from ffpose.datasets.cameras import FILE_NAME
-from ffpose.datasets.conditions import FILE_NAME as CONDITIONS
 from ffpose.datasets.parsing import Entry, Names, expect_set, find_image, read_table
 from ffpose.datasets.records import Record
 from ffpose.datasets.targets import Target
 from ffpose.errors import DataError
-from ffpose.geometry import Camera
+from ffpose.geometry import CAMERA_FILE, Camera
+from ffpose.urso import CONDITIONS
 
 TARGET: Target = "object"
 
@@ -90,7 +89,7 @@ def _has_labels(header: list[str], path: Path) -> bool:
 
 def _camera_file(root: Path, entry: Entry) -> Path:
     named = "camera" in entry.values
-    path = root / (entry.text("camera") if named else FILE_NAME)
+    path = root / (entry.text("camera") if named else CAMERA_FILE)
     if not path.is_file():
         hint = "" if named else ", the camera of all images where there is no column camera"
         raise entry.error(f"expected {path}{hint}, got no such file")

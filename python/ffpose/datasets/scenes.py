@@ -156,7 +156,7 @@ def render_images(
     Returns:
         The folder, a set in URSO's layout.
     """
-    from ffpose.render.writer import write_dataset
+    from ffpose.render.dataset.writer import write_dataset
 
     height, width = preprocessing.frame_size(scene.camera.width, scene.camera.height)
     described = {"scene": scene.parameters(), "seed": seed, "size": (width, height)}
@@ -180,8 +180,8 @@ def open_empty_images(
 
     Half are empty scenes, half show another spacecraft; all are held out from training.
     """
-    from ffpose.render.decoys import build_decoy
     from ffpose.render.renderer import camera_of, shoot
+    from ffpose.render.spacecraft.decoys import build_decoy
 
     height, width = preprocessing.size
     described = {"scene": scene.parameters(), "seed": seed, "empty": (width, height)}

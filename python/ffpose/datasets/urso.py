@@ -1,9 +1,7 @@
 """Reader of URSO: spacecraft over Earth, rendered by Unreal Engine 4 (Proença and Gao, ICRA 2020).
 
-A set is a folder with ``gt.csv`` (its row N labels ``N_rgb.png``) and, for each split,
-``{split}_images.csv`` (no header, one file name a line) and ``{split}_poses_gt.csv`` (the labels of
-those images, row by row). Images lie in the folder or in its ``images`` folder. The columns ``x, y,
-z, q1, q2, q3, q4`` stand in any order; `ffpose.geometry` says how they convert.
+`ffpose.urso` describes the format. Images lie in the set's folder or in its ``images`` folder, and
+the columns of the tables stand in any order.
 
 The camera is URSO's, unless a ``camera.json`` beside the labels holds another (``width``,
 ``height``, ``fx``, ``fy``, ``cx``, ``cy``), as the sets of ``ffpose render`` have it. Without that
@@ -13,7 +11,6 @@ file, smaller images of the same shape are taken as URSO's, resized.
 from __future__ import annotations
 
 import csv
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -26,17 +23,16 @@ from ffpose.datasets.targets import Target
 from ffpose.errors import DataError
 from ffpose.files import expect_folder, read_text
 from ffpose.geometry import URSO_CAMERA, Pose
+from ffpose.urso import COLUMNS, SPLITS, TABLE, from_label, images_file, index_of, poses_file
 
 TARGET: Target = "object"
-SPLITS = ("train", "val", "test")
-COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
 
 _SAME_LABEL = 1e-5
 """Tolerance between labels in two files, which may print different numbers of digits."""
 
 
 class _Row(NamedTuple):
-    """A row of labels: its line in the file, and its numbers in the order of `COLUMNS`."""
+    """A row of labels: its line in the file, and its seven numbers."""
 
     line: int
     values: tuple[float, ...]
@@ -51,9 +47,9 @@ def splits(root: Path) -> list[str]:
     """
     _expect_exists(root)
     expect_folder(root)
-    found = [split for split in SPLITS if (root / f"{split}_images.csv").exists()]
+    found = [split for split in SPLITS if (root / images_file(split)).exists()]
     if not found:
-        names = ", ".join(f"{split}_images.csv" for split in SPLITS)
+        names = ", ".join(map(images_file, SPLITS))
         raise FileNotFoundError(f"URSO set: expected one of {names} in {root}, got none")
     return found
 
@@ -70,29 +66,28 @@ def read(root: Path, split: str) -> list[Record]:
     """
     if split not in SPLITS:
         raise ValueError(f"split: expected one of {(*SPLITS, 'all')}, got {split!r}")
-    names_file, poses_file = root / f"{split}_images.csv", root / f"{split}_poses_gt.csv"
+    list_file, table_file = root / images_file(split), root / poses_file(split)
     _expect_exists(root)
     expect_folder(root)
-    for path in (names_file, poses_file):
+    for path in (list_file, table_file):
         _expect_exists(path)
-    names, rows = _read_names(names_file), _read_rows(poses_file)
+    names, rows = _read_names(list_file), _read_rows(table_file)
     if len(rows) != len(names):
         raise DataError(
-            f"expected {len(names)} labels, one for each line of {names_file.name}, "
-            f"got {len(rows)}",
-            poses_file,
+            f"expected {len(names)} labels, one for each line of {list_file.name}, got {len(rows)}",
+            table_file,
         )
-    poses = [_pose(row, poses_file) for row in rows]
-    _check_alignment(names, rows, poses_file, root / "gt.csv")
+    poses = [_pose(row, table_file) for row in rows]
+    _check_alignment(names, rows, table_file, root / TABLE)
     records = [
         Record(
-            _find_image(root, name, names_file, line),
+            _find_image(root, name, list_file, line),
             name,
             URSO_CAMERA,
             pose,
-            names_file,
+            list_file,
             line,
-            _raw_quaternion(row),
+            from_label(*row.values)[1],
         )
         for line, (name, row, pose) in enumerate(zip(names, rows, poses, strict=True), start=1)
     ]
@@ -148,22 +143,15 @@ def _pose(row: _Row, path: Path) -> Pose:
         raise DataError(str(error), path, row.line) from error
 
 
-def _raw_quaternion(row: _Row) -> tuple[float, float, float, float]:
-    """Return ``(w, x, y, z)`` of a row, converted as in `Pose.from_urso`, not normalized."""
-    q1, q2, q3, q4 = row.values[3:]
-    return q4, q1, -q2, q3
-
-
 def _check_alignment(names: list[str], rows: list[_Row], path: Path, table: Path) -> None:
     """Check the labels of a split against ``gt.csv``, whose row N labels ``N_rgb.png``."""
     if not table.exists():
         return
     whole = _read_rows(table)
     for name, row in zip(names, rows, strict=True):
-        match = re.fullmatch(r"(\d+)_rgb\.png", name)
-        if match is None:
+        number = index_of(name)
+        if number is None:
             continue
-        number = int(match[1])
         if number >= len(whole):
             raise DataError(f"expected a row for {name}, got {len(whole)} rows", table)
         expected = whole[number]

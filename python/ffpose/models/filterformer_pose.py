@@ -22,7 +22,6 @@ from typing import Any, NamedTuple, Self
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
-from torch.utils import _pytree
 
 from ffpose.config import (
     CONFIGS,
@@ -56,6 +55,7 @@ from ffpose.nn.orientation import (
     quaternion_to_matrix,
 )
 from ffpose.preprocessing import Preprocessing
+from ffpose.torch_internals import register_named_tuple
 
 TOKEN_STD = 0.02
 
@@ -93,7 +93,7 @@ class UncertainPose(NamedTuple):
 
 # Saved programs refer to named tuples by name, which torch requires to be registered.
 for _result in (PosePrediction, UncertainPose):
-    _pytree._register_namedtuple(_result, serialized_type_name=f"ffpose.models.{_result.__name__}")
+    register_named_tuple(_result, f"ffpose.models.{_result.__name__}")
 
 
 class PoseBranch(nn.Module):

@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.utils import _pytree
 
 from ffpose.errors import require
 from ffpose.files import atomic_write
@@ -215,6 +214,14 @@ def record(
     return program.model
 
 
+def tensors_of(result: Any) -> list[Tensor]:
+    """Return the tensors of a module's result, however tuples, lists and dicts nest them."""
+    if isinstance(result, Tensor):
+        return [result]
+    members = result.values() if isinstance(result, Mapping) else result
+    return [tensor for member in members for tensor in tensors_of(member)]
+
+
 def _compare(
     module: nn.Module,
     batches: Sequence[tuple[Tensor, ...]],
@@ -228,7 +235,7 @@ def _compare(
     for args in batches:
         got = session.run(*(arg.detach().numpy() for arg in args))
         with torch.no_grad():
-            leaves = _pytree.tree_leaves(module(*args))
+            leaves = tensors_of(module(*args))
         expected = dict(zip(got, (leaf.numpy() for leaf in leaves), strict=True))
         for name, value in differences(got, expected).items():
             largest[name] = float(np.maximum(value, largest.get(name, 0.0)))  # NaN stays

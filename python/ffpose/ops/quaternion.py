@@ -16,17 +16,8 @@ from torch import Tensor
 from torch.autograd import Function
 
 from ffpose import _rust
-from ffpose.ops.bridge import (
-    arithmetic_dtype,
-    below_autograd,
-    check_alike,
-    check_tensor,
-    is_plain,
-    is_recording,
-    to_array,
-    to_tensor,
-    transforms_at_work,
-)
+from ffpose.ops.bridge import arithmetic_dtype, check_alike, check_tensor, to_array, to_tensor
+from ffpose.torch_internals import below_autograd, is_plain, is_recording, transforms_at_work
 
 FORWARD = "ffpose::normalize_quaternion"
 BACKWARD = "ffpose::normalize_quaternion_backward"
@@ -81,8 +72,7 @@ class _NormalizeQuaternion(Function):
 
     @staticmethod
     def forward(q: Tensor) -> Tensor:
-        with below_autograd():
-            return _forward_op(q)
+        return below_autograd(_forward_op, q)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
@@ -121,8 +111,7 @@ class _NormalizeQuaternionBackward(Function):
 
     @staticmethod
     def forward(grad: Tensor, q: Tensor) -> Tensor:
-        with below_autograd():
-            return _backward_op(grad, q)
+        return below_autograd(_backward_op, grad, q)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:

@@ -25,15 +25,7 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.graph import increment_version
 
-from ffpose.ops.bridge import (
-    add,
-    below_autograd,
-    is_plain,
-    is_recording,
-    rebatch,
-    transforms_at_work,
-    unbatch,
-)
+from ffpose.ops.bridge import add, rebatch, unbatch
 from ffpose.ops.layout import Layout, check_filter, check_gradient
 from ffpose.ops.spectral_kernels import (
     BACKWARD,
@@ -45,6 +37,7 @@ from ffpose.ops.spectral_kernels import (
     forward_rust,
     out_op,
 )
+from ffpose.torch_internals import below_autograd, is_plain, is_recording, transforms_at_work
 
 Gradients = tuple[Tensor | None, Tensor | None]
 
@@ -78,22 +71,21 @@ def spectral_filter(
     if out is not None:
         out_op(x, weight, layout, out=out)
         return out
-    if is_plain(x, weight):
-        if not (torch.is_grad_enabled() and (x.requires_grad or weight.requires_grad)):
-            return forward_rust(x, weight, layout)
-        if not transforms_at_work():
-            try:
-                recorded: Tensor = _SpectralFilterOnCpu.apply(x, weight, layout)
-            except RuntimeError:
-                if not x.is_inference():
-                    raise
-                # Autograd cannot save inference tensors; the copy is made outside inference mode.
-                recorded = _SpectralFilterOnCpu.apply(x.clone(), weight, layout)
-            return recorded
-    check_filter(x, weight, layout)
-    if is_recording():
-        return forward_op(x, weight, layout)
-    result: Tensor = _SpectralFilter.apply(x, weight, layout)
+    plain = is_plain(x, weight)
+    if plain and not (torch.is_grad_enabled() and (x.requires_grad or weight.requires_grad)):
+        return forward_rust(x, weight, layout)
+    if not plain:
+        check_filter(x, weight, layout)
+        if is_recording():
+            return forward_op(x, weight, layout)
+    function = _SpectralFilterOnCpu if plain and not transforms_at_work() else _SpectralFilter
+    try:
+        result: Tensor = function.apply(x, weight, layout)
+    except RuntimeError:
+        if not x.is_inference():
+            raise
+        # Autograd cannot save inference tensors; the copy is made outside inference mode.
+        result = function.apply(x.clone(), weight, layout)
     return result
 
 
@@ -115,8 +107,7 @@ class _SpectralFilter(Function):
 
     @staticmethod
     def forward(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
-        with below_autograd():
-            return forward_op(x, weight, layout)
+        return below_autograd(forward_op, x, weight, layout)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
@@ -174,8 +165,7 @@ class _SpectralFilterBackward(Function):
     def forward(
         grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
     ) -> tuple[Tensor, Tensor]:
-        with below_autograd():
-            return backward_op(grad, x, weight, layout, need_x, need_weight)
+        return below_autograd(backward_op, grad, x, weight, layout, need_x, need_weight)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
@@ -269,8 +259,7 @@ def _write_unrecorded(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor)
             "spectral_filter with out: expected arguments without gradient, got one that requires"
             " it; call it under torch.no_grad()"
         )
-    with below_autograd():
-        out_op(x, weight, layout, out=out)
+    below_autograd(out_op, x, weight, layout, out=out)
     increment_version(out)
 
 

@@ -4,6 +4,7 @@ An image is a pure function of (scene, seed, index, size), so sets can be made i
 number of processes, and on any number of machines. Needs the extra `render`.
 """
 
+from ffpose.render.dataset.writer import Written, write_dataset
 from ffpose.render.layers import (
     Keypoint,
     Layers,
@@ -11,12 +12,11 @@ from ffpose.render.layers import (
     object_coordinates,
     render_layers,
 )
-from ffpose.render.meshfile import load_craft
-from ffpose.render.randomization import Randomization
 from ffpose.render.renderer import Frame, label, render, render_empty
 from ffpose.render.scene import SCENES, Scene, get_scene
-from ffpose.render.sensor import Sensor
-from ffpose.render.writer import Written, write_dataset
+from ffpose.render.shading.randomization import Randomization
+from ffpose.render.shading.sensor import Sensor
+from ffpose.render.spacecraft.meshfile import load_craft
 
 __all__ = [
     "SCENES",

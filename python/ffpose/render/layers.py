@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from ffpose.files import atomic_write
 from ffpose.geometry import Camera, Pose
-from ffpose.render.craft import Craft
 from ffpose.render.renderer import camera_of, label, prepared
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.vectors import Floats, dot
-from ffpose.render.view import View, Window, find_window, look
+from ffpose.render.shading.vectors import Floats, dot
+from ffpose.render.shading.view import View, Window, find_window, look
+from ffpose.render.spacecraft.craft import Craft
 
 LABELS = {
     "mask": "mask.png",

@@ -12,17 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.geometry import Camera, Pose
-from ffpose.render.craft import Craft
-from ffpose.render.earth import Earth, shade_earth
-from ffpose.render.randomization import backdrop, stops
 from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.sensor import Sensor, choose_gain, expose
-from ffpose.render.shading import Finish, Light, earth_visible, reflected, sun_visible
-from ffpose.render.sky import draw_stars, sun_disk
-from ffpose.render.tracer import Tracer
-from ffpose.render.vectors import Floats
-from ffpose.render.view import View, Window, find_window, look, pixel_rays, smoothed
+from ffpose.render.shading.randomization import backdrop, stops
+from ffpose.render.shading.reflection import Finish, Light, earth_visible, reflected, sun_visible
+from ffpose.render.shading.sensor import Sensor, choose_gain, expose
+from ffpose.render.shading.sky import Earth, draw_stars, sun_disk
+from ffpose.render.shading.tracer import Tracer
+from ffpose.render.shading.vectors import Floats
+from ffpose.render.shading.view import View, Window, find_window, look, pixel_rays, smoothed
+from ffpose.render.spacecraft.craft import Craft
 
 MIN_SIDE, MAX_SIDE = 16, 8192
 BLOCK = 8192
@@ -257,7 +256,7 @@ def _draw_background(radiance: Floats, camera: Camera, around: Surroundings) -> 
     for start in range(0, len(flat), BLOCK):
         pixels, through = flat[start : start + BLOCK], rays[:, start : start + BLOCK]
         pixels += sun_disk(around.sun, through, pixel_angle)[:, None]
-        glow, behind = shade_earth(earth, through, pixel_angle)
+        glow, behind = earth.shade(through, pixel_angle)
         pixels *= behind[:, None]
         pixels += glow.T
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.geometry import Camera, Pose
-from ffpose.render.craft import Craft
 from ffpose.render.scene import Scene
+from ffpose.render.spacecraft.craft import Craft
 
 Floats = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from ffpose.geometry import URSO_CAMERA, Camera
-from ffpose.render.craft import Craft, build_craft
-from ffpose.render.randomization import Randomization
-from ffpose.render.sensor import Sensor
+from ffpose.render.shading.randomization import Randomization
+from ffpose.render.shading.sensor import Sensor
+from ffpose.render.spacecraft.craft import Craft, build_craft
 
 ORBIT_ECLIPSE_RATE = 0.34
 """Share of its time that a station spends in the Earth's shadow, 410 km up at 51.6 degrees of
@@ -81,7 +81,7 @@ class Scene:
         return replace(self, min_visible=least, max_visible=most, lateral_m=lateral_m)
 
     def randomized(self, strength: float) -> Scene:
-        """The set with `ffpose.render.randomization.Randomization.of_strength`."""
+        """The set with `ffpose.render.shading.randomization.Randomization.of_strength`."""
         return replace(self, randomization=Randomization.of_strength(strength))
 
     def parameters(self) -> dict[str, Any]:

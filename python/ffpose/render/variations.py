@@ -18,10 +18,10 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.render.pool import one_thread_each
+from ffpose.render.dataset.pool import one_thread_each
 from ffpose.render.renderer import Frame, camera_of, shoot_each
 from ffpose.render.scene import Scene
-from ffpose.render.sensor import Sensor
+from ffpose.render.shading.sensor import Sensor
 
 Bytes = NDArray[np.uint8]
 

@@ -17,11 +17,11 @@ from typing import get_args
 
 import numpy as np
 
-from ffpose.render.decoys import build_decoy
 from ffpose.render.layers import object_coordinates
 from ffpose.render.renderer import prepared, shoot
 from ffpose.render.scene import Scene
-from ffpose.render.sensor import Sensor
+from ffpose.render.shading.sensor import Sensor
+from ffpose.render.spacecraft.decoys import build_decoy
 from ffpose.views import WINDOW, Content, Pieces, ViewSpec, in_frame
 
 CHUNK = 8
@@ -39,7 +39,7 @@ def render_view(
         index: Number of the image in the set.
         spec: Geometry of the network's two views.
         content: "object": the set's spacecraft; "empty": no spacecraft, the window where it would
-            be; "decoy": another spacecraft in its place (`ffpose.render.decoys`).
+            be; "decoy": another spacecraft in its place (`ffpose.render.spacecraft.decoys`).
 
     Raises:
         ValueError: `content` is none of these.

@@ -1,6 +1,6 @@
 """Training: configuration, stages, the training loop, checkpoints.
 
-Names are imported on first access, so that reading a configuration does not load torch.
+What loads torch is imported on first access, so that reading a configuration does not.
 """
 
 from __future__ import annotations
@@ -8,11 +8,12 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from ffpose.training.config import DataConfig, LossConfig, OptimizerConfig, TrainConfig
+from ffpose.training.stages import PAPER_STAGES, Stage
+
 if TYPE_CHECKING:
     from ffpose.training.checkpoint import RunFolder
-    from ffpose.training.config import DataConfig, LossConfig, OptimizerConfig, TrainConfig
     from ffpose.training.engine import NonFiniteLossError, TrainResult, train
-    from ffpose.training.stages import PAPER_STAGES, Stage
 
 __all__ = [
     "PAPER_STAGES",
@@ -27,16 +28,9 @@ __all__ = [
     "train",
 ]
 
-_HOMES = {
-    "checkpoint": ("RunFolder",),
-    "config": ("DataConfig", "LossConfig", "OptimizerConfig", "TrainConfig"),
-    "engine": ("NonFiniteLossError", "TrainResult", "train"),
-    "stages": ("PAPER_STAGES", "Stage"),
-}
-
 
 def __getattr__(name: str) -> object:
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(importlib.import_module(f"ffpose.training.{home}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = "checkpoint" if name == "RunFolder" else "engine"
+    return getattr(importlib.import_module(f"ffpose.training.{home}"), name)

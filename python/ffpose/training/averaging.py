@@ -14,6 +14,8 @@ from typing import Any, Generic, TypeVar
 import torch
 from torch import nn
 
+from ffpose.torch_internals import move_toward
+
 WARM_UP = 10.0
 
 Model = TypeVar("Model", bound=nn.Module)
@@ -54,7 +56,7 @@ class AveragedModel(Generic[Model]):
                 values.append(value)
             else:
                 average.copy_(value)
-        torch._foreach_lerp_(averages, values, weight)
+        move_toward(averages, values, weight)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the average and the number of steps, as `load_state_dict` takes them."""

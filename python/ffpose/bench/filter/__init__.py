@@ -1,0 +1,1 @@
+"""`ffpose bench filter`: the spectral filter and its rivals, timed in turn."""

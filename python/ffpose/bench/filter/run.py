@@ -1,0 +1,61 @@
+"""`ffpose bench filter`: the spectral filter against its PyTorch, SciPy and matrix equivalents.
+
+The rivals are torch.fft, compiled torch.fft, SciPy's fft and matrix products. All contenders of a
+case are timed in turn in one process (`ffpose.bench.timing`); each instruction set and allocator
+setting has a process of its own (`ffpose.bench.filter.children`). A ratio above 1 means that ffpose
+is faster.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from ffpose.bench.filter.cases import Plan, make_plan
+from ffpose.bench.filter.children import ALLOCATORS, Opening, Setting, run_child
+from ffpose.bench.filter.report import draw, make_document, print_tables
+from ffpose.bench.filter.results import bring_together
+from ffpose.bench.filter.worker import Measurement, Request
+from ffpose.bench.output import expect_places, make_progress, write_document
+
+
+def run(json_path: Path | None = None, plot: Path | None = None, quick: bool = False) -> None:
+    """Measure all cases, print the tables on standard output, and write the requested files.
+
+    Args:
+        json_path: File for all timings, JSON.
+        plot: File for a plot of the ratios, PNG.
+        quick: Few sizes and short timings, in under a minute.
+
+    Raises:
+        OSError: A file cannot be written; its folder is checked before anything is measured.
+        RuntimeError: A child process failed, or a rival's results differ.
+    """
+    expect_places(json_path, plot)
+    plan = make_plan(quick)
+    openings: list[Opening] = []
+    comparisons = bring_together(_measured(plan, openings))
+    print_tables(openings, comparisons, plan.notes)
+    if json_path is not None:
+        write_document(make_document(openings, comparisons, plan.notes), json_path)
+    if plot is not None:
+        about = openings[0].environment
+        draw(comparisons, f"{about['processor']}, {openings[0].setting.isa}", plot)
+
+
+def _measured(plan: Plan, openings: list[Opening]) -> Iterator[tuple[Setting, Measurement]]:
+    """Run the children in sequence, with progress on standard error."""
+    settings = [Setting(isa, allocator) for isa in plan.cases for allocator in ALLOCATORS]
+    total = sum(len(plan.cases[setting.isa]) for setting in settings)
+    with make_progress() as progress, tempfile.TemporaryDirectory(prefix="ffpose-bench-") as caches:
+        task = progress.add_task("starting", total=total)
+        for setting in settings:
+            request = Request(plan.cases[setting.isa], plan.seconds)
+            for told in run_child(setting, request, caches):
+                if isinstance(told, Opening):
+                    openings.append(told)
+                else:
+                    words = f"{setting.isa}, allocator {setting.allocator}: {told.case.label}"
+                    progress.update(task, advance=1, description=words)
+                    yield setting, told

@@ -1,0 +1,1 @@
+"""`ffpose bench model`: networks, in torch and where they are deployed."""

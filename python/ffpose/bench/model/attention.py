@@ -1,0 +1,195 @@
+"""`ffpose bench model attention`: inference and training with ours and torch's attention.
+
+The baseline ("before") runs the forward of `torch.nn.MultiheadAttention`. The contenders of a case
+are timed in turn in this process (`ffpose.bench.timing`), so that other load on the machine affects
+them alike: the ratio is more reliable than the milliseconds. A ratio above 1 means that ffpose is
+faster than the baseline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from ffpose.bench.machine import environment
+from ffpose.bench.model.networks import (
+    BEFORE,
+    PRECISIONS,
+    TASKS,
+    NetworkCase,
+    contender,
+    largest_difference,
+    networks,
+    random_images,
+)
+from ffpose.bench.output import (
+    expect_places,
+    in_threads,
+    make_console,
+    make_progress,
+    make_table,
+    print_notes,
+    write_document,
+)
+from ffpose.bench.timing import OURS, Timing, interleave, torch_threads
+from ffpose.machine import bfloat16_instructions, cores
+
+MODELS = ("base", "small", "tiny")
+LEGEND = (
+    "before: the same network and weights with the forward of nn.MultiheadAttention; ratio: its"
+    " time over ours, by medians [quartiles] of interleaved runs",
+    "training step: forward, backward and AdamW; bfloat16: autocast; torch eager, random images",
+)
+
+
+@dataclass(frozen=True)
+class NetworkPlan:
+    """Plan of a network benchmark.
+
+    Attributes:
+        cases: Cases in the order of the tables.
+        seconds: Time for each contender of a case.
+        notes: Notes for the reader on what is left out or unusual.
+    """
+
+    cases: Sequence[NetworkCase]
+    seconds: float
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class NetworkResult:
+    """Timings of a case by contender, and the difference of their float32 poses."""
+
+    case: NetworkCase
+    timings: Mapping[str, Timing]
+    largest_difference: float
+
+    @property
+    def ratio(self) -> float:
+        """Speedup over the baseline."""
+        return self.timings[BEFORE].median / self.timings[OURS].median
+
+    @property
+    def images_per_second(self) -> float:
+        """Throughput of ffpose."""
+        return self.case.batch / self.timings[OURS].median
+
+
+def run(json_path: Path | None = None, quick: bool = False) -> None:
+    """Measure all cases, print the tables on standard output, and write the requested file.
+
+    Args:
+        json_path: File for all timings, JSON.
+        quick: Only batch 1, one thread and float32, with short timings.
+
+    Raises:
+        OSError: The file cannot be written; its folder is checked before anything is measured.
+        RuntimeError: The contenders of a case compute different poses.
+    """
+    expect_places(json_path)
+    plan = make_plan(quick)
+    results = list(_measured(plan))
+    print_results(results, plan.notes)
+    if json_path is not None:
+        write_document(make_document(results, plan.notes), json_path)
+
+
+def make_plan(quick: bool) -> NetworkPlan:
+    """Plan all cases, or the few of ``--quick``."""
+    if quick:
+        cases = [NetworkCase(model, 1, task) for model, task in product(MODELS, TASKS)]
+        return NetworkPlan(cases, 0.5, ("quick: batch 1, one thread, float32",))
+    notes: tuple[str, ...] = ()
+    if not bfloat16_instructions():
+        notes = (*notes, "bfloat16: this processor has no instructions for it, torch emulates them")
+    if cores() == 1:
+        notes = (*notes, "one core: two threads are not measured")
+    cases = [
+        NetworkCase(model, batch, task, precision, threads)
+        for threads, model, batch, task, precision in product(
+            (1, 2) if cores() > 1 else (1,), MODELS, (1, 8), TASKS, PRECISIONS
+        )
+    ]
+    return NetworkPlan(cases, 2.0, notes)
+
+
+def measure(case: NetworkCase, seconds: float) -> NetworkResult:
+    """Measure ``case`` for about ``seconds`` per contender.
+
+    Raises:
+        RuntimeError: The contenders compute different poses.
+    """
+    with torch_threads(case.threads):
+        models = networks(case.model)
+        images = random_images(models[OURS], case.batch)
+        difference = largest_difference(models, images)
+        taking_part = {name: contender(model, images, case) for name, model in models.items()}
+        return NetworkResult(case, interleave(taking_part, seconds), difference)
+
+
+def _measured(plan: NetworkPlan) -> Iterator[NetworkResult]:
+    """Measure the cases in sequence, with progress on standard error."""
+    with make_progress() as progress:
+        task = progress.add_task("starting", total=len(plan.cases))
+        for case in plan.cases:
+            progress.update(task, description=f"{case.label}, {in_threads(case.threads)}")
+            yield measure(case, plan.seconds)
+            progress.advance(task)
+
+
+def print_results(results: Sequence[NetworkResult], notes: Sequence[str]) -> None:
+    """Print a table for each number of threads, then notes on how to read them."""
+    console = make_console()
+    about = environment()
+    for threads in dict.fromkeys(each.case.threads for each in results):
+        heading = f"{in_threads(threads)}: ffpose {about['ffpose']}, torch {about['torch']}"
+        chosen = [each for each in results if each.case.threads == threads]
+        console.print(_table(chosen, f"{heading}, {about['processor']}"))
+    print_notes(console, (*LEGEND, *notes))
+
+
+def _table(results: Sequence[NetworkResult], heading: str) -> Table:
+    table = make_table(heading, "network", "work", "precision")
+    for name in ("ffpose ms", "before ms", "ratio", "images/s"):
+        table.add_column(name, justify="right")
+    for each in results:
+        case = each.case
+        table.add_row(
+            f"{case.model}, batch {case.batch}",
+            case.task,
+            case.precision,
+            _milliseconds(each.timings[OURS]),
+            _milliseconds(each.timings[BEFORE]),
+            f"{each.ratio:.2f}",
+            f"{each.images_per_second:.1f}",
+        )
+    return table
+
+
+def _milliseconds(timing: Timing) -> str:
+    median, lower, upper = (1e3 * value for value in (timing.median, timing.lower, timing.upper))
+    return f"{median:.1f} \\[{lower:.1f}–{upper:.1f}]"
+
+
+def make_document(results: Sequence[NetworkResult], notes: Sequence[str]) -> dict[str, Any]:
+    """Return all measurements as a JSON document; times in seconds."""
+    return {
+        "notes": list(notes),
+        "environment": environment(),
+        "results": [
+            {
+                "case": asdict(each.case),
+                "ratio": {BEFORE: each.ratio},
+                "images_per_second": each.images_per_second,
+                "largest_difference": each.largest_difference,
+                "timings": {name: asdict(timing) for name, timing in each.timings.items()},
+            }
+            for each in results
+        ],
+    }

@@ -1,0 +1,205 @@
+"""`ffpose bench model NETWORK`: a network in torch and in the runtimes that take its graph.
+
+Latency of the network alone, of image file to pose by stages, and of a new process to its first
+pose with its peak memory. The contenders of a case take turns in this process
+(`ffpose.bench.timing`), so that other load on the machine affects them alike: ratios are more
+reliable than milliseconds. A runtime that is not installed is a note.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+from ffpose.bench.model.contenders import (
+    CUSTOM,
+    GRAPH_OF,
+    OPENVINO,
+    PLAIN,
+    TORCH,
+    Graph,
+    GraphKind,
+    contenders,
+    differences,
+    write_graphs,
+)
+from ffpose.bench.model.pipeline import (
+    ColdStart,
+    Pipeline,
+    Start,
+    measure_stages,
+    measure_starts,
+    write_image,
+)
+from ffpose.bench.model.plan import DeploymentPlan, make_plan
+from ffpose.bench.model.report import draw, make_document, print_results
+from ffpose.bench.model.subjects import Subject, subject
+from ffpose.bench.output import expect_places, in_threads, make_progress, write_document
+from ffpose.bench.timing import Latency, percentiles, take_turns, timed, torch_threads
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """Latencies of the network alone, by contender, and differences from the baseline's outputs."""
+
+    batch: int
+    threads: int
+    latencies: Mapping[str, Latency]
+    differences: Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class DeploymentResults:
+    """All that is measured of one network.
+
+    Attributes:
+        network: Its name.
+        baseline: The contender that ratios are to.
+        cases: Of the network alone.
+        stages: By number of threads and contender, latencies of the stages from file to pose.
+        starts: By contender, cold starts; empty for a network that gives no pose.
+        notes: For the reader, on what is left out or unusual.
+    """
+
+    network: str
+    baseline: str
+    cases: Sequence[CaseResult]
+    stages: Mapping[int, Mapping[str, Mapping[str, Latency]]]
+    starts: Mapping[str, ColdStart]
+    notes: Sequence[str]
+
+
+def run(
+    network: str,
+    json_path: Path | None = None,
+    plot: Path | None = None,
+    quick: bool = False,
+    *,
+    batches: Sequence[int] | None = None,
+    threads: Sequence[int] | None = None,
+) -> None:
+    """Measure a network, print the tables on standard output, and write the requested files.
+
+    Args:
+        network: ``"gfnet"``, a preset, or weights (`ffpose.bench.model.subjects.subject`).
+        json_path: File for all latencies, JSON.
+        plot: File for a plot of the latencies, PNG.
+        quick: Batch 1, one thread, the contenders that start fast, and short timings.
+        batches: Images a batch; None for 1 and 8.
+        threads: Numbers of threads; None for 1, 2 and all.
+
+    Raises:
+        FileNotFoundError: No such network, or no folder for a file.
+        MissingExtraError: What the export needs is not installed.
+        ValueError: A batch or a number of threads is below one.
+        RuntimeError: A contender computes something else.
+    """
+    expect_places(json_path, plot)
+    for name, values in (("batch", batches), ("threads", threads)):
+        if values is not None and min(values, default=0) < 1:
+            raise ValueError(f"{name}: expected numbers of at least 1, got {list(values)}")
+    with tempfile.TemporaryDirectory(prefix="ffpose-bench-") as folder:
+        results = measure(network, Path(folder), quick, batches, threads)
+    print_results(results)
+    if json_path is not None:
+        write_document(make_document(results), json_path)
+    if plot is not None:
+        draw(results, plot)
+
+
+def measure(
+    network: str,
+    folder: Path,
+    quick: bool,
+    batches: Sequence[int] | None = None,
+    threads: Sequence[int] | None = None,
+) -> DeploymentResults:
+    """Measure a network, with progress on standard error; arguments as `run`.
+
+    Args:
+        network: As `run`.
+        folder: For files that are needed meanwhile.
+        quick: As `run`.
+        batches: As `run`.
+        threads: As `run`.
+    """
+    measured = subject(network, folder)
+    plan = make_plan(measured, quick, batches, threads)
+    cases = list(product(plan.threads, plan.batches))
+    with make_progress() as progress:
+        task = progress.add_task("exporting", total=len(cases) + len(plan.threads) + 2)
+        kinds = list(dict.fromkeys(GRAPH_OF[name] for name in plan.names if name in GRAPH_OF))
+        graphs = write_graphs(
+            measured.model,
+            measured.images(2),
+            folder,
+            kinds,
+            entries=measured.entries,
+            output_names=measured.outputs,
+        )
+        results, stages = [], {}
+        for count, batch in cases:
+            words = f"{network}, batch {batch}, {in_threads(count)}"
+            progress.update(task, advance=1, description=words)
+            with torch_threads(count):
+                results.append(_measure_case(measured, graphs, plan, batch, count))
+        for count in plan.threads if measured.weights is not None else ():
+            words = f"image file to pose, {in_threads(count)}"
+            progress.update(task, advance=1, description=words)
+            with torch_threads(count):
+                stages[count] = _measure_stages(measured, graphs, plan, folder, count)
+        progress.update(task, advance=1, description="new processes")
+        starts = _measure_starts(measured, graphs, plan, folder)
+    return DeploymentResults(network, plan.names[0], results, stages, starts, plan.notes)
+
+
+def _measure_case(
+    measured: Subject,
+    graphs: Mapping[GraphKind, Graph],
+    plan: DeploymentPlan,
+    batch: int,
+    threads: int,
+) -> CaseResult:
+    calls = contenders(measured, graphs, plan.names, batch, threads)
+    apart = differences(calls, plan.names[0])
+    samples = take_turns({name: timed(call) for name, call in calls.items()}, plan.seconds)
+    latencies = {name: percentiles(seconds) for name, seconds in samples.items()}
+    return CaseResult(batch, threads, latencies, apart)
+
+
+def _measure_stages(
+    measured: Subject,
+    graphs: Mapping[GraphKind, Graph],
+    plan: DeploymentPlan,
+    folder: Path,
+    threads: int,
+) -> dict[str, dict[str, Latency]]:
+    assert measured.weights is not None
+    image = folder / "image.png"
+    write_image(image)
+    pipelines = {
+        TORCH: Pipeline.of_weights(measured.weights),
+        _runtime(plan): Pipeline.of_graph(graphs["custom"].path, threads),
+    }
+    return measure_stages(pipelines, image, plan.seconds)
+
+
+def _measure_starts(
+    measured: Subject, graphs: Mapping[GraphKind, Graph], plan: DeploymentPlan, folder: Path
+) -> dict[str, ColdStart]:
+    if measured.weights is None:
+        return {}
+    starts = {
+        TORCH: Start("torch", measured.weights),
+        _runtime(plan): Start("onnxruntime", graphs["custom"].path),
+    }
+    if OPENVINO in plan.names:
+        starts[OPENVINO] = Start("openvino", graphs["matmul"].path)
+    return measure_starts(starts, folder / "image.png", max(plan.threads), plan.starts)
+
+
+def _runtime(plan: DeploymentPlan) -> str:
+    return CUSTOM if CUSTOM in plan.names else PLAIN

@@ -1,0 +1,1 @@
+"""Model cards: weights under the conditions of their training and others."""

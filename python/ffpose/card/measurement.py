@@ -1,0 +1,272 @@
+"""Measurements for a model card: weights under the conditions of their training and others.
+
+Each condition is a set of held-out rendered scenes (`ffpose.render.variations`), whose images pass
+through `ffpose.predictor.Predictor` like any other. Where errors grow, the predicted uncertainty
+should grow, and images that do not show the object should be flagged; so coverage and flag rates
+are reported with the errors. Rendering needs the extra `render`.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from ffpose import __version__
+from ffpose.baseline import mean_pose
+from ffpose.card.pictures import PICTURES, draw_picture
+from ffpose.card.statistics import Answers, refuse, summarize
+from ffpose.card.tables import format_card
+from ffpose.errors import require
+from ffpose.evaluation import choose_preprocessing
+from ffpose.files import atomic_write, sha256
+from ffpose.geometry import Pose
+from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
+from ffpose.models.zoo import resolve
+from ffpose.predictor import Predictor
+from ffpose.training.config import TEST_SEEDS
+
+if TYPE_CHECKING:
+    from ffpose.render import Scene
+    from ffpose.render.variations import Variation
+
+BATCH = 16
+
+BASELINE_SEED, BASELINE_LABELS = 0, 1000
+"""Seed and number of labels whose mean is the constant pose; the seed is one of training's."""
+
+SECOND_RENDERER = (
+    "No pictures of a second renderer: Mitsuba checks silhouettes, depths and shadows "
+    "(tests/render/test_second_renderer.py), but does not make pictures of the materials."
+)
+
+
+class Shown(NamedTuple):
+    """An image that a network is evaluated on.
+
+    Attributes:
+        condition: Name of the condition.
+        image: RGB image.
+        pose: The true pose; None where the image does not show the object.
+    """
+
+    condition: str
+    image: Image.Image
+    pose: Pose | None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The images of a model card.
+
+    Attributes:
+        with_object: Sets with the object, the first as trained.
+        without: Sets without it.
+        pictures: Kinds of out-of-distribution images, names in `ffpose.card.pictures.PICTURES`.
+        count: Number of images per condition.
+        size: ``(width, height)`` of the images.
+        seed: Seed of all images.
+        workers: Number of processes that render.
+    """
+
+    with_object: Sequence[Variation]
+    without: Sequence[Variation]
+    pictures: Sequence[str]
+    count: int
+    size: tuple[int, int]
+    seed: int
+    workers: int
+
+    @property
+    def trained(self) -> Variation:
+        """Set with the conditions of training."""
+        return self.with_object[0]
+
+    @property
+    def about(self) -> dict[str, str]:
+        """Description of each condition, by name."""
+        scenes = {v.name: v.about for v in (*self.with_object, *self.without)}
+        return scenes | {name: PICTURES[name][0] for name in self.pictures}
+
+    def show(self) -> Iterator[Shown]:
+        """Yield the images; those of one condition are in order, interleaved with others."""
+        from ffpose.render.variations import render_variations
+
+        scenes = (*self.with_object, *self.without)
+        frames = render_variations(scenes, self.seed, self.count, self.size, self.workers)
+        for variation, frame in frames:
+            pose = frame.pose if variation in self.with_object else None
+            yield Shown(variation.name, Image.fromarray(frame.image), pose)
+        for name in self.pictures:
+            for index in range(self.count):
+                yield Shown(name, draw_picture(name, self.seed, index, self.size), None)
+
+
+def measure(
+    weights: str | Path,
+    scene: str | Scene,
+    *,
+    count: int = 500,
+    size: tuple[int, int] = (640, 480),
+    seed: int = TEST_SEEDS,
+    workers: int = 1,
+    progress: bool = False,
+) -> dict[str, Any]:
+    """Measure weights under each condition.
+
+    Args:
+        weights: Weights file, or the name of shipped weights.
+        scene: The set of scenes, or its name; its attitudes are widened to all.
+        count: Number of images per condition.
+        size: ``(width, height)`` of the images before preprocessing.
+        seed: Seed of the scenes, at least `ffpose.training.config.TEST_SEEDS`, which are held out.
+        workers: Number of processes that render.
+        progress: Show progress on standard error.
+
+    Returns:
+        A JSON document. ``conditions``: a list, each with ``name``, ``about`` and the statistics of
+        `ffpose.card.statistics.summarize`. ``mean_pose_baseline``: the same statistics for a
+        constant pose on the scenes as trained. ``without_object``: a list of
+        `ffpose.card.statistics.refuse`, empty for a network without uncertainty. ``notes``: what
+        was left out.
+
+    Raises:
+        FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
+        ValueError: The weights cannot be used, the set is unknown, ``seed`` is below
+            `ffpose.training.config.TEST_SEEDS`, or a number is out of range.
+        MissingExtraError: The extra `render` is not installed.
+    """
+    _check_numbers(count, seed, workers)
+    scene = require("ffpose.render", "render").get_scene(scene) if isinstance(scene, str) else scene
+    camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
+    metadata = read_metadata(weights)
+    plan = _plan(scene, metadata, count, size, seed, workers)
+    preprocessing = choose_preprocessing(metadata, camera, any_camera=True)
+    predictor = Predictor(FilterformerPose.from_pretrained(weights), preprocessing)
+    began = time.perf_counter()
+    answers = answer(predictor, _with_bar(plan, show=progress))
+    return {
+        "weights": str(weights),
+        "sha256": sha256(resolve(weights)),
+        "ffpose": __version__,
+        "scene": scene.name,
+        "distance_m": list(scene.distance_m),
+        "count": count,
+        "size": list(size),
+        "seed": seed,
+        "in_view_threshold": metadata.in_view_threshold,
+        "seconds": time.perf_counter() - began,
+        **_results(plan, answers, metadata.in_view_threshold),
+        "notes": [SECOND_RENDERER],
+    }
+
+
+def _check_numbers(count: int, seed: int, workers: int) -> None:
+    for name, value, least in (("count", count, 1), ("workers", workers, 1)):
+        if value < least:
+            raise ValueError(f"{name}: expected at least {least}, got {value}")
+    if seed < TEST_SEEDS:
+        raise ValueError(
+            f"seed: expected at least {TEST_SEEDS}, the rest is training's; got {seed}"
+        )
+
+
+def _plan(
+    scene: Scene,
+    metadata: WeightsMetadata,
+    count: int,
+    size: tuple[int, int],
+    seed: int,
+    workers: int,
+) -> Plan:
+    """Plan the images for a network; only one with a second look is tested for the flag."""
+    from ffpose.render.variations import variations, without_object
+
+    config = metadata.config
+    if config.orientation_view == "frame":
+        with_object = variations(scene, scene.distance_m[1])
+        return Plan(with_object, [], [], count, size, seed, workers)
+    with_object, without = variations(scene, config.distance_m[1]), without_object(scene)
+    return Plan(with_object, without, list(PICTURES), count, size, seed, workers)
+
+
+def _with_bar(plan: Plan, *, show: bool) -> Iterable[Shown]:
+    if not show:
+        return plan.show()
+    progress, console = require("rich.progress", "pose"), require("rich.console", "pose")
+    total = plan.count * len(plan.about)
+    screen = console.Console(stderr=True)
+    bar: Iterable[Shown] = progress.track(plan.show(), "pictures", total, console=screen)
+    return bar
+
+
+def answer(predictor: Predictor, shown: Iterable[Shown]) -> dict[str, Answers]:
+    """Return the predictions for the images, by condition, in batches of `BATCH`."""
+    answers: dict[str, Answers] = defaultdict(lambda: Answers([], []))
+    pictures = iter(shown)
+    while batch := list(islice(pictures, BATCH)):
+        for picture, pose in zip(batch, predictor.batch([p.image for p in batch]), strict=True):
+            answers[picture.condition].found.append(pose)
+            if picture.pose is not None:
+                answers[picture.condition].truth.append(picture.pose)
+    return dict(answers)
+
+
+def _results(
+    plan: Plan, answers: Mapping[str, Answers], threshold: float | None
+) -> dict[str, list[dict[str, Any]] | dict[str, Any]]:
+    """Return the part of the document that follows from the predictions."""
+    trained = answers[plan.trained.name]
+    groups = [(plan.trained.name, plan.trained.about, trained), *_by_light(plan, trained)]
+    groups += [(v.name, v.about, answers[v.name]) for v in plan.with_object[1:]]
+    constant = Answers(trained.truth, [_mean_pose(plan.trained.scene)] * len(trained.truth))
+    others = {name: found.found for name, found in answers.items() if not found.truth}
+    if others:
+        others["all of them"] = [pose for found in others.values() for pose in found]
+    about = plan.about | {"all of them": "each kind as often as the others"}
+    return {
+        "conditions": [
+            {"name": name, "about": words, **summarize(group, threshold)}
+            for name, words, group in groups
+        ],
+        "mean_pose_baseline": summarize(constant, None),
+        "without_object": [
+            {"name": name, "about": about[name], **refuse(trained.found, found, threshold)}
+            for name, found in others.items()
+        ],
+    }
+
+
+def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
+    """Split the scenes as trained into those in sunlight and those in eclipse."""
+    from ffpose.render.dataset.conditions import conditions_of
+
+    dark = np.array(
+        [conditions_of(plan.trained.scene, plan.seed, i).eclipsed for i in range(plan.count)]
+    )
+    groups = [("sunlit only", "of those as trained", ~dark), ("eclipse only", "the others", dark)]
+    return [(name, words, trained.of(rows)) for name, words, rows in groups if rows.any()]
+
+
+def _mean_pose(scene: Scene) -> Pose:
+    from ffpose.render import label
+
+    labels = [label(scene, BASELINE_SEED, index).vector for index in range(BASELINE_LABELS)]
+    return Pose.from_vector(mean_pose(np.stack(labels)))
+
+
+def write_card(document: Mapping[str, Any], out: Path) -> None:
+    """Write ``card.json``, and its tables as ``card.md``, to a folder; created if missing."""
+    out.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out / "card.json") as path:
+        path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
+    with atomic_write(out / "card.md") as path:
+        path.write_text(format_card(document), encoding="utf-8")

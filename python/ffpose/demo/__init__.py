@@ -1,0 +1,1 @@
+"""`ffpose demo`: the whole pipeline on rendered scenes, and its report."""

@@ -1,0 +1,167 @@
+"""The report of a demo: ``report.json`` and ``report.html``."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import ffpose
+from ffpose.arrays import instruction_set
+from ffpose.demo.config import DemoConfig
+from ffpose.evaluation import Evaluation
+from ffpose.machine import package_versions
+from ffpose.report.page import Report
+from ffpose.training.checkpoint import Row
+
+SHIPPED = "soyuz-easy"
+"""The shipped weights that the demo uses."""
+
+ERRORS = ("median_translation_error_m", "median_rotation_error_deg")
+
+
+class Weights(NamedTuple):
+    """Weights that the demo evaluates.
+
+    Attributes:
+        file: The weights file.
+        history: A row for each epoch trained here; empty for the shipped weights.
+        best_epoch: Number of the epoch whose weights these are.
+        seconds: Time spent in epochs.
+    """
+
+    file: Path
+    history: Sequence[Row] = ()
+    best_epoch: int = 0
+    seconds: float = 0.0
+
+
+class Outcome(NamedTuple):
+    """Result of a demo.
+
+    Attributes:
+        config: Settings of the demo.
+        out: Folder of the demo.
+        weights: Weights that predicted the poses.
+        evaluation: Predicted poses and labels.
+        images_rendered: Number of images that the rendering time is for.
+        seconds: Time of the steps render, views, train and evaluate; 0 for skipped steps.
+    """
+
+    config: DemoConfig
+    out: Path
+    weights: Weights
+    evaluation: Evaluation
+    images_rendered: int
+    seconds: dict[str, float]
+
+
+def versions() -> dict[str, str]:
+    """Return the versions and the machine facts that the measurements depend on."""
+    return {
+        "ffpose": ffpose.__version__,
+        "instruction set": instruction_set(),
+        "python": platform.python_version(),
+        **package_versions("torch", "timm", "numpy", "embreex"),
+        "platform": platform.platform(),
+    }
+
+
+def command(out: Path, *, train: bool) -> str:
+    """Return the command that reproduces the demo, whether or not the environment is activated."""
+    python = Path(sys.executable)
+    if python.is_relative_to(Path.cwd()):
+        python = python.relative_to(Path.cwd())
+    words = [str(python), "-m", "ffpose.cli", "demo", "--out", str(out)]
+    return shlex.join([*words, "--train"] if train else words)
+
+
+def document(outcome: Outcome) -> dict[str, Any]:
+    """Return the contents of ``report.json``; without training its times and epochs are 0."""
+    config, out, weights = outcome.config, outcome.out, outcome.weights
+    summary = outcome.evaluation.summary()
+    baseline = summary["mean_pose_baseline"]
+    return {
+        "images": config.images,
+        "weights": _weights_in_words(config),
+        "train_seconds": weights.seconds,
+        "test_images": summary["images"],
+        **{name: summary[name] for name in summary if name not in ("images", "mean_pose_baseline")},
+        "mean_pose_baseline": baseline,
+        "ratio_to_baseline": {
+            name: summary[name] / baseline[name] if baseline[name] > 0 else None for name in ERRORS
+        },
+        "attitude_range_deg": _attitudes(config),
+        "distance_range_m": list(config.scene.distance_m),
+        "images_rendered": outcome.images_rendered,
+        "seconds_per_step": outcome.seconds,
+        "epochs": len(weights.history),
+        "best_epoch": weights.best_epoch,
+        "command": command(out, train=config.train),
+        "versions": versions(),
+        "files": _files(out),
+    }
+
+
+def _files(out: Path) -> list[str]:
+    """Return the names of the files written, including ``report.json`` but not the images."""
+    bulky = (out / "images", out / "views")
+    written = {path for path in out.rglob("*") if path.is_file()} | {out / "report.json"}
+    kept = (path for path in written if not any(map(path.is_relative_to, bulky)))
+    return sorted(str(path.relative_to(out)) for path in kept)
+
+
+def _attitudes(config: DemoConfig) -> dict[str, list[float]]:
+    names = ("roll", "pitch", "yaw")
+    return {n: [-a, a] for n, a in zip(names, config.attitude_range_deg, strict=True)}
+
+
+def _weights_in_words(config: DemoConfig) -> str:
+    return "trained here from random weights" if config.train else f"{SHIPPED}, part of ffpose"
+
+
+def page(outcome: Outcome) -> Report:
+    """Return the contents of ``report.html``."""
+    config, weights = outcome.config, outcome.weights
+    ranges = ", ".join(f"{n} ±{high:g}°" for n, (_, high) in _attitudes(config).items())
+    near, far = config.scene.distance_m
+    subject = f"{config.images} rendered images of a Soyuz at {near:g} to {far:g} m ({ranges})"
+    if config.train:
+        how = (
+            f"after a training of {weights.seconds:.0f} s from random weights on {config.views} "
+            "views of other scenes"
+        )
+    else:
+        how = f"with the shipped weights {SHIPPED}, which were trained on other scenes"
+    return Report(
+        title="From an image to a pose",
+        subtitle=f"{subject}, each posed from the image alone, {how}.",
+        evaluation=outcome.evaluation,
+        history=weights.history,
+        facts={
+            "images": f"{config.images} of {config.size[0]} × {config.size[1]} pixels",
+            "attitudes": ranges,
+            "weights": _weights_in_words(config),
+            f"seconds to render {outcome.images_rendered} images": _seconds(outcome, "render"),
+            **(_training_facts(outcome) if config.train else {}),
+            "seconds to evaluate": _seconds(outcome, "evaluate"),
+            **versions(),
+        },
+        command=command(outcome.out, train=config.train),
+    )
+
+
+def _training_facts(outcome: Outcome) -> dict[str, str]:
+    weights = outcome.weights
+    return {
+        f"seconds to render {outcome.config.views} views": _seconds(outcome, "views"),
+        "seconds to train": _seconds(outcome, "train"),
+        "epochs": f"{len(weights.history)}, the best is {weights.best_epoch}",
+    }
+
+
+def _seconds(outcome: Outcome, step: str) -> str:
+    return f"{outcome.seconds[step]:.1f}"

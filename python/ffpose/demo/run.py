@@ -1,0 +1,129 @@
+"""The demo: render unseen images, predict their poses, evaluate them, and write a report.
+
+The images have held-out seeds (`ffpose.training.config.TEST_SEEDS`), all attitudes, and the set's
+own distances. The poses come from the weights that ship with ffpose or, with `DemoConfig.train`,
+from a network trained from scratch in minutes on two cores, which shows what so short a training
+achieves and checks that every part of the network learns.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import ffpose
+from ffpose.demo.config import DemoConfig
+from ffpose.demo.record import DemoRecord
+from ffpose.demo.report import SHIPPED, Outcome, Weights, document, page
+from ffpose.evaluation import evaluate
+from ffpose.figures import save_figure
+from ffpose.files import atomic_write
+from ffpose.models.zoo import resolve
+from ffpose.render.dataset.writer import write_dataset
+from ffpose.report.page import write_report
+from ffpose.report.plots import training_curves, write_evaluation_figures
+from ffpose.report.results import write_results
+from ffpose.training import RunFolder, TrainConfig, train
+from ffpose.training.run import build_run
+
+
+def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> dict[str, Any]:
+    """Render unseen images, optionally train a network, predict poses, and write a report.
+
+    Args:
+        out: The folder to write: ``images/``, ``evaluation/``, ``report.html``, ``report.json`` and
+            ``demo.json`` (the settings), with training also ``views/`` and ``training/``. An
+            unfinished demo in the folder is resumed; of a finished one only evaluation and report
+            are repeated.
+        config: The demo's size.
+        quiet: Print nothing.
+
+    Returns:
+        The contents of ``report.json``.
+
+    Raises:
+        FileNotFoundError: The weights are missing from this installation.
+        ValueError: ``out`` holds a demo with other settings.
+        DataError: A file in ``out`` cannot be read.
+    """
+    config = config or DemoConfig()
+    record = DemoRecord.open(out, {**asdict(config), "ffpose": ffpose.__version__})
+    shipped = None if config.train else resolve(SHIPPED)
+    out.mkdir(parents=True, exist_ok=True)
+    record.write(out)
+    _render(config, out, record, quiet=quiet)
+    weights = _train(config, out, record, quiet=quiet) if shipped is None else Weights(shipped)
+    _say(f"evaluate: {config.images} held-out images", quiet=quiet)
+    began = time.perf_counter()
+    evaluation = evaluate(weights.file, "urso", out / "images", "all")
+    write_results(evaluation, out / "evaluation")
+    seconds = {
+        "render": record.render_seconds,
+        "views": record.views_seconds,
+        "train": weights.seconds,
+        "evaluate": time.perf_counter() - began,
+    }
+    outcome = Outcome(config, out, weights, evaluation, record.images_rendered, seconds)
+    _say(f"report: {out / 'report.html'}", quiet=quiet)
+    write_evaluation_figures(evaluation, out / "evaluation")
+    write_report(page(outcome), out / "report.html")
+    result = document(outcome)
+    with atomic_write(out / "report.json") as path:
+        path.write_text(json.dumps(result, indent=2) + "\n")
+    return result
+
+
+def _say(text: str, *, quiet: bool) -> None:
+    if not quiet:
+        print(text, file=sys.stderr, flush=True)
+
+
+def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> None:
+    """Render the missing images, and record the time it took."""
+    _say(f"render: {config.images} images of a Soyuz over the Earth", quiet=quiet)
+    written = write_dataset(
+        config.scene,
+        out / "images",
+        config.images,
+        config.seed,
+        size=config.size,
+        workers=config.workers,
+        progress=not quiet,
+    )
+    if written.rendered == 0:
+        _say("render: all images exist already", quiet=quiet)
+        return
+    record.images_rendered += written.rendered
+    record.render_seconds += written.seconds
+    record.write(out)
+
+
+def _train(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> Weights:
+    """Train the remaining epochs, on views that are rendered where they are missing."""
+    training = config.training(out)
+    if record.views_seconds == 0:
+        _say(f"views: rendering {config.views} training views", quiet=quiet)
+        began = time.perf_counter()
+        build_run(training)
+        record.views_seconds = time.perf_counter() - began
+        record.write(out)
+    _say(f"train: {_epochs_to_do(training)}", quiet=quiet)
+    trained = train(training, resume=True, quiet=quiet)
+    save_figure(training_curves(trained.history), trained.folder.curves)
+    return Weights(trained.folder.best, trained.history, trained.best_epoch, trained.seconds)
+
+
+def _epochs_to_do(training: TrainConfig) -> str:
+    """Describe the remaining epochs of a training."""
+    total = sum(stage.epochs for stage in training.resolved_stages)
+    folder = RunFolder(training.out)
+    done = len(folder.load_state().history) if folder.state.exists() else 0
+    if done == 0:
+        return f"{total} epochs from random weights"
+    if done < total:
+        return f"epochs {done + 1} to {total}, resumed"
+    return f"all {total} epochs are done already"

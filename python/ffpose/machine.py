@@ -1,0 +1,50 @@
+"""Facts about this machine and what is installed on it, as context of results."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+
+NOT_INSTALLED = "not installed"
+
+
+def package_version(package: str) -> str | None:
+    """Return the version of a package, without importing it; None if it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def package_versions(*packages: str) -> dict[str, str]:
+    """Return the version of each package; `NOT_INSTALLED` for one that is not."""
+    return {package: package_version(package) or NOT_INSTALLED for package in packages}
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def processor() -> str:
+    """Return the processor's name; empty where unknown."""
+    return _processor_fact("model name") or platform.processor()
+
+
+def bfloat16_instructions() -> list[str]:
+    """Return the processor's bfloat16 instructions as named by Linux; empty where unknown."""
+    known = {"avx512_bf16", "amx_bf16", "bf16", "svebf16"}
+    return sorted(known & set(_processor_fact("flags", "Features").split()))
+
+
+def _processor_fact(*names: str) -> str:
+    """Return the first of these entries that Linux has for the first core."""
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            name, _, fact = line.partition(":")
+            if name.strip() in names:
+                return fact.strip()
+    return ""

@@ -1,0 +1,207 @@
+"""Rendering a set in this process, in several processes, or on a Ray cluster.
+
+All three call the same pure function, so the bytes do not depend on which of them is used.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ffpose.errors import require
+from ffpose.files import atomic_write, sha256
+from ffpose.render.layers import render_layers, write_layers
+from ffpose.render.renderer import render
+from ffpose.render.scene import Scene
+from ffpose.urso import image_name
+
+PNG_LEVEL = 3
+"""Compression level of the PNG files; noise hardly compresses, so more costs time alone."""
+
+RAY_TASKS_PER_CORE = 2
+"""Ray tasks in flight per core: enough to keep all cores busy, few enough to fit in memory."""
+
+
+class Job(NamedTuple):
+    """Parameters that all images of a run share.
+
+    Attributes:
+        scene: The set to render.
+        seed: Seed of the set.
+        size: (width, height) of the images.
+        folder: Folder to write to.
+        labels: Layers to write beside each image, names in `ffpose.render.layers.LABELS`.
+    """
+
+    scene: Scene
+    seed: int
+    size: tuple[int, int]
+    folder: Path
+    labels: tuple[str, ...]
+
+
+def prepare(ray: bool) -> None:
+    """Check that the renderer's packages are installed, and connect to Ray if it is used.
+
+    Raises:
+        MissingExtraError: A package of the extra `render`, or `ray`, is not installed.
+    """
+    for package in ("embreex", "PIL", "rich"):
+        require(package, "render")
+    if ray:
+        _joined_ray()
+
+
+def render_all(
+    job: Job, indices: Sequence[int], workers: int, ray: bool
+) -> Iterator[tuple[int, str]]:
+    """Render and write images; yield the index and SHA-256 of each as it is done.
+
+    Args:
+        job: Parameters of the run.
+        indices: Indices of the images.
+        workers: Number of processes on this machine.
+        ray: Use a Ray cluster instead.
+    """
+    if ray:
+        return _on_ray(job, indices)
+    if workers == 1 or len(indices) < 2:
+        return ((index, render_one(job, index)) for index in indices)
+    return _in_processes(job, indices, min(workers, len(indices)))
+
+
+def render_one(job: Job, index: int) -> str:
+    """Render and write one image and its layers, and return the image's SHA-256."""
+    from PIL import Image
+
+    frame = render(job.scene, job.seed, index, job.size)
+    if job.labels:
+        # Layers first: an image that exists then has its layers.
+        layers = render_layers(job.scene, job.seed, index, job.size)
+        write_layers(job.folder, index, layers, job.labels)
+    target = job.folder / image_name(index)
+    with atomic_write(target, durable=False) as path:  # a later run rerenders damaged files
+        Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
+        return sha256(path)
+
+
+def _in_processes(job: Job, indices: Sequence[int], workers: int) -> Iterator[tuple[int, str]]:
+    context = multiprocessing.get_context("spawn")
+    with (
+        one_thread_each(),
+        ProcessPoolExecutor(
+            workers,
+            mp_context=context,
+            initializer=_start_worker,
+            initargs=(job,),
+        ) as pool,
+    ):
+        futures = {pool.submit(_worker_render, index): index for index in indices}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+_worker_job: list[Job] = []
+"""Job of this worker process; sent once, because a spacecraft may be a large mesh."""
+
+
+_busy = threading.Lock()
+"""Lock that this worker process holds while it writes."""
+
+
+def _start_worker(job: Job) -> None:
+    _worker_job[:] = [job]
+    # Only the parent handles Ctrl-C: it lets every worker finish its image.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Exit this worker between two images once its parent has exited for any reason."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        with _busy:
+            os._exit(1)
+
+
+def _worker_render(index: int) -> str:
+    with _busy:
+        return render_one(_worker_job[0], index)
+
+
+def _on_ray(job: Job, indices: Sequence[int]) -> Iterator[tuple[int, str]]:
+    """Render on Ray; tasks return the files' bytes, so the nodes need no shared folder."""
+    ray = _joined_ray()
+    task = ray.remote(_rendered_files)
+    shared = ray.put(job)
+    most = RAY_TASKS_PER_CORE * int(ray.cluster_resources().get("CPU", 1))
+    waiting = list(reversed(indices))
+    running: dict[Any, int] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < most:
+                index = waiting.pop()
+                running[task.remote(shared, index)] = index
+            done, _ = ray.wait(list(running))
+            for reference in done:
+                yield running.pop(reference), _write_files(job.folder, ray.get(reference))
+    finally:
+        for reference in running:
+            ray.cancel(reference)
+
+
+def _joined_ray() -> Any:
+    """Return the module `ray`, connected to a cluster."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    ray = require("ray", "ray")
+    if not ray.is_initialized():
+        ray.init(log_to_driver=False)
+    return ray
+
+
+def _rendered_files(job: Job, index: int) -> dict[str, bytes]:
+    """Render the files of an image and return their bytes by name, the image itself last."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        render_one(job._replace(folder=folder), index)
+        last = image_name(index)
+        paths = sorted(folder.iterdir(), key=lambda path: path.name == last)
+        return {path.name: path.read_bytes() for path in paths}
+
+
+def _write_files(folder: Path, files: dict[str, bytes]) -> str:
+    """Write files in order and return the SHA-256 of the last."""
+    for name, content in files.items():
+        with atomic_write(folder / name, durable=False) as path:
+            path.write_bytes(content)
+            digest = sha256(path)
+    return digest
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Limit workers started in this context to one thread each; more would only contend."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -1,0 +1,73 @@
+"""Label files in URSO's layout: a table of all poses, and names and poses of each split.
+
+Labels are in URSO's own frame (`ffpose.urso`) and keep every digit. A table of each image's
+conditions, which URSO's layout does not have, stands beside them.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from ffpose import urso
+from ffpose.files import atomic_write
+from ffpose.geometry import CAMERA_FILE, Camera, Pose
+from ffpose.render.dataset.conditions import Conditions
+
+
+def split_of(index: int) -> str:
+    """Return the split of image `index`: of ten in a row, eight train, one val, one test.
+
+    A longer set therefore never moves an image from one split to another.
+    """
+    return {1: "val", 2: "test"}.get(index % 10, "train")
+
+
+def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> list[str]:
+    """Write labels, splits and camera of a set.
+
+    A split without images has no files. Row N of ``gt.csv`` is that of image N, so a set that does
+    not begin with image 0 has no ``gt.csv``.
+
+    Args:
+        folder: Folder of the images.
+        poses: Label of each image by its index, in order and without gaps.
+        camera: The camera of the images.
+
+    Returns:
+        The names of the files written.
+    """
+    camera.write(folder / CAMERA_FILE)
+    names = [CAMERA_FILE]
+    if 0 in poses:
+        names.append(urso.TABLE)
+        _write_poses(folder / urso.TABLE, poses.values())
+    for split in urso.SPLITS:
+        members = [index for index in poses if split_of(index) == split]
+        if members:
+            names += [urso.images_file(split), urso.poses_file(split)]
+            with atomic_write(folder / names[-2]) as path:
+                lines = [f"{urso.image_name(index)}\n" for index in members]
+                path.write_text("".join(lines), encoding="utf-8")
+            _write_poses(folder / names[-1], [poses[index] for index in members])
+    return names
+
+
+def write_conditions(folder: Path, conditions: Mapping[int, Conditions]) -> str:
+    """Write the conditions of images, given by index, and return the name of the file."""
+    target = folder / urso.CONDITIONS
+    with atomic_write(target) as path, path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["image", *Conditions._fields])
+        for index, row in conditions.items():
+            values = (int(value) if isinstance(value, bool) else value for value in row)
+            writer.writerow([urso.image_name(index), *values])
+    return target.name
+
+
+def _write_poses(target: Path, poses: Iterable[Pose]) -> None:
+    with atomic_write(target) as path, path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, urso.COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: repr(v) for k, v in pose.to_urso().items()} for pose in poses)

@@ -1,0 +1,264 @@
+"""Writing sets of images in URSO's layout, in parallel and resumably.
+
+A folder holds ``N_rgb.png``, the label files of `ffpose.render.dataset.tables` and
+``manifest.json``. Runs over parts of a set (shards) may share a folder without a lock: no two of
+them write the same file, and each does the work of its own images alone. The run whose range covers
+every image in the folder closes the set: it writes the label files of all images. Of shards that
+end at the same time at most one sees no images but its own.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from ffpose.errors import require
+from ffpose.files import expect_room, remove_leftovers, sha256
+from ffpose.geometry import Camera
+from ffpose.render.dataset.conditions import conditions_of
+from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
+from ffpose.render.dataset.pool import Job, prepare, render_all
+from ffpose.render.dataset.tables import write_conditions, write_tables
+from ffpose.render.layers import check_labels, label_files
+from ffpose.render.renderer import camera_of, label
+from ffpose.render.scene import Scene, get_scene
+from ffpose.urso import image_name, index_of
+
+MAX_COUNT = 10_000_000
+LEAST_BYTES_PER_PIXEL = 0.4
+"""Lower bound on the size of an image file, given its noise; typical sets take two to three times
+as much."""
+
+
+class Written(NamedTuple):
+    """Result of a run.
+
+    Attributes:
+        folder: Folder of the set.
+        rendered: Number of images rendered by this run.
+        kept: Number of valid images of earlier runs that were kept.
+        seconds: Wall time.
+        closed: Whether label files and manifest include the images of this run. False where the
+            folder has images of other runs too: a run over the whole range then closes the set.
+    """
+
+    folder: Path
+    rendered: int
+    kept: int
+    seconds: float
+    closed: bool
+
+
+def write_dataset(
+    scene: Scene | str,
+    out: str | Path,
+    count: int,
+    seed: int = 0,
+    *,
+    start: int = 0,
+    size: tuple[int, int] | None = None,
+    workers: int = 1,
+    labels: Sequence[str] = (),
+    progress: bool = False,
+    ray: bool = False,
+) -> Written:
+    """Render the images `start` … `start + count − 1` of a set into a folder.
+
+    The same arguments give the same bytes, for any number of workers and however often the run was
+    killed and resumed; valid images in the folder are kept. Shards of one set may write to one
+    folder at the same time; afterward one run over the whole range, which finds all images there,
+    closes the set: it writes the label files and the manifest. A shard in a folder of its own is
+    closed at once.
+
+    Args:
+        scene: A set, or the name of one (`ffpose.render.SCENES`).
+        out: Folder to write to; created if it does not exist.
+        count: Number of images, at least 1.
+        seed: Seed of the set, at least 0.
+        start: Index of the first image.
+        size: (width, height) in pixels; default is that of the scene's camera.
+        workers: Number of processes; 1 renders in the calling process.
+        labels: Layers to write beside each image, names in `ffpose.render.layers.LABELS`.
+        progress: Show images per second and the remaining time on standard error.
+        ray: Render on the Ray cluster that ``RAY_ADDRESS`` names, or on one started on this
+            machine where that is not set. Every node needs ffpose; none needs the folder.
+
+    Raises:
+        ValueError: `scene` or one of `labels` is unknown, a number is out of range, or the folder
+            holds another set.
+        DataError: The folder's manifest cannot be read.
+        OSError: The folder cannot be written to, or the disk is full. Images already written stay,
+            and the next run resumes from them.
+        MissingExtraError: A package of the extra `render`, or `ray`, is not installed.
+    """
+    begin = time.perf_counter()
+    scene = get_scene(scene) if isinstance(scene, str) else scene
+    _check_range(count=(count, 1, MAX_COUNT), start=(start, 0, MAX_COUNT))
+    _check_range(seed=(seed, 0, 2**63 - 1), workers=(workers, 1, 1024))
+    camera = camera_of(scene, size)
+    label(scene, seed, start)  # a scene that allows no pose fails before a file is written
+    prepare(ray)
+    job = Job(scene, seed, (camera.width, camera.height), Path(out), check_labels(labels))
+    manifest = Manifest.of(scene, seed, job.size, job.labels)
+    begun = _begun(job, manifest)
+
+    wanted = range(start, start + count)
+    hashes = dict(_valid_images(job, wanted, begun.files)) if begun else {}
+    missing = [index for index in wanted if index not in hashes]
+    least = int(LEAST_BYTES_PER_PIXEL * camera.width * camera.height * len(missing))
+    expect_room(job.folder, least, f"{len(missing)} images")
+    if begun is None:  # last of the checks, as a folder with a manifest accepts no other set
+        job.folder.mkdir(parents=True, exist_ok=True)
+        manifest.write(job.folder / FILE_NAME)
+    remove_leftovers(job.folder)
+    with _bar(count, len(hashes), progress) as advance:
+        for index, digest in render_all(job, missing, workers, ray):
+            hashes[index] = digest
+            advance()
+    files = _fingerprints(job, hashes)
+    closed = begun is not None and files.items() <= begun.files.items()
+    if not _holds_images(job.folder, but=wanted):
+        _close_set(job, manifest, files, wanted, camera)
+        closed = True
+    elif not closed:
+        replace(manifest, files=files).write(job.folder / part_name(wanted))
+    seconds = time.perf_counter() - begin
+    return Written(job.folder, len(missing), count - len(missing), seconds, closed)
+
+
+def _check_range(**values: tuple[int, int, int]) -> None:
+    """Check that each value of (value, least, most) is within its bounds."""
+    for name, (value, least, most) in values.items():
+        if not least <= value <= most:
+            raise ValueError(f"{name}: expected {least}…{most}, got {value}")
+
+
+def _begun(job: Job, manifest: Manifest) -> Manifest | None:
+    """Return the folder's manifest, checked to be of the same set; None for a new set."""
+    # Images first: another shard that starts right now writes its manifest before its images.
+    images = _holds_images(job.folder)
+    old = Manifest.read(job.folder / FILE_NAME)
+    if old is None:
+        if images:
+            raise ValueError(
+                f"{job.folder}: expected an empty folder or a set that was begun here, "
+                "got images without a manifest"
+            )
+        return None
+    changed = difference(old, manifest)
+    if changed:
+        raise ValueError(f"{job.folder}: expected the same set as before, got {changed}")
+    return old
+
+
+def _fingerprints(job: Job, hashes: dict[int, str]) -> dict[str, str]:
+    """Return the SHA-256 by name of this run's images, given in `hashes`, and their layers."""
+    indices = sorted(hashes)
+    layers = [name for index in indices for name in label_files(index, job.labels)]
+    return {image_name(index): hashes[index] for index in indices} | {
+        name: sha256(job.folder / name) for name in layers
+    }
+
+
+def _close_set(
+    job: Job, manifest: Manifest, files: dict[str, str], indices: range, camera: Camera
+) -> None:
+    """Write label files and manifest of a folder that holds these images and no others."""
+    poses = {index: label(job.scene, job.seed, index) for index in indices}
+    conditions = {index: conditions_of(job.scene, job.seed, index) for index in indices}
+    tables = [
+        *write_tables(job.folder, poses, camera),
+        write_conditions(job.folder, conditions),
+    ]
+    files = files | {name: sha256(job.folder / name) for name in tables}
+    replace(manifest, files=files).write(job.folder / FILE_NAME)
+    for path in parts(job.folder, indices):
+        path.unlink(missing_ok=True)
+
+
+def _holds_images(folder: Path, but: range = range(0)) -> bool:
+    """Return whether a folder holds images outside a range; stops at the first."""
+    if not folder.is_dir():
+        return False
+    with os.scandir(folder) as entries:
+        indices = (index_of(entry.name) for entry in entries)
+        return any(index is not None and index not in but for index in indices)
+
+
+def _known_files(job: Job, indices: range, closed: dict[str, str]) -> dict[str, str]:
+    """Return the SHA-256 by name of these images' files, as finished runs recorded them."""
+    known = dict(closed)
+    for path in parts(job.folder, indices):
+        part = Manifest.read(path)
+        known |= part.files if part else {}
+    return known
+
+
+def _valid_images(job: Job, indices: range, closed: dict[str, str]) -> Iterator[tuple[int, str]]:
+    """Yield index and SHA-256 of the images that exist and are intact."""
+    known = _known_files(job, indices, closed)
+    for index in indices:
+        path = job.folder / image_name(index)
+        if not path.exists() or not _has_layers(job, index, known):
+            continue
+        digest = sha256(path)
+        expected = known.get(path.name)
+        if digest == expected or (expected is None and _readable(path, job.size)):
+            yield index, digest
+
+
+def _has_layers(job: Job, index: int, known: dict[str, str]) -> bool:
+    """Return whether the layers of an image exist and match the manifest."""
+    for path in (job.folder / name for name in label_files(index, job.labels)):
+        if not path.exists() or (path.name in known and known[path.name] != sha256(path)):
+            return False
+    return True
+
+
+def _readable(path: Path, size: tuple[int, int]) -> bool:
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            image.load()
+            return image.size == size
+    except (OSError, SyntaxError):  # Pillow reports some broken files as SyntaxError
+        return False
+
+
+@contextmanager
+def _bar(total: int, done: int, show: bool) -> Iterator[Callable[[], None]]:
+    require("rich", "render")
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.text import Text
+
+    class Speed(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return Text(f"{task.speed:.1f} images/s" if task.speed else "")
+
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Speed(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=not show,
+    )
+    with bar:
+        task = bar.add_task("render", total=total, completed=done)
+        yield lambda: bar.advance(task)

@@ -1,0 +1,230 @@
+"""Shading of the spacecraft: a Lambertian diffuse term under a GGX microfacet layer.
+
+Radiance is in units of that of a white diffuse surface facing the sun, so the sun's irradiance is
+pi. Sources: Walter et al. 2007 (GGX with Smith's shadowing), Schlick 1994 (Fresnel).
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import NamedTuple
+
+import numpy as np
+
+from ffpose.render.shading.finish import DRAW, Surface
+from ffpose.render.shading.randomization import stops
+from ffpose.render.shading.tracer import Tracer
+from ffpose.render.shading.vectors import Floats, column, dot, unit
+from ffpose.render.shading.view import View
+from ffpose.render.spacecraft.craft import Craft
+
+EARTH_COLOR = (0.26, 0.31, 0.38)
+"""Mean radiance of the sunlit Earth below, clouds and sea together."""
+
+HIGHLIGHT_LIMIT = 12.0
+"""Largest radiance of one sample, so that a glint does not dominate its pixel."""
+
+BOUNCE = 0.2
+"""Fraction of the Earth's light reflected by the spacecraft where it occludes the Earth."""
+
+EDGE_ON = 0.25
+"""Cosine up to which a smoothed normal may face away from the camera on a front face."""
+
+LIFT_M = 2e-3
+"""Offset of a shadow ray's origin from the surface, so that no point shadows itself, meters."""
+
+
+class Light(NamedTuple):
+    """Lights: directions (3,) in the object frame, and intensities.
+
+    Attributes:
+        sun: Unit vector to the sun.
+        nadir: Unit vector to the Earth's center.
+        earth: Radiance of the Earth below, relative to `EARTH_COLOR`.
+        horizon: Cosine of the angle between nadir and horizon.
+        sunlight: 1, or 0 in the Earth's shadow.
+        lamp: Irradiance of a lamp at the camera, relative to the sun's, at a distance of 1 m.
+        tint: (3, 1) color of the sun's light.
+    """
+
+    sun: Floats
+    nadir: Floats
+    earth: float
+    horizon: float
+    sunlight: float
+    lamp: float
+    tint: Floats
+
+
+class Finish:
+    """Lookup tables of the spacecraft's materials, for many points at once."""
+
+    def __init__(self, craft: Craft) -> None:
+        table = craft.materials
+        self._uv = craft.mesh.uv.astype(np.float32)
+        self._normals = craft.mesh.corner_normals
+        self._material = craft.mesh.material
+        self._color = np.array([m.color for m in table], dtype=np.float32).T
+        self._emission = np.array([m.emission for m in table], dtype=np.float32).T
+        self._roughness = np.array([m.roughness for m in table], dtype=np.float32)
+        self._metallic = np.array([m.metallic for m in table], dtype=np.float32)
+        self._pattern = np.array([m.pattern for m in table])
+        self._scale = np.array([m.scale for m in table], dtype=np.float32)
+
+    def varied(self, spread: float, rng: np.random.Generator) -> Finish:
+        """Return a copy with every material's color and roughness varied by random stops."""
+        other = copy.copy(self)
+        other._color = np.minimum(self._color * stops(spread, self._color.shape, rng), 1)
+        rough = self._roughness * stops(spread, self._roughness.shape, rng)
+        other._roughness = np.clip(rough, np.float32(0.05), 1)
+        return other
+
+    def surface(self, view: View, footprint: Floats) -> Surface:
+        """Evaluate materials and patterns at the points of a view.
+
+        Args:
+            view: The hit points.
+            footprint: (N,) width of a pixel at each point, meters; finer detail is averaged.
+        """
+        face = view.hits.face
+        second, third = view.hits.barycentric
+        weights = np.stack([1 - second - third, second, third])
+        normal = _blend(self._normals.take(face, axis=0), weights)
+        # Open surfaces are seen from both sides.
+        normal[:, dot(normal, view.rays) > EDGE_ON] *= -1
+        number = self._material.take(face)
+        surface = Surface(
+            self._color.take(number, axis=1),
+            self._roughness.take(number),
+            self._metallic.take(number),
+            self._emission.take(number, axis=1),
+            normal,
+        )
+        uv = _blend(self._uv.take(face, axis=0), weights)
+        place, kinds, scale = view.place, self._pattern.take(number), self._scale.take(number)
+        for kind, draw in DRAW.items():
+            at = np.flatnonzero(kinds == kind)
+            if at.size:
+                draw(surface, at, uv[:, at] / scale[at], place[:, at], footprint[at] / scale[at])
+        return surface._replace(normal=_face_eye(unit(surface.normal), view.rays))
+
+
+def sun_visible(tracer: Tracer, place: Floats, normal: Floats, light: Light) -> Floats:
+    """Return 1 where the sun reaches the points (3, N), else 0; (N,)."""
+    lit = np.zeros(place.shape[1], dtype=np.float32)
+    turned = np.flatnonzero(dot(light.sun, normal) > 0)
+    if light.sunlight > 0 and turned.size:
+        start = place[:, turned] + normal[:, turned] * np.float32(LIFT_M)
+        lit[turned] = ~tracer.blocked(start.T, light.sun)
+    return lit
+
+
+def earth_visible(
+    tracer: Tracer, place: Floats, normal: Floats, light: Light, rng: np.random.Generator
+) -> Floats:
+    """Estimate the fraction (N,) of the Earth's light that reaches the points (3, N).
+
+    Two random rays for each point scatter about the bisector of nadir and normal, where most of
+    that light comes from. An occluded point still gets `BOUNCE` from the lit surfaces around it.
+    """
+    if light.earth == 0:
+        return np.zeros(place.shape[1], dtype=np.float32)
+    start = place + normal * np.float32(LIFT_M)
+    scatter = np.float32(0.4) * rng.standard_normal(place.shape, dtype=np.float32)
+    middle = light.nadir[:, None] + normal
+    blocked = np.zeros(place.shape[1], dtype=np.float32)
+    for toward in (middle + scatter, middle - scatter):
+        blocked += tracer.blocked(start.T, unit(toward).T)
+    result: Floats = 1 - np.float32((1 - BOUNCE) / 2) * blocked
+    return result
+
+
+def reflected(
+    surface: Surface, view: View, light: Light, sunlit: Floats, earthlit: Floats
+) -> Floats:
+    """Compute the radiance (3, N) reflected toward the camera.
+
+    Args:
+        surface: Surface attributes of the points.
+        view: The rays that hit them.
+        light: The lights.
+        sunlit: (N,) fraction of the sun that each point sees, 0…1.
+        earthlit: (N,) fraction of the Earth's light that reaches each point, 0…1.
+    """
+    rays = view.rays
+    plain = surface.color * (1 - surface.metallic)
+    mirror = np.float32(0.04) * (1 - surface.metallic) + surface.color * surface.metallic
+    direct = np.maximum(dot(light.sun, surface.normal), 0) * sunlit
+    out = plain + _highlight(surface, rays, light.sun, mirror)
+    out *= direct * light.tint
+    out += _earth_shine(surface, rays, light, plain, mirror) * earthlit
+    if light.lamp > 0:
+        facing = -dot(rays, surface.normal)
+        lamp = np.float32(light.lamp) * facing / view.hits.distance**2
+        out += (plain + _lamp_glint(surface, facing, mirror)) * lamp
+    np.minimum(out, np.float32(HIGHLIGHT_LIMIT), out=out)
+    out += surface.emission
+    return out
+
+
+def _highlight(surface: Surface, rays: Floats, sun: Floats, mirror: Floats) -> Floats:
+    """Evaluate the GGX lobe times pi, because the sun's irradiance is pi."""
+    half = unit(sun[:, None] - rays)
+    facing = np.maximum(dot(half, surface.normal), 0)
+    cos_view = np.maximum(-dot(rays, surface.normal), np.float32(1e-3))
+    cos_sun = np.maximum(dot(sun, surface.normal), np.float32(1e-3))
+    lobe = _lobe(surface, facing) / (_reach(surface, cos_view) * _reach(surface, cos_sun))
+    grazing = (1 - np.clip(dot(sun, half), 0, 1)) ** 5
+    result: Floats = (mirror + (1 - mirror) * grazing) * lobe
+    return result
+
+
+def _lamp_glint(surface: Surface, facing: Floats, mirror: Floats) -> Floats:
+    """Evaluate the GGX lobe seen from the light itself, times pi."""
+    lobe: Floats = _lobe(surface, facing) / _reach(surface, facing) ** 2
+    return mirror * lobe
+
+
+def _lobe(surface: Surface, facing: Floats) -> Floats:
+    """Evaluate GGX's density of microfacets that face the half vector, times pi."""
+    slope = surface.roughness**4
+    result: Floats = slope / (facing * facing * (slope - 1) + 1) ** 2
+    return result
+
+
+def _reach(surface: Surface, cosine: Floats) -> Floats:
+    """Evaluate the denominator of Smith's shadowing for one direction, without twice the cosine."""
+    slope = surface.roughness**4
+    result: Floats = cosine + np.sqrt(slope + (1 - slope) * cosine * cosine)
+    return result
+
+
+def _earth_shine(
+    surface: Surface, rays: Floats, light: Light, plain: Floats, mirror: Floats
+) -> Floats:
+    """Compute the Earth's light: a wide lamp for the diffuse term, a blurred disk in the mirror."""
+    wide = np.float32(0.5 * (1 - light.horizon))
+    diffuse = np.clip(dot(light.nadir, surface.normal) * (1 - wide) + wide, 0, 1)
+    cos_view = dot(rays, surface.normal)
+    mirrored = dot(light.nadir, rays - 2 * cos_view * surface.normal)
+    blur = np.float32(0.02) + surface.roughness
+    seen = np.clip((mirrored - np.float32(light.horizon)) / blur + np.float32(0.5), 0, 1)
+    grazing = (1 - np.clip(-cos_view, 0, 1)) ** 5 * (1 - surface.roughness)
+    glossy = (mirror + (1 - mirror) * grazing) * seen
+    out: Floats = plain * diffuse
+    out += glossy
+    out *= column(EARTH_COLOR) * np.float32(light.earth)
+    return out
+
+
+def _face_eye(normal: Floats, rays: Floats) -> Floats:
+    """Bend unit normals (3, N) that face away from the camera until they are seen edge-on."""
+    lean = np.maximum(dot(normal, rays) + np.float32(0.02), 0)
+    return unit(normal - lean * rays)
+
+
+def _blend(corners: Floats, weights: Floats) -> Floats:
+    """Interpolate corner values (N, 3, K) by barycentric weights (3, N); returns (K, N)."""
+    first, second, third = weights
+    result: Floats = first * corners[:, 0].T + second * corners[:, 1].T + third * corners[:, 2].T
+    return result

@@ -1,0 +1,89 @@
+"""What is behind the spacecraft: stars, the sun's disk, the Earth seen from low orbit."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose import arrays
+from ffpose.geometry import Camera
+from ffpose.render.shading.vectors import Floats
+
+SUN_RADIUS_RAD = 0.00465
+SUN_RADIANCE = 150.0
+"""Radiance of the sun's disk: saturated at any exposure, though a thousandth of the true one."""
+
+STARS_TO_MAGNITUDE_ZERO = 5.0
+"""Number of stars in the whole sky brighter than magnitude 0; 3.2 times more per magnitude."""
+FAINTEST = 6.0
+STAR_FLUX = 0.25
+"""Radiance of a star of magnitude zero, collected in one pixel at 640 pixels of focal length."""
+
+
+def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
+    """Draw stars uniformly over the sky with the true count per magnitude: radiance (H, W, 3)."""
+    total = rng.poisson(STARS_TO_MAGNITUDE_ZERO * 10 ** (0.5 * FAINTEST))
+    rays = rng.standard_normal((total, 3))
+    # Counts grow as 10^(0.5 m), so a uniform share of them gives a magnitude.
+    magnitude = FAINTEST + 2.0 * np.log10(1.0 - rng.random(total))
+    warmth = rng.normal(0.0, 0.18, total)
+    ahead = rays[:, 2] > 0
+    pixel = camera.project(rays[ahead])
+    flux = STAR_FLUX * 10 ** (-0.4 * magnitude[ahead]) * (camera.fx / 640.0) ** 0.5
+    tint = np.stack([1 + warmth, np.ones_like(warmth), 1 - warmth], axis=1)[ahead]
+    light = flux[:, None] * np.clip(tint, 0.4, 1.6)
+    # A star is splatted on four pixels with bilinear weights.
+    base = np.floor(pixel - 0.5).astype(np.int64)
+    part = pixel - 0.5 - base
+    image = np.zeros((camera.height * camera.width, 3), dtype=np.float32)
+    for dy in (0, 1):
+        for dx in (0, 1):
+            column, row = base[:, 0] + dx, base[:, 1] + dy
+            weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+            seen = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+            at = row[seen] * camera.width + column[seen]
+            np.add.at(image, at, (weight[:, None] * light)[seen])
+    return image.reshape(camera.height, camera.width, 3)
+
+
+def sun_disk(sun: NDArray[np.float64], rays: Floats, pixel_angle: float) -> Floats:
+    """Compute the sun's radiance (N,) along unit rays (3, N), its rim smoothed over a pixel."""
+    toward = np.asarray(sun, dtype=np.float32)[:, None]
+    offset = np.sqrt(((rays - toward) ** 2).sum(axis=0))
+    radius = max(SUN_RADIUS_RAD, 0.5 * pixel_angle)
+    inside = np.clip(0.5 - (offset - radius) / pixel_angle, 0, 1)
+    result: Floats = (inside * np.float32(SUN_RADIANCE)).astype(np.float32)
+    return result
+
+
+class Earth(NamedTuple):
+    """The Earth in the camera frame; lengths in Earth radii.
+
+    Attributes:
+        nadir: (3,) unit vector to the Earth's center.
+        altitude: Height of the camera above the ground.
+        sun: (3,) unit vector to the sun.
+        ground: (3, 3) rotation from the camera frame to the frame of land and clouds.
+        octaves: Noise octaves of the clouds; finer images need more.
+    """
+
+    nadir: NDArray[np.float64]
+    altitude: float
+    sun: NDArray[np.float64]
+    ground: NDArray[np.float64]
+    octaves: int = 6
+
+    def shade(self, rays: Floats, pixel_angle: float) -> tuple[Floats, Floats]:
+        """Compute the radiance that reaches the camera from the Earth and its atmosphere.
+
+        Args:
+            rays: (3, N) unit vectors, camera frame.
+            pixel_angle: Angle that one pixel covers, radians; the limb is smoothed over it.
+
+        Returns:
+            Radiance (3, N), and the transmittance (N,) for what lies behind the Earth.
+        """
+        vectors = self.nadir.tolist(), self.altitude, self.sun.tolist(), self.ground.tolist()
+        return arrays.shade_earth(rays, *vectors, self.octaves, pixel_angle)

@@ -1,0 +1,1 @@
+"""Spacecraft: meshes, their materials, and the models that are built in."""

@@ -1,0 +1,61 @@
+"""The spacecraft that the renderer draws: a mesh, its materials, and named keypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.render.spacecraft import dragon, soyuz
+from ffpose.render.spacecraft.materials import Material
+from ffpose.render.spacecraft.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Craft:
+    """A spacecraft in its own frame: x forward (docking axis), y starboard, z down; meters.
+
+    Attributes:
+        name: Name of the spacecraft in manifests.
+        mesh: Surface of the spacecraft.
+        materials: The materials that `Mesh.material` indexes.
+        keypoints: Points (3,) in the object frame, meters, by name.
+    """
+
+    name: str
+    mesh: Mesh
+    materials: tuple[Material, ...]
+    keypoints: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+
+    @cached_property
+    def outline(self) -> NDArray[np.float64]:
+        """Vertices (N, 3), a few hundred at most, that span the spacecraft's extent."""
+        vertices = self.mesh.vertices
+        return vertices[:: max(1, len(vertices) // 400)]
+
+
+def _soyuz() -> Craft:
+    return Craft("soyuz", soyuz.build(), soyuz.MATERIALS, soyuz.KEYPOINTS)
+
+
+def _dragon() -> Craft:
+    return Craft("dragon", dragon.build(), dragon.MATERIALS, dragon.KEYPOINTS)
+
+
+BUILDERS: dict[str, Callable[[], Craft]] = {"soyuz": _soyuz, "dragon": _dragon}
+"""Builders of the spacecraft that ship with ffpose, by name."""
+
+
+@lru_cache(maxsize=4)
+def build_craft(name: str) -> Craft:
+    """Build a spacecraft of `BUILDERS`; later calls return the same one.
+
+    Raises:
+        ValueError: `name` is not in `BUILDERS`; the message lists the valid names.
+    """
+    if name not in BUILDERS:
+        raise ValueError(f"unknown spacecraft {name!r}; known: {', '.join(sorted(BUILDERS))}")
+    return BUILDERS[name]()

@@ -1,0 +1,111 @@
+"""Everything that ffpose asks of torch's private names, which may go without notice.
+
+Each is looked up once. Without it a slower way gives the same numbers: calls go through the
+dispatcher, or weights are averaged one by one. Only two things are lost: `torch.vmap` of the bare
+operators ``torch.ops.ffpose``, and saving an exported program whose result is a named tuple.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+from torch.compiler import is_compiling
+from torch.nn import Parameter
+
+Result = TypeVar("Result")
+
+
+def _find(module: str, name: str) -> Any:
+    """Return a private name of a module of torch, or None where this torch has none."""
+    try:
+        return getattr(importlib.import_module(module), name, None)
+    except ModuleNotFoundError:
+        return None
+
+
+_below_autograd = _find("torch._C", "_AutoDispatchBelowAutograd")
+_dispatch_keys = _find("torch._C", "_dispatch_keys")
+_dispatch_modes = _find("torch._C", "_len_torch_dispatch_stack")
+_lerp_all = _find("torch", "_foreach_lerp_")
+_register_named_tuple = _find("torch.utils._pytree", "_register_namedtuple")
+_transforms_active = _find("torch._C", "_are_functorch_transforms_active")
+_tracing_state = _find("torch._C", "_get_tracing_state") or _find("torch.jit", "is_tracing")
+
+
+def _plain_keys() -> frozenset[int]:
+    """Return the dispatch keys of ordinary CPU tensors, outside and inside inference mode."""
+    if None in (_dispatch_keys, _dispatch_modes, getattr(forward_ad, "_current_level", None)):
+        return frozenset()  # nothing is known to be plain
+    tensor = torch.empty(0, device="cpu")
+    with torch.inference_mode():
+        of_inference = torch.empty(0, device="cpu")
+    return frozenset(_dispatch_keys(each).raw_repr() for each in (tensor, of_inference))
+
+
+_PLAIN_KEYS = _plain_keys()
+_PLAIN_TYPES = frozenset((Tensor, Parameter)) if _PLAIN_KEYS else frozenset()
+
+
+def is_plain(*tensors: Tensor) -> bool:
+    """Return whether Rust may be called directly, as the dispatcher costs more than a small call.
+
+    False for anything but ordinary CPU tensors (tensor subclasses, fake tensors, tensors batched by
+    vmap or tracked by `torch.func`), and while operators are being recorded: by ``torch.compile``,
+    ``torch.export``, ``torch.jit.trace``, forward-mode differentiation or a dispatch mode. Whether
+    a gradient is required is not considered.
+    """
+    if not _PLAIN_KEYS or is_compiling() or _dispatch_modes() or _tracing_state():
+        return False
+    if forward_ad._current_level >= 0:
+        return False
+    for tensor in tensors:
+        if type(tensor) not in _PLAIN_TYPES or _dispatch_keys(tensor).raw_repr() not in _PLAIN_KEYS:
+            return False
+    return True
+
+
+def is_recording() -> bool:
+    """Return whether torch.compile, torch.export or torch.jit.trace is recording a graph."""
+    return bool(is_compiling() or _tracing_state())
+
+
+def transforms_at_work() -> bool:
+    """Return whether a transform of `torch.func` is active, which records in its own way."""
+    return _transforms_active is None or bool(_transforms_active())
+
+
+def below_autograd(operator: Callable[..., Result], *args: Any, **kwargs: Any) -> Result:
+    """Call an operator without autograd, by the device's kernel.
+
+    Inference mode skips autograd too, but autograd cannot save its tensors: they are copied.
+    """
+    if _below_autograd is not None:
+        with _below_autograd():
+            return operator(*args, **kwargs)
+    with torch.inference_mode():
+        result: Any = operator(*args, **kwargs)
+    if isinstance(result, tuple):
+        result = tuple(each.clone() for each in result)
+    elif result is not None:
+        result = result.clone()
+    return cast("Result", result)
+
+
+def move_toward(averages: Sequence[Tensor], values: Sequence[Tensor], weight: float) -> None:
+    """Move each tensor a share ``weight`` of the way to its value, in place."""
+    if _lerp_all is not None:
+        _lerp_all(averages, values, weight)
+        return
+    for average, value in zip(averages, values, strict=True):
+        average.lerp_(value, weight)
+
+
+def register_named_tuple(kind: type[tuple[Any, ...]], name: str) -> None:
+    """Let saved programs (`torch.export.save`) refer to a named tuple by ``name``."""
+    if _register_named_tuple is not None:
+        _register_named_tuple(kind, serialized_type_name=name)

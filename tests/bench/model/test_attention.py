@@ -1,0 +1,116 @@
+"""The benchmark of networks with ours and torch's attention, on one that takes no time."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import nn
+
+from ffpose.bench.model import attention as bench
+from ffpose.bench.model.attention import NetworkPlan, NetworkResult
+from ffpose.bench.model.networks import (
+    BEFORE,
+    PRECISIONS,
+    TASKS,
+    BuiltInAttention,
+    NetworkCase,
+    contender,
+    networks,
+    random_images,
+)
+from ffpose.bench.timing import OURS, Timing
+from ffpose.cli import main
+from ffpose.config import CONFIGS
+from ffpose.nn.filterformer import SelfAttention
+
+
+@pytest.fixture(autouse=True)
+def _speck(monkeypatch):
+    """A network so small that its images take a millisecond."""
+    fields = {"dim": 8, "depth": 1, "heads": 2, "feed_forward": 8, "head_hidden": 8}
+    fields |= {"backbone": "test_efficientnet", "image_size": (32, 48)}
+    monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["tiny"], **fields))
+
+
+def test_run_prints_tables_and_writes_a_document(tmp_path, monkeypatch, capsys):
+    cases = [NetworkCase("speck", 2, task, kind) for task in TASKS for kind in PRECISIONS]
+    cases.append(NetworkCase("speck", 1, threads=2))
+    monkeypatch.setattr(bench, "make_plan", lambda quick: NetworkPlan(cases, 0.001, ("a note",)))
+    before = torch.get_num_threads()
+    assert (
+        main(["bench", "model", "attention", "--quick", "--json", str(tmp_path / "model.json")])
+        == 0
+    )
+    assert torch.get_num_threads() == before
+    document = json.loads((tmp_path / "model.json").read_text())
+    assert document["notes"] == ["a note"]
+    assert document["environment"]["torch"] == torch.__version__
+    assert [NetworkCase(**each["case"]) for each in document["results"]] == cases
+    for each in document["results"]:
+        medians = {name: timing["median"] for name, timing in each["timings"].items()}
+        assert each["ratio"][BEFORE] == pytest.approx(medians[BEFORE] / medians[OURS])
+        assert each["images_per_second"] == pytest.approx(each["case"]["batch"] / medians[OURS])
+        assert each["largest_difference"] < 1e-5
+    printed = capsys.readouterr().out
+    assert re.findall(r"(\d threads?): ffpose", printed) == ["1 thread", "2 threads"]
+    assert "a note" in printed
+
+
+def test_a_ratio_by_hand():
+    timings = {OURS: Timing(0.5, 0.4, 0.6, 5, 1), BEFORE: Timing(2.0, 1.0, 3.0, 5, 1)}
+    result = NetworkResult(NetworkCase("speck", 8), timings, 0.0)
+    assert (result.ratio, result.images_per_second) == (4.0, 16.0)
+
+
+def test_contenders_differ_in_attention_alone():
+    both = networks("speck")
+    kinds = {
+        name: {type(each) for each in model.modules()} & {SelfAttention, BuiltInAttention}
+        for name, model in both.items()
+    }
+    assert kinds == {OURS: {SelfAttention}, BEFORE: {BuiltInAttention}}
+    ours, theirs = (model.state_dict() for model in both.values())
+    assert ours.keys() == theirs.keys()
+    assert all(torch.equal(value, theirs[name]) for name, value in ours.items())
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_training_step_moves_every_weight_and_inference_none(precision):
+    for model in networks("speck").values():
+        images = random_images(model, 2)
+        before = {name: value.clone() for name, value in model.named_parameters()}
+        contender(model, images, NetworkCase("speck", 2, "inference", precision)).call()
+        assert all(torch.equal(value, before[name]) for name, value in model.named_parameters())
+        contender(model, images, NetworkCase("speck", 2, "training step", precision)).call()
+        same = [name for name, each in model.named_parameters() if torch.equal(each, before[name])]
+        assert not same
+
+
+def test_a_contender_that_computes_something_else_is_refused(monkeypatch):
+    monkeypatch.setattr(BuiltInAttention, "forward", lambda self, x: nn.functional.relu(x))
+    with pytest.raises(RuntimeError, match=r"nn\.MultiheadAttention differ from ffpose's by"):
+        bench.measure(NetworkCase("speck", 1), 0.001)
+
+
+def test_the_whole_plan_and_the_quick_one(monkeypatch):
+    monkeypatch.setattr(bench, "cores", lambda: 2)
+    cases = bench.make_plan(quick=False).cases
+    assert len(set(cases)) == len(cases) == 3 * 2 * 2 * 2 * 2
+    assert set(bench.make_plan(quick=True).cases) < set(cases)
+    monkeypatch.setattr(bench, "cores", lambda: 1)
+    alone = bench.make_plan(quick=False)
+    assert {case.threads for case in alone.cases} == {1}
+    assert "one core: two threads are not measured" in alone.notes
+
+
+def test_a_missing_folder_is_found_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(bench, "measure", lambda *_: pytest.fail("measured first"))
+    with pytest.raises(FileNotFoundError, match="expected an existing folder"):
+        bench.run(tmp_path / "absent" / "model.json")
+
+
+def test_there_is_no_picture_of_attention(tmp_path, capsys):
+    assert main(["bench", "model", "attention", "--plot", str(tmp_path / "model.png")]) == 1
+    assert "--plot: expected with filter or a network" in capsys.readouterr().err

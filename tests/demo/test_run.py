@@ -1,0 +1,207 @@
+import csv
+import json
+import os
+import re
+import shlex
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from ffpose.demo.config import DemoConfig
+from ffpose.demo.record import FOLDERS
+from ffpose.demo.run import run
+from ffpose.geometry import URSO_CAMERA, Pose
+from ffpose.models import FilterformerPose, zoo
+from ffpose.preprocessing import Preprocessing
+from ffpose.render.renderer import label
+from ffpose.training.config import TEST_SEEDS
+
+pytestmark = pytest.mark.slow
+
+SIZE = (64, 48)
+FIELDS = {
+    "image_size": [48, 64],  # as YAML gives it back
+    "first_stride": 4,
+    "object_backbone": "compact_resnet_narrow",
+    "bins": 100,
+    "bins_degree": 1,
+    "bins_width_deg": 30.0,
+}
+POSE = DemoConfig(images=12, size=SIZE)
+TRAIN = DemoConfig(
+    images=12,
+    size=SIZE,
+    train=True,
+    views=32,
+    validation=2,
+    epochs=2,
+    model_fields=tuple(FIELDS.items()),
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def shelf(tmp_path_factory):
+    """Random weights, in place of those that come with the package."""
+    folder = tmp_path_factory.mktemp("shelf")
+    camera = URSO_CAMERA.resized(*SIZE)
+    fields = {**FIELDS, "camera": (camera.fx, camera.fy, camera.cx, camera.cy)}
+    torch.manual_seed(0)
+    model = FilterformerPose.from_config("compact", backbone_weights="none", **fields)
+    preprocessing = Preprocessing((48, 64), mean=(0.0, 0.0, 0.0), std=(0.25, 0.25, 0.25))
+    model.save_pretrained(folder / "soyuz-easy.safetensors", preprocessing=preprocessing)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(zoo, "FOLDER", folder)
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def posed(tmp_path_factory):
+    out = tmp_path_factory.mktemp("posed")
+    run(out, POSE, quiet=True)
+    return out
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    out = tmp_path_factory.mktemp("trained")
+    run(out, TRAIN, quiet=True)
+    return out
+
+
+@pytest.fixture(params=["posed", "trained"])
+def folder(request):
+    return request.getfixturevalue(request.param)
+
+
+def read(folder):
+    return json.loads((folder / "report.json").read_text())
+
+
+def test_report_json_holds_figures_baseline_and_range(folder):
+    document = read(folder)
+    for figures in (document, document["mean_pose_baseline"]):
+        assert figures["median_translation_error_m"] > 0
+        assert 0 < figures["median_rotation_error_deg"] <= 180
+    assert document["images"] == document["test_images"] == 12
+    assert document["seconds_per_step"]["render"] > 0
+    assert document["attitude_range_deg"] == {
+        "roll": [-180, 180],
+        "pitch": [-90, 90],
+        "yaw": [-180, 180],
+    }
+    assert document["distance_range_m"] == [8, 22]
+    assert document["versions"]["ffpose"]
+
+
+def test_times_and_epochs_of_a_training_are_numbers_with_and_without_one(posed, trained):
+    without, with_one = read(posed), read(trained)
+    assert without.keys() == with_one.keys()
+    assert without["seconds_per_step"].keys() == with_one["seconds_per_step"].keys()
+    for name in ("train_seconds", "epochs", "best_epoch"):
+        assert without[name] == 0
+        assert with_one[name] > 0
+        assert type(without[name]) is type(with_one[name])
+    for step in ("views", "train"):
+        assert without["seconds_per_step"][step] == 0 < with_one["seconds_per_step"][step]
+
+
+def test_all_images_are_judged_against_labels_of_the_seed(posed):
+    with (posed / "evaluation/predictions.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert sorted(row["image"] for row in rows) == sorted(f"{n}_rgb.png" for n in range(12))
+    for row in rows:
+        index = int(row["image"].removesuffix("_rgb.png"))
+        truth = Pose.from_vector(
+            [float(row[n]) for n in ("tx", "ty", "tz", "qw", "qx", "qy", "qz")]
+        )
+        expected = label(POSE.scene, POSE.seed, index)
+        np.testing.assert_allclose(truth.t, expected.t, atol=1e-9)
+        np.testing.assert_allclose(truth.rotation, expected.rotation, atol=1e-9)
+
+
+def test_images_are_of_seeds_that_no_training_uses():
+    config = DemoConfig(train=True)
+    assert config.training(Path("x")).data.seed < TEST_SEEDS <= config.seed
+
+
+def test_every_file_named_is_there(folder):
+    files = read(folder)["files"]
+    assert {"report.html", "report.json", "evaluation/results.json"} <= set(files)
+    assert all((folder / name).is_file() for name in files)
+    assert not any(name.startswith(("images/", "views/")) for name in files)
+    assert ("training/best.safetensors" in files) == (folder / "training").exists()
+
+
+@pytest.mark.parametrize(("name", "charts"), [("posed", 3), ("trained", 4)])
+def test_the_page_stands_alone(name, charts, request):
+    page = (request.getfixturevalue(name) / "report.html").read_text()
+    assert "data:image/jpeg;base64," in page
+    assert "data:image/svg+xml;base64," in page
+    for outside in ('src="http', "src='", "<script", "<link", "@import", 'src="/'):
+        assert outside not in page
+    texts = re.findall(r'<img [^>]*alt="([^"]*)"', page)
+    assert len(texts) == page.count("<img ")
+    assert sum("error" in text for text in texts) == charts  # an image shows its figures
+    assert ("<h2>Training</h2>" in page) == (name == "trained")
+
+
+def test_the_command_runs_without_an_activated_environment(folder):
+    words = shlex.split(read(folder)["command"])
+    assert ("--train" in words) == (folder / "training").exists()
+    environment = {name: os.environ[name] for name in ("PYTHONPATH",) if name in os.environ}
+    done = subprocess.run(
+        [*words, "--help"], capture_output=True, text=True, check=False, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_demo_run_again_reports_the_work_that_was_done(trained, capsys):
+    before = read(trained)
+    again = run(trained, TRAIN)
+    said = capsys.readouterr().err
+    assert "render: all images exist already" in said
+    assert "views:" not in said
+    assert "train: all 2 epochs are done already" in said
+    for same in ("median_rotation_error_deg", "train_seconds", "images_rendered"):
+        assert again[same] == before[same]
+    for step in ("render", "views", "train"):
+        assert again["seconds_per_step"][step] == before["seconds_per_step"][step]
+    page = (trained / "report.html").read_text()
+    rows = dict(re.findall(r"<td>(seconds to [^<]+)</td><td>([^<]+)</td>", page))
+    assert rows["seconds to render 12 images"] == f"{before['seconds_per_step']['render']:.1f}"
+    assert rows["seconds to render 32 views"] == f"{before['seconds_per_step']['views']:.1f}"
+    with (trained / "training/results.csv").open() as file:
+        seconds = sum(float(row["seconds"]) for row in csv.DictReader(file))
+    assert rows["seconds to train"] == f"{seconds:.1f}"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"images": 40}, "expected images 12 as the demo there, got 40"),
+        ({"train": True}, "expected train False as the demo there, got True"),
+    ],
+)
+def test_a_demo_of_other_settings_is_not_mixed_in(posed, change, said):
+    before = (posed / "report.json").read_bytes()
+    with pytest.raises(ValueError, match=said):
+        run(posed, replace(POSE, **change), quiet=True)
+    assert (posed / "report.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_work_of_unknown_settings_is_not_reported(tmp_path, name):
+    (tmp_path / name).mkdir()
+    with pytest.raises(ValueError, match=rf"got {name}/ without demo\.json"):
+        run(tmp_path, POSE, quiet=True)
+
+
+def test_without_the_weights_nothing_is_rendered(tmp_path, monkeypatch):
+    monkeypatch.setattr(zoo, "FOLDER", tmp_path / "none")
+    with pytest.raises(FileNotFoundError, match="none is installed by name"):
+        run(tmp_path / "out", POSE, quiet=True)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,112 @@
+"""A user's mesh is rendered with its own frame, size and colors; broken files are one error."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from ffpose.render import Scene, load_craft, render, render_layers, write_dataset
+
+SIZE = (160, 120)
+
+
+@pytest.fixture
+def brick(tmp_path):
+    mesh = trimesh.creation.box((2.0, 1.0, 0.5))
+    mesh.apply_translation((0.5, 0.0, 0.0))
+    mesh.visual.face_colors = (250, 30, 30, 255)
+    path = tmp_path / "brick.ply"
+    mesh.export(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".glb"])
+def test_every_format_gives_the_same_shape(brick, tmp_path, suffix):
+    path = tmp_path / f"copy{suffix}"
+    trimesh.load(brick, force="mesh").export(path)
+    craft = load_craft(path, scale=2.0)
+    corners = craft.mesh.vertices
+    np.testing.assert_allclose(corners.min(axis=0), (-1, -1, -0.5), atol=1e-6)
+    np.testing.assert_allclose(corners.max(axis=0), (3, 1, 0.5), atol=1e-6)
+    assert len(craft.mesh.faces) == 12
+
+
+def test_silhouette_is_that_of_the_label(brick):
+    scene = Scene("brick", load_craft(brick), (6.0, 9.0), 5.0, min_visible=1.0)
+    for index in range(5):
+        frame, layers = render(scene, 0, index, SIZE), render_layers(scene, 0, index, SIZE)
+        pixels = frame.pose.project(scene.build().mesh.vertices, frame.camera)
+        rows, columns = np.nonzero(layers.mask)
+        found = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
+        expected = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+        assert np.abs(found - expected).max() <= 1
+
+
+def test_color_is_kept(brick):
+    scene = Scene("brick", load_craft(brick), (4.0, 4.0), 3.0, min_visible=1.0)
+    frame, layers = render(scene, 0, 1, SIZE), render_layers(scene, 0, 1, SIZE)
+    red, green, blue = frame.image[layers.mask].mean(axis=0)
+    assert red > 2 * green
+    assert red > 2 * blue
+
+
+def test_another_mesh_is_another_set(brick, tmp_path):
+    out = tmp_path / "set"
+    write_dataset(Scene("brick", load_craft(brick), (4.0, 9.0), 5.0), out, 2, size=SIZE)
+    with pytest.raises(ValueError, match=r"scene\.craft"):
+        write_dataset(Scene("brick", load_craft(brick, 1.5), (4.0, 9.0), 5.0), out, 2, size=SIZE)
+
+
+def test_open_surface_is_lit_on_the_side_that_is_seen(tmp_path):
+    path = tmp_path / "sheet.obj"
+    path.write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3\nf 1 3 4\n")
+    scene = Scene("sheet", load_craft(path), (5.0, 5.0), 2.0, (180.0, 20.0, 180.0))
+    assert all(render(scene, 0, i, SIZE).image.max() > 60 for i in range(4))
+
+
+def test_surface_that_is_no_manifold_is_rendered(tmp_path):
+    """Three fins on one edge, one of them twice, and a face without area."""
+    path = tmp_path / "fins.obj"
+    path.write_text(
+        "v 0 0 -1\nv 0 0 1\nv 1 0 0\nv -1 1 0\nv -1 -1 0\n"
+        "f 1 2 3\nf 1 2 4\nf 1 2 5\nf 1 2 5\nf 1 1 2\n"
+    )
+    scene = Scene("fins", load_craft(path), (4.0, 4.0), 1.0)
+    assert all(render_layers(scene, 0, i, SIZE).mask.any() for i in range(4))
+    assert all(render(scene, 0, i, SIZE).image.max() > 60 for i in range(4))
+
+
+def test_huge_meshes_are_refused(brick, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("ffpose.render.spacecraft.meshfile.MAX_FACES", 11)
+        with pytest.raises(ValueError, match=r"brick\.ply: expected at most 11 triangles, got 12"):
+            load_craft(brick)
+    with (tmp_path / "huge.stl").open("wb") as file:
+        file.truncate((1 << 30) + 1)  # takes no room on disk
+    with pytest.raises(ValueError, match=r"huge\.stl: expected at most 1073741824 bytes"):
+        load_craft(tmp_path / "huge.stl")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("empty.obj", ""),
+        ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
+        ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
+        ("cut.ply", "ply\nformat ascii 1.0\nelement vertex 3\n"),
+        ("noise.glb", "not a mesh"),
+        ("noise.stl", "solid nothing"),
+    ],
+)
+def test_broken_files_are_named(tmp_path, name, content):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ValueError, match=name):
+        load_craft(tmp_path / name)
+
+
+def test_wrong_requests_are_refused(brick, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        load_craft(tmp_path / "none.obj")
+    with pytest.raises(ValueError, match=r"\.obj, \.stl"):
+        load_craft(tmp_path / "model.step")
+    with pytest.raises(ValueError, match="scale"):
+        load_craft(brick, scale=0.0)
