@@ -134,6 +134,7 @@ class PoseBranch(nn.Module):
                 dropout=config.dropout,
                 norm=config.norm,
                 extra_tokens=0 if self.pose_token is None else 1,
+                outputs=None if self.pose_token is None else 1,
             )
             if config.depth > 0
             else None
