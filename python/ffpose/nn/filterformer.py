@@ -11,7 +11,6 @@ filter, multi-head attention, feed-forward. Two details that the paper leaves op
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import get_args
 
 import torch
@@ -79,23 +78,20 @@ class SelfAttention(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return ``(B, queries, dim)`` for ``x (B, N, dim)``, or ``(B, N, dim)`` for all."""
+        attention = self.attention
+        batch, _, dim = x.shape
+        weights = attention.in_proj_weight.view(3, dim, dim)
+        biases = attention.in_proj_bias.view(3, dim)
         query, key, value = (
-            part.unflatten(-1, (self.attention.num_heads, -1)).transpose(1, 2)
-            for part in self._project(x)
+            linear(tokens, weights[part], biases[part])
+            .view(batch, -1, attention.num_heads, attention.head_dim)
+            .transpose(1, 2)
+            for part, tokens in enumerate((x[:, : self.queries], x, x))
         )  # each (B, heads, N, dim / heads)
-        dropout = self.attention.dropout if self.training else 0.0
+        dropout = attention.dropout if self.training else 0.0
         mixed = scaled_dot_product_attention(query, key, value, dropout_p=dropout)
-        result: Tensor = self.attention.out_proj(mixed.transpose(1, 2).flatten(2))
+        result: Tensor = attention.out_proj(mixed.transpose(1, 2).flatten(2))
         return result
-
-    def _project(self, x: Tensor) -> Sequence[Tensor]:
-        """Return queries ``(B, queries, dim)``, keys and values ``(B, N, dim)``."""
-        weight, bias = self.attention.in_proj_weight, self.attention.in_proj_bias
-        if self.queries is None:
-            return linear(x, weight, bias).chunk(3, -1)
-        dim = self.attention.embed_dim
-        query = linear(x[:, : self.queries], weight[:dim], bias[:dim])
-        return query, *linear(x, weight[dim:], bias[dim:]).chunk(2, -1)
 
 
 class Residual(nn.Module):
@@ -155,9 +151,7 @@ class FilterformerBlock(nn.Module):
         )
         self.extra_tokens = extra_tokens
         self.filter = None if filter is None else Residual(filter, dim, dropout, norm)
-        self.attention = Residual(
-            SelfAttention(dim, heads, dropout, outputs), dim, dropout, norm
-        )
+        self.attention = Residual(SelfAttention(dim, heads, dropout, outputs), dim, dropout, norm)
         self.feed_forward = Residual(feed_forward, dim, dropout, norm)
 
     def forward(self, x: Tensor) -> Tensor:
