@@ -84,7 +84,7 @@ class SelfAttention(nn.Module):
         biases = attention.in_proj_bias.view(3, dim)
         query, key, value = (
             linear(tokens, weights[part], biases[part])
-            .view(batch, -1, attention.num_heads, attention.head_dim)
+            .view(batch, tokens.shape[1], attention.num_heads, attention.head_dim)
             .transpose(1, 2)
             for part, tokens in enumerate((x[:, : self.queries], x, x))
         )  # each (B, heads, N, dim / heads)
