@@ -138,6 +138,24 @@ def test_without_filter_the_order_of_tokens_means_nothing():
     assert not torch.allclose(filtered(x[:, order]), filtered(x)[:, order])
 
 
+@pytest.mark.parametrize("filter", FILTERS)
+@pytest.mark.parametrize("norm", ["pre", "post"])
+@pytest.mark.parametrize("depth", [1, 2])
+def test_outputs_are_the_leading_tokens_of_all_and_so_are_their_gradients(filter, norm, depth):
+    whole = encoder(filter=filter, norm=norm, depth=depth).double()
+    leading = encoder(filter=filter, norm=norm, depth=depth, outputs=2).double()
+    leading.load_state_dict(whole.state_dict())
+    x = torch.randn(3, 13, DIM, dtype=torch.float64)
+    results = []
+    for model, part in ((whole, slice(2)), (leading, slice(None))):
+        entry = x.clone().requires_grad_()
+        tokens = model(entry)[:, part]
+        tokens.square().sum().backward()
+        results.append([tokens, entry.grad, *(p.grad for p in model.parameters())])
+    for expected, got in zip(*results, strict=True):
+        torch.testing.assert_close(got, expected, rtol=1e-10, atol=1e-12)
+
+
 def test_images_do_not_mix():
     model, x = encoder(filter="tokens"), torch.randn(3, 13, DIM)
     torch.testing.assert_close(model(x)[1:2], model(x[1:2]))
@@ -157,6 +175,8 @@ def test_compile_and_export_without_graph_break():
         ({"filter": "fourier"}, r"filter: expected one of .*'tokens', 'grid', 'none'.*'fourier'"),
         ({"norm": "both"}, r"norm: expected one of .*'pre', 'post'.*'both'"),
         ({"heads": 3}, "heads: expected a divisor of dim 8, got 3"),
+        ({"outputs": 14}, "outputs: expected None, or 1 to 13 with depth .*, got 14 with depth 2"),
+        ({"outputs": 1, "depth": 0}, "outputs: expected None, .* got 1 with depth 0"),
     ],
 )
 def test_wrong_construction(options, text):

@@ -41,7 +41,7 @@ from ffpose.models.object_look import (
     split_numbers,
 )
 from ffpose.models.pretrained import BackboneSource
-from ffpose.models.virtual_camera import joined, look_into, pyramid, turn_to
+from ffpose.models.virtual_camera import Pyramid, look_into, pyramid, turn_to
 from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
 from ffpose.models.zoo import resolve
 from ffpose.nn import Filterformer, HyperHead, PositionCode
@@ -134,6 +134,7 @@ class PoseBranch(nn.Module):
                 dropout=config.dropout,
                 norm=config.norm,
                 extra_tokens=0 if self.pose_token is None else 1,
+                outputs=None if self.pose_token is None else 1,
             )
             if config.depth > 0
             else None
@@ -320,30 +321,28 @@ class FilterformerPose(nn.Module):
             points = self._look_around(levels, points, turns=1).translation
         return self._look_around(levels, points, self.config.turns)
 
-    def _look_around(self, levels: list[Tensor], points: Tensor, turns: int) -> UncertainPose:
+    def _look_around(self, levels: Pyramid, points: Tensor, turns: int) -> UncertainPose:
         """Look at points ``(B, 3)`` in views rotated about the ray, and average the predictions."""
-        radius, size = self.config.object_radius_m, self.config.object_size
-        views = [
-            turn_to(points, radius, size, torch.full_like(points[:, 0], 2 * math.pi * n / turns))
-            for n in range(turns)
-        ]
-        crops = [look_into(levels, view, points, self.intrinsics) for view in views]
-        numbers = self.look(torch.cat(crops))
-        view = joined(views)
+        twist = torch.arange(turns, dtype=points.dtype, device=points.device) * 2 * math.pi / turns
+        count = points.shape[0]
+        twist = twist.repeat(count)  # of all views of the first image, then the second's
+        points = points.repeat_interleave(turns, 0)
+        view = turn_to(points, self.config.object_radius_m, self.config.object_size, twist)
+        numbers = self.look(look_into(levels, view, points, self.intrinsics, turns))
         t = view.points_back(points_at(numbers.offset, view))
         matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
         q = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
         variances = covariances(numbers, view, self.variance_scales)
         t, q, translation_covariance, rotation_covariance, in_view = (
-            torch.unflatten(values, 0, (turns, -1))
+            torch.unflatten(values, 0, (count, turns))
             for values in (t, q, *variances, numbers.in_view)
-        )  # (turns, B, ...)
+        )  # (B, turns, ...)
         return UncertainPose(
-            self.in_front(t.mean(0)),
-            mean_quaternion((q[..., None] * q[..., None, :]).sum(0), q[0]),
-            translation_covariance.mean(0),
-            rotation_covariance.mean(0),
-            in_view.mean(0).sigmoid(),
+            self.in_front(t.mean(1)),
+            mean_quaternion((q[..., None] * q[..., None, :]).sum(1), q[:, 0]),
+            translation_covariance.mean(1),
+            rotation_covariance.mean(1),
+            in_view.mean(1).sigmoid(),
         )
 
     def locate(self, frames: Tensor) -> Tensor:

@@ -15,7 +15,6 @@ differentiable, and can be exported to ONNX.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import torch
@@ -104,16 +103,23 @@ def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
         ``(B, h, w, 2)`` continuous pixel coordinates (u, v); far outside for rays that the source
         camera cannot see.
     """
+    return torch.stack(_source_planes(view, intrinsics), dim=-1)
+
+
+def _source_planes(view: VirtualCamera, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the coordinates u and v ``(B, h, w)`` of `source_pixels`, one after the other.
+
+    Runtimes compute on whole planes in vectors, and on pairs of coordinates one by one.
+    """
     height, width = view.size
     like: dict[str, Any] = {"dtype": view.focal.dtype, "device": view.focal.device}
     u = (torch.arange(width, **like) + 0.5 - width / 2).expand(height, width)
     v = (torch.arange(height, **like) + 0.5 - height / 2)[:, None].expand(height, width)
-    pixels = torch.stack([u, v, torch.ones_like(u)], dim=-1).flatten(0, 1)  # (h w, 3)
-    seen = pixels @ homography(view, intrinsics).transpose(1, 2)  # (B, h w, 3)
-    depth = seen[..., 2:]
-    found = seen[..., :2] / depth.clamp_min(LEAST_DEPTH)
-    found = torch.where(depth > LEAST_DEPTH, found, torch.full_like(found, FAR_OUTSIDE))
-    return torch.unflatten(found, 1, view.size)
+    pixels = torch.stack([u, v, torch.ones_like(u)]).flatten(1)  # (3, h w)
+    x, y, depth = torch.unflatten(homography(view, intrinsics) @ pixels, 2, view.size).unbind(1)
+    ahead, least = depth > LEAST_DEPTH, depth.clamp_min(LEAST_DEPTH)
+    far = torch.full_like(depth, FAR_OUTSIDE)
+    return torch.where(ahead, x / least, far), torch.where(ahead, y / least, far)
 
 
 def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
@@ -139,16 +145,6 @@ def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:
     return F.grid_sample(image, grid, mode=mode, align_corners=False)
 
 
-def joined(views: list[VirtualCamera]) -> VirtualCamera:
-    """Concatenate the cameras of several batches."""
-    return VirtualCamera(
-        torch.cat([view.rotation for view in views]),
-        torch.cat([view.focal for view in views]),
-        torch.cat([view.distance for view in views]),
-        views[0].size,
-    )
-
-
 def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:
     """Render the images ``(B, C, h, w)`` of virtual cameras.
 
@@ -164,25 +160,56 @@ def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor
     return look_into(pyramid(images), view, points, intrinsics)
 
 
-def pyramid(images: Tensor) -> list[Tensor]:
-    """Return the pyramid levels of images ``(B, C, H, W)``, finest first, each half the size."""
+class Pyramid(NamedTuple):
+    """Pyramid of 2 x 2 means of images, its levels below each other in one image, amid zeros.
+
+    One image is sampled once, whatever the level.
+
+    Attributes:
+        images: ``(B, C, rows, W)``, the levels, finest first, with a row of zeros between them.
+        levels: ``(L, 4)``, pixels of the level per pixel of the finest, its first row, its width
+            and its height.
+    """
+
+    images: Tensor
+    levels: Tensor
+
+
+def pyramid(images: Tensor) -> Pyramid:
+    """Return the pyramid of images ``(B, C, H, W)``; each level has half the size of the last."""
     levels = [images]
     for _ in range(1, PYRAMID_LEVELS):
         levels.append(F.avg_pool2d(levels[-1], 2))
-    return levels
+    rows, first = [], 0
+    for number, level in enumerate(levels):
+        height, width = level.shape[-2:]
+        rows.append((0.5**number, first, width, height))
+        first += height + 1
+    wide = images.shape[-1]
+    below = [F.pad(level, (0, wide - level.shape[-1], 1, 0)) for level in levels[1:]]
+    return Pyramid(torch.cat((images, *below), dim=2), images.new_tensor(rows))
 
 
 def look_into(
-    levels: list[Tensor], view: VirtualCamera, points: Tensor, intrinsics: Tensor
+    pyramid: Pyramid, view: VirtualCamera, points: Tensor, intrinsics: Tensor, views: int = 1
 ) -> Tensor:
-    """Render the images of virtual cameras as `look`, from the levels of a `pyramid`."""
-    level = pyramid_level(view, points, intrinsics)
-    pixels = source_pixels(view, intrinsics)
-    result = sample(levels[0], pixels)
-    for number in range(1, len(levels)):
-        seen = sample(levels[number], pixels / 2**number)
-        result = torch.where((level == number)[:, None, None, None], seen, result)
-    return result
+    """Render the images of virtual cameras as `look`, from a `Pyramid`.
+
+    Of each image there are ``views``; view and points hold those of the first image, then those of
+    the second.
+    """
+    u, v = _source_planes(view, intrinsics)  # each (V, h, w)
+    level = pyramid.levels[pyramid_level(view, points, intrinsics)].to(u.dtype)
+    scale, first, right, bottom = (column[:, None, None] for column in level.unbind(-1))
+    # Half a pixel outside a level there are zeros, as everywhere beyond.
+    u = torch.minimum((u * scale).clamp_min(-0.5), right + 0.5)
+    v = torch.minimum((v * scale).clamp_min(-0.5), bottom + 0.5) + first
+    count, _, rows, columns = pyramid.images.shape
+    height, width = view.size
+    grid = torch.stack((u * (2 / columns) - 1, v * (2 / rows) - 1), dim=-1)
+    grid = grid.view(count, views * height, width, 2)  # the views of an image below each other
+    seen = F.grid_sample(pyramid.images, grid.to(pyramid.images.dtype), align_corners=False)
+    return torch.unflatten(seen, 2, (views, height)).transpose(1, 2).flatten(0, 1)
 
 
 def pyramid_level(view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:
@@ -190,5 +217,5 @@ def pyramid_level(view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Te
     # Off the axis a pinhole image is larger by one over the cosine of the angle.
     oblique = view.distance / points[:, 2].clamp_min(LEAST_DEPTH)
     ratio = intrinsics[0] / view.focal * oblique / SHARPNESS
-    level = torch.floor(torch.log(ratio) / math.log(2))
-    return level.clamp(0, PYRAMID_LEVELS - 1)
+    powers = 2.0 ** torch.arange(1, PYRAMID_LEVELS, dtype=ratio.dtype, device=ratio.device)
+    return (ratio[:, None] >= powers).sum(-1)

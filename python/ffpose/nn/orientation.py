@@ -152,10 +152,10 @@ def mean_quaternion(matrix: Tensor, start: Tensor) -> Tensor:
         start: ``(B, 4)``, initial vectors that are not orthogonal to the mean, such as one of the
             quaternions.
     """
-    matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
+    matrix = matrix / matrix.amax((-2, -1), keepdim=True)  # which is on the diagonal
     for _ in range(POWER_SQUARINGS):
         matrix = matrix @ matrix
-        matrix = matrix / matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
+        matrix = matrix / matrix.amax((-2, -1), keepdim=True)
     return F.normalize((matrix @ start[:, :, None])[..., 0], dim=-1)
 
 

@@ -22,6 +22,7 @@ from torch import Tensor, nn
 
 from ffpose.errors import require
 from ffpose.files import atomic_write
+from ffpose.onnx.attention import replace_attention
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.matmul import filters_of, replace_filters
 from ffpose.onnx.metadata import Filter, sealed
@@ -163,8 +164,9 @@ def serialized(
         entries: As `write_graph`.
     """
     kind: Filter = filter if filters_of(model) else "none"
-    if kind == "matmul":
+    if filter == "matmul":
         replace_filters(model)
+        replace_attention(model)
     model.metadata_props.clear()
     model.metadata_props.update(entries(kind))
     return sealed(require("onnx_ir", "export").to_proto(model).SerializeToString()), kind

@@ -7,14 +7,13 @@ size share their matrices.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.errors import require
 from ffpose.onnx.matrices import FilterMatrices, filter_factors, filter_matrices
+from ffpose.onnx.nodes import Nodes
 from ffpose.onnx.operators import DOMAIN, SPECTRAL_FILTER
 
 RANK = {"tokens": 2, "grid": 3}
@@ -35,24 +34,22 @@ def replace_filters(model: Any) -> None:
             known.
     """
     for node in filters_of(model):
-        _Replacement(model.graph, node).replace()
+        _Replacement(model.graph, node).write()
     model.opset_imports.pop(DOMAIN, None)
 
 
-class _Replacement:
+class _Replacement(Nodes):
     """The nodes that take the place of one filter."""
 
     def __init__(self, graph: Any, node: Any) -> None:
-        self.ir = require("onnx_ir", "export")
-        self.graph, self.node = graph, node
-        self.nodes: list[Any] = []
+        super().__init__(graph, node)
         self.layout: str = node.attributes["layout"].as_string()
         self.x, self.weight_value = node.inputs
         self.weight = _constant(self.weight_value)
         self.shape = _sizes(self.x, RANK[self.layout])
         self.dtype = self.weight.dtype
 
-    def replace(self) -> None:
+    def write(self) -> None:
         """Write the nodes, and put them in the filter's place."""
         rows, columns, *channels = self.shape
         matrices = filter_matrices(rows, columns)
@@ -60,14 +57,11 @@ class _Replacement:
         half = columns // 2 + 1
         y = self._columns(self._batched(), matrices.columns, f"{name}_columns")
         y = self._rows(y, matrices, math.prod([half, *channels]), name)
-        y = self._reshape(y, (0, 2, rows, math.prod([half, *channels])))
-        y = self._op("Transpose", y, perm=[0, 2, 1, 3])  # (B, rows, re/im, columns)
-        y = self._reshape(y, (0, rows, 2 * half, *channels))
+        y = self.reshape(y, (0, 2, rows, math.prod([half, *channels])))
+        y = self.op("Transpose", y, perm=[0, 2, 1, 3])  # (B, rows, re/im, columns)
+        y = self.reshape(y, (0, rows, 2 * half, *channels))
         y = self._columns(y, matrices.columns_back, f"{name}_columns_back")
-        y = self._like_x(y)
-        self.ir.convenience.replace_nodes_and_values(
-            self.graph, self.node, [self.node], self.nodes, self.node.outputs, [y]
-        )
+        self.replace(self._like_x(y))
         if not self.weight_value.uses():
             self.graph.initializers.pop(self.weight_value.name)
 
@@ -76,71 +70,44 @@ class _Replacement:
         n1, n2 = matrices.split
         factors = filter_factors(self.weight, matrices.split).reshape(n1, 2, 2 * n2, columns)
         if matrices.outer is not None:
-            y = self._reshape(y, (0, 2 * n1, n2 * columns))
-            y = self._op("MatMul", self._matrix(matrices.outer, f"{name}_outer"), y)
-        y = self._reshape(y, (0, n1, 2 * n2, columns))
-        y = self._op("MatMul", self._matrix(matrices.inner, f"{name}_inner"), y)
-        y = self._reshape(y, (0, n1, 1, 2 * n2, columns))
-        y = self._op("Mul", y, self._constant(factors, f"{self.weight_value.name}_factors"))
-        y = self._reshape(y, (0, n1, 4 * n2, columns))
-        y = self._op("MatMul", self._matrix(matrices.inner_back, f"{name}_inner_back"), y)
+            y = self.reshape(y, (0, 2 * n1, n2 * columns))
+            y = self.op("MatMul", self._matrix(matrices.outer, f"{name}_outer"), y)
+        y = self.reshape(y, (0, n1, 2 * n2, columns))
+        y = self.op("MatMul", self._matrix(matrices.inner, f"{name}_inner"), y)
+        y = self.reshape(y, (0, n1, 1, 2 * n2, columns))
+        y = self.op("Mul", y, self.constant(factors, f"{self.weight_value.name}_factors"))
+        y = self.reshape(y, (0, n1, 4 * n2, columns))
+        y = self.op("MatMul", self._matrix(matrices.inner_back, f"{name}_inner_back"), y)
         if matrices.outer_back is not None:
-            y = self._reshape(y, (0, 2 * n1, n2 * columns))
-            y = self._op("MatMul", self._matrix(matrices.outer_back, f"{name}_outer_back"), y)
+            y = self.reshape(y, (0, 2 * n1, n2 * columns))
+            y = self.op("MatMul", self._matrix(matrices.outer_back, f"{name}_outer_back"), y)
         return y
 
     def _columns(self, y: Any, matrices: NDArray[Any], name: str) -> Any:
         """Write step 1 or 5: from the right, or, of channels that stand last, from the left."""
         if self.layout == "tokens":
-            return self._op("MatMul", y, self._matrix(matrices, name))
+            return self.op("MatMul", y, self._matrix(matrices, name))
         left = matrices.swapaxes(-2, -1)
         if left.ndim == 3:
             left = left[:, None]  # (re/im, 1, ...): for every row the same
-        return self._op("MatMul", self._matrix(np.ascontiguousarray(left), name), y)
+        return self.op("MatMul", self._matrix(np.ascontiguousarray(left), name), y)
 
     def _batched(self) -> Any:
         """Return x ``(B, 1, *size)``: an axis for the real and imaginary part to come."""
         if self.x.shape.rank() == 1 + len(self.shape):
-            return self._op("Unsqueeze", self.x, self._integers([1]))
-        return self._reshape(self.x, (-1, 1, *self.shape))
+            return self.op("Unsqueeze", self.x, self.integers([1]))
+        return self.reshape(self.x, (-1, 1, *self.shape))
 
     def _like_x(self, y: Any) -> Any:
         """Give the result ``(B, *size)`` the shape of x."""
         if self.x.shape.rank() == 1 + len(self.shape):
             return y
-        shape = self._op("Shape", self.x)
+        shape = self.op("Shape", self.x)
         shape.dtype = self.ir.DataType.INT64
-        return self._op("Reshape", y, shape)
-
-    def _op(self, kind: str, *inputs: Any, **attributes: Any) -> Any:
-        node = self.ir.node(kind, inputs, attributes)
-        node.outputs[0].name = f"{self.node.outputs[0].name}/{len(self.nodes)}"
-        node.outputs[0].dtype = self.x.dtype
-        self.nodes.append(node)
-        return node.outputs[0]
-
-    def _reshape(self, y: Any, shape: Sequence[int]) -> Any:
-        return self._op("Reshape", y, self._integers(shape))
-
-    def _integers(self, values: Sequence[int]) -> Any:
-        name = "_".join(["integers", *map(str, values)])
-        return self._constant(np.array(values, np.int64), name)
+        return self.op("Reshape", y, shape)
 
     def _matrix(self, values: NDArray[Any], name: str) -> Any:
-        return self._constant(values.astype(self.dtype), f"{name}_{self.dtype}")
-
-    def _constant(self, values: NDArray[Any], name: str) -> Any:
-        """Return the initializer of this name, made where there is none yet."""
-        if name not in self.graph.initializers:
-            tensor = self.ir.tensor(values, name=name)
-            value = self.ir.Value(
-                name=name,
-                shape=tensor.shape,
-                type=self.ir.TensorType(tensor.dtype),
-                const_value=tensor,
-            )
-            self.graph.register_initializer(value)
-        return self.graph.initializers[name]
+        return self.constant(values.astype(self.dtype), f"{name}_{self.dtype}")
 
 
 def _constant(weight: Any) -> NDArray[Any]:

@@ -8,13 +8,14 @@ where it is a constant. `ffpose.onnx.matmul` replaces it by standard operators.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import torch
 
 import ffpose.ops  # noqa: F401 - registers the operators that are translated
 from ffpose.errors import require
+from ffpose.onnx.attention import translate_attention
+from ffpose.onnx.schema import script_op
 
 DOMAIN = "ffpose"
 DOMAIN_VERSION = 1
@@ -26,13 +27,22 @@ FLOATS = ("float", "double", "float16", "bfloat16")
 def translations() -> dict[Callable[..., Any], Callable[..., Any]]:
     """Return the table for `torch.onnx.export`: from our operators to functions of onnxscript."""
     return {
+        torch.ops.aten.scaled_dot_product_attention.default: translate_attention,
         torch.ops.ffpose.spectral_filter.default: _spectral_filter,
         torch.ops.ffpose.normalize_quaternion.default: _normalize_quaternion,
     }
 
 
 def _spectral_filter(x: Any, weight: Any, layout: str) -> Any:
-    return _spectral_filter_op()(x, weight, layout=layout)
+    op = script_op(
+        SPECTRAL_FILTER,
+        DOMAIN,
+        DOMAIN_VERSION,
+        ("x", "weight"),
+        (("x", FLOATS), ("weight", FLOATS)),
+        (("layout", "STRING"),),
+    )
+    return op(x, weight, layout=layout)
 
 
 def _normalize_quaternion(q: Any) -> Any:
@@ -40,30 +50,3 @@ def _normalize_quaternion(q: Any) -> Any:
     op = require("onnxscript", "export").opset18
     scaled = op.Div(q, op.ReduceMax(op.Abs(q), [-1], keepdims=1))
     return op.Div(scaled, op.ReduceL2(scaled, [-1], keepdims=1))
-
-
-@cache
-def _spectral_filter_op() -> Any:
-    """Return the operator as onnxscript calls it."""
-    schemas = require("onnx.defs", "export")
-    values = require("onnxscript", "export").values
-    schema = schemas.OpSchema
-    types = [f"tensor({name})" for name in FLOATS]
-    parameters = [
-        schema.FormalParameter(name, kind) for name, kind in (("x", "T"), ("weight", "W"))
-    ]
-    layout = schema.Attribute("layout", schema.AttrType.STRING, "tokens or grid", required=True)
-    return values.Op(
-        values.Opset(DOMAIN, DOMAIN_VERSION),
-        SPECTRAL_FILTER,
-        schema(
-            SPECTRAL_FILTER,
-            DOMAIN,
-            DOMAIN_VERSION,
-            doc="y = irfft2(rfft2(x) * weight)",
-            inputs=parameters,
-            outputs=[schema.FormalParameter("y", "T")],
-            type_constraints=[("T", types, "of x and y"), ("W", types, "of the weight")],
-            attributes=[layout],
-        ),
-    )

@@ -58,13 +58,15 @@ class NetworkCase:
 class BuiltInAttention(nn.Module):
     """Self-attention that calls the forward of ``nn.MultiheadAttention``."""
 
-    def __init__(self, attention: nn.MultiheadAttention) -> None:
+    def __init__(self, attention: nn.MultiheadAttention, queries: int | None) -> None:
         super().__init__()
         self.attention = attention
+        self.queries = queries
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return ``(B, N, dim)`` for ``x (B, N, dim)``."""
-        result: Tensor = self.attention(x, x, x, need_weights=False)[0]
+        """Return ``(B, queries, dim)`` for ``x (B, N, dim)``, or ``(B, N, dim)`` for all."""
+        query = x if self.queries is None else x[:, : self.queries]
+        result: Tensor = self.attention(query, x, x, need_weights=False)[0]
         return result
 
 
@@ -74,7 +76,7 @@ def with_built_in_attention(model: Network) -> Network:
     for parent in list(model.modules()):
         for name, child in parent.named_children():
             if isinstance(child, SelfAttention):
-                setattr(parent, name, BuiltInAttention(child.attention))
+                setattr(parent, name, BuiltInAttention(child.attention, child.queries))
     return model
 
 

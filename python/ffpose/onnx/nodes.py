@@ -1,0 +1,61 @@
+"""Standard operators that take the place of one node in a graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.errors import require
+
+
+class Nodes:
+    """New nodes of an `onnx_ir.Graph`, in their order, until `replace` puts them in.
+
+    Args:
+        graph: The graph.
+        node: The node whose place they take; their values have the type of its first input.
+    """
+
+    def __init__(self, graph: Any, node: Any) -> None:
+        self.ir = require("onnx_ir", "export")
+        self.graph, self.node = graph, node
+        self.nodes: list[Any] = []
+
+    def op(self, kind: str, *inputs: Any, **attributes: Any) -> Any:
+        """Add a node, and return its output."""
+        node = self.ir.node(kind, inputs, attributes)
+        node.outputs[0].name = f"{self.node.outputs[0].name}/{len(self.nodes)}"
+        node.outputs[0].dtype = self.node.inputs[0].dtype
+        self.nodes.append(node)
+        return node.outputs[0]
+
+    def reshape(self, value: Any, shape: Sequence[int]) -> Any:
+        """Add a Reshape; 0 keeps a dimension, -1 takes what is left."""
+        return self.op("Reshape", value, self.integers(shape))
+
+    def integers(self, values: Sequence[int]) -> Any:
+        """Return a constant of int64."""
+        name = "_".join(["integers", *map(str, values)])
+        return self.constant(np.array(values, np.int64), name)
+
+    def constant(self, values: NDArray[Any], name: str) -> Any:
+        """Return the initializer of this name, made where there is none yet."""
+        if name not in self.graph.initializers:
+            tensor = self.ir.tensor(values, name=name)
+            value = self.ir.Value(
+                name=name,
+                shape=tensor.shape,
+                type=self.ir.TensorType(tensor.dtype),
+                const_value=tensor,
+            )
+            self.graph.register_initializer(value)
+        return self.graph.initializers[name]
+
+    def replace(self, output: Any) -> None:
+        """Put the nodes in the old one's place; ``output`` is used in place of its output."""
+        self.ir.convenience.replace_nodes_and_values(
+            self.graph, self.node, [self.node], self.nodes, self.node.outputs, [output]
+        )
