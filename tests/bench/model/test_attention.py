@@ -12,10 +12,12 @@ from ffpose.bench.model import attention as bench
 from ffpose.bench.model.attention import NetworkPlan, NetworkResult
 from ffpose.bench.model.networks import (
     BEFORE,
+    FFT,
     PRECISIONS,
     TASKS,
     BuiltInAttention,
     NetworkCase,
+    TorchFftFilter,
     contender,
     networks,
     random_images,
@@ -23,6 +25,7 @@ from ffpose.bench.model.networks import (
 from ffpose.bench.timing import OURS, Timing
 from ffpose.cli import main
 from ffpose.config import CONFIGS
+from ffpose.nn import SpectralFilter
 from ffpose.nn.filterformer import SelfAttention
 
 
@@ -50,7 +53,8 @@ def test_run_prints_tables_and_writes_a_document(tmp_path, monkeypatch, capsys):
     assert [NetworkCase(**each["case"]) for each in document["results"]] == cases
     for each in document["results"]:
         medians = {name: timing["median"] for name, timing in each["timings"].items()}
-        assert each["ratio"][BEFORE] == pytest.approx(medians[BEFORE] / medians[OURS])
+        for name in (BEFORE, FFT):
+            assert each["ratio"][name] == pytest.approx(medians[name] / medians[OURS])
         assert each["images_per_second"] == pytest.approx(each["case"]["batch"] / medians[OURS])
         assert each["largest_difference"] < 1e-5
     printed = capsys.readouterr().out
@@ -60,20 +64,26 @@ def test_run_prints_tables_and_writes_a_document(tmp_path, monkeypatch, capsys):
 
 def test_a_ratio_by_hand():
     timings = {OURS: Timing(0.5, 0.4, 0.6, 5, 1), BEFORE: Timing(2.0, 1.0, 3.0, 5, 1)}
+    timings[FFT] = Timing(1.0, 1.0, 1.0, 5, 1)
     result = NetworkResult(NetworkCase("speck", 8), timings, 0.0)
-    assert (result.ratio, result.images_per_second) == (4.0, 16.0)
+    assert (result.ratios, result.images_per_second) == ({BEFORE: 4.0, FFT: 2.0}, 16.0)
 
 
-def test_contenders_differ_in_attention_alone():
-    both = networks("speck")
-    kinds = {
-        name: {type(each) for each in model.modules()} & {SelfAttention, BuiltInAttention}
-        for name, model in both.items()
+@pytest.mark.parametrize("filter", ["tokens", "grid"])
+def test_contenders_differ_in_attention_or_filter_alone(filter):
+    models = networks("speck", filter)
+    layers = {SelfAttention, BuiltInAttention, SpectralFilter, TorchFftFilter}
+    assert {
+        name: {type(each) for each in model.modules()} & layers for name, model in models.items()
+    } == {
+        OURS: {SelfAttention, SpectralFilter},
+        BEFORE: {BuiltInAttention, SpectralFilter},
+        FFT: {SelfAttention, TorchFftFilter},
     }
-    assert kinds == {OURS: {SelfAttention}, BEFORE: {BuiltInAttention}}
-    ours, theirs = (model.state_dict() for model in both.values())
-    assert ours.keys() == theirs.keys()
-    assert all(torch.equal(value, theirs[name]) for name, value in ours.items())
+    ours, *others = (model.state_dict() for model in models.values())
+    for theirs in others:
+        assert ours.keys() == theirs.keys()
+        assert all(torch.equal(value, theirs[name]) for name, value in ours.items())
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -97,7 +107,7 @@ def test_a_contender_that_computes_something_else_is_refused(monkeypatch):
 def test_the_whole_plan_and_the_quick_one(monkeypatch):
     monkeypatch.setattr(bench, "cores", lambda: 2)
     cases = bench.make_plan(quick=False).cases
-    assert len(set(cases)) == len(cases) == 3 * 2 * 2 * 2 * 2
+    assert len(set(cases)) == len(cases) == 3 * 2 * 2 * 2 * 2 + 2
     assert set(bench.make_plan(quick=True).cases) < set(cases)
     monkeypatch.setattr(bench, "cores", lambda: 1)
     alone = bench.make_plan(quick=False)

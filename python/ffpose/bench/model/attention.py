@@ -1,6 +1,7 @@
-"""`ffpose bench model attention`: inference and training with ours and torch's attention.
+"""`ffpose bench model attention`: inference and training with ours and torch's attention and FFT.
 
-The baseline ("before") runs the forward of `torch.nn.MultiheadAttention`. The contenders of a case
+One baseline runs the forward of `torch.nn.MultiheadAttention`, one filters by ``torch.fft``; in all
+else they are ours (`ffpose.bench.model.networks`). The contenders of a case
 are timed in turn in this process (`ffpose.bench.timing`), so that other load on the machine affects
 them alike: the ratio is more reliable than the milliseconds. A ratio above 1 means that ffpose is
 faster than the baseline.
@@ -18,7 +19,7 @@ from rich.table import Table
 
 from ffpose.bench.machine import environment
 from ffpose.bench.model.networks import (
-    BEFORE,
+    BASELINES,
     PRECISIONS,
     TASKS,
     NetworkCase,
@@ -40,9 +41,10 @@ from ffpose.bench.timing import OURS, Timing, interleave, torch_threads
 from ffpose.machine import bfloat16_instructions, cores
 
 MODELS = ("base", "small", "tiny")
+THREADS = (1, 2)
 LEGEND = (
-    "before: the same network and weights with the forward of nn.MultiheadAttention; ratio: its"
-    " time over ours, by medians [quartiles] of interleaved runs",
+    "nn.MultiheadAttention, torch.fft: the same network and weights with the forward of the one, or"
+    " filters by the other; ratio: its time over ours, by medians [quartiles] of interleaved runs",
     "training step: forward, backward and AdamW; bfloat16: autocast; torch eager, random images",
 )
 
@@ -71,9 +73,10 @@ class NetworkResult:
     largest_difference: float
 
     @property
-    def ratio(self) -> float:
-        """Speedup over the baseline."""
-        return self.timings[BEFORE].median / self.timings[OURS].median
+    def ratios(self) -> dict[str, float]:
+        """Speedups over the baselines."""
+        ours = self.timings[OURS].median
+        return {name: self.timings[name].median / ours for name in BASELINES}
 
     @property
     def images_per_second(self) -> float:
@@ -113,8 +116,12 @@ def make_plan(quick: bool) -> NetworkPlan:
     cases = [
         NetworkCase(model, batch, task, precision, threads)
         for threads, model, batch, task, precision in product(
-            (1, 2) if cores() > 1 else (1,), MODELS, (1, 8), TASKS, PRECISIONS
+            THREADS[: cores()], MODELS, (1, 8), TASKS, PRECISIONS
         )
+    ]
+    cases += [
+        NetworkCase("base", 8, "training step", threads=threads, filter="grid")
+        for threads in THREADS[: cores()]
     ]
     return NetworkPlan(cases, 2.0, notes)
 
@@ -126,7 +133,7 @@ def measure(case: NetworkCase, seconds: float) -> NetworkResult:
         RuntimeError: The contenders compute different poses.
     """
     with torch_threads(case.threads):
-        models = networks(case.model)
+        models = networks(case.model, case.filter)
         images = random_images(models[OURS], case.batch)
         difference = largest_difference(models, images)
         taking_part = {name: contender(model, images, case) for name, model in models.items()}
@@ -156,17 +163,21 @@ def print_results(results: Sequence[NetworkResult], notes: Sequence[str]) -> Non
 
 def _table(results: Sequence[NetworkResult], heading: str) -> Table:
     table = make_table(heading, "network", "work", "precision")
-    for name in ("ffpose ms", "before ms", "ratio", "images/s"):
+    for name in ("ffpose ms", *(part for each in BASELINES for part in (f"{each} ms", "ratio"))):
         table.add_column(name, justify="right")
+    table.add_column("images/s", justify="right")
     for each in results:
         case = each.case
         table.add_row(
-            f"{case.model}, batch {case.batch}",
+            f"{case.name}, batch {case.batch}",
             case.task,
             case.precision,
             _milliseconds(each.timings[OURS]),
-            _milliseconds(each.timings[BEFORE]),
-            f"{each.ratio:.2f}",
+            *(
+                cell
+                for name, ratio in each.ratios.items()
+                for cell in (_milliseconds(each.timings[name]), f"{ratio:.2f}")
+            ),
             f"{each.images_per_second:.1f}",
         )
     return table
@@ -185,7 +196,7 @@ def make_document(results: Sequence[NetworkResult], notes: Sequence[str]) -> dic
         "results": [
             {
                 "case": asdict(each.case),
-                "ratio": {BEFORE: each.ratio},
+                "ratio": each.ratios,
                 "images_per_second": each.images_per_second,
                 "largest_difference": each.largest_difference,
                 "timings": {name: asdict(timing) for name, timing in each.timings.items()},

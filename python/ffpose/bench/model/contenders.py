@@ -16,11 +16,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ffpose.bench.filter.rivals import torch_filter
-from ffpose.bench.model.networks import BEFORE, with_built_in_attention
+from ffpose.bench.model.networks import BEFORE, with_built_in_attention, with_torch_fft
 from ffpose.bench.model.subjects import Subject
 from ffpose.errors import require
-from ffpose.nn import GlobalFilter, SpectralFilter
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.exporter import record, relative_differences, serialized, tensors_of
 from ffpose.onnx.matmul import filters_of
@@ -161,42 +159,6 @@ class Graph:
 
     path: Path
     filter: Filter
-
-
-class TorchFftFilter(nn.Module):
-    """A filter in ``torch.fft``, with the weight of one of ours.
-
-    Args:
-        filter: The filter whose place it takes.
-    """
-
-    def __init__(self, filter: SpectralFilter | GlobalFilter) -> None:
-        super().__init__()
-        self.grid: tuple[int, int] | None = None
-        if isinstance(filter, GlobalFilter):
-            self.weight, self.grid = filter.complex_weight, (filter.h, filter.h)
-        else:
-            self.weight = filter.weight
-        layout = "grid" if isinstance(filter, GlobalFilter) else filter.layout
-        self.compute = torch_filter(layout)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return the filtered ``x``, of its shape."""
-        if self.grid is None:
-            return self.compute(x, self.weight)
-        return self.compute(x.reshape(x.shape[0], *self.grid, x.shape[-1]), self.weight).flatten(
-            1, 2
-        )
-
-
-def with_torch_fft(model: nn.Module) -> nn.Module:
-    """Return a copy of ``model`` whose spectral filters are in ``torch.fft``."""
-    model = copy.deepcopy(model)
-    for parent in list(model.modules()):
-        for name, child in parent.named_children():
-            if isinstance(child, SpectralFilter | GlobalFilter):
-                setattr(parent, name, TorchFftFilter(child))
-    return model
 
 
 def write_graphs(

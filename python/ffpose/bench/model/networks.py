@@ -1,7 +1,8 @@
-"""The contenders of `ffpose bench model attention`: a network with our attention, and with torch's.
+"""The contenders of `ffpose bench model attention`: a network of ours, with torch's attention or FFT.
 
-The baseline differs in one layer: it runs the forward of `torch.nn.MultiheadAttention`, which in
-evaluation on CPUs writes the scores of all pairs of tokens to memory.
+The baselines differ in one layer each: one runs the forward of `torch.nn.MultiheadAttention`, which
+in evaluation on CPUs writes the scores of all pairs of tokens to memory; the other filters by
+``torch.fft``.
 """
 
 from __future__ import annotations
@@ -14,8 +15,11 @@ from typing import Literal, TypeVar, get_args
 import torch
 from torch import Tensor, nn
 
+from ffpose.bench.filter.rivals import torch_filter
 from ffpose.bench.timing import OURS, Contender
+from ffpose.choices import FilterKind
 from ffpose.models import FilterformerPose
+from ffpose.nn import GlobalFilter, SpectralFilter
 from ffpose.nn.filterformer import SelfAttention
 
 Task = Literal["inference", "training step"]
@@ -27,6 +31,8 @@ PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 Network = TypeVar("Network", bound=nn.Module)
 
 BEFORE = "nn.MultiheadAttention"
+FFT = "torch.fft"
+BASELINES = (BEFORE, FFT)
 APART = 1e-4
 """Largest difference of float32 poses, relative to the largest value, that counts as equal."""
 
@@ -41,6 +47,7 @@ class NetworkCase:
         task: ``"inference"``: images to poses; ``"training step"``: forward, backward and AdamW.
         precision: ``"bfloat16"`` is autocast; parameters stay float32.
         threads: Number of torch's threads.
+        filter: Of the network, in place of the preset's.
     """
 
     model: str
@@ -48,11 +55,17 @@ class NetworkCase:
     task: Task = "inference"
     precision: Precision = "float32"
     threads: int = 1
+    filter: FilterKind | None = None
+
+    @property
+    def name(self) -> str:
+        """The network in words."""
+        return self.model if self.filter is None else f"{self.model}, {self.filter} filters"
 
     @property
     def label(self) -> str:
         """The case in words, without threads."""
-        return f"{self.model}, batch {self.batch}, {self.task}, {self.precision}"
+        return f"{self.name}, batch {self.batch}, {self.task}, {self.precision}"
 
 
 class BuiltInAttention(nn.Module):
@@ -80,12 +93,53 @@ def with_built_in_attention(model: Network) -> Network:
     return model
 
 
-def networks(name: str) -> dict[str, FilterformerPose]:
-    """Return each contender's network of that name, with the same random weights."""
+class TorchFftFilter(nn.Module):
+    """A filter in ``torch.fft``, with the weight of one of ours.
+
+    Args:
+        filter: The filter whose place it takes.
+    """
+
+    def __init__(self, filter: SpectralFilter | GlobalFilter) -> None:
+        super().__init__()
+        self.grid: tuple[int, int] | None = None
+        if isinstance(filter, GlobalFilter):
+            self.weight, self.grid = filter.complex_weight, (filter.h, filter.h)
+        else:
+            self.weight = filter.weight
+        layout = "grid" if isinstance(filter, GlobalFilter) else filter.layout
+        self.compute = torch_filter(layout)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the filtered ``x``, of its shape and type; bfloat16 torch.fft cannot compute."""
+        wide = x.float() if x.dtype == torch.bfloat16 else x
+        if self.grid is not None:
+            wide = torch.unflatten(wide, 1, self.grid)
+        return self.compute(wide, self.weight).view_as(x).to(x.dtype)
+
+
+def with_torch_fft(model: Network) -> Network:
+    """Return a copy of ``model`` whose spectral filters are in ``torch.fft``."""
+    model = copy.deepcopy(model)
+    for parent in list(model.modules()):
+        for name, child in parent.named_children():
+            if isinstance(child, SpectralFilter | GlobalFilter):
+                setattr(parent, name, TorchFftFilter(child))
+    return model
+
+
+def network(name: str, filter: FilterKind | None = None) -> FilterformerPose:
+    """Return the network of a preset with random weights, the same at each call."""
+    fields = {} if filter is None else {"filter": filter}
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        ours = FilterformerPose.from_config(name, backbone_weights="none")
-    return {OURS: ours, BEFORE: with_built_in_attention(ours)}
+        return FilterformerPose.from_config(name, backbone_weights="none", **fields)
+
+
+def networks(name: str, filter: FilterKind | None = None) -> dict[str, FilterformerPose]:
+    """Return each contender's network of that name, with the same random weights."""
+    ours = network(name, filter)
+    return {OURS: ours, BEFORE: with_built_in_attention(ours), FFT: with_torch_fft(ours)}
 
 
 def random_images(model: FilterformerPose, batch: int) -> Tensor:

@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from ffpose.bench.model.networks import networks
+from ffpose.bench.model.networks import network
 from ffpose.config import CONFIGS
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.nn import GlobalFilter, PositionCode, SpectralFilter
@@ -83,9 +83,12 @@ def subject(name: str, folder: Path) -> Subject:
     weights = Path(name)
     if name in CONFIGS:
         weights = folder / f"{name}.safetensors"
-        random = next(iter(networks(name).values()))
-        random.save_pretrained(weights)
-    source = read_metadata(weights)
+        network(name).save_pretrained(weights)
+    try:
+        source = read_metadata(weights)
+    except FileNotFoundError as error:
+        known = ", ".join([*CONFIGS, GFNET, "attention"])
+        raise FileNotFoundError(f"network: expected one of {known}, or weights; {error}") from error
     return Subject(
         FilterformerPose.from_pretrained(weights),
         source.preprocessing,
