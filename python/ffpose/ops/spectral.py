@@ -78,7 +78,12 @@ def spectral_filter(
         check_filter(x, weight, layout)
         if is_recording():
             return forward_op(x, weight, layout)
-    function = _SpectralFilterOnCpu if plain and not transforms_at_work() else _SpectralFilter
+    direct = plain and not transforms_at_work()
+    return _recorded(_SpectralFilterOnCpu if direct else _SpectralFilter, x, weight, layout)
+
+
+def _recorded(function: type[Function], x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
+    """Return the result of a function that autograd records."""
     try:
         result: Tensor = function.apply(x, weight, layout)
     except RuntimeError:
@@ -243,7 +248,7 @@ def _record_forward(x: Tensor, weight: Tensor, layout: Layout) -> Any:
     if is_plain(x, weight):
         return spectral_filter(x, weight, layout)
     check_filter(x, weight, layout)
-    return _SpectralFilter.apply(x, weight, layout)
+    return _recorded(_SpectralFilter, x, weight, layout)
 
 
 def _record_backward(
