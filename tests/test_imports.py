@@ -57,7 +57,7 @@ ALLOWED = {
     },
     "model_card": {
         *("card_figures", "card_tables", "pictures", "predictor", "models", "geometry"),
-        *("baseline", "evaluation", "render", "training"),
+        *("baseline", "config", "evaluation", "render", "training"),
     },
     "ablation": {
         "config",

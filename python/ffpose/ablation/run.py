@@ -24,12 +24,12 @@ import ffpose
 from ffpose.ablation.claims import claimed, claimed_in_turn
 from ffpose.ablation.study import Study, Variant, changed
 from ffpose.ablation.table import RESULTS, read_run, write_tables
-from ffpose.config import check_names
+from ffpose.config import NetworkConfig
 from ffpose.datasets import Decoding, Part
 from ffpose.datasets.scenes import find_scene, render_images
 from ffpose.evaluation import evaluate
 from ffpose.files import atomic_write, remove_leftovers
-from ffpose.models import CONFIGS, FilterformerPose, FilterformerPoseConfig
+from ffpose.models import PoseNetwork, find_config, load_network
 from ffpose.preprocessing import Preprocessing
 from ffpose.training import Stage, TrainConfig, TrainResult, train
 from ffpose.training.checkpoint import FREE_FIELDS
@@ -207,15 +207,14 @@ def _training(
     return replace(config, data=data, out=out / f"{variant.name}-seed{seed}", seed=seed)
 
 
-def network(config: TrainConfig) -> FilterformerPoseConfig:
+def network(config: TrainConfig) -> NetworkConfig:
     """Return the network of a training; its camera comes with the images.
 
     Raises:
         ValueError: An unknown field, or a value that cannot be.
     """
     fields = {"camera": UNKNOWN_CAMERA, **config.model_fields}
-    check_names(fields)
-    return replace(CONFIGS[config.model], **fields)
+    return find_config(config.model).with_fields(fields)
 
 
 def _finish(study: Study, run: Run, *, steal: bool, quiet: bool) -> None:
@@ -228,7 +227,7 @@ def _finish(study: Study, run: Run, *, steal: bool, quiet: bool) -> None:
     evaluation = evaluate(trained.folder.last, kind, root, split, decoding=decoding)
     summary = evaluation.summary()
     summary.pop("uncertainty", None)  # the last weights are not calibrated
-    model = FilterformerPose.from_pretrained(trained.folder.last)
+    model = load_network(trained.folder.last)
     result = {
         "study": study.name,
         "variant": run.variant.name,
@@ -274,7 +273,7 @@ def _cost(trained: TrainResult) -> dict[str, float]:
     return {"epochs": len(trained.history), **totals}
 
 
-def latency_ms(model: FilterformerPose) -> float:
+def latency_ms(model: PoseNetwork) -> float:
     """Return the median time of one image's pose, in milliseconds, on torch's threads."""
     model.eval()
     image = torch.zeros(1, 3, *model.config.image_size)
