@@ -134,8 +134,8 @@ def ablate(
         cpu_minutes: The same in minutes of the training's CPU time, whole epochs.
         variants: Names of those to run; all for none.
         changes: Fields of the study's base to change, nested: ``{"data": {"count": 1000}}``.
-        sets: Folder of sets in URSO's layout, each named as its scene, to train and test on in
-            place of rendered scenes.
+        sets: Folder of sets, each named as its scene, to train and test on: in URSO's layout in
+            place of rendered scenes, or of the kind that the study is about.
         test_images: How many images the rendered test set has.
         steal: Take over the runs that other hosts have claimed.
         quiet: Print nothing.
@@ -203,7 +203,10 @@ def _training(
         config = replace(config, stages=(stage,), epochs=None)
     data = replace(config.data, root=out / config.data.root)
     if sets is not None:
-        data = replace(data, kind="urso", root=sets / data.scene)
+        kind = "urso" if data.kind == "scenes" else data.kind
+        data = replace(data, kind=kind, root=sets / data.scene)
+    elif data.kind == "cambridge":  # nothing that could be rendered
+        raise ValueError(f"sets: expected the folder that holds {data.scene}, got none")
     return replace(config, data=data, out=out / f"{variant.name}-seed{seed}", seed=seed)
 
 
