@@ -32,7 +32,7 @@ from ffpose.bench.serving import (
 from ffpose.bench.stages import STAGES, TOTAL, Pipeline, write_image
 from ffpose.bench.subjects import GFNET, subject
 from ffpose.cli import main
-from ffpose.config import CONFIGS
+from ffpose.config import CONFIGS, PRESETS
 from ffpose.nn import GlobalFilter
 from ffpose.onnx.library import ELF_NAME, NAMES, get_library_path
 
@@ -56,6 +56,7 @@ def _speck(monkeypatch):
     fields = {"dim": 8, "depth": 1, "heads": 2, "feed_forward": 8, "head_hidden": 8}
     fields |= {"backbone": "test_efficientnet", "image_size": (32, 64)}
     monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["tiny"], **fields))
+    monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
     small = GlobalFilterNetwork((64, 64), dim=4, depth=1, classes=3)
     monkeypatch.setattr("ffpose.bench.subjects.GlobalFilterNetwork", lambda: small)
 
@@ -184,6 +185,7 @@ def test_what_is_missing_is_a_note(tmp_path, monkeypatch):
 
 def test_a_network_without_filters_has_one_graph(tmp_path, monkeypatch):
     monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["speck"], filter="none"))
+    monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
     names = make_plan(subject("speck", tmp_path), quick=True).names
     assert PLAIN in names
     assert not {CUSTOM, MATMUL, WITHOUT} & set(names)

@@ -23,7 +23,7 @@ from ffpose.bench.networks import (
 )
 from ffpose.bench.timing import Timing
 from ffpose.cli import main
-from ffpose.config import CONFIGS
+from ffpose.config import CONFIGS, PRESETS
 from ffpose.nn.filterformer import SelfAttention
 
 
@@ -33,6 +33,7 @@ def _speck(monkeypatch):
     fields = {"dim": 8, "depth": 1, "heads": 2, "feed_forward": 8, "head_hidden": 8}
     fields |= {"backbone": "test_efficientnet", "image_size": (32, 48)}
     monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["tiny"], **fields))
+    monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
 
 
 def test_run_prints_tables_and_writes_a_document(tmp_path, monkeypatch, capsys):
