@@ -54,7 +54,7 @@ ALLOWED = {
     "inspection": {"datasets", "geometry", "arrays", "overlay", "preprocessing"},
     "card": {
         *("geometry", "attitude", "calibration", "significance", "metrics", "prediction"),
-        *("predictor", "models", "baseline", "evaluation", "render", "training"),
+        *("predictor", "models", "baseline", "config", "evaluation", "render", "training"),
     },
     "ablation": {
         "config",

@@ -48,7 +48,7 @@ from ffpose.datasets import (
 from ffpose.datasets.targets import spread
 from ffpose.geometry import Camera, Pose
 from ffpose.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
-from ffpose.models import FilterformerPose, PosePrediction, WeightsMetadata, read_metadata
+from ffpose.models import PosePrediction, WeightsMetadata, load_network, read_metadata
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import Reprojection
 from ffpose.significance import circular_correlation, correlation, median_interval
@@ -260,7 +260,7 @@ def evaluate(
             not that of the images.
         ffpose.DataError: An image or a label cannot be used.
     """
-    model = FilterformerPose.from_pretrained(weights).eval()
+    model = load_network(weights)
     metadata = read_metadata(weights)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, any_camera)

@@ -30,7 +30,51 @@ class LossTerms(NamedTuple):
     orientation: Tensor
 
 
-class PoseLoss(nn.Module):
+class JointLoss(nn.Module):
+    """Base of the losses that join a translation term with an orientation term.
+
+    Args:
+        antipodal: Measure the distance to the nearer of q and -q, which are the same rotation. The
+            paper's loss (False) relies on canonical labels, and its gradient points the wrong way
+            for a prediction near a half turn with the other sign.
+    """
+
+    def __init__(self, antipodal: bool = False) -> None:
+        super().__init__()
+        self.antipodal = antipodal
+
+    def joined(self, translation: Tensor, orientation: Tensor) -> LossTerms:
+        """Return the loss for two given terms, scalars."""
+        raise NotImplementedError
+
+    def quaternion_distance(self, q: Tensor, q_hat: Tensor) -> Tensor:
+        """Return the distance ``(B,)`` of unit quaternions ``(B, 4)``."""
+        distance: Tensor = torch.linalg.vector_norm(q - q_hat, dim=-1)
+        if not self.antipodal:
+            return distance
+        return torch.minimum(distance, torch.linalg.vector_norm(q + q_hat, dim=-1))
+
+
+class FixedLoss(JointLoss):
+    """The loss ``L = w_t L_t + w_q L_q`` with fixed weights; it has no parameters.
+
+    Args:
+        translation: ``w_t``.
+        orientation: ``w_q``.
+        antipodal: As in `JointLoss`.
+    """
+
+    def __init__(self, translation: float, orientation: float, antipodal: bool = False) -> None:
+        super().__init__(antipodal)
+        self.translation, self.orientation = translation, orientation
+
+    def joined(self, translation: Tensor, orientation: Tensor) -> LossTerms:
+        """Return the loss for two given terms."""
+        total = self.translation * translation + self.orientation * orientation
+        return LossTerms(total, translation, orientation)
+
+
+class PoseLoss(JointLoss):
     """The joint loss with its learnable weights.
 
     Exclude ``s_t`` and ``s_q`` from weight decay: they are not weights of the network, and zero is
@@ -39,16 +83,13 @@ class PoseLoss(nn.Module):
     Args:
         s_t: Initial log weight of the translation.
         s_q: Initial log weight of the orientation.
-        antipodal: Measure the distance to the nearer of q and -q, which are the same rotation. The
-            paper's loss (False) relies on canonical labels, and its gradient points the wrong way
-            for a prediction near a half turn with the other sign.
+        antipodal: As in `JointLoss`.
     """
 
     def __init__(self, s_t: float = -3.0, s_q: float = -6.5, antipodal: bool = False) -> None:
-        super().__init__()
+        super().__init__(antipodal)
         self.s_t = nn.Parameter(torch.tensor(float(s_t)))
         self.s_q = nn.Parameter(torch.tensor(float(s_q)))
-        self.antipodal = antipodal
 
     def forward(self, t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> LossTerms:
         """Compare predictions with labels.
@@ -73,11 +114,11 @@ class PoseLoss(nn.Module):
                 )
         return self.joined(
             torch.linalg.vector_norm(t - t_hat, dim=-1).mean(),
-            self._quaternion_distance(q, normalize_quaternion(q_hat)).mean(),
+            self.quaternion_distance(q, normalize_quaternion(q_hat)).mean(),
         )
 
     def joined(self, translation: Tensor, orientation: Tensor) -> LossTerms:
-        """Return Eq. 11 for two given terms, for an orientation head with its own loss."""
+        """Return Eq. 11 for two given terms."""
         total = (
             translation * torch.exp(-self.s_t)
             + self.s_t
@@ -85,9 +126,3 @@ class PoseLoss(nn.Module):
             + self.s_q
         )
         return LossTerms(total, translation, orientation)
-
-    def _quaternion_distance(self, q: Tensor, q_hat: Tensor) -> Tensor:
-        distance: Tensor = torch.linalg.vector_norm(q - q_hat, dim=-1)
-        if not self.antipodal:
-            return distance
-        return torch.minimum(distance, torch.linalg.vector_norm(q + q_hat, dim=-1))

@@ -11,7 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 from ffpose.geometry import Camera, FloatArray, Pose, poses
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import PoseNetwork, load_network, read_metadata
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import expect_aspect, for_images
 
@@ -34,7 +34,7 @@ class Predictor:
     """
 
     def __init__(
-        self, model: FilterformerPose, preprocessing: Preprocessing, camera: Camera | None = None
+        self, model: PoseNetwork, preprocessing: Preprocessing, camera: Camera | None = None
     ) -> None:
         self.model = model.eval()
         self.preprocessing = preprocessing
@@ -67,7 +67,7 @@ class Predictor:
             camera=camera,
             any_camera=any_camera,
         )
-        return cls(FilterformerPose.from_pretrained(weights), preprocessing, expected)
+        return cls(load_network(weights), preprocessing, expected)
 
     def __call__(self, image: Image.Image) -> Pose:
         """Predict the pose of the spacecraft in an RGB image, with uncertainty if available.

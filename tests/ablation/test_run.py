@@ -6,8 +6,10 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 from safetensors.torch import load_file
 
 from ffpose.ablation import get_study, run
@@ -171,6 +173,51 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(tmp_path, sets
     assert not (tmp_path / "study").exists()
 
 
+def test_landmarks_cannot_be_rendered(tmp_path):
+    with pytest.raises(ValueError, match="sets: expected the folder that holds KingsCollege"):
+        run.ablate(get_study("table5"), tmp_path / "study", quiet=True)
+
+
+def write_landmarks(scene):
+    """Write a scene of Cambridge Landmarks: twelve images of noise to train on, four to test."""
+    (scene / "seq1").mkdir(parents=True)
+    generator = np.random.default_rng(0)
+    for split, indices in (("train", range(12)), ("test", range(12, 16))):
+        lines = ["Visual Landmark Dataset V1", "ImageFile, Camera Position [X Y Z W P Q R]", ""]
+        for index in indices:
+            pixels = generator.integers(0, 256, (36, 64, 3), dtype=np.uint8)
+            Image.fromarray(pixels).save(scene / f"seq1/{index}.png")
+            t, q = generator.uniform(-9, 9, 3), generator.standard_normal(4)
+            numbers = " ".join(f"{x:.6f}" for x in [*t, *(q / np.linalg.norm(q))])
+            lines.append(f"seq1/{index}.png {numbers}")
+        (scene / f"dataset_{split}.txt").write_text("\n".join(lines) + "\n")
+
+
+def test_table_5_is_of_landmarks_on_disk(tmp_path):
+    write_landmarks(tmp_path / "sets/ShopFacade")
+    fields = {"image_size": [64, 64], "backbone": "compact_resnet_narrow", "reduction": 16}
+    outcome = run.ablate(
+        get_study("table5"),
+        tmp_path / "study",
+        seeds=1,
+        epochs=1,
+        variants=["ShopFacade-posenet"],
+        changes={
+            "model_fields": fields,
+            "backbone_weights": "none",
+            "data": {"workers": 0, "cache": False},
+        },
+        sets=tmp_path / "sets",
+        quiet=True,
+    )
+    assert outcome.done == ("ShopFacade-posenet-seed0",)
+    result = json.loads((tmp_path / "study/ShopFacade-posenet-seed0/results.json").read_text())
+    assert result["test"]["images"] == 4
+    median = result["test"]["median_translation_error_m"]
+    line = next(x for x in outcome.table.read_text().splitlines() if "1.46 m | 8.08°" in x)
+    assert line.startswith(f"| ShopFacade-posenet | {median:.2f} m")
+
+
 SMALL = {
     "data": {"count": 8, "empty": 2, "decoys": 2, "validation": 4, "workers": 0},
     "batch_size": 4,
@@ -227,4 +274,4 @@ def test_the_command_lists_the_studies(tmp_path, capsys):
     with pytest.raises(SystemExit) as leaving:
         main(["ablate", "attitudes", "--out", str(tmp_path)])
     assert leaving.value.code == 2
-    assert "'attitude', 'filters', 'table1', 'table2', 'table3'" in capsys.readouterr().err
+    assert "'attitude', 'filters', 'networks', 'table1', 'table2'" in capsys.readouterr().err

@@ -1,4 +1,5 @@
 from dataclasses import fields
+from decimal import ROUND_HALF_UP, Decimal
 from pathlib import Path
 
 import pytest
@@ -6,7 +7,7 @@ import pytest
 from ffpose.ablation import STUDIES, Study, Variant, get_study
 from ffpose.ablation.run import network
 from ffpose.ablation.study import changed
-from ffpose.models import FilterformerPose
+from ffpose.models import FilterformerPose, build_network
 from ffpose.training import DataConfig, TrainConfig
 
 BASE = TrainConfig(DataConfig("urso", Path("a")), Path("b"), model_fields={"depth": 2})
@@ -49,7 +50,7 @@ def test_what_cannot_be_changed_is_refused(changes, text):
 
 
 def test_an_unknown_study_or_variant_is_told_the_names():
-    with pytest.raises(ValueError, match=r"attitude, filters, table1, .*got 'attitudes'"):
+    with pytest.raises(ValueError, match=r"attitude, filters, networks, table1, .*got 'attitudes'"):
         get_study("attitudes")
     with pytest.raises(ValueError, match=r"expected one of base, .*transformer, got 'bas'"):
         get_study("attitude").choose(["bas"])
@@ -108,3 +109,46 @@ def test_table_3_changes_scene_and_filter():
     ]
     scenes = ("soyuz_easy", "soyuz_hard", "dragon_hard")
     assert pairs == [(scene, filter) for scene in scenes for filter in ("tokens", "none")]
+
+
+@pytest.mark.parametrize("variant", STUDIES["networks"].variants, ids=lambda v: v.name)
+def test_every_network_of_the_networks_study_is_built_and_sees_the_same(variant):
+    study = STUDIES["networks"]
+    config = study.config(variant)
+    built = build_network(network(config), backbone_weights="none").config
+    assert (built.image_size, built.backbone) == ((96, 128), "compact_resnet_narrow")
+    base = study.base
+    assert (config.data, config.epochs, config.batch_size, config.optimizer) == (
+        *(base.data, base.epochs, base.batch_size, base.optimizer),
+    )
+
+
+def test_table_4_compares_on_images_of_one_size():
+    """Sensors 2023, 23, 8633, Table 4; its second column for FilterformerPose is Table 3's."""
+    study = STUDIES["table4"]
+    assert len(study.variants) == 6
+    assert {network(study.config(variant)).image_size for variant in study.variants} == {(224, 224)}
+    papers = {variant.name: variant.paper[:2] for variant in study.variants}
+    assert papers["dragon_hard-ursonet"] == (0.8909, 13.9480)
+    assert papers["dragon_hard-filterformer"] == (0.8160, 5.5256)
+
+
+def test_the_note_of_table_5_is_by_hand():
+    """Translations of the four scenes as printed: CGA-PoseNet, MS-Trans, PoseNet; rotations."""
+    notes = STUDIES["table5"].notes
+    for row, unit in (
+        ((1.36, 2.52, 0.74, 2.12), " m"),
+        ((0.83, 1.81, 0.86, 1.62), " m"),
+        ((1.92, 2.31, 1.46, 2.56), " m"),
+        ((3.65, 4.29, 7.44, 6.68), "°"),  # LSTM-PN
+    ):
+        mean = sum(Decimal(str(number)) for number in row) / 4
+        assert f"{mean.quantize(Decimal('0.01'), ROUND_HALF_UP)}{unit}" in notes
+
+
+def test_table_5_has_a_network_a_scene():
+    study = STUDIES["table5"]
+    assert study.medians
+    scenes = [study.config(variant).data.scene for variant in study.variants]
+    assert len(set(scenes)) == 4
+    assert {study.config(variant).data.kind for variant in study.variants} == {"cambridge"}

@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.models import CONFIGS, FilterformerPose, PosePrediction
-from ffpose.models.filterformer_pose import UncertainPose
+from ffpose.models.network import UncertainPose
 from ffpose.models.object_look import OFFSET_LIMIT, LookNumbers, points_at
 from ffpose.models.virtual_camera import look, turn_to
 from ffpose.training.config import ObjectLossConfig

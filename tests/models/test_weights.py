@@ -13,7 +13,13 @@ from safetensors import safe_open
 import ffpose
 from ffpose import DataError
 from ffpose.geometry import URSO_CAMERA, Camera
-from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
+from ffpose.models import (
+    FilterformerPose,
+    PoseNetConfig,
+    WeightsMetadata,
+    load_network,
+    read_metadata,
+)
 from ffpose.models.weights import checksum_path, load_weights
 from ffpose.preprocessing import Preprocessing
 
@@ -92,7 +98,7 @@ def test_the_header_tells_where_the_weights_come_from(model, tmp_path):
     model.save_pretrained(path, **ORIGIN)
     metadata = read_metadata(path)
     assert {name: getattr(metadata, name) for name in ORIGIN} == ORIGIN
-    assert metadata.architecture == "FilterformerPose"
+    assert metadata.config.architecture == "FilterformerPose"
     with safe_open(path, framework="numpy") as file:
         assert file.metadata()["format"] == "2"
         assert file.metadata()["architecture"] == "FilterformerPose"
@@ -255,9 +261,16 @@ def test_format_1_still_loads(model, path):
 
 
 def test_weights_of_another_network(path):
-    rewrite_header(path, lambda header: header.update(architecture="PoseNet"))
+    config = PoseNetConfig().to_json()
+    rewrite_header(path, lambda header: header.update(architecture="PoseNet", config=config))
     with pytest.raises(DataError, match=r"expected weights of a FilterformerPose, got .* PoseNet"):
         FilterformerPose.from_pretrained(path)
+
+
+def test_weights_of_an_unknown_network_are_told_the_names(path):
+    rewrite_header(path, lambda header: header.update(architecture="HyperPose"))
+    with pytest.raises(DataError, match=r"one of FilterformerPose, UrsoNet, PoseNet, .*HyperPose"):
+        load_network(path)
 
 
 def test_safetensors_of_someone_else(path):

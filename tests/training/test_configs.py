@@ -1,13 +1,11 @@
 """The configurations in configs/ are read as they stand, each by the network that it names."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from ffpose.cli import main
-from ffpose.config import check_names
-from ffpose.models import CONFIGS
+from ffpose.config import PRESETS
 from ffpose.recipes import recipe_file
 from ffpose.training.config import DataConfig, TrainConfig
 from ffpose.training.config_file import load_config
@@ -23,8 +21,7 @@ def test_there_are_some():
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_a_configuration_is_read(path):
     config = load_config(path)
-    check_names(config.model_fields)
-    replace(CONFIGS[config.model], **config.model_fields)
+    PRESETS[config.model].with_fields(config.model_fields)
     assert config.out == Path("runs") / path.stem
 
 

@@ -1,19 +1,22 @@
 """Ablations: one network changed in one place at a time, trained again at an equal budget.
 
-`ffpose.ablation.study` says what a study is, `attitude` and `paper` which there are, `run` works
-one off, and `table` writes what it came to. Nothing here loads torch before a study runs.
+`ffpose.ablation.study` says what a study is, `attitude`, `networks` and `paper` which there are,
+`run` works one off, and `table` writes what it came to. Nothing here loads torch before a study
+runs.
 """
 
 from __future__ import annotations
 
 from ffpose.ablation.attitude import ATTITUDE, FILTERS
-from ffpose.ablation.paper import TABLE_1, TABLE_2, TABLE_3
+from ffpose.ablation.networks import NETWORKS
+from ffpose.ablation.paper import TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5
 from ffpose.ablation.study import Published, Study, Variant
 
 __all__ = ["STUDIES", "Published", "Study", "Variant", "get_study"]
 
 STUDIES: dict[str, Study] = {
-    study.name: study for study in (ATTITUDE, FILTERS, TABLE_1, TABLE_2, TABLE_3)
+    study.name: study
+    for study in (ATTITUDE, FILTERS, NETWORKS, TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5)
 }
 """The studies that there are, by name."""
 

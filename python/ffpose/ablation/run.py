@@ -24,12 +24,12 @@ import ffpose
 from ffpose.ablation.claims import claimed, claimed_in_turn
 from ffpose.ablation.study import Study, Variant, changed
 from ffpose.ablation.table import RESULTS, read_run, write_tables
-from ffpose.config import check_names
+from ffpose.config import NetworkConfig
 from ffpose.datasets import Decoding, Part
 from ffpose.datasets.scenes import find_scene, render_images
 from ffpose.evaluation import evaluate
 from ffpose.files import atomic_write, remove_leftovers
-from ffpose.models import CONFIGS, FilterformerPose, FilterformerPoseConfig
+from ffpose.models import PoseNetwork, find_config, load_network
 from ffpose.preprocessing import Preprocessing
 from ffpose.training import Stage, TrainConfig, TrainResult, train
 from ffpose.training.checkpoint import FREE_FIELDS
@@ -134,8 +134,8 @@ def ablate(
         cpu_minutes: The same in minutes of the training's CPU time, whole epochs.
         variants: Names of those to run; all for none.
         changes: Fields of the study's base to change, nested: ``{"data": {"count": 1000}}``.
-        sets: Folder of sets in URSO's layout, each named as its scene, to train and test on in
-            place of rendered scenes.
+        sets: Folder of sets, each named as its scene, to train and test on: in URSO's layout in
+            place of rendered scenes, or of the kind that the study is about.
         test_images: How many images the rendered test set has.
         steal: Take over the runs that other hosts have claimed.
         quiet: Print nothing.
@@ -203,19 +203,21 @@ def _training(
         config = replace(config, stages=(stage,), epochs=None)
     data = replace(config.data, root=out / config.data.root)
     if sets is not None:
-        data = replace(data, kind="urso", root=sets / data.scene)
+        kind = "urso" if data.kind == "scenes" else data.kind
+        data = replace(data, kind=kind, root=sets / data.scene)
+    elif data.kind == "cambridge":  # nothing that could be rendered
+        raise ValueError(f"sets: expected the folder that holds {data.scene}, got none")
     return replace(config, data=data, out=out / f"{variant.name}-seed{seed}", seed=seed)
 
 
-def network(config: TrainConfig) -> FilterformerPoseConfig:
+def network(config: TrainConfig) -> NetworkConfig:
     """Return the network of a training; its camera comes with the images.
 
     Raises:
         ValueError: An unknown field, or a value that cannot be.
     """
     fields = {"camera": UNKNOWN_CAMERA, **config.model_fields}
-    check_names(fields)
-    return replace(CONFIGS[config.model], **fields)
+    return find_config(config.model).with_fields(fields)
 
 
 def _finish(study: Study, run: Run, *, steal: bool, quiet: bool) -> None:
@@ -228,7 +230,7 @@ def _finish(study: Study, run: Run, *, steal: bool, quiet: bool) -> None:
     evaluation = evaluate(trained.folder.last, kind, root, split, decoding=decoding)
     summary = evaluation.summary()
     summary.pop("uncertainty", None)  # the last weights are not calibrated
-    model = FilterformerPose.from_pretrained(trained.folder.last)
+    model = load_network(trained.folder.last)
     result = {
         "study": study.name,
         "variant": run.variant.name,
@@ -274,7 +276,7 @@ def _cost(trained: TrainResult) -> dict[str, float]:
     return {"epochs": len(trained.history), **totals}
 
 
-def latency_ms(model: FilterformerPose) -> float:
+def latency_ms(model: PoseNetwork) -> float:
     """Return the median time of one image's pose, in milliseconds, on torch's threads."""
     model.eval()
     image = torch.zeros(1, 3, *model.config.image_size)

@@ -17,7 +17,7 @@ Config = TypeVar("Config", bound="DataclassInstance")
 
 
 class Published(NamedTuple):
-    """What a paper prints of a variant: means over a test set.
+    """What a paper prints of a variant: means over a test set, or medians.
 
     Attributes:
         translation_m: Translation error, meters.
@@ -58,6 +58,7 @@ class Study:
             relative ``data.root`` lies in the study's folder.
         variants: In the order of the table.
         notes: What the reader of the table should know.
+        medians: Whether the paper's numbers are medians; else they are means.
 
     Raises:
         ValueError: Two variants have one name.
@@ -68,6 +69,7 @@ class Study:
     base: TrainConfig
     variants: tuple[Variant, ...]
     notes: str = ""
+    medians: bool = False
 
     def __post_init__(self) -> None:
         names = [variant.name for variant in self.variants]

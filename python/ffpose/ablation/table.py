@@ -47,6 +47,10 @@ MEANS = (
     Error("mean_translation_error_m", "mean E_t", " m"),
     Error("mean_rotation_error_deg", "mean E_q", "°"),
 )
+PUBLISHED_MEDIANS = (
+    Error("median_translation_error_m", "median E_t", " m"),
+    Error("median_rotation_error_deg", "median E_q", "°"),
+)
 
 
 def read_run(folder: Path) -> Result:
@@ -133,7 +137,7 @@ def format_tables(study: Study, results: Sequence[Result]) -> str:
     present = [(variant, found) for variant, found in runs if found]
     lines += [*_at_the_end(present), "", *_within(present, shortest(results)), ""]
     if any(variant.paper for variant, _ in present):
-        lines += [*_beside_the_paper(present), ""]
+        lines += [*_beside_the_paper(present, medians=study.medians), ""]
     missing = [variant.name for variant, found in runs if not found]
     if missing:
         lines += [f"Not run yet: {', '.join(missing)}.", ""]
@@ -174,13 +178,15 @@ def _within(runs: Runs, cpu_seconds: float) -> Iterator[str]:
         yield _line(variant.name, str(len(rows)), samples, *errors)
 
 
-def _beside_the_paper(runs: Runs) -> Iterator[str]:
-    yield "Means, beside those that the paper prints, and the time of one image:"
+def _beside_the_paper(runs: Runs, *, medians: bool) -> Iterator[str]:
+    compared = PUBLISHED_MEDIANS if medians else MEANS
+    what = "Medians" if medians else "Means"
+    yield f"{what}, beside those that the paper prints, and the time of one image:"
     yield ""
-    measured = [error.heading for error in MEANS]
+    measured = [error.heading for error in compared]
     yield from _header("variant", *measured, *(f"paper's {m}" for m in measured), "ms", "paper's")
     for variant, found in runs:
-        errors = [_said([r["test"] for r in found], error) for error in MEANS]
+        errors = [_said([r["test"] for r in found], error) for error in compared]
         latency = spread([r["latency_ms"] for r in found])
         yield _line(variant.name, *errors, *_published(variant), latency, _published_ms(variant))
 

@@ -25,11 +25,12 @@ from ffpose.baseline import mean_pose
 from ffpose.card.pictures import PICTURES, draw_picture
 from ffpose.card.statistics import Answers, refuse, summarize
 from ffpose.card.tables import format_card
+from ffpose.config import looks_twice
 from ffpose.errors import require
 from ffpose.evaluation import choose_preprocessing
 from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Pose
-from ffpose.models import FilterformerPose, WeightsMetadata, read_metadata
+from ffpose.models import WeightsMetadata, load_network, read_metadata
 from ffpose.models.zoo import resolve
 from ffpose.predictor import Predictor
 from ffpose.training.config import TEST_SEEDS
@@ -150,7 +151,7 @@ def measure(
     metadata = read_metadata(weights)
     plan = _plan(scene, metadata, count, size, seed, workers)
     preprocessing = choose_preprocessing(metadata, camera, any_camera=True)
-    predictor = Predictor(FilterformerPose.from_pretrained(weights), preprocessing)
+    predictor = Predictor(load_network(weights), preprocessing)
     began = time.perf_counter()
     answers = answer(predictor, _with_bar(plan, show=progress))
     return {
@@ -191,7 +192,7 @@ def _plan(
     from ffpose.render.variations import variations, without_object
 
     config = metadata.config
-    if config.orientation_view == "frame":
+    if not looks_twice(config):
         with_object = variations(scene, scene.distance_m[1])
         return Plan(with_object, [], [], count, size, seed, workers)
     with_object, without = variations(scene, config.distance_m[1]), without_object(scene)

@@ -1,18 +1,39 @@
-"""FilterformerPose: the network, its configurations, and its weights files."""
+"""The networks, their configurations, and their weights files."""
 
-from ffpose.config import CONFIGS, FilterformerPoseConfig
+from ffpose.config import (
+    CONFIGS,
+    PRESETS,
+    FilterformerPoseConfig,
+    NetworkConfig,
+    PoseNetConfig,
+    UrsoNetConfig,
+)
 from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
-from ffpose.models.filterformer_pose import FilterformerPose, PosePrediction
+from ffpose.models.filterformer_pose import FilterformerPose
+from ffpose.models.network import PoseNetwork, PosePrediction
+from ffpose.models.pose_net import PoseNet
+from ffpose.models.registry import build_network, find_config, load_network
+from ffpose.models.urso_net import UrsoNet
 from ffpose.models.weights import WeightsMetadata, read_metadata
 
 __all__ = [
     "CONFIGS",
+    "PRESETS",
     "Backbone",
     "FilterformerPose",
     "FilterformerPoseConfig",
+    "NetworkConfig",
+    "PoseNet",
+    "PoseNetConfig",
+    "PoseNetwork",
     "PosePrediction",
+    "UrsoNet",
+    "UrsoNetConfig",
     "WeightsMetadata",
     "backbone_preprocessing",
     "build_backbone",
+    "build_network",
+    "find_config",
+    "load_network",
     "read_metadata",
 ]

@@ -14,24 +14,16 @@ the norm to divide by is not close to zero at first.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ffpose.config import (
-    CONFIGS,
-    FLAT_CHANNELS,
-    FLAT_LATENT,
-    FilterformerPoseConfig,
-    check_names,
-)
-from ffpose.errors import DataError
-from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
+from ffpose.config import FLAT_CHANNELS, FLAT_LATENT, FilterformerPoseConfig
+from ffpose.models.backbone import Backbone, build_backbone
+from ffpose.models.network import PoseNetwork, PosePrediction, UncertainPose
 from ffpose.models.object_look import (
     SMALL_NUMBERS,
     LookHead,
@@ -40,10 +32,7 @@ from ffpose.models.object_look import (
     points_at,
     split_numbers,
 )
-from ffpose.models.pretrained import BackboneSource
 from ffpose.models.virtual_camera import Pyramid, look_into, pyramid, turn_to
-from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
-from ffpose.models.zoo import resolve
 from ffpose.nn import Filterformer, HyperHead, PositionCode
 from ffpose.nn.orientation import (
     BinsHead,
@@ -54,46 +43,8 @@ from ffpose.nn.orientation import (
     mean_quaternion,
     quaternion_to_matrix,
 )
-from ffpose.preprocessing import Preprocessing
-from ffpose.torch_internals import register_named_tuple
 
 TOKEN_STD = 0.02
-
-
-class PosePrediction(NamedTuple):
-    """Poses of the object in the camera frame (OpenCV: x right, y down, z forward).
-
-    Attributes:
-        translation: ``(B, 3)``, meters.
-        orientation: ``(B, 4)``, unit quaternions, scalar first, of either sign.
-    """
-
-    translation: Tensor
-    orientation: Tensor
-
-
-class UncertainPose(NamedTuple):
-    """Poses as in `PosePrediction`, with their predicted uncertainty.
-
-    Attributes:
-        translation: ``(B, 3)``, meters.
-        orientation: ``(B, 4)``, unit quaternions, scalar first, of either sign.
-        translation_covariance: ``(B, 3, 3)``, covariance of the translation, camera frame, m².
-        rotation_covariance: ``(B, 3, 3)``, covariance of the rotation vector r, camera frame, rad²;
-            ``R_true = exp([r]x) R``.
-        in_view: ``(B,)``, probability that the object is in the image.
-    """
-
-    translation: Tensor
-    orientation: Tensor
-    translation_covariance: Tensor
-    rotation_covariance: Tensor
-    in_view: Tensor
-
-
-# Saved programs refer to named tuples by name, which torch requires to be registered.
-for _result in (PosePrediction, UncertainPose):
-    register_named_tuple(_result, f"ffpose.models.{_result.__name__}")
 
 
 class PoseBranch(nn.Module):
@@ -190,7 +141,7 @@ def build_orientation_head(config: FilterformerPoseConfig) -> OrientationHead:
             return BinsHead(config.bins, config.bins_degree, config.bins_width_deg)
 
 
-class FilterformerPose(nn.Module):
+class FilterformerPose(PoseNetwork):
     """Pose network; `from_config` builds it with its backbones, `from_pretrained` reads a file.
 
     With ``config.orientation_view`` ``"frame"``, as in the paper, both branches see the frame and
@@ -221,8 +172,9 @@ class FilterformerPose(nn.Module):
         orientation: Orientation head.
     """
 
-    translation_mean: Tensor
-    translation_std: Tensor
+    config_type: ClassVar[type[FilterformerPoseConfig]] = FilterformerPoseConfig
+
+    config: FilterformerPoseConfig
     intrinsics: Tensor
     variance_scales: Tensor
 
@@ -232,14 +184,13 @@ class FilterformerPose(nn.Module):
         backbone: Backbone,
         object_backbone: Backbone | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(config)
         if (object_backbone is None) == (config.orientation_view == "object"):
             wanted, given = ("one", "none") if object_backbone is None else ("none", "one")
             raise ValueError(
                 f"object_backbone: expected {wanted} for orientation_view"
                 f" {config.orientation_view!r}, got {given}"
             )
-        self.config = config
         self.backbone = backbone
         self.object_backbone = object_backbone
         self.orientation = build_orientation_head(config)
@@ -253,8 +204,6 @@ class FilterformerPose(nn.Module):
         self.orientation_branch = PoseBranch(
             config, channels[1], config.orientation_grid, self._orientation_output()
         )
-        for name in ("translation_mean", "translation_std"):
-            self.register_buffer(name, torch.tensor(getattr(config, name)), persistent=False)
         if config.orientation_view == "object":
             self.register_buffer("intrinsics", torch.tensor(config.camera), persistent=False)
             self.register_buffer("variance_scales", torch.ones(2))
@@ -291,14 +240,10 @@ class FilterformerPose(nn.Module):
         Raises:
             ValueError: The shape of ``images`` is not as above.
         """
-        expected = (3, *self.config.image_size)
-        if images.dim() != 4 or tuple(images.shape[1:]) != expected:
-            sizes = ", ".join(map(str, expected))
-            raise ValueError(f"images: expected shape (B, {sizes}), got {tuple(images.shape)}")
-        if self.config.orientation_view == "object":
-            return self._look_twice(images)
-        translation, orientation = self.regress(images)
-        return PosePrediction(translation, self.orientation.decode(orientation))
+        if self.config.orientation_view == "frame":
+            return super().forward(images)
+        self.check_images(images)
+        return self._look_twice(images)
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head.
@@ -309,9 +254,8 @@ class FilterformerPose(nn.Module):
             images: As in `forward`.
         """
         maps = self.backbone(images.contiguous(memory_format=torch.channels_last))
-        translation = self.translation_branch(maps[0])
-        orientation: Tensor = self.orientation_branch(maps[1])
-        return translation * self.translation_std + self.translation_mean, orientation
+        translation = self.in_meters(self.translation_branch(maps[0]))
+        return translation, self.orientation_branch(maps[1])
 
     def _look_twice(self, images: Tensor) -> UncertainPose:
         """Locate the object in the frame, then look at it ``config.looks`` times."""
@@ -399,33 +343,8 @@ class FilterformerPose(nn.Module):
         return split_numbers(self.orientation_branch(feature_map))
 
     @classmethod
-    def from_config(
-        cls,
-        config: str | FilterformerPoseConfig,
-        *,
-        backbone_weights: str | Path = "auto",
-        **fields: Any,
-    ) -> Self:
-        """Build a network with new weights.
-
-        Args:
-            config: Preset (``"base"``, ``"small"``, ``"tiny"``, ``"compact"``) or a config.
-            backbone_weights: ``"auto"``: pretrained, from the hub or its cache; ``"none"``: random;
-                otherwise a safetensors or PyTorch file.
-            **fields: Fields of the config to change.
-
-        Raises:
-            ValueError: A preset or field is unknown, or values are inconsistent.
-            FileNotFoundError: The weights file does not exist, or the pretrained weights are not
-                available.
-            ffpose.DataError: The file does not contain the backbone's weights.
-        """
-        if isinstance(config, str):
-            if config not in CONFIGS:
-                raise ValueError(f"config: expected one of {tuple(CONFIGS)}, got {config!r}")
-            config = CONFIGS[config]
-        check_names(fields)
-        config = replace(config, **fields)
+    def build(cls, config: FilterformerPoseConfig, backbone_weights: str | Path) -> Self:
+        """Build a network with new weights."""
         reductions = (config.translation_reduction, config.orientation_reduction)
         if config.orientation_view == "frame":
             return cls(config, build_backbone(config.backbone, reductions, backbone_weights))
@@ -434,72 +353,3 @@ class FilterformerPose(nn.Module):
             build_backbone(config.backbone, reductions[:1], backbone_weights),
             build_backbone(config.object_backbone, reductions[1:], backbone_weights),
         )
-
-    def save_pretrained(
-        self,
-        path: str | Path,
-        *,
-        preprocessing: Preprocessing | None = None,
-        backbone_source: BackboneSource | None = None,
-        recipe: Mapping[str, Any] | None = None,
-        data: Mapping[str, Any] | None = None,
-        in_view_threshold: float | None = None,
-        dtype: torch.dtype = torch.float32,
-    ) -> None:
-        """Write weights, config, preprocessing and this version to a safetensors file.
-
-        The write is atomic; the checksum is written to ``path.sha256``. Metadata that is None is
-        stored as unknown.
-
-        Args:
-            path: File to write; its folder must exist.
-            preprocessing: Conversion from an image to the network's input; None for a resize to
-                ``config.image_size``, standardized as the backbone expects.
-            backbone_source: Source of the backbone's initial weights; see `WeightsMetadata`.
-            recipe: Training configuration; see `WeightsMetadata`.
-            data: Training data; see `WeightsMetadata`.
-            in_view_threshold: Probability of being in view below which an image is flagged.
-            dtype: Dtype of the floating-point tensors in the file. float16 halves its size and
-                keeps about three decimal digits; tensors are read back as float32.
-
-        Raises:
-            ValueError: The output size of the preprocessing is not ``config.image_size``, or a
-                value is invalid.
-            TypeError: A metadata value cannot be stored as JSON.
-        """
-        if preprocessing is None:
-            preprocessing = backbone_preprocessing(self.config.backbone, self.config.image_size)
-        if tuple(preprocessing.size) != self.config.image_size:
-            raise ValueError(
-                f"preprocessing: expected size {self.config.image_size}, got {preprocessing.size}"
-            )
-        metadata = WeightsMetadata(
-            self.config, preprocessing, backbone_source, recipe, data, in_view_threshold
-        )
-        state = {
-            name: tensor.to(dtype) if tensor.is_floating_point() else tensor
-            for name, tensor in self.state_dict().items()
-        }
-        write_weights(path, state, metadata)
-
-    @classmethod
-    def from_pretrained(cls, path: str | Path) -> Self:
-        """Load a network that `save_pretrained` wrote, in evaluation mode.
-
-        Args:
-            path: Weights file, or name of shipped weights such as ``"soyuz-easy"``
-                (`ffpose.models.zoo.names`).
-
-        Raises:
-            FileNotFoundError: No such file or name.
-            ffpose.DataError: The file is truncated, altered, newer than this version, or of another
-                architecture.
-        """
-        path = resolve(path)
-        config = read_metadata(path).config
-        try:
-            model = cls.from_config(config, backbone_weights="none")
-        except ValueError as error:
-            raise DataError(f"expected a network that can be built here: {error}", path) from error
-        load_weights(path, model)
-        return model.eval()

@@ -21,7 +21,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from ffpose import __version__
-from ffpose.config import FilterformerPoseConfig
+from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type
 from ffpose.errors import DataError
 from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Camera
@@ -34,8 +34,6 @@ logger = logging.getLogger(__name__)
 
 FORMAT = 2
 """Version of the header, incremented whenever older code could not read it correctly."""
-
-ARCHITECTURE = "FilterformerPose"
 
 NAMES_SHOWN = 4
 
@@ -57,20 +55,18 @@ class WeightsMetadata:
         data: Training data as a JSON document: name, ``count``, ``digest``, and ``image_size``, the
             ``[width, height]`` of the images before preprocessing.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
-        architecture: Name of the network's class.
         version: Version of ffpose that wrote the file.
 
     Raises:
         ValueError: ``in_view_threshold`` is not a probability, or ``image_size`` is invalid.
     """
 
-    config: FilterformerPoseConfig
+    config: NetworkConfig
     preprocessing: Preprocessing
     backbone_source: BackboneSource | None = None
     recipe: Mapping[str, Any] | None = None
     data: Mapping[str, Any] | None = None
     in_view_threshold: float | None = None
-    architecture: str = ARCHITECTURE
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -147,14 +143,9 @@ def read_metadata(path: str | Path) -> WeightsMetadata:
             path,
         )
     try:
-        metadata = _from_header(header, version)
+        return _from_header(header, version)
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"expected a header that ffpose {version} wrote: {error}", path) from error
-    if metadata.architecture != ARCHITECTURE:
-        raise DataError(
-            f"expected weights of a {ARCHITECTURE}, got those of a {metadata.architecture}", path
-        )
-    return metadata
 
 
 def _to_header(metadata: WeightsMetadata) -> dict[str, str]:
@@ -163,7 +154,7 @@ def _to_header(metadata: WeightsMetadata) -> dict[str, str]:
     return {
         "format": str(FORMAT),
         "ffpose_version": metadata.version,
-        "architecture": metadata.architecture,
+        "architecture": metadata.config.architecture,
         "config": metadata.config.to_json(),
         "preprocessing": json.dumps(metadata.preprocessing.to_dict()),
         **{name: json.dumps(value, allow_nan=False) for name, value in origin.items()},
@@ -171,7 +162,7 @@ def _to_header(metadata: WeightsMetadata) -> dict[str, str]:
 
 
 def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
-    """Parse a header of a known format; format 1 has no provenance."""
+    """Parse a header of a known format; format 1 has no provenance, and one network alone."""
     origin: dict[str, Any] = {}
     if header["format"] != "1":
         origin = {name: json.loads(header[name]) for name in ORIGIN}
@@ -179,11 +170,11 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
             value = origin[name]
             if not isinstance(value, dict | None) and (name, value) != ("backbone_source", "none"):
                 raise ValueError(f"{name}: expected a JSON object, got {value!r}")
+    architecture = header.get("architecture", FilterformerPoseConfig.architecture)
     return WeightsMetadata(
-        FilterformerPoseConfig.from_json(header["config"]),
+        config_type(architecture).from_json(header["config"]),
         Preprocessing.from_dict(json.loads(header["preprocessing"])),
         **origin,
-        architecture=header.get("architecture", ARCHITECTURE),
         version=version,
     )
 

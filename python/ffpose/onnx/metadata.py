@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from ffpose import __version__
-from ffpose.config import FilterformerPoseConfig
+from ffpose.config import NetworkConfig, config_type
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
 from ffpose.preprocessing import Preprocessing
@@ -30,7 +30,6 @@ from ffpose.preprocessing import Preprocessing
 FORMAT = 1
 """Version of the entries; one more whenever older code could not read them rightly."""
 
-ARCHITECTURE = "FilterformerPose"
 QUATERNION_ORDER = "wxyz"
 CHECKSUM = "ffpose_sha256"
 
@@ -61,7 +60,7 @@ class ModelMetadata:
         calibration_sha256: Of the calibration images of a graph in int8.
     """
 
-    config: FilterformerPoseConfig
+    config: NetworkConfig
     preprocessing: Preprocessing
     filter: Filter
     camera: Camera | None = None
@@ -83,7 +82,7 @@ class ModelMetadata:
         return {
             "ffpose_format": str(FORMAT),
             "ffpose_version": self.version,
-            "architecture": ARCHITECTURE,
+            "architecture": self.config.architecture,
             "quaternion_order": QUATERNION_ORDER,
             "filter": self.filter,
             "weights_sha256": self.weights_sha256 or "",
@@ -105,8 +104,8 @@ class ModelMetadata:
             KeyError: An entry is missing.
             ValueError: One cannot be.
         """
-        expected = {"architecture": (ARCHITECTURE,), "quaternion_order": (QUATERNION_ORDER,)}
-        for name, known in {**expected, "filter": get_args(Filter)}.items():
+        choices = {"quaternion_order": (QUATERNION_ORDER,), "filter": get_args(Filter)}
+        for name, known in choices.items():
             if entries[name] not in known:
                 raise ValueError(f"{name}: expected one of {known}, got {entries[name]!r}")
         precision: Any = entries.get("precision", "float32")
@@ -116,7 +115,7 @@ class ModelMetadata:
         camera = json.loads(entries["camera"])
         filter: Any = entries["filter"]
         return cls(
-            FilterformerPoseConfig.from_json(entries["config"]),
+            config_type(entries["architecture"]).from_json(entries["config"]),
             Preprocessing.from_dict(json.loads(entries["preprocessing"])),
             filter,
             None if camera is None else Camera(**camera),

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ffpose.config import FilterformerPoseConfig
+from ffpose.config import NetworkConfig, looks_twice
 from ffpose.files import sha256
-from ffpose.models import FilterformerPose, PosePrediction, read_metadata
-from ffpose.models.filterformer_pose import UncertainPose
+from ffpose.models import PosePrediction, load_network, read_metadata
+from ffpose.models.network import UncertainPose
 from ffpose.models.zoo import resolve
 from ffpose.onnx.exporter import (
     TOLERANCE,
@@ -65,7 +65,7 @@ def export_weights(
         raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
     source = read_metadata(weights)
     return write_graph(
-        FilterformerPose.from_pretrained(weights),
+        load_network(weights),
         [(random_images(source.preprocessing, count),) for count in BATCHES],
         path,
         filter,
@@ -95,10 +95,9 @@ def graph_entries(weights: str | Path) -> Callable[[Filter], dict[str, str]]:
     return entries
 
 
-def output_names(config: FilterformerPoseConfig) -> list[str]:
+def output_names(config: NetworkConfig) -> list[str]:
     """Return the names of a network's outputs, in order."""
-    looks_twice = config.orientation_view == "object"
-    return list((UncertainPose if looks_twice else PosePrediction)._fields)
+    return list((UncertainPose if looks_twice(config) else PosePrediction)._fields)
 
 
 def random_images(preprocessing: Preprocessing, count: int) -> torch.Tensor:

@@ -16,8 +16,8 @@ from ffpose.training.stages import JOINT_STAGE, Stage
 TEST_SEEDS = 1_000_000
 """First seed of the scenes reserved for tests, which no training renders."""
 
-ModelName = Literal["base", "small", "tiny", "compact"]
-"""Keys of `ffpose.models.CONFIGS`, listed here so that a wrong one is rejected without torch."""
+ModelName = Literal["base", "small", "tiny", "compact", "transformerpose", "ursonet", "posenet"]
+"""Keys of `ffpose.config.PRESETS`, listed here so that a wrong one is rejected without torch."""
 
 
 def _expect(condition: bool, name: str, expected: str, got: object) -> None:
@@ -142,6 +142,8 @@ class OptimizerConfig:
 class LossConfig:
     """Pose loss of a network that looks at the frame alone (paper, Eq. 9-11).
 
+    UrsoNet, and PoseNet with ``beta``, have fixed weights among the fields of their configuration.
+
     Attributes:
         s_t: Initial log weight of the translation, learnable.
         s_q: Initial log weight of the orientation, learnable.
@@ -233,7 +235,8 @@ class TrainConfig:
     Attributes:
         data: Training and validation images.
         out: Folder to write; it must not contain another run.
-        model: Preset of the network: base (the paper's), small, tiny or compact.
+        model: Preset of the network: base (the paper's), small, tiny or compact; transformerpose
+            (base without filters); ursonet or posenet, which the paper compares with.
         model_fields: Fields of the preset to change, such as {"depth": 5}. Tuples are stored as
             lists, which is what a YAML file gives back.
         backbone_weights: "auto" (pretrained), "none" (random), or a file.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose.config import FilterformerPoseConfig, NetworkConfig, looks_twice
 from ffpose.datasets import (
     Decoding,
     PoseDataset,
@@ -27,7 +28,6 @@ from ffpose.datasets.scenes import (
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, DistortedCamera, Pose
 from ffpose.images import open_image
-from ffpose.models import FilterformerPoseConfig
 from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import TEST_SEEDS, DataConfig
 from ffpose.transforms import Augmentation
@@ -68,7 +68,7 @@ class TrainingData:
 
 
 def open_training_data(
-    config: DataConfig, model: FilterformerPoseConfig, preprocessing: Preprocessing, *, dense: bool
+    config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing, *, dense: bool
 ) -> TrainingData:
     """Open the images that ``config`` names, as the network looks at them.
 
@@ -86,7 +86,7 @@ def open_training_data(
         return _scenes(config, model, preprocessing)
     train_set, val_set = _open_splits(config, preprocessing)
     camera = None if train_set.camera is None else preprocessing.camera(train_set.camera)
-    if model.orientation_view == "frame":
+    if not looks_twice(model):
         return TrainingData(train_set.poses, val_set, camera, train_set)
     if camera is None or isinstance(camera, DistortedCamera) or train_set.target != "object":
         raise ValueError(
@@ -123,9 +123,7 @@ def _open_splits(
     )
 
 
-def _scenes(
-    config: DataConfig, model: FilterformerPoseConfig, preprocessing: Preprocessing
-) -> TrainingData:
+def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing) -> TrainingData:
     """Render what is not there yet."""
     scenes = [find_scene(name, config.attitude_range_deg) for name in config.scene.split("+")]
     camera = preprocessing.camera(scenes[0].camera)
@@ -143,7 +141,7 @@ def _scenes(
         for scene, other, count in kinds
         if count > 0
     ]
-    if model.orientation_view == "frame":
+    if not looks_twice(model):
         frames = [open_frames(config.root, *part, preprocessing, workers=workers) for part in parts]
         train_set = _joined(frames, config)
         return TrainingData(train_set.poses, val_set, camera, train_set)

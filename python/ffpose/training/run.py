@@ -10,12 +10,18 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from ffpose.config import check_names
-from ffpose.losses import PoseLoss
-from ffpose.models import CONFIGS, FilterformerPose, backbone_preprocessing
+from ffpose.config import looks_twice
+from ffpose.losses import FixedLoss, JointLoss, PoseLoss
+from ffpose.models import (
+    FilterformerPose,
+    PoseNetwork,
+    backbone_preprocessing,
+    build_network,
+    find_config,
+)
 from ffpose.models.weights import load_weights
 from ffpose.training.averaging import AveragedModel
-from ffpose.training.config import OptimizerConfig, TrainConfig
+from ffpose.training.config import LossConfig, OptimizerConfig, TrainConfig
 from ffpose.training.data import TrainingData, open_training_data
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
@@ -41,8 +47,8 @@ class Run:
     """
 
     config: TrainConfig
-    model: FilterformerPose
-    average: AveragedModel[FilterformerPose]
+    model: PoseNetwork
+    average: AveragedModel[PoseNetwork]
     optimizer: torch.optim.Optimizer
     task: Task
     device: torch.device
@@ -62,10 +68,10 @@ def build_run(config: TrainConfig, processes: Processes = ALONE) -> Run:
     """
     device = _device(config.device)
     fields = dict(config.model_fields)
-    check_names(fields)
     # What the data decide is not known yet; the structure is.
-    model_config = replace(CONFIGS[config.model], **{"camera": UNKNOWN_CAMERA, **fields})
-    object_view = model_config.orientation_view == "object"
+    model_config = find_config(config.model).with_fields({"camera": UNKNOWN_CAMERA, **fields})
+    check_stages(model_config.parts, config.resolved_stages)
+    object_view = looks_twice(model_config)
     size, mode = model_config.image_size, config.data.mode
     preprocessing = backbone_preprocessing(model_config.backbone, size, mode)
     if object_view:  # what lies outside an image is zero for the virtual camera, and is black
@@ -79,10 +85,9 @@ def build_run(config: TrainConfig, processes: Processes = ALONE) -> Run:
     if config.normalize_translation and not object_view:
         fields |= translation_statistics(data.poses)
     torch.manual_seed(config.seed)
-    model = FilterformerPose.from_config(
-        config.model, backbone_weights=config.backbone_weights, **fields
-    ).to(device)
-    check_stages(model, config.resolved_stages)
+    model = build_network(config.model, backbone_weights=config.backbone_weights, **fields).to(
+        device
+    )
     if config.init is not None:
         load_weights(config.init, model, grow=True)
     task = _task(config, model, data, device, processes)
@@ -93,13 +98,13 @@ def build_run(config: TrainConfig, processes: Processes = ALONE) -> Run:
 
 def _task(
     config: TrainConfig,
-    model: FilterformerPose,
+    model: PoseNetwork,
     data: TrainingData,
     device: torch.device,
     processes: Processes,
 ) -> Task:
     """Return what the network learns from."""
-    if model.config.orientation_view == "object":
+    if isinstance(model, FilterformerPose) and looks_twice(model.config):
         loss = ObjectObjective(model, config.object_loss).to(device)
         views = ViewBatches(
             model, data.views, data.empty, config.views, data.val_set.preprocessing.std, loss.cells
@@ -108,10 +113,17 @@ def _task(
             views, data.val_set, loss, config.batch_size, data.empty_images, processes
         )
     assert data.train_set is not None
-    pose_loss = PoseLoss(config.loss.s_t, config.loss.s_q, config.loss.antipodal).to(device)
+    joint_loss = _joint_loss(config.loss, model).to(device)
     return FrameTask(
-        data.train_set, data.val_set, pose_loss, config.batch_size, config.data.workers, processes
+        data.train_set, data.val_set, joint_loss, config.batch_size, config.data.workers, processes
     )
+
+
+def _joint_loss(config: LossConfig, model: PoseNetwork) -> JointLoss:
+    """Return the sum of the network's losses, with its fixed weights or learned ones."""
+    if (weights := model.config.loss_weights) is not None:
+        return FixedLoss(*weights, config.antipodal)
+    return PoseLoss(config.s_t, config.s_q, config.antipodal)
 
 
 def _device(name: str) -> torch.device:

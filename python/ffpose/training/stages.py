@@ -16,9 +16,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from torch import nn
 
-PARTS = ("backbone", "object_backbone", "translation_branch", "orientation_branch")
-"""Submodules that a stage may freeze; only a network with a second look has the second one."""
-
 
 @dataclass(frozen=True)
 class Stage:
@@ -27,7 +24,8 @@ class Stage:
     Attributes:
         name: Name of the stage in the table of results.
         epochs: Number of passes over the training split.
-        freeze: Names in `PARTS`: submodules that get no gradient and stay in evaluation mode.
+        freeze: Submodules that get no gradient and stay in evaluation mode, out of the parts that
+            the network's configuration names (`ffpose.config.NetworkConfig.parts`).
     """
 
     name: str
@@ -37,11 +35,6 @@ class Stage:
     def __post_init__(self) -> None:
         if self.epochs < 1:
             raise ValueError(f"stage {self.name!r}: expected at least 1 epoch, got {self.epochs}")
-        unknown = [part for part in self.freeze if part not in PARTS]
-        if unknown:
-            raise ValueError(
-                f"stage {self.name!r}: expected parts out of {', '.join(PARTS)}, got {unknown[0]!r}"
-            )
 
 
 JOINT_STAGE = Stage("joint", 500)
@@ -86,13 +79,12 @@ def plan(stages: tuple[Stage, ...]) -> list[Epoch]:
     return [Epoch(number, stage, index) for number, (stage, index) in enumerate(steps, start=1)]
 
 
-def check_stages(model: nn.Module, stages: Sequence[Stage]) -> None:
-    """Check that each stage freezes only parts that ``model`` has, and not all of them.
+def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
+    """Check that each stage freezes only parts that the network has, and not all of them.
 
     Raises:
-        ValueError: A stage freezes a part that the model lacks, or all parts.
+        ValueError: A stage freezes a part that the network lacks, or all parts.
     """
-    parts = [part for part in PARTS if getattr(model, part, None) is not None]
     for stage in stages:
         missing = [part for part in stage.freeze if part not in parts]
         if missing:

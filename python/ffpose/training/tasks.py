@@ -1,8 +1,9 @@
 """Training tasks: the batches, the loss and the validation data of a network.
 
 The training loop (`ffpose.training.engine`) is independent of data and loss; a task supplies both.
-`FrameTask` is the paper's: whole images and the joint loss. `ObjectTask` trains a network with a
-second look on stored views. Both are validated alike, on the poses of whole images.
+`FrameTask` is the paper's, and that of any network: whole images and the joint loss. `ObjectTask`
+trains a network with a second look on stored views. Both are validated alike, on the poses of whole
+images.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample
-from ffpose.losses import LossTerms, PoseLoss
-from ffpose.models import FilterformerPose
+from ffpose.losses import JointLoss, LossTerms
+from ffpose.models import FilterformerPose, PoseNetwork
+from ffpose.nn.orientation import QuaternionHead
 from ffpose.preprocessing import Preprocessing
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
@@ -58,7 +60,7 @@ class Task(Protocol):
     def batches(self, seed: int) -> Iterator[Any]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
 
-    def terms(self, model: FilterformerPose, batch: Any, device: torch.device) -> LossTerms:
+    def terms(self, model: PoseNetwork, batch: Any, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
 
     def size(self, batch: Any) -> int:
@@ -91,12 +93,12 @@ def _validation(
 
 
 class FrameTask:
-    """Pose from whole images, with the paper's joint loss.
+    """Pose from whole images: a network's two losses, joined.
 
     Args:
         train_set: Training images.
         val_set: Validation images, which select the best epoch.
-        loss: The joint loss.
+        loss: The sum of both losses.
         batch_size: Images per batch.
         workers: Additional processes that read images.
         processes: This process's place among those that train together.
@@ -106,7 +108,7 @@ class FrameTask:
         self,
         train_set: PoseDataset,
         val_set: PoseDataset,
-        loss: PoseLoss,
+        loss: JointLoss,
         batch_size: int,
         workers: int,
         processes: Processes = ALONE,
@@ -136,17 +138,17 @@ class FrameTask:
             _loader(self.train_set, self.batch_size, self.workers, sampler=own, generator=generator)
         )
 
-    def terms(self, model: FilterformerPose, batch: Sample, device: torch.device) -> LossTerms:
+    def terms(self, model: PoseNetwork, batch: Sample, device: torch.device) -> LossTerms:
         """Return the joint loss of a batch."""
-        images = batch.image.to(device)
         t, q = batch.translation.to(device), batch.orientation.to(device)
-        if model.config.orientation_head == "quaternion":
-            pose = model(images)
-            result: LossTerms = self.loss(pose.translation, pose.orientation, t, q)
-            return result
-        t_hat, numbers = model.regress(images)
-        distance = torch.linalg.vector_norm(t - t_hat, dim=-1).mean()
-        return self.loss.joined(distance, model.orientation.loss(numbers, q).mean())
+        t_hat, raw = model.regress(batch.image.to(device))
+        translation, head = model.translation_loss(t_hat, t), model.orientation
+        orientation = (
+            self.loss.quaternion_distance(q, head.decode(raw))  # as Eq. 10, antipodal or not
+            if isinstance(head, QuaternionHead)
+            else head.loss(raw, q)
+        )
+        return self.loss.joined(translation.mean(), orientation.mean())
 
     def size(self, batch: Sample) -> int:
         """Return the number of images in a batch."""
@@ -157,8 +159,8 @@ class FrameTask:
         return ", ".join(self.train_set.names[int(i)] for i in torch.as_tensor(batch.index))
 
     def weights(self) -> dict[str, float]:
-        """Return the two learnable weights."""
-        return {"s_t": self.loss.s_t.item(), "s_q": self.loss.s_q.item()}
+        """Return the two weights where they are learned."""
+        return {name: value.item() for name, value in self.loss.named_parameters()}
 
     def validation(self, *, whole: bool = False) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split, or over the whole."""
@@ -213,8 +215,9 @@ class ObjectTask:
         """Iterate once over the training split, in an order drawn from ``seed``."""
         return prefetched(self.views.epoch(seed, self.batch_size, self.processes))
 
-    def terms(self, model: FilterformerPose, batch: ViewBatch, device: torch.device) -> LossTerms:
+    def terms(self, model: PoseNetwork, batch: ViewBatch, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
+        assert isinstance(model, FilterformerPose)
         result: LossTerms = self.loss(model, ViewBatch(*(part.to(device) for part in batch)))
         return result
 

@@ -24,7 +24,7 @@ from ffpose.bench.model.networks import (
 )
 from ffpose.bench.timing import OURS, Timing
 from ffpose.cli import main
-from ffpose.config import CONFIGS
+from ffpose.config import CONFIGS, PRESETS
 from ffpose.nn import SpectralFilter
 from ffpose.nn.filterformer import SelfAttention
 
@@ -35,6 +35,7 @@ def _speck(monkeypatch):
     fields = {"dim": 8, "depth": 1, "heads": 2, "feed_forward": 8, "head_hidden": 8}
     fields |= {"backbone": "test_efficientnet", "image_size": (32, 48)}
     monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["tiny"], **fields))
+    monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
 
 
 def test_run_prints_tables_and_writes_a_document(tmp_path, monkeypatch, capsys):

@@ -43,7 +43,7 @@ from ffpose.bench.model.pipeline import (
 from ffpose.bench.model.plan import DeploymentPlan, make_plan
 from ffpose.bench.model.subjects import GFNET, GlobalFilterNetwork, subject
 from ffpose.cli import main
-from ffpose.config import CONFIGS
+from ffpose.config import CONFIGS, PRESETS
 from ffpose.nn import GlobalFilter
 from ffpose.onnx import library
 from ffpose.onnx.library import ELF_NAME, NAMES, get_library_path
@@ -68,6 +68,7 @@ def _speck(monkeypatch):
     fields = {"dim": 8, "depth": 1, "heads": 2, "feed_forward": 8, "head_hidden": 8}
     fields |= {"backbone": "test_efficientnet", "image_size": (32, 64)}
     monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["tiny"], **fields))
+    monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
     small = GlobalFilterNetwork((64, 64), dim=4, depth=1, classes=3)
     monkeypatch.setattr("ffpose.bench.model.subjects.GlobalFilterNetwork", lambda: small)
 
@@ -196,6 +197,7 @@ def test_what_is_missing_is_a_note(tmp_path, monkeypatch):
 
 def test_a_network_without_filters_has_one_graph(tmp_path, monkeypatch):
     monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["speck"], filter="none"))
+    monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
     names = make_plan(subject("speck", tmp_path), quick=True).names
     assert PLAIN in names
     assert not {CUSTOM, MATMUL, WITHOUT} & set(names)

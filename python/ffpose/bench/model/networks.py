@@ -1,4 +1,4 @@
-"""The contenders of `ffpose bench model attention`: a network of ours, with torch's attention or FFT.
+"""The contenders of `ffpose bench model attention`: ours, and with torch's attention or FFT.
 
 The baselines differ in one layer each: one runs the forward of `torch.nn.MultiheadAttention`, which
 in evaluation on CPUs writes the scores of all pairs of tokens to memory; the other filters by

@@ -7,14 +7,12 @@ its structure in other sizes; ``compact`` looks twice. Nothing here needs torch.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, get_args
 
 from ffpose.choices import FilterKind, NormPlace, PositionKind
-from ffpose.geometry import Camera
+from ffpose.config.network import NetworkConfig, is_whole
 
 Pooling = Literal["token", "mean", "flatten"]
 OrientationView = Literal["frame", "object"]
@@ -29,7 +27,7 @@ FLAT_LATENT = 256
 
 
 @dataclass(frozen=True)
-class FilterformerPoseConfig:
+class FilterformerPoseConfig(NetworkConfig):
     """Architecture of the network; sizes of images and grids are ``(height, width)``.
 
     Attributes:
@@ -85,8 +83,22 @@ class FilterformerPoseConfig:
         ValueError: A value is out of range, or sizes are inconsistent.
     """
 
-    image_size: tuple[int, int] = (224, 224)
-    backbone: str = "efficientnet_b0"
+    architecture: ClassVar[str] = "FilterformerPose"
+    TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {"object_size": 2, "distance_m": 2}
+    CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
+        "norm": get_args(NormPlace),
+        "filter": get_args(FilterKind),
+        "position": get_args(PositionKind),
+        "pooling": get_args(Pooling),
+        "orientation_view": get_args(OrientationView),
+        "orientation_head": get_args(OrientationHead),
+    }
+    COUNTS: ClassVar[tuple[str, ...]] = (
+        *("translation_reduction", "orientation_reduction", "dim", "heads", "feed_forward"),
+        *("head_hidden", "translation_mlp_dim", "orientation_mlp_dim"),
+        *("bins", "bins_degree", "first_stride", "looks", "turns"),
+    )
+
     translation_reduction: int = 16
     orientation_reduction: int = 8
     dim: int = 256
@@ -102,9 +114,6 @@ class FilterformerPoseConfig:
     head_hidden: int = 1024
     translation_mlp_dim: int = 128
     orientation_mlp_dim: int = 256
-    translation_mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    translation_std: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    camera: tuple[float, float, float, float] | None = None
     orientation_view: OrientationView = "frame"
     orientation_head: OrientationHead = "quaternion"
     bins: int = 6000
@@ -118,32 +127,12 @@ class FilterformerPoseConfig:
     looks: int = 2
     turns: int = 4
 
-    def __post_init__(self) -> None:
-        for name, length in TUPLES.items():  # JSON and YAML bring lists
-            if name != "camera" or self.camera is not None:
-                object.__setattr__(self, name, _as_tuple(name, getattr(self, name), length))
-        for name, choices in CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise ValueError(f"{name}: expected one of {choices}, got {getattr(self, name)!r}")
-        for name in COUNTS:
-            value = getattr(self, name)
-            if not _is_whole(value) or value < 1:
-                raise ValueError(f"{name}: expected a whole number, at least 1, got {value!r}")
+    def _check_values(self) -> None:
+        super()._check_values()
         least = 0 if self.pooling == "flatten" else 1
-        if not _is_whole(self.depth) or self.depth < least:
+        if not is_whole(self.depth) or self.depth < least:
             raise ValueError(
                 f"depth: expected a whole number, at least {least}, got {self.depth!r}"
-            )
-        self._check_values()
-
-    def _check_values(self) -> None:
-        largest = max(self.translation_reduction, self.orientation_reduction)
-        if not all(map(_is_whole, self.image_size)):
-            raise ValueError(f"image_size: expected whole numbers, got {self.image_size}")
-        if min(self.image_size) < largest:
-            raise ValueError(
-                f"image_size: expected each at least {largest}, the coarsest reduction,"
-                f" got {self.image_size}"
             )
         if self.dim % self.heads:
             raise ValueError(f"heads: expected a divisor of dim {self.dim}, got {self.heads}")
@@ -151,20 +140,10 @@ class FilterformerPoseConfig:
             raise ValueError(f"dropout: expected 0 <= dropout < 1, got {self.dropout}")
         if not self.filter_std >= 0:
             raise ValueError(f"filter_std: expected at least 0, got {self.filter_std}")
-        if not all(map(math.isfinite, self.translation_mean)):
-            raise ValueError(
-                f"translation_mean: expected finite numbers, got {self.translation_mean}"
-            )
-        if not all(math.isfinite(std) and std > 0 for std in self.translation_std):
-            raise ValueError(
-                f"translation_std: expected finite numbers above 0, got {self.translation_std}"
-            )
+        self._check_second_look()
 
-        if self.camera is not None and not all(map(math.isfinite, self.camera)):
-            raise ValueError(f"camera: expected finite numbers, got {self.camera}")
-        if self.camera is not None and min(self.camera[:2]) <= 0:
-            raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.camera}")
-        if not all(_is_whole(side) and side >= 1 for side in self.object_size):
+    def _check_second_look(self) -> None:
+        if not all(is_whole(side) and side >= 1 for side in self.object_size):
             raise ValueError(
                 f"object_size: expected whole numbers, at least 1, got {self.object_size}"
             )
@@ -183,12 +162,15 @@ class FilterformerPoseConfig:
                 )
 
     @property
-    def view_camera(self) -> Camera | None:
-        """Camera of the network's input; None if unknown."""
-        if self.camera is None:
-            return None
-        height, width = self.image_size
-        return Camera(width, height, *self.camera)
+    def coarsest_reduction(self) -> int:
+        """Stride of the coarser feature map, pixels per cell."""
+        return max(self.translation_reduction, self.orientation_reduction)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the submodules that a training stage may freeze."""
+        second = ("object_backbone",) if self.orientation_view == "object" else ()
+        return ("backbone", *second, "translation_branch", "orientation_branch")
 
     @property
     def latent(self) -> int:
@@ -208,82 +190,6 @@ class FilterformerPoseConfig:
             return self.grid(self.orientation_reduction)
         rows, columns = (math.ceil(side / self.orientation_reduction) for side in self.object_size)
         return rows, columns
-
-    def grid(self, reduction: int) -> tuple[int, int]:
-        """Return the size ``(rows, columns)`` of the feature map of stride ``reduction``."""
-        height, width = self.image_size
-        return math.ceil(height / reduction), math.ceil(width / reduction)
-
-    def to_json(self) -> str:
-        """Return a JSON object with all fields."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> FilterformerPoseConfig:
-        """Build a config from the result of `to_json`.
-
-        Raises:
-            ValueError: The text is not a JSON object, a field is unknown, or a value is invalid.
-        """
-        values = json.loads(text)
-        if not isinstance(values, dict):
-            raise ValueError(f"config: expected a JSON object, got {type(values).__name__}")
-        return cls.from_dict(values)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> FilterformerPoseConfig:
-        """Build a config from some fields; the others have their defaults.
-
-        Raises:
-            ValueError: A field is unknown, or a value is invalid.
-        """
-        check_names(values)
-        return cls(**values)
-
-
-TUPLES = {
-    "image_size": 2,
-    "translation_mean": 3,
-    "translation_std": 3,
-    "camera": 4,
-    "object_size": 2,
-    "distance_m": 2,
-}
-CHOICES: dict[str, tuple[str, ...]] = {
-    "norm": get_args(NormPlace),
-    "filter": get_args(FilterKind),
-    "position": get_args(PositionKind),
-    "pooling": get_args(Pooling),
-    "orientation_view": get_args(OrientationView),
-    "orientation_head": get_args(OrientationHead),
-}
-COUNTS = (
-    *("translation_reduction", "orientation_reduction", "dim", "heads", "feed_forward"),
-    *("head_hidden", "translation_mlp_dim", "orientation_mlp_dim"),
-    *("bins", "bins_degree", "first_stride", "looks", "turns"),
-)
-
-
-def check_names(values: Mapping[str, Any]) -> None:
-    """Check that all names are fields of the config.
-
-    Raises:
-        ValueError: A name is unknown; the message lists the fields.
-    """
-    known = [field.name for field in fields(FilterformerPoseConfig)]
-    unknown = sorted(set(values) - set(known))
-    if unknown:
-        raise ValueError(f"config: expected fields out of {', '.join(known)}; got {unknown}")
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _as_tuple(name: str, value: Any, length: int) -> tuple[Any, ...]:
-    if not isinstance(value, list | tuple) or len(value) != length:
-        raise ValueError(f"{name}: expected {length} numbers, got {value!r}")
-    return tuple(value)
 
 
 CONFIGS: dict[str, FilterformerPoseConfig] = {
@@ -330,10 +236,12 @@ CONFIGS: dict[str, FilterformerPoseConfig] = {
         first_stride=8,
     ),
 }
+CONFIGS["transformerpose"] = replace(CONFIGS["base"], filter="none")
 """Presets by name.
 
 ``base`` is the paper's network with 9.3 million parameters (backbone 0.85, translation 3.5,
 orientation 4.9); ``small`` has 2.8 million. ``tiny`` has 0.33 million and trains from random
 weights in minutes on two cores; both of its branches use the coarser feature map. ``compact``, with
-1.8 million, looks twice; the shipped weights are of this preset.
+1.8 million, looks twice; the shipped weights are of this preset. ``transformerpose`` is ``base``
+without filters, the network that the paper compares with in its Table 3.
 """

@@ -1,0 +1,171 @@
+"""What training, evaluation and export know of a network's configuration."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+from ffpose.geometry import Camera
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Fields that every network has; sizes of images are ``(height, width)``.
+
+    Subclasses add theirs, and name those whose values are checked here: `TUPLES` with their
+    lengths, `CHOICES` with their values, `COUNTS`, whole numbers of at least 1.
+
+    Attributes:
+        image_size: Size of the network's input in pixels.
+        backbone: Name of a timm model with feature maps, or of `ffpose.models.compact_resnet`.
+        translation_mean: Mean that is added to the translation head's output, meters, camera frame.
+        translation_std: Scale of the translation head's output, meters. With a mean of zeros and a
+            scale of ones the head regresses meters, as published.
+        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``;
+            None if unknown. `view_camera` returns them as a `ffpose.geometry.Camera`.
+
+    Raises:
+        ValueError: A value is out of range, or sizes are inconsistent.
+    """
+
+    architecture: ClassVar[str]
+    """Name of the network's class, recorded in files of weights and graphs."""
+
+    TUPLES: ClassVar[dict[str, int]] = {
+        "image_size": 2,
+        "translation_mean": 3,
+        "translation_std": 3,
+        "camera": 4,
+    }
+    CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {}
+    COUNTS: ClassVar[tuple[str, ...]] = ()
+
+    image_size: tuple[int, int] = (224, 224)
+    backbone: str = "efficientnet_b0"
+    translation_mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    translation_std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    camera: tuple[float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        for name, length in self.TUPLES.items():  # JSON and YAML bring lists
+            if name != "camera" or self.camera is not None:
+                object.__setattr__(self, name, _as_tuple(name, getattr(self, name), length))
+        for name, choices in self.CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise ValueError(f"{name}: expected one of {choices}, got {getattr(self, name)!r}")
+        for name in self.COUNTS:
+            value = getattr(self, name)
+            if not is_whole(value) or value < 1:
+                raise ValueError(f"{name}: expected a whole number, at least 1, got {value!r}")
+        self._check_values()
+
+    def _check_values(self) -> None:
+        """Check the values of single fields, and of fields together."""
+        if not all(map(is_whole, self.image_size)):
+            raise ValueError(f"image_size: expected whole numbers, got {self.image_size}")
+        if min(self.image_size) < self.coarsest_reduction:
+            raise ValueError(
+                f"image_size: expected each at least {self.coarsest_reduction}, the coarsest"
+                f" reduction, got {self.image_size}"
+            )
+        if not all(map(math.isfinite, self.translation_mean)):
+            raise ValueError(
+                f"translation_mean: expected finite numbers, got {self.translation_mean}"
+            )
+        if not all(math.isfinite(std) and std > 0 for std in self.translation_std):
+            raise ValueError(
+                f"translation_std: expected finite numbers above 0, got {self.translation_std}"
+            )
+        if self.camera is not None and not all(map(math.isfinite, self.camera)):
+            raise ValueError(f"camera: expected finite numbers, got {self.camera}")
+        if self.camera is not None and min(self.camera[:2]) <= 0:
+            raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.camera}")
+
+    @property
+    def coarsest_reduction(self) -> int:
+        """Stride of the coarsest feature map, pixels per cell."""
+        return 1
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the network's submodules that a training stage may freeze."""
+        return ("backbone", "translation_branch", "orientation_branch")
+
+    @property
+    def loss_weights(self) -> tuple[float, float] | None:
+        """Fixed weights of translation and orientation loss; None for learned ones."""
+        return None
+
+    @property
+    def view_camera(self) -> Camera | None:
+        """Camera of the network's input; None if unknown."""
+        if self.camera is None:
+            return None
+        height, width = self.image_size
+        return Camera(width, height, *self.camera)
+
+    def grid(self, reduction: int) -> tuple[int, int]:
+        """Return the size ``(rows, columns)`` of the feature map of stride ``reduction``."""
+        height, width = self.image_size
+        return math.ceil(height / reduction), math.ceil(width / reduction)
+
+    def with_fields(self, values: Mapping[str, Any]) -> Self:
+        """Return the config with some fields changed.
+
+        Raises:
+            ValueError: A field is unknown, with the names that there are, or a value is invalid.
+        """
+        self.check_names(values)
+        return replace(self, **values)
+
+    @classmethod
+    def check_names(cls, values: Mapping[str, Any]) -> None:
+        """Check that all names are fields of the config.
+
+        Raises:
+            ValueError: A name is unknown; the message lists the fields.
+        """
+        known = [field.name for field in fields(cls)]
+        unknown = sorted(set(values) - set(known))
+        if unknown:
+            raise ValueError(f"config: expected fields out of {', '.join(known)}; got {unknown}")
+
+    def to_json(self) -> str:
+        """Return a JSON object with all fields."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Build a config from the result of `to_json`.
+
+        Raises:
+            ValueError: The text is not a JSON object, a field is unknown, or a value is invalid.
+        """
+        values = json.loads(text)
+        if not isinstance(values, dict):
+            raise ValueError(f"config: expected a JSON object, got {type(values).__name__}")
+        return cls.from_dict(values)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Build a config from some fields; the others have their defaults.
+
+        Raises:
+            ValueError: A field is unknown, or a value is invalid.
+        """
+        cls.check_names(values)
+        return cls(**values)
+
+
+def is_whole(value: Any) -> bool:
+    """Return whether a value is an integer, which a bool is not."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _as_tuple(name: str, value: Any, length: int) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple) or len(value) != length:
+        raise ValueError(f"{name}: expected {length} numbers, got {value!r}")
+    return tuple(value)

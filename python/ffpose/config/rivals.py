@@ -1,0 +1,115 @@
+"""Configurations of the published networks that FilterformerPose is compared with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from ffpose.config.network import NetworkConfig
+
+
+@dataclass(frozen=True)
+class UrsoNetConfig(NetworkConfig):
+    """Architecture of UrsoNet (`ffpose.models.urso_net`).
+
+    The defaults are those of the authors' program and of their commands for URSO, at half the size
+    of its images.
+
+    Attributes:
+        image_size: Size of the network's input in pixels.
+        backbone: Name of a timm model with feature maps, or of `ffpose.models.compact_resnet`.
+        translation_mean: Mean that is added to the translation branch's output, meters.
+        translation_std: Scale of the translation branch's output, meters.
+        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input; None if unknown.
+        reduction: Stride of the feature map that the bottleneck compresses, pixels per cell.
+        bottleneck: Number of channels of the bottleneck.
+        hidden: Width of the fully connected layer of each branch.
+        bins_per_dim: Number of orientation bins for each Euler angle.
+        smoothing: Width of the soft assignment in bins, the authors' beta.
+        location_weight: Weight of the relative location loss.
+        orientation_weight: Weight of the cross-entropy.
+
+    Raises:
+        ValueError: A value is out of range, or sizes are inconsistent.
+    """
+
+    architecture: ClassVar[str] = "UrsoNet"
+    COUNTS: ClassVar[tuple[str, ...]] = ("reduction", "bottleneck", "hidden", "bins_per_dim")
+
+    image_size: tuple[int, int] = (480, 640)
+    backbone: str = "resnet50"
+    reduction: int = 32
+    bottleneck: int = 32
+    hidden: int = 1024
+    bins_per_dim: int = 24
+    smoothing: float = 6.0
+    location_weight: float = 1.0
+    orientation_weight: float = 1.0
+
+    def _check_values(self) -> None:
+        super()._check_values()
+        if self.bins_per_dim < 3:
+            raise ValueError(f"bins_per_dim: expected at least 3, got {self.bins_per_dim}")
+        for name in ("smoothing", "location_weight", "orientation_weight"):
+            _expect_positive(name, getattr(self, name))
+
+    @property
+    def coarsest_reduction(self) -> int:
+        """Stride of the feature map, pixels per cell."""
+        return self.reduction
+
+    @property
+    def loss_weights(self) -> tuple[float, float]:
+        """Fixed weights of location and orientation loss."""
+        return self.location_weight, self.orientation_weight
+
+
+@dataclass(frozen=True)
+class PoseNetConfig(NetworkConfig):
+    """Architecture of direct regression in the manner of PoseNet (`ffpose.models.pose_net`).
+
+    Attributes:
+        image_size: Size of the network's input in pixels.
+        backbone: Name of a timm model with feature maps, or of `ffpose.models.compact_resnet`.
+        translation_mean: Mean that is added to the translation branch's output, meters.
+        translation_std: Scale of the translation branch's output, meters.
+        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input; None if unknown.
+        reduction: Stride of the feature map that is averaged, pixels per cell.
+        dropout: Dropout rate of the features.
+        beta: Fixed weight of the quaternion loss (Kendall et al., 2015), beside 1 for the
+            translation; None learns both weights (Kendall and Cipolla, 2017).
+
+    Raises:
+        ValueError: A value is out of range, or sizes are inconsistent.
+    """
+
+    architecture: ClassVar[str] = "PoseNet"
+    COUNTS: ClassVar[tuple[str, ...]] = ("reduction",)
+
+    backbone: str = "resnet50"
+    reduction: int = 32
+    dropout: float = 0.0
+    beta: float | None = None
+
+    def _check_values(self) -> None:
+        super()._check_values()
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout: expected 0 <= dropout < 1, got {self.dropout}")
+        if self.beta is not None:
+            _expect_positive("beta", self.beta)
+
+    @property
+    def coarsest_reduction(self) -> int:
+        """Stride of the feature map, pixels per cell."""
+        return self.reduction
+
+    @property
+    def loss_weights(self) -> tuple[float, float] | None:
+        """Weights 1 and ``beta``; None where they are learned."""
+        return None if self.beta is None else (1.0, self.beta)
+
+
+def _expect_positive(name: str, value: Any) -> None:
+    if not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise ValueError(f"{name}: expected a finite number above 0, got {value!r}")

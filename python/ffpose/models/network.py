@@ -1,0 +1,253 @@
+"""What training, evaluation, prediction and export know of a network.
+
+A network maps images to a named tuple of predictions, has parts that a training stage may freeze
+(`ffpose.config.NetworkConfig.parts`), and brings its losses: that of the translation, and that of
+its orientation head. It is a subclass of `PoseNetwork`, for Python cannot name a type that has a
+protocol and is an ``nn.Module`` too. Its configuration names it in files, by which
+`ffpose.models.load_network` finds the class again.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, Self
+
+import torch
+from torch import Tensor, nn
+
+from ffpose.config import PRESETS, NetworkConfig
+from ffpose.errors import DataError
+from ffpose.models.backbone import Backbone, backbone_preprocessing
+from ffpose.models.pretrained import BackboneSource
+from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
+from ffpose.models.zoo import resolve
+from ffpose.nn.orientation import OrientationHead
+from ffpose.preprocessing import Preprocessing
+from ffpose.torch_internals import register_named_tuple
+
+
+class PosePrediction(NamedTuple):
+    """Poses of the object in the camera frame (OpenCV: x right, y down, z forward).
+
+    Attributes:
+        translation: ``(B, 3)``, meters.
+        orientation: ``(B, 4)``, unit quaternions, scalar first, of either sign.
+    """
+
+    translation: Tensor
+    orientation: Tensor
+
+
+class UncertainPose(NamedTuple):
+    """Poses as in `PosePrediction`, with their predicted uncertainty.
+
+    Attributes:
+        translation: ``(B, 3)``, meters.
+        orientation: ``(B, 4)``, unit quaternions, scalar first, of either sign.
+        translation_covariance: ``(B, 3, 3)``, covariance of the translation, camera frame, m².
+        rotation_covariance: ``(B, 3, 3)``, covariance of the rotation vector r, camera frame, rad²;
+            ``R_true = exp([r]x) R``.
+        in_view: ``(B,)``, probability that the object is in the image.
+    """
+
+    translation: Tensor
+    orientation: Tensor
+    translation_covariance: Tensor
+    rotation_covariance: Tensor
+    in_view: Tensor
+
+
+# Saved programs refer to named tuples by name, which torch requires to be registered.
+for _result in (PosePrediction, UncertainPose):
+    register_named_tuple(_result, f"ffpose.models.{_result.__name__}")
+
+
+class PoseNetwork(nn.Module, ABC):
+    """Base of the networks: construction by name, weights files, and one look at the whole image.
+
+    A subclass sets `config_type`, builds its modules after ``super().__init__(config)``, among them
+    ``backbone``, ``orientation`` and the parts that its configuration names, and defines `build`
+    and `regress`.
+
+    Args:
+        config: Architecture of the network.
+
+    Attributes:
+        config: The argument.
+        backbone: Convolutional backbone.
+        orientation: Decoding and loss of the orientation.
+    """
+
+    config_type: ClassVar[type[NetworkConfig]]
+
+    config: NetworkConfig
+    backbone: Backbone
+    orientation: OrientationHead
+    translation_mean: Tensor
+    translation_std: Tensor
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        for name in ("translation_mean", "translation_std"):
+            self.register_buffer(name, torch.tensor(getattr(config, name)), persistent=False)
+
+    @classmethod
+    @abstractmethod
+    def build(cls, config: Any, backbone_weights: str | Path) -> Self:
+        """Build a network with new weights from a configuration of `config_type`."""
+
+    @abstractmethod
+    def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head.
+
+        For a network that looks at the frame alone.
+
+        Args:
+            images: As in `forward`.
+        """
+
+    def translation_loss(self, t_hat: Tensor, t: Tensor) -> Tensor:
+        """Return the Euclidean distance of each sample ``(B,)``, meters."""
+        distance: Tensor = torch.linalg.vector_norm(t - t_hat, dim=-1)
+        return distance
+
+    def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
+        """Predict the pose of the object in each image.
+
+        Args:
+            images: ``(B, 3, H, W)`` with ``(H, W)`` = ``config.image_size``, standardized as in
+                training.
+
+        Raises:
+            ValueError: The shape of ``images`` is not as above.
+        """
+        self.check_images(images)
+        translation, orientation = self.regress(images)
+        return PosePrediction(translation, self.orientation.decode(orientation))
+
+    def check_images(self, images: Tensor) -> None:
+        """Check the shape of the network's input.
+
+        Raises:
+            ValueError: It is not ``(B, 3, *config.image_size)``.
+        """
+        expected = (3, *self.config.image_size)
+        if images.dim() != 4 or tuple(images.shape[1:]) != expected:
+            sizes = ", ".join(map(str, expected))
+            raise ValueError(f"images: expected shape (B, {sizes}), got {tuple(images.shape)}")
+
+    def in_meters(self, output: Tensor) -> Tensor:
+        """Return translations ``(B, 3)``, meters, for the outputs of the translation branch."""
+        return output * self.translation_std + self.translation_mean
+
+    @classmethod
+    def from_config(
+        cls,
+        config: str | NetworkConfig,
+        *,
+        backbone_weights: str | Path = "auto",
+        **fields: Any,
+    ) -> Self:
+        """Build a network with new weights.
+
+        Args:
+            config: Preset of this network (of FilterformerPose: ``"base"``, ``"small"``,
+                ``"tiny"``, ``"compact"``) or a config.
+            backbone_weights: ``"auto"``: pretrained, from the hub or its cache; ``"none"``: random;
+                otherwise a safetensors or PyTorch file.
+            **fields: Fields of the config to change.
+
+        Raises:
+            ValueError: A preset or field is unknown, or values are inconsistent.
+            FileNotFoundError: The weights file does not exist, or the pretrained weights are not
+                available.
+            ffpose.DataError: The file does not contain the backbone's weights.
+        """
+        presets = {n: c for n, c in PRESETS.items() if isinstance(c, cls.config_type)}
+        if isinstance(config, str):
+            if config not in presets:
+                raise ValueError(f"config: expected one of {tuple(presets)}, got {config!r}")
+            config = presets[config]
+        if not isinstance(config, cls.config_type):
+            raise ValueError(
+                f"config: expected a {cls.config_type.__name__}, got a {type(config).__name__}"
+            )
+        return cls.build(config.with_fields(fields), backbone_weights)
+
+    def save_pretrained(
+        self,
+        path: str | Path,
+        *,
+        preprocessing: Preprocessing | None = None,
+        backbone_source: BackboneSource | None = None,
+        recipe: Mapping[str, Any] | None = None,
+        data: Mapping[str, Any] | None = None,
+        in_view_threshold: float | None = None,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        """Write weights, config, preprocessing and this version to a safetensors file.
+
+        The write is atomic; the checksum is written to ``path.sha256``. Metadata that is None is
+        stored as unknown.
+
+        Args:
+            path: File to write; its folder must exist.
+            preprocessing: Conversion from an image to the network's input; None for a resize to
+                ``config.image_size``, standardized as the backbone expects.
+            backbone_source: Source of the backbone's initial weights; see `WeightsMetadata`.
+            recipe: Training configuration; see `WeightsMetadata`.
+            data: Training data; see `WeightsMetadata`.
+            in_view_threshold: Probability of being in view below which an image is flagged.
+            dtype: Dtype of the floating-point tensors in the file. float16 halves its size and
+                keeps about three decimal digits; tensors are read back as float32.
+
+        Raises:
+            ValueError: The output size of the preprocessing is not ``config.image_size``, or a
+                value is invalid.
+            TypeError: A metadata value cannot be stored as JSON.
+        """
+        if preprocessing is None:
+            preprocessing = backbone_preprocessing(self.config.backbone, self.config.image_size)
+        if tuple(preprocessing.size) != self.config.image_size:
+            raise ValueError(
+                f"preprocessing: expected size {self.config.image_size}, got {preprocessing.size}"
+            )
+        metadata = WeightsMetadata(
+            self.config, preprocessing, backbone_source, recipe, data, in_view_threshold
+        )
+        state = {
+            name: tensor.to(dtype) if tensor.is_floating_point() else tensor
+            for name, tensor in self.state_dict().items()
+        }
+        write_weights(path, state, metadata)
+
+    @classmethod
+    def from_pretrained(cls, path: str | Path) -> Self:
+        """Load a network that `save_pretrained` wrote, in evaluation mode.
+
+        Args:
+            path: Weights file, or name of shipped weights such as ``"soyuz-easy"``
+                (`ffpose.models.zoo.names`).
+
+        Raises:
+            FileNotFoundError: No such file or name.
+            ffpose.DataError: The file is truncated, altered, newer than this version, or of another
+                architecture.
+        """
+        path = resolve(path)
+        config = read_metadata(path).config
+        if not isinstance(config, cls.config_type):
+            raise DataError(
+                f"expected weights of a {cls.config_type.architecture}, got those of a"
+                f" {config.architecture}",
+                path,
+            )
+        try:
+            model = cls.build(config, "none")
+        except ValueError as error:
+            raise DataError(f"expected a network that can be built here: {error}", path) from error
+        load_weights(path, model)
+        return model.eval()

@@ -1,0 +1,65 @@
+"""The networks by name: built from a configuration, or loaded from a weights file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ffpose.config import PRESETS, NetworkConfig
+from ffpose.models.filterformer_pose import FilterformerPose
+from ffpose.models.network import PoseNetwork
+from ffpose.models.pose_net import PoseNet
+from ffpose.models.urso_net import UrsoNet
+from ffpose.models.weights import read_metadata
+
+NETWORKS: dict[str, type[PoseNetwork]] = {
+    each.config_type.architecture: each for each in (FilterformerPose, UrsoNet, PoseNet)
+}
+"""Networks by the name of their class, which files of weights and graphs record."""
+
+
+def find_config(model: str) -> NetworkConfig:
+    """Return the configuration of a preset of any network.
+
+    Raises:
+        ValueError: The preset is unknown; the message lists the names.
+    """
+    if model not in PRESETS:
+        raise ValueError(f"model: expected one of {', '.join(PRESETS)}, got {model!r}")
+    return PRESETS[model]
+
+
+def build_network(
+    config: str | NetworkConfig, *, backbone_weights: str | Path = "auto", **fields: Any
+) -> PoseNetwork:
+    """Build any network with new weights.
+
+    Args:
+        config: Preset of `ffpose.config.PRESETS`, or a config.
+        backbone_weights: As in `FilterformerPose.from_config`.
+        **fields: Fields of the config to change.
+
+    Raises:
+        ValueError: A preset or field is unknown, or values are inconsistent.
+        FileNotFoundError: The weights file does not exist, or the pretrained weights are not
+            available.
+        ffpose.DataError: The file does not contain the backbone's weights.
+    """
+    if isinstance(config, str):
+        config = find_config(config)
+    network = NETWORKS[config.architecture]
+    return network.from_config(config, backbone_weights=backbone_weights, **fields)
+
+
+def load_network(path: str | Path) -> PoseNetwork:
+    """Load a network of any kind, in evaluation mode.
+
+    Args:
+        path: Weights file, or name of shipped weights (`ffpose.models.zoo.names`).
+
+    Raises:
+        FileNotFoundError: No such file or name.
+        ffpose.DataError: The file is truncated, altered, newer than this version, or of a network
+            that this version does not know.
+    """
+    return NETWORKS[read_metadata(path).config.architecture].from_pretrained(path)

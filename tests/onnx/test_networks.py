@@ -1,0 +1,39 @@
+"""Networks other than FilterformerPose as graphs: exported, described, and of the same poses."""
+
+import numpy as np
+import pytest
+import torch
+
+from ffpose.models import build_network
+from ffpose.predictor import Predictor
+from networks import MODEL_FIELDS
+
+pytest.importorskip("onnxscript")
+pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+
+
+@pytest.mark.parametrize("name", ["ursonet", "posenet"])
+def test_the_graph_gives_the_poses_of_the_network(name, tmp_path, random_image):
+    from ffpose.onnx.pose_graph import export_weights
+    from ffpose.onnx.runtime import PoseEstimator
+
+    torch.manual_seed(0)
+    model = build_network(name, backbone_weights="none", **MODEL_FIELDS[name]).eval()
+    weights, graph = tmp_path / "a.safetensors", tmp_path / "a.onnx"
+    model.save_pretrained(weights)
+    exported = export_weights(weights, graph, "matmul")
+    assert exported.filter == "none"
+    estimator = PoseEstimator(graph)
+    assert estimator.metadata.config == model.config
+    got, expected = estimator(random_image), Predictor.from_weights(weights)(random_image)
+    np.testing.assert_allclose(got.t, expected.t, atol=1e-4)
+    assert abs(np.dot(got.q, expected.q)) > 1 - 1e-5
+
+
+@pytest.fixture
+def random_image():
+    from PIL import Image
+
+    pixels = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    return Image.fromarray(pixels)
