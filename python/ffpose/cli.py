@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ffpose.errors import MissingExtraError, require, without_traceback
 from ffpose.files import expect_folder
-from ffpose.recipes import recipe_file, recipe_names
+from ffpose.recipes import Kind, recipe_file, recipe_names
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
@@ -150,23 +150,35 @@ def train_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--recipe", metavar="NAME", help=f"in place of --config: one of {', '.join(recipe_names())}"
     )
+    parser.add_argument(
+        "--transforms",
+        metavar="NAME",
+        help="data.mode and data.augmentation by name: resize (the whole frame) or paper (resized"
+        " and cropped)",
+    )
     parser.add_argument("--resume", action="store_true", help="resume the run in --out")
     parser.add_argument(
         "--backbone-weights",
         default="auto",
         help='"auto" (pretrained, from huggingface.co), "none" (random) or a file (default: auto)',
     )
-    parser.add_class_arguments(TrainConfig, skip={"backbone_weights"})
+    parser.add_argument(
+        "--tensorboard",
+        action="store_true",
+        help="write the table of results as events for TensorBoard too, into OUT/tensorboard",
+    )
+    parser.add_class_arguments(TrainConfig, skip={"backbone_weights", "tensorboard"})
 
 
 def with_recipe(words: list[str]) -> list[str]:
-    """Return the arguments of `train` with ``--config FILE`` in place of ``--recipe NAME``."""
+    """Return the arguments of `train` with ``--config FILE`` for --recipe and --transforms."""
     found: list[str] = []
     rest = iter(words)
+    kinds: dict[str, Kind] = {"--recipe": "recipe", "--transforms": "transforms"}
     for word in rest:
         option, has_value, value = word.partition("=")
-        if option == "--recipe" and (name := value if has_value else next(rest, "")):
-            found += ["--config", str(recipe_file(name))]
+        if option in kinds and (name := value if has_value else next(rest, "")):
+            found += ["--config", str(recipe_file(name, kinds[option]))]
         else:
             found.append(word)
     return found
@@ -181,7 +193,9 @@ def train(options: Namespace) -> None:
     from ffpose.training.engine import train as run
 
     fields = vars(options)
-    resume, _, _ = fields.pop("resume"), fields.pop("config"), fields.pop("recipe")
+    resume = fields.pop("resume")
+    for name in ("config", "recipe", "transforms"):  # they have become fields
+        fields.pop(name)
     result = run(TrainConfig(**fields), resume=resume)
     if result.leads:
         save_figure(training_curves(result.history), result.folder.curves)

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 import pytest
+import yaml
 
-from ffpose.cli import main
+from ffpose.cli import main, with_recipe
 from ffpose.config import PRESETS
-from ffpose.recipes import recipe_file
+from ffpose.recipes import recipe_file, recipe_names
 from ffpose.training.config import DataConfig, TrainConfig
 from ffpose.training.config_file import load_config
 from ffpose.training.stages import PAPER_STAGES
@@ -31,7 +32,7 @@ def test_the_papers_recipe_is_what_the_paper_says(capsys, tmp_path):
     with pytest.raises(SystemExit):
         main([*words, "--print_config"])
     printed = tmp_path / "config.yaml"
-    command_line = ("recipe:", "resume:", "debug:")
+    command_line = ("recipe:", "transforms:", "resume:", "debug:")
     lines = capsys.readouterr().out.splitlines(keepends=True)
     printed.write_text("".join(line for line in lines if not line.startswith(command_line)))
     crop = {"random_crop": True, "noise": 0.0, "blur": 0.0}
@@ -48,3 +49,17 @@ def test_an_unknown_recipe_is_refused(words, capsys):
 
 def test_a_recipe_has_a_file():
     assert recipe_file("paper").is_file()
+
+
+def test_transforms_by_name_are_fields_of_the_configuration():
+    assert recipe_names("transforms") == ["paper", "resize"]
+    paper = recipe_file("paper", "transforms")
+    assert with_recipe(["--transforms", "paper", "--out", "x"]) == [
+        *("--config", str(paper), "--out", "x")
+    ]
+    recipe = yaml.safe_load(recipe_file("paper").read_text())["data"]
+    assert yaml.safe_load(paper.read_text())["data"] == {
+        name: recipe[name] for name in ("mode", "augmentation")
+    }
+    with pytest.raises(ValueError, match="transforms: expected one of paper, resize, got 'paperr'"):
+        recipe_file("paperr", "transforms")

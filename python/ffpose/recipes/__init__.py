@@ -1,25 +1,32 @@
-"""Recipes: configurations of published trainings, by name."""
+"""Recipes: configurations of published trainings, by name, and of their transforms alone."""
 
 from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 SUFFIX = ".yaml"
 
-
-def recipe_names() -> list[str]:
-    """Return the names of the recipes that come with ffpose."""
-    files = resources.files(__name__).iterdir()
-    return sorted(file.name.removesuffix(SUFFIX) for file in files if file.name.endswith(SUFFIX))
+Kind = Literal["recipe", "transforms"]
 
 
-def recipe_file(name: str) -> Path:
+def recipe_names(kind: Kind = "recipe") -> list[str]:
+    """Return the names of the recipes, or of the transforms, that come with ffpose."""
+    return sorted(path.stem for path in _folder(kind).glob(f"*{SUFFIX}"))
+
+
+def recipe_file(name: str, kind: Kind = "recipe") -> Path:
     """Return the configuration file of a recipe, for ``ffpose train --config``.
 
     Raises:
-        ValueError: There is no recipe of this name.
+        ValueError: There is none of this name.
     """
-    if name not in recipe_names():
-        raise ValueError(f"recipe: expected one of {', '.join(recipe_names())}, got {name!r}")
-    return Path(str(resources.files(__name__) / f"{name}{SUFFIX}"))
+    if name not in recipe_names(kind):
+        raise ValueError(f"{kind}: expected one of {', '.join(recipe_names(kind))}, got {name!r}")
+    return _folder(kind) / f"{name}{SUFFIX}"
+
+
+def _folder(kind: Kind) -> Path:
+    root = Path(str(resources.files(__name__)))
+    return root if kind == "recipe" else root / kind

@@ -260,6 +260,7 @@ class TrainConfig:
         seed: Seed of the initial weights, the order of the images, augmentation and dropout.
         device: "auto" (a GPU if there is one) or a device that torch knows.
         weights_dtype: Dtype of the saved weights: "float32", or "float16" for half the file size.
+        tensorboard: Whether to write the table of results as events for TensorBoard too.
     """
 
     data: DataConfig
@@ -283,6 +284,7 @@ class TrainConfig:
     seed: int = 0
     device: str = "auto"
     weights_dtype: Literal["float32", "float16"] = "float32"
+    tensorboard: bool = False
 
     def __post_init__(self) -> None:
         _expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)

@@ -20,11 +20,13 @@ import torch
 from torch import Tensor
 
 from ffpose.datasets.targets import Target, spread
+from ffpose.errors import require
 from ffpose.metrics import PoseError
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training.calibrate import calibrate
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
+from ffpose.training.events import Events
 from ffpose.training.memory import keep_freed_memory
 from ffpose.training.processes import Processes, joined, started
 from ffpose.training.progress import Reporter
@@ -90,8 +92,11 @@ def train(
         ValueError: A name in ``config`` is unknown, or ``config`` differs from that of the run to
             resume.
         ffpose.DataError: An image or a label cannot be used.
+        ffpose.MissingExtraError: TensorBoard is asked for and not installed.
         NonFiniteLossError: The loss is infinite or NaN.
     """
+    if config.tensorboard:
+        require("tensorboard", "tb")
     folder = RunFolder(config.out)
     folder.open(config, resume=resume)  # what is refused is refused before others are started
     with started(config.processes, _train, config, resume, True, cpu_minutes):
@@ -125,7 +130,10 @@ def _train_in(
     if processes.leads:
         folder.begin(config)
     done, steps = len(state.history), run.task.steps
-    with Reporter(len(epochs), done, steps, quiet=quiet) as reporter:
+    with (
+        Events(config.out, done, wanted=config.tensorboard and processes.leads) as events,
+        Reporter(len(epochs), done, steps, quiet=quiet) as reporter,
+    ):
         for epoch in epochs[done:]:
             if cpu_minutes is not None and _cpu_seconds_of(state) >= 60 * cpu_minutes:
                 break
@@ -133,6 +141,7 @@ def _train_in(
             state.history.append(row)
             if processes.leads:
                 _write(run, state, folder)
+            events.epoch_ends(row)
             reporter.epoch_ends(row)
     if processes.leads:
         _calibrate(run, folder)
