@@ -18,19 +18,22 @@ SAID = (0.03, 16e-4)
 """Predicted variances: a third of the true one for translation, four times for rotation."""
 
 
-class Drawn(torch.nn.Module):
-    """Answers zero and the identity to pictures that hold one number each: their presence."""
+AHEAD = (0.0, 0.0, 40.0)
 
-    def __init__(self, view="object"):
+
+class Drawn(torch.nn.Module):
+    """Answers one pose to pictures that hold one number each: their presence."""
+
+    def __init__(self, view="object", distance_scale=1.0):
         super().__init__()
-        self.config = SimpleNamespace(orientation_view=view)
+        self.config = SimpleNamespace(orientation_view=view, distance_scale=distance_scale)
         self.register_buffer("variance_scales", torch.ones(2))
 
     def forward(self, images):
         count = len(images)
         unit = torch.eye(3).expand(count, 3, 3)
         return (
-            torch.zeros(count, 3),
+            torch.tensor(AHEAD).expand(count, 3) * self.config.distance_scale,
             torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
             unit * SAID[0] * self.variance_scales[0],
             unit * SAID[1] * self.variance_scales[1],
@@ -41,7 +44,7 @@ class Drawn(torch.nn.Module):
 def split(seed, count=COUNT):
     """Batches of a split whose truths lie about the answers as `TRUE_VARIANCES` says."""
     rng = np.random.default_rng(seed)
-    t = np.sqrt(TRUE_VARIANCES[0]) * rng.standard_normal((count, 3))
+    t = AHEAD + np.sqrt(TRUE_VARIANCES[0]) * rng.standard_normal((count, 3))
     turn = Rotation.from_rotvec(np.sqrt(TRUE_VARIANCES[1]) * rng.standard_normal((count, 3)))
     q = np.roll(turn.as_quat(), 1, axis=1)
     shown = torch.full((count, 3, 2, 2), 0.8)
@@ -65,7 +68,7 @@ def test_a_variance_is_scaled_by_what_it_lacks(factor):
 
 def test_ninety_percent_of_other_truths_lie_in_the_region_of_ninety_percent():
     model = Drawn()
-    scales, _ = calibrate(model, split(0), absent())
+    scales = calibrate(model, split(0), absent()).variance_scales
     expected = [true / said for true, said in zip(TRUE_VARIANCES, SAID, strict=True)]
     np.testing.assert_allclose(scales, expected, rtol=0.1)
     noise = 2 * np.sqrt(0.9 * 0.1 / COUNT)  # of the split that chose and of that which judges
@@ -73,7 +76,7 @@ def test_ninety_percent_of_other_truths_lie_in_the_region_of_ninety_percent():
         d2 = []
         for batch in batches:
             error = (
-                batch.translation.numpy()
+                batch.translation.numpy() - AHEAD
                 if axis == 0
                 else Rotation.from_quat(np.roll(batch.orientation, -1, axis=1)).as_rotvec()
             )
@@ -84,10 +87,21 @@ def test_ninety_percent_of_other_truths_lie_in_the_region_of_ninety_percent():
 
 
 def test_calibrating_again_changes_nothing():
-    model = Drawn()
-    model.variance_scales.copy_(calibrate(model, split(0), absent()).variance_scales)
-    again = calibrate(model, split(0), absent()).variance_scales
-    torch.testing.assert_close(again, model.variance_scales)
+    model = Drawn(distance_scale=1.1)
+    found = calibrate(model, split(0), absent())
+    model.variance_scales.copy_(found.variance_scales)
+    model.config.distance_scale = found.distance_scale
+    again = calibrate(model, split(0), absent())
+    torch.testing.assert_close(again.variance_scales, model.variance_scales)
+    assert again.distance_scale == pytest.approx(found.distance_scale, rel=1e-6)  # in float32
+
+
+@pytest.mark.parametrize("wrong", [0.9, 1.0, 1.25])
+def test_distances_that_are_all_wrong_by_a_factor_come_right(wrong):
+    found = calibrate(Drawn(distance_scale=wrong), split(0), absent())
+    assert found.distance_scale == pytest.approx(1.0, abs=1e-3)
+    right = calibrate(Drawn(), split(0), absent()).variance_scales
+    torch.testing.assert_close(found.variance_scales, right, rtol=2e-3, atol=0)
 
 
 def test_the_threshold_parts_what_can_be_parted():

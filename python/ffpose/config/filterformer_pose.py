@@ -74,6 +74,8 @@ class FilterformerPoseConfig(NetworkConfig):
             edge, in meters at the object.
         first_stride: Downsampling factor from the network's input to the first look.
         distance_m: Smallest and largest distance in training, meters.
+        distance_scale: Factor on the predicted translation, found by calibration, that removes the
+            median error of the distance (view ``"object"``).
         looks: Number of times that the virtual camera is pointed; 2 looks again at the position
             that the first of these looks refined.
         turns: Number of views of the last look, evenly rotated about the viewing ray, whose
@@ -124,6 +126,7 @@ class FilterformerPoseConfig(NetworkConfig):
     object_radius_m: float = 6.6
     first_stride: int = 4
     distance_m: tuple[float, float] = (8.0, 42.0)
+    distance_scale: float = 1.0
     looks: int = 2
     turns: int = 4
 
@@ -150,6 +153,8 @@ class FilterformerPoseConfig(NetworkConfig):
         near, far = self.distance_m
         if not 0 < near < far < math.inf:
             raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
+        if not 0 < self.distance_scale < math.inf:
+            raise ValueError(f"distance_scale: expected above 0, got {self.distance_scale}")
         if not 0 < self.object_radius_m < math.inf:
             raise ValueError(f"object_radius_m: expected above 0, got {self.object_radius_m}")
         if self.orientation_view == "object":

@@ -263,7 +263,8 @@ class FilterformerPose(PoseNetwork):
         points = self.located(self.locate(F.avg_pool2d(images, self.config.first_stride)))
         for _ in range(1, self.config.looks):
             points = self._look_around(levels, points, turns=1).translation
-        return self._look_around(levels, points, self.config.turns)
+        pose = self._look_around(levels, points, self.config.turns)
+        return pose._replace(translation=pose.translation * self.config.distance_scale)
 
     def _look_around(self, levels: Pyramid, points: Tensor, turns: int) -> UncertainPose:
         """Look at points ``(B, 3)`` in views rotated about the ray, and average the predictions."""

@@ -1,9 +1,10 @@
-"""Calibration of a network's uncertainty on held-out images.
+"""Calibration of a network's distances and of its uncertainty on held-out images.
 
-The covariances of translation and of rotation are scaled by one factor each, such that the 90 %
-confidence regions contain 90 % of the ground truth of the validation split. This is the analog of
-temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML
-2017). Coverage at other levels, and under other conditions, is up to the network.
+Translations are scaled by one factor, such that the median error of the logarithm of the distance
+is zero. The covariances of translation and of rotation are scaled by one factor each, such that the
+90 % confidence regions contain 90 % of the ground truth of the validation split. This is the analog
+of temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks",
+ICML 2017). Coverage at other levels, and under other conditions, is up to the network.
 """
 
 from __future__ import annotations
@@ -32,10 +33,12 @@ class Calibration(NamedTuple):
     """Calibration parameters found on the validation split.
 
     Attributes:
+        distance_scale: For the field of the network's config of that name.
         variance_scales: ``(2,)`` float32, for the network's buffer of that name.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
     """
 
+    distance_scale: float
     variance_scales: Tensor
     in_view_threshold: float
 
@@ -43,12 +46,12 @@ class Calibration(NamedTuple):
 def calibrate(
     model: FilterformerPose, labeled: Iterable[Sample], empty: Iterable[Tensor]
 ) -> Calibration:
-    """Find the scales of a network's variances and the threshold that flags empty images.
+    """Find the scales of a network's distances and variances, and the threshold that flags images.
 
-    The new scale of a variance is the current one times `variance_scale`, so a network that is
-    already calibrated keeps it. The threshold is that of `ffpose.calibration.choose_threshold`:
-    the smallest sum of false-alarm and miss rates. The network is put in evaluation mode and
-    otherwise left as it is.
+    New scales are the current ones times what was found, that of a variance by `variance_scale`, so
+    a network that is already calibrated keeps them. The threshold is that of
+    `ffpose.calibration.choose_threshold`: the smallest sum of false-alarm and miss rates. The
+    network is put in evaluation mode and otherwise left as it is.
 
     Args:
         model: A network with a second look.
@@ -62,21 +65,38 @@ def calibrate(
     if model.config.orientation_view != "object":
         raise ValueError("model: expected one with orientation_view 'object', got 'frame'")
     model.eval()
-    translation, rotation, shown = [], [], []
+    seen, truths = [], []
     for batch in labeled:
-        pose = _see(model, batch.image)
-        truth_t, truth_q = _array(batch.translation), _array(batch.orientation)
-        translation.append(squared_mahalanobis(truth_t - pose[0], pose[2]))
-        rotation.append(squared_mahalanobis(rotation_vector(truth_q, pose[1]), pose[3]))
-        shown.append(pose[4])
+        seen.append(_see(model, batch.image))
+        truths.append((_array(batch.translation), _array(batch.orientation)))
     absent = [_see(model, images)[4] for images in empty]
-    if not shown or not absent:
+    if not seen or not absent:
         raise ValueError("images: expected some that show the object and some that do not")
-    scales = [variance_scale(np.concatenate(distances)) for distances in (translation, rotation)]
-    return Calibration(
-        model.variance_scales.detach().cpu().float() * torch.tensor(scales),
-        choose_threshold(np.concatenate(shown), np.concatenate(absent)).threshold,
+    t, q, translation_covariance, rotation_covariance, shown = map(
+        np.concatenate, zip(*seen, strict=False)
     )
+    true_t, true_q = map(np.concatenate, zip(*truths, strict=False))
+    factor = distance_factor(t, true_t)
+    scales = [
+        variance_scale(squared_mahalanobis(true_t - t * factor, translation_covariance)),
+        variance_scale(squared_mahalanobis(rotation_vector(true_q, q), rotation_covariance)),
+    ]
+    return Calibration(
+        model.config.distance_scale * factor,
+        model.variance_scales.detach().cpu().float() * torch.tensor(scales),
+        choose_threshold(shown, np.concatenate(absent)).threshold,
+    )
+
+
+def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
+    """Return the factor that removes the median error of the log distance.
+
+    Args:
+        predicted: Translations ``(N, 3)``, meters, none of them zero.
+        truth: True translations ``(N, 3)``, meters.
+    """
+    ratios = np.linalg.norm(truth, axis=1) / np.linalg.norm(predicted, axis=1)
+    return float(np.exp(np.median(np.log(ratios))))
 
 
 def variance_scale(squared_distance: ArrayLike) -> float:

@@ -12,7 +12,7 @@ import math
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -166,14 +166,16 @@ def _header(run: Run) -> dict[str, Any]:
 
 
 def _calibrate(run: Run, folder: RunFolder) -> None:
-    """Calibrate the uncertainty of the best weights, and the threshold that flags empty images."""
+    """Calibrate the best weights: distances, uncertainty, and what flags images without object."""
     empty = run.task.empty()
     if empty is None:
         return
     model = FilterformerPose.from_pretrained(folder.best)
     model.variance_scales.fill_(1)  # so that a resumed run finds the same scales
+    model.config = replace(model.config, distance_scale=1.0)
     found = calibrate(model, run.task.validation(whole=True), empty)
     model.variance_scales.copy_(found.variance_scales)
+    model.config = replace(model.config, distance_scale=found.distance_scale)
     header = _header(run) | {"in_view_threshold": found.in_view_threshold}
     model.save_pretrained(folder.best, **header)
 
