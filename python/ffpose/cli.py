@@ -269,12 +269,13 @@ def predict(options: Namespace) -> None:
     """
     from ffpose.geometry import Camera
     from ffpose.prediction import describe as describe_weights
-    from ffpose.prediction import expect_distinct_overlays, write_overlay
+    from ffpose.prediction import expect_axes, expect_distinct_overlays, write_overlay
     from ffpose.prediction import predict as run
 
     if options.overlay is not None:
         expect_folder(options.overlay)
         expect_distinct_overlays(options.images, options.overlay)
+        expect_axes(options.weights)
     elif options.camera is not None and describe_weights(options.weights).camera is None:
         raise ValueError("--camera: expected with --overlay, for these weights know no camera")
     camera = None if options.camera is None else Camera.read(options.camera)

@@ -115,6 +115,7 @@ def test_a_scene_trains_and_selects_by_its_spread(scene, tmp_path):
     assert evaluation.ranking.tolist() == np.argsort(ranked, kind="stable").tolist()
     assert errors.translation_m.max() < 20  # of the center, 374 m from the origin
     assert read_metadata(result.folder.best).data["kind"] == "cambridge"
+    assert read_metadata(result.folder.best).locates == "camera"
 
 
 def test_images_of_several_cameras_train(own, tmp_path):
