@@ -196,7 +196,9 @@ def data_arguments(parser: ArgumentParser) -> None:
         "--data.undistort", action="store_true", help="undistort images of cameras with distortion"
     )
     parser.add_argument(
-        "--data.white", type=float, help="level that becomes white in images of more than 8 bits"
+        "--data.white",
+        type=float | str,
+        help="level that becomes white in images of more than 8 bits, or percentile such as p99.5",
     )
 
 

@@ -75,7 +75,9 @@ def test_any_split_validates(scene):
     assert (len(data.train_set), len(data.val_set)) == (IMAGES, 2)
 
 
-@pytest.mark.parametrize("options", [{"holdout": 1}, {"holdout": -2}, {"white": 0.0}])
+@pytest.mark.parametrize(
+    "options", [{"holdout": 1}, {"holdout": -2}, {"white": 0.0}, {"white": "p0"}]
+)
 def test_bad_options_are_refused(own, options):
     with pytest.raises(ValueError, match=r"data\.(holdout|white): expected"):
         DataConfig("csv", own, **options)
