@@ -10,7 +10,13 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, PoseUncertainty
 from ffpose.images import read_rgb
 from ffpose.models import FilterformerPose
-from ffpose.prediction import Prediction, predict, standard_deviations, write_overlay
+from ffpose.prediction import (
+    Prediction,
+    expect_axes,
+    predict,
+    standard_deviations,
+    write_overlay,
+)
 from ffpose.predictor import Predictor
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import reproject
@@ -275,3 +281,60 @@ def test_what_is_not_in_view_is_said_and_not_drawn(picture, tmp_path):
     assert str(prediction) == f"{picture}: no spacecraft in view (p = 0.031)"
     drawn = Image.open(write_overlay(prediction, tmp_path / "drawn"))
     np.testing.assert_array_equal(np.asarray(drawn), np.asarray(read_rgb(picture)))
+
+
+@pytest.fixture
+def locator(tmp_path):
+    """Weights that locate the camera in the world."""
+    path = tmp_path / "scene.safetensors"
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **FIELDS)
+    model.save_pretrained(path, preprocessing=PLAIN, data={"locates": "camera"})
+    return path
+
+
+def test_a_located_camera_is_said_to_be_one(locator, picture):
+    """Center and rotation are the network's; the pose takes the center to the camera's origin."""
+    (found,) = predict(locator, [picture])
+    with torch.no_grad():
+        raw = FilterformerPose.from_pretrained(locator)(PLAIN(read_rgb(picture))[None])
+    center = raw.translation[0].double().numpy()
+    np.testing.assert_allclose(found.pose.transform(center), np.zeros(3), atol=1e-6)
+    document = found.to_dict()
+    assert document["locates"] == "camera"
+    np.testing.assert_allclose(document["camera_center_m"], center, atol=1e-6)
+    assert document["translation_m"] == found.pose.t.tolist()
+    assert abs(np.dot(document["orientation_wxyz"], raw.orientation[0].numpy())) == pytest.approx(1)
+    x, y, z = center
+    assert f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m in the world" in str(found)
+
+
+def test_an_object_is_described_as_ever(weights, picture):
+    (found,) = predict(weights, [picture])
+    assert list(found.to_dict()) == [
+        *("image", "translation_m", "orientation_wxyz", "roll_pitch_yaw_deg"),
+    ]
+
+
+def test_axes_are_drawn_on_objects_alone(locator, weights):
+    expect_axes(weights)
+    with pytest.raises(ValueError, match="overlay: expected weights that locate an object"):
+        expect_axes(locator)
+
+
+def test_weights_locate_an_object_or_the_camera(tmp_path):
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **FIELDS)
+    with pytest.raises(ValueError, match="expected locates object or camera, got 'ship'"):
+        model.save_pretrained(tmp_path / "w", preprocessing=PLAIN, data={"locates": "ship"})
+
+
+def test_what_was_cropped_in_training_is_cropped_in_prediction(tmp_path, picture):
+    """128x96 to 64x64: resized to 98x73, of which the middle is cut, by Pillow here."""
+    crop, path = Preprocessing((64, 64), "center_crop"), tmp_path / "cropped.safetensors"
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **FIELDS)
+    model.save_pretrained(path, preprocessing=crop)
+    resized = read_rgb(picture).resize((98, 73), Image.Resampling.BILINEAR)
+    middle = resized.crop((17, 4, 81, 68))
+    with torch.no_grad():
+        raw = model.eval()(PLAIN(middle)[None])
+    (found,) = predict(path, [picture])
+    np.testing.assert_allclose(found.pose.t, raw.translation[0], atol=1e-6)

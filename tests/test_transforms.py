@@ -13,8 +13,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from torchvision.transforms import v2
 
-from ffpose.geometry import URSO_CAMERA, Pose
-from ffpose.preprocessing import Preprocessing
+from ffpose.geometry import URSO_CAMERA, Camera, Pose
+from ffpose.preprocessing import Preprocessing, Window
 from ffpose.render import get_scene, object_coordinates
 from ffpose.render.shading.sensor import Sensor, expose
 from ffpose.transforms import (
@@ -22,6 +22,7 @@ from ffpose.transforms import (
     _blur,
     _sensor_noise,
     camera_turn,
+    crop_turn,
     random_window,
     turn_camera,
 )
@@ -197,6 +198,52 @@ def test_keypoints_go_one_way_through_label_and_homography(pan, tilt, roll, seed
     seen = turned @ matrix.T
     np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], moved[:, :2] / moved[:, 2:], atol=1e-9)
     assert q[0] >= 0
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 36), st.integers(0, 27), st.integers(0, 99))
+def test_a_turned_crop_is_seen_by_the_camera_of_the_center_crop(left, top, seed):
+    """Points go one way through the turned label, and by pixels through the homography."""
+    generator = np.random.default_rng(seed)
+    preprocessing = Preprocessing((192, 256), "center_crop")
+    image_camera = Camera(1280, 960, 640.0, 655.0, 600.0, 500.0)
+    whole, view = preprocessing.frame_camera(image_camera), preprocessing.camera(image_camera)
+    crop = preprocessing.window_camera(image_camera, Window(top, left))
+    rotation = crop_turn(whole, crop, view)
+    pose = Pose([*generator.uniform(-1, 1, 2), 12], Rotation.random(rng=generator).as_quat())
+    points = generator.uniform(-2, 2, (10, 3))
+    label = torch.from_numpy(pose.vector).split([3, 4])
+    image = torch.zeros(3, whole.height, whole.width)
+
+    image, t, q = turn_camera(image, *label, whole, rotation, view)
+
+    assert image.shape == (3, 192, 256)
+    # By the crop: a crop only shifts pixels, and the turn of its camera is a homography.
+    cropped = pose.project(points, whole) - (left, top)
+    np.testing.assert_allclose(cropped, pose.project(points, crop), atol=1e-9)
+    homography = view.matrix @ rotation @ np.linalg.inv(crop.matrix)
+    moved = np.column_stack([cropped, np.ones(10)]) @ homography.T
+    turned = Rotation.from_quat(q, scalar_first=True).apply(points) + t.numpy()
+    seen = turned @ view.matrix.T
+    np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], moved[:, :2] / moved[:, 2:], atol=1e-9)
+    # The crop's center becomes the view's, by the least rotation.
+    center = homography @ [128, 96, 1]
+    np.testing.assert_allclose(center[:2] / center[2], [128, 96], atol=1e-9)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    rays = [np.linalg.inv(each.matrix) @ [128, 96, 1] for each in (crop, view)]
+    cosine = np.dot(*rays) / np.prod(np.linalg.norm(rays, axis=1))
+    assert np.trace(rotation) == pytest.approx(1 + 2 * cosine, abs=1e-12)
+
+
+def test_the_center_crop_turns_nothing():
+    preprocessing = Preprocessing((192, 256), "center_crop")
+    whole, view = (f(URSO_CAMERA) for f in (preprocessing.frame_camera, preprocessing.camera))
+    np.testing.assert_allclose(crop_turn(whole, view, view), np.eye(3), atol=1e-15)
+
+
+def test_there_is_one_crop():
+    with pytest.raises(ValueError, match="turned_crop: expected one crop, got random_crop too"):
+        Augmentation(random_crop=True, turned_crop=True)
 
 
 @pytest.mark.parametrize(

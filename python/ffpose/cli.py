@@ -211,7 +211,9 @@ def data_arguments(parser: ArgumentParser) -> None:
         "--data.undistort", action="store_true", help="undistort images of cameras with distortion"
     )
     parser.add_argument(
-        "--data.white", type=float, help="level that becomes white in images of more than 8 bits"
+        "--data.white",
+        type=float | str,
+        help="level that becomes white in images of more than 8 bits, or percentile such as p99.5",
     )
 
 
@@ -284,12 +286,13 @@ def predict(options: Namespace) -> None:
     """
     from ffpose.geometry import Camera
     from ffpose.prediction import describe as describe_weights
-    from ffpose.prediction import expect_distinct_overlays, write_overlay
+    from ffpose.prediction import expect_axes, expect_distinct_overlays, write_overlay
     from ffpose.prediction import predict as run
 
     if options.overlay is not None:
         expect_folder(options.overlay)
         expect_distinct_overlays(options.images, options.overlay)
+        expect_axes(options.weights)
     elif options.camera is not None and describe_weights(options.weights).camera is None:
         raise ValueError("--camera: expected with --overlay, for these weights know no camera")
     camera = None if options.camera is None else Camera.read(options.camera)

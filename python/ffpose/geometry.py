@@ -22,6 +22,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +36,9 @@ FloatArray = NDArray[np.float64]
 
 CAMERA_FILE = "camera.json"
 """Name of the file with the camera of all images in a folder (`Camera.read`, `Camera.write`)."""
+
+Target = Literal["object", "camera"]
+"""What labels and networks locate: the object in the camera frame, or the camera in the world."""
 
 QUATERNION_TOLERANCE = 1e-3
 """Deviation of a quaternion's norm from one (rounding in a printed label) that is normalized."""
@@ -367,6 +371,25 @@ class Pose:
     def project(self, points: ArrayLike, camera: Camera) -> FloatArray:
         """Project points of the object ``(..., 3)`` to pixels ``(..., 2)``, as `Camera.project`."""
         return camera.project(self.transform(points))
+
+
+def camera_pose(center: ArrayLike, q: ArrayLike) -> Pose:
+    """Return the pose of the world in the frame of a camera.
+
+    Args:
+        center: Center of the camera in the world ``(3,)``, meters.
+        q: Unit quaternion ``(4,)``, ``(w, x, y, z)``, from the world to the camera frame.
+
+    Raises:
+        TypeError: The values are not real numbers.
+        ValueError: As `Pose`.
+
+    Example:
+        >>> camera_pose([0, 0, -4], [1, 0, 0, 0]).transform([0.0, 0.0, 0.0]).tolist()
+        [0.0, 0.0, 4.0]
+    """
+    still = Pose(center, q)  # checks both
+    return Pose(-rotation_matrix(still.q) @ still.t, still.q)
 
 
 def poses(

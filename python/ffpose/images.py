@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -33,6 +35,24 @@ def decode_all(decode: Callable[[Item], Decoded], items: Sequence[Item]) -> Iter
     with ThreadPoolExecutor() as pool:
         for start in range(0, len(items), WAITING):
             yield from pool.map(decode, items[start : start + WAITING])
+
+
+WHITE = "a positive level, or a percentile such as 'p99.5'"
+"""What can be stated as white (`to_rgb`)."""
+
+
+def check_white(name: str, white: float | str) -> None:
+    """Check a white level or percentile.
+
+    Raises:
+        ValueError: It is not `WHITE`; the message begins with ``name``.
+    """
+    if isinstance(white, str):
+        usable = bool(re.fullmatch(r"p\d+(\.\d+)?", white)) and 0 < float(white[1:]) <= 100
+    else:
+        usable = 0 < white < math.inf
+    if not usable:
+        raise ValueError(f"{name}: expected {WHITE}, got {white!r}")
 
 
 def read_rgb(path: Path) -> Image.Image:
@@ -69,17 +89,19 @@ def open_image(path: Path) -> Iterator[Image.Image]:
         raise DataError(f"cannot be read as an image: {error}", path) from error
 
 
-def to_rgb(image: Image.Image, path: Path, white: float | None = None) -> Image.Image:
+def to_rgb(image: Image.Image, path: Path, white: float | str | None = None) -> Image.Image:
     """Decode an open image as RGB; transparency is dropped.
 
     Args:
         image: Image from `open_image`.
         path: Path of the image file, for the error message.
         white: Level of a monochrome image of more than 8 bits that becomes 255, as do all above it;
-            4095 for 12 bits. None for images of 8 bits.
+            4095 for 12 bits; or the percentile of the image's own levels that does, such as
+            ``"p99.5"``. None for images of 8 bits.
 
     Raises:
-        DataError: The image's mode is not in `MODES`, or with ``white`` not in `DEEP_MODES`.
+        DataError: The image's mode is not in `MODES`, or with ``white`` not in `DEEP_MODES`, or the
+            percentile of its levels is not above zero.
     """
     if white is not None:
         return _scaled(image, path, white)
@@ -89,11 +111,14 @@ def to_rgb(image: Image.Image, path: Path, white: float | None = None) -> Image.
     return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
 
 
-def _scaled(image: Image.Image, path: Path, white: float) -> Image.Image:
+def _scaled(image: Image.Image, path: Path, white: float | str) -> Image.Image:
     """Scale a monochrome image of more than 8 bits so that ``white`` becomes 255."""
     if image.mode not in DEEP_MODES:
         expected = f"pixels of mode {', '.join(DEEP_MODES)}, for which a white level is stated"
         raise DataError(f"expected {expected}, got {image.mode}", path)
     levels = np.asarray(image).astype(np.float64)
-    gray = np.rint(np.clip(levels / white, 0, 1) * 255).astype(np.uint8)
+    level = float(np.percentile(levels, float(white[1:]))) if isinstance(white, str) else white
+    if not level > 0:
+        raise DataError(f"expected a level above 0 at percentile {white}, got {level:g}", path)
+    gray = np.rint(np.clip(levels / level, 0, 1) * 255).astype(np.uint8)
     return Image.fromarray(gray).convert("RGB")

@@ -13,7 +13,15 @@ from PIL import Image
 from ffpose.arrays import quaternion_to_euler
 from ffpose.errors import DataError
 from ffpose.files import atomic_write
-from ffpose.geometry import URSO_CAMERA, Camera, FloatArray, Pose, PoseUncertainty
+from ffpose.geometry import (
+    URSO_CAMERA,
+    Camera,
+    FloatArray,
+    Pose,
+    PoseUncertainty,
+    Target,
+    camera_pose,
+)
 from ffpose.images import read_rgb
 from ffpose.overlay import draw_axes
 
@@ -24,16 +32,24 @@ class Prediction:
 
     Attributes:
         image: Path of the image file.
-        pose: The predicted pose.
+        pose: The predicted pose of the object or, from a network that locates the camera, of the
+            world in the camera frame.
         camera: The camera of the image, possibly for another image size; None where unknown.
         in_view_threshold: Probability below which the object counts as not in view; None where
             the weights have no threshold.
+        locates: What the network locates.
     """
 
     image: Path
     pose: Pose
     camera: Camera | None = None
     in_view_threshold: float | None = None
+    locates: Target = "object"
+
+    @property
+    def center(self) -> FloatArray:
+        """The camera's center in the frame of the object or world ``(3,)``, meters."""
+        return np.asarray(-self.pose.rotation.T @ self.pose.t)
 
     @property
     def flagged(self) -> bool | None:
@@ -46,6 +62,8 @@ class Prediction:
         """Return the prediction as a JSON document: meters, ``(w, x, y, z)``, degrees.
 
         With predicted uncertainty also covariances in m² and rad², and the probability in view.
+        Where the network locates the camera, ``locates`` says so, the pose is the world's, and the
+        camera's center in the world is there too.
         """
         document: dict[str, Any] = {
             "image": str(self.image),
@@ -53,6 +71,8 @@ class Prediction:
             "orientation_wxyz": self.pose.q.tolist(),
             "roll_pitch_yaw_deg": quaternion_to_euler(self.pose.q).tolist(),
         }
+        if self.locates == "camera":
+            document |= {"locates": "camera", "camera_center_m": self.center.tolist()}
         uncertainty = self.pose.uncertainty
         if uncertainty is not None:
             document["translation_covariance_m2"] = uncertainty.translation_covariance.tolist()
@@ -66,8 +86,14 @@ class Prediction:
         uncertainty = self.pose.uncertainty
         if uncertainty is not None and self.flagged:
             return f"{self.image}: no spacecraft in view (p = {uncertainty.in_view:.2g})"
-        x, y, z = self.pose.t
         roll, pitch, yaw = quaternion_to_euler(self.pose.q)
+        if self.locates == "camera":
+            x, y, z = self.center
+            return (
+                f"{self.image}: camera at ({x:.2f}, {y:.2f}, {z:.2f}) m in the world, "
+                f"world to camera: roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°"
+            )
+        x, y, z = self.pose.t
         meters = degrees = ""
         if uncertainty is not None:
             distance, angle = standard_deviations(self.pose.t, uncertainty)
@@ -91,10 +117,14 @@ def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[fl
 
 
 class Network(Protocol):
-    """A network that poses images: by torch (`ffpose.predictor`) or without (`ffpose.onnx`)."""
+    """A network over images: by torch (`ffpose.predictor`) or without (`ffpose.onnx`)."""
 
     def __call__(self, image: Image.Image) -> Pose:
-        """Return the pose of the spacecraft in an RGB image."""
+        """Return the network's output for an RGB image.
+
+        The pose of the spacecraft; from a network that locates the camera, the camera's center in
+        place of a translation (`ffpose.geometry.camera_pose`).
+        """
 
 
 class Description(Protocol):
@@ -106,6 +136,10 @@ class Description(Protocol):
 
     @property
     def in_view_threshold(self) -> float | None:
+        """As `Prediction`."""
+
+    @property
+    def locates(self) -> Target:
         """As `Prediction`."""
 
 
@@ -176,12 +210,27 @@ def predict(
             pose = network(image)
         except ValueError as error:
             raise DataError(str(error), path) from error
-        yield Prediction(path, pose, camera or description.camera, description.in_view_threshold)
+        if description.locates == "camera":
+            pose = camera_pose(pose.t, pose.q)
+        used = camera or description.camera
+        yield Prediction(path, pose, used, description.in_view_threshold, description.locates)
 
 
 def overlay_path(image: Path, folder: Path) -> Path:
     """Return the path of an image's overlay, ``NAME_pose.png`` in ``folder``."""
     return folder / f"{image.stem}_pose.png"
+
+
+def expect_axes(weights: str | Path) -> None:
+    """Check in advance that there is an object to draw axes on.
+
+    Raises:
+        ValueError: The network locates the camera.
+    """
+    if describe(weights).locates == "camera":
+        raise ValueError(
+            "overlay: expected weights that locate an object, got some that locate the camera"
+        )
 
 
 def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:

@@ -3,7 +3,7 @@
 By default the *whole* frame is resized: the target of an object pose may stand anywhere in it, and
 a crop that moves the target without its label teaches a wrong position. Ye et al. (Sensors 2023,
 23, 8633, section 4.3) do crop: mode ``"center_crop"``, trained with
-``Augmentation(random_crop=True)`` of `ffpose.transforms`.
+``Augmentation(random_crop=True)`` of `ffpose.transforms`; with ``turned_crop`` the label is true.
 
 NumPy and Pillow do all of it, so that it runs where there is no torch. Images are Pillow's RGB;
 sizes are ``(height, width)``.
@@ -40,6 +40,13 @@ class Window(NamedTuple):
 
     top: int
     left: int
+
+
+def planes(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return pixels ``(h, w, 3)`` as float32 ``(3, h, w)`` in [0, 1]."""
+    floats = np.ascontiguousarray(pixels.transpose(2, 0, 1), np.float32)
+    floats /= 255
+    return floats
 
 
 @dataclass(frozen=True)
@@ -103,9 +110,7 @@ class Preprocessing:
         """Return the window of a frame ``(H, W, 3)`` as float32 ``(3, h, w)`` in [0, 1]."""
         rows = slice(window.top, window.top + self.size[0])
         columns = slice(window.left, window.left + self.size[1])
-        planes = np.ascontiguousarray(frame[rows, columns].transpose(2, 0, 1), np.float32)
-        planes /= 255
-        return planes
+        return planes(frame[rows, columns])
 
     def array(self, image: Image.Image) -> NDArray[np.float32]:
         """Return the network's input as an array, ``(3, h, w)``.
@@ -116,11 +121,11 @@ class Preprocessing:
         if image.mode != "RGB":
             raise ValueError(f"image: expected mode RGB, got {image.mode}")
         frame = self.frame(image)
-        planes = self.cut(frame, self.center_window(frame.shape[:2]))
-        for plane, mean, std in zip(planes, self.mean, self.std, strict=True):
+        standardized = self.cut(frame, self.center_window(frame.shape[:2]))
+        for plane, mean, std in zip(standardized, self.mean, self.std, strict=True):
             plane -= np.float32(mean)
             plane /= np.float32(std)
-        return planes
+        return standardized
 
     def __call__(self, image: Image.Image) -> Tensor:
         """Return the network's input as a tensor, float32 ``(3, h, w)``; raises as `array`."""
@@ -128,12 +133,20 @@ class Preprocessing:
 
         return torch.from_numpy(self.array(image))
 
+    def frame_camera(self, camera: Camera) -> Camera:
+        """Return the camera that sees the frame, given that of the image."""
+        height, width = self.frame_size(camera.width, camera.height)
+        return camera.resized(width, height)
+
+    def window_camera(self, camera: Camera, window: Window) -> Camera:
+        """Return the camera that sees a window of the frame: the principal point moves with it."""
+        frame = self.frame_camera(camera)
+        return frame.cropped(window.left, window.top, self.size[1], self.size[0])
+
     def camera(self, camera: Camera) -> Camera:
         """Return the camera that sees the network's input, given that of the image."""
-        height, width = self.frame_size(camera.width, camera.height)
-        window = self.center_window((height, width))
-        resized = camera.resized(width, height)
-        return resized.cropped(window.left, window.top, self.size[1], self.size[0])
+        size = self.frame_size(camera.width, camera.height)
+        return self.window_camera(camera, self.center_window(size))
 
     def image_camera(self, view: Camera, width: int, height: int) -> Camera:
         """Return the camera of an image of ``width`` x ``height``: the inverse of `camera`.

@@ -2,8 +2,8 @@
 
 `Augmentation` changes brightness, contrast and saturation, and adds blur and noise, none of which
 changes the pose. Its one geometric change is a rotation of the camera about its center (pan, tilt
-and roll), which transforms image and label exactly. There are no flips: a mirrored image does not
-show the same spacecraft.
+and roll, or toward the center of a crop), which transforms image and label exactly. There are no
+flips: a mirrored image does not show the same spacecraft.
 
 Images are tensors ``(3, h, w)``; `ffpose.preprocessing` makes and standardizes them.
 """
@@ -64,23 +64,62 @@ def camera_turn(pan: float, tilt: float, roll: float) -> FloatArray:
     return turn
 
 
+def crop_turn(camera: Camera, crop: Camera, view: Camera) -> FloatArray:
+    """Return the rotation of the camera that a crop stands for.
+
+    A crop is seen by a camera with another principal point, which a network for one camera cannot
+    know. The camera that turns, so that the ray through the crop's center takes the place of the
+    ray through the view's, shows about the same part of the image with the intrinsics of the view.
+
+    Args:
+        camera: Camera of the image without distortion.
+        crop: Camera of the crop (`Camera.cropped`).
+        view: Camera of the network's input, of the crop's size.
+
+    Returns:
+        ``(3, 3)``, the least rotation, for `turn_camera`.
+    """
+    left, top = camera.cx - crop.cx, camera.cy - crop.cy
+    seen = np.array([left + crop.width / 2 - camera.cx, top + crop.height / 2 - camera.cy])
+    wanted = np.array([view.width / 2 - view.cx, view.height / 2 - view.cy])
+    rays = [np.append(p / f, 1.0) for p, f in ((seen, _focal(camera)), (wanted, _focal(view)))]
+    a, b = (ray / np.linalg.norm(ray) for ray in rays)
+    axis = np.cross(a, b)
+    x, y, z = axis
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # Rodrigues' formula; both rays point ahead, so that 1 + a·b is not zero.
+    turn: FloatArray = np.eye(3) + skew + skew @ skew / (1 + a @ b)
+    return turn
+
+
+def _focal(camera: Camera) -> FloatArray:
+    return np.array([camera.fx, camera.fy])
+
+
 def turn_camera(
-    image: Tensor, translation: Tensor, orientation: Tensor, camera: Camera, rotation: FloatArray
+    image: Tensor,
+    translation: Tensor,
+    orientation: Tensor,
+    camera: Camera,
+    rotation: FloatArray,
+    view: Camera | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Rotate the camera about its center, and transform image and label accordingly.
 
     A point p of the camera frame becomes ``R p``, so ``t' = R t``, ``q' = qR q``, and pixels move
-    by the homography ``K R K^-1`` with the camera matrix K (Hartley and Zisserman, "Multiple View
-    Geometry", 2nd ed., section 8.4.2). This is exact at any depth, since the center does not move,
-    and for unequal focal lengths, as after an anisotropic resize. Pixels that the camera did not
-    see are black.
+    by the homography ``K' R K^-1`` with the camera matrices K and K' (Hartley and Zisserman,
+    "Multiple View Geometry", 2nd ed., section 8.4.2). This is exact at any depth, since the center
+    does not move, and for unequal focal lengths, as after an anisotropic resize. Pixels that the
+    camera did not see are black.
 
     Args:
         image: ``(3, h, w)``.
         translation: ``(3,)``, meters.
         orientation: ``(4,)``, unit quaternion ``(w, x, y, z)``.
         camera: The camera of this image; its size is the image's.
-        rotation: R ``(3, 3)``, as from `camera_turn`.
+        rotation: R ``(3, 3)``, as from `camera_turn` or `crop_turn`.
+        view: The camera after the rotation, which gives the returned image its size; None for
+            ``camera``.
 
     Returns:
         Image, translation and orientation for the rotated camera; the quaternion is canonical.
@@ -103,23 +142,25 @@ def turn_camera(
             roma.rotmat_to_unitquat(turn), roma.quat_wxyz_to_xyzw(orientation.double())
         )
     )
+    seen = camera if view is None else view
+    source = camera.matrix @ rotation.T @ np.linalg.inv(seen.matrix)
     return (
-        _warp(image, camera.matrix @ rotation.T @ np.linalg.inv(camera.matrix)),
+        _warp(image, source, (seen.height, seen.width)),
         (turn @ translation.double()).to(translation.dtype),
         torch.from_numpy(canonical_quaternion(turned.numpy())).to(orientation.dtype),
     )
 
 
-def _warp(image: Tensor, source: FloatArray) -> Tensor:
-    """Resample an image; the homography ``source (3, 3)`` maps output pixels to input pixels."""
+def _warp(image: Tensor, source: FloatArray, size: tuple[int, int]) -> Tensor:
+    """Resample to ``(height, width)``; ``source (3, 3)`` maps output pixels to input pixels."""
     height, width = image.shape[-2:]
     # grid_sample's coordinates range from -1 to 1 between the edges of the image.
     to_unit = np.array([[2 / width, 0, -1], [0, 2 / height, -1], [0, 0, 1]])
-    places = torch.from_numpy(to_unit @ source).float() @ _pixel_centers(height, width)
+    places = torch.from_numpy(to_unit @ source).float() @ _pixel_centers(*size)
     grid, depth = places[:2], places[2]
     # Points behind the camera or far outside sample zeros: 2 is beyond the edge's last half pixel.
     grid.div_(depth).clamp_(-2, 2).masked_fill_(depth <= 0, 2)
-    grid = grid.view(2, height, width).permute(1, 2, 0).to(image.dtype)
+    grid = grid.view(2, *size).permute(1, 2, 0).to(image.dtype)
     return torch.nn.functional.grid_sample(image[None], grid[None], align_corners=False)[0]
 
 
@@ -152,12 +193,15 @@ class Augmentation:
             that the image is not rotated.
         tilt: Largest rotation about x, degrees.
         roll: Largest rotation about the boresight, degrees.
-        random_crop: Random crop, as in the paper. The label is *not* adjusted, so its position is
-            wrong by up to the crop's margin. Needs ``Preprocessing(mode="center_crop")``, whose
-            frame is larger than the crop.
+        random_crop: Random crop, as in the paper. The label is *not* adjusted, and is true for the
+            camera of the sample alone, which has another principal point; for the one camera that
+            a network knows, it is wrong by up to the crop's margin. This and the next need
+            ``Preprocessing(mode="center_crop")``, whose frame is larger than the crop.
+        turned_crop: Random crop by turning the camera toward its center (`crop_turn`), so that the
+            label stays true for the camera of a center crop.
 
     Raises:
-        ValueError: A value is out of range.
+        ValueError: A value is out of range, or there are two crops.
     """
 
     brightness: float = 0.2
@@ -171,6 +215,7 @@ class Augmentation:
     tilt: float = 0.0
     roll: float = 0.0
     random_crop: bool = False
+    turned_crop: bool = False
 
     def __post_init__(self) -> None:
         shares = ("brightness", "contrast", "saturation", "noise", "shot_noise", "read_noise")
@@ -181,11 +226,18 @@ class Augmentation:
                 raise ValueError(
                     f"{name}: expected a number from 0 to {limit}, got {getattr(self, name)}"
                 )
+        if self.random_crop and self.turned_crop:
+            raise ValueError("turned_crop: expected one crop, got random_crop too")
+
+    @property
+    def crops(self) -> bool:
+        """Whether it crops at random."""
+        return self.random_crop or self.turned_crop
 
     @property
     def turns(self) -> bool:
         """Whether it turns the camera."""
-        return max(self.pan, self.tilt, self.roll) > 0
+        return self.turned_crop or max(self.pan, self.tilt, self.roll) > 0
 
     @cached_property
     def _color_jitter(self) -> v2.Transform:

@@ -118,10 +118,25 @@ def test_levels_of_sixteen_bits_are_scaled_by_the_stated_white(root):
     ]
 
 
+def test_levels_of_sixteen_bits_are_scaled_by_a_percentile_of_their_image(root):
+    """Of levels 1 to 3072, the median is 1536.5, and 99 % of the way from first to last 3041.29."""
+    levels = np.arange(1, 48 * 64 + 1, dtype=np.uint16).reshape(48, 64)
+    Image.fromarray(levels).save(root / "a/0.png")
+    for white, level in (("p50", 1536.5), ("p99", 3041.29), ("p100", 3072), ("p0.1", 4.071)):
+        image = read(root, decoding=Decoding(white=white)).load_image(0)
+        expected = np.rint(np.minimum(levels / level, 1) * 255)
+        np.testing.assert_array_equal(np.asarray(image)[..., 0], expected)
+    dark = np.zeros((48, 64), np.uint16)
+    dark[0, 0] = 9
+    Image.fromarray(dark).save(root / "a/0.png")
+    with pytest.raises(DataError, match=r"\.csv:2: .*above 0 at percentile p50, got 0"):
+        read(root, decoding=Decoding(white="p50")).load_image(0)
+
+
 def test_a_white_level_is_for_images_of_more_than_eight_bits(root):
     with pytest.raises(DataError, match=r"\.csv:2: .*for which a white level is stated, got RGB"):
         read(root, decoding=Decoding(white=4095))[0]
-    for level in (0, -1, float("nan"), float("inf")):
+    for level in (0, -1, float("nan"), float("inf"), "p0", "p101", "99", "p1e1", "pnan"):
         with pytest.raises(ValueError, match="white: expected a positive level"):
             Decoding(white=level)
 

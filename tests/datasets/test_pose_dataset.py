@@ -1,11 +1,16 @@
 """The torch side of a dataset: samples, batches, cache and augmentation."""
 
+import json
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample, open_dataset
+from ffpose.geometry import Camera, Pose
 from ffpose.preprocessing import Preprocessing
 from ffpose.transforms import Augmentation
 from urso_sets import POSES, SPLITS, write_set
@@ -36,6 +41,9 @@ def test_a_sample_holds_image_label_and_index(root):
     expected = torch.tensor(POSES[SPLITS["train"][1]])
     torch.testing.assert_close(torch.cat([sample.translation, sample.orientation]), expected)
     assert sample.index == 1
+    # URSO's camera is of 1280x960: 40 pixels to one along both axes.
+    expected = [16, 640.463 / 40, 16, 12]
+    np.testing.assert_allclose(sample.intrinsics, expected, rtol=1e-12)
 
 
 def test_the_image_is_what_the_preprocessing_makes_of_the_file(root):
@@ -87,15 +95,62 @@ def test_a_loader_gives_batches_of_samples(root, workers, cache):
     assert isinstance(batch, Sample)
     assert batch.image.shape == (2, 3, *SIZE)
     assert batch.index.tolist() == [0, 1]
+    assert batch.intrinsics.shape == (2, 4)
     expected = np.stack([POSES[name] for name in SPLITS["train"]])
     np.testing.assert_allclose(torch.cat(batch[1:3], dim=1).numpy(), expected, rtol=1e-6)
 
 
-def test_the_random_crop_needs_room(root):
-    with pytest.raises(ValueError, match=r"random_crop expects .*'center_crop', got 'resize'"):
-        read(root, Augmentation(random_crop=True))
-    dataset = read(root, Augmentation(random_crop=True), mode="center_crop")
+@pytest.mark.parametrize("crop", ["random_crop", "turned_crop"])
+def test_a_crop_needs_room(root, crop):
+    with pytest.raises(ValueError, match=rf"{crop} expects .*'center_crop', got 'resize'"):
+        read(root, Augmentation(**{crop: True}))
+    dataset = read(root, Augmentation(**{crop: True}), mode="center_crop")
     assert dataset[0].image.shape == (3, *SIZE)
+
+
+@pytest.fixture
+def beacon(tmp_path):
+    """A CSV set whose only image shows a bright spot where its label has the object's origin."""
+    camera = Camera(640, 480, 900.0, 880.0, 310.0, 255.0)
+    pose = Pose([0.3, -0.2, 8.0], [0.5, 0.5, -0.5, 0.5])
+    u, v = pose.project([0, 0, 0], camera)
+    x, y = np.arange(640) + 0.5, np.arange(480) + 0.5
+    spot = 255 * np.exp(-((x - u) ** 2 + (y[:, None] - v) ** 2) / (2 * 12**2))
+    Image.fromarray(spot.astype(np.uint8)).save(tmp_path / "0.png")
+    (tmp_path / "camera.json").write_text(json.dumps(asdict(camera)))
+    row = ",".join(map(str, ["0.png", *pose.vector]))
+    (tmp_path / "train.csv").write_text(f"image,tx,ty,tz,qw,qx,qy,qz\n{row}\n")
+    return tmp_path
+
+
+def seen_and_labeled(sample):
+    """The pixel of the spot, and that to which label and intrinsics project the origin."""
+    plane = sample.image[0] - sample.image[0].min()
+    rows, columns = torch.meshgrid(*(torch.arange(n) + 0.5 for n in plane.shape), indexing="ij")
+    seen = [float((plane * axis).sum() / plane.sum()) for axis in (columns, rows)]
+    x, y, z = sample.translation.double().tolist()
+    fx, fy, cx, cy = sample.intrinsics.tolist()
+    return np.array(seen), np.array([fx * x / z + cx, fy * y / z + cy])
+
+
+@pytest.mark.parametrize("crop", ["random_crop", "turned_crop"])
+def test_a_crop_shows_the_object_where_label_and_intrinsics_have_it(beacon, crop):
+    still = dict.fromkeys(("brightness", "contrast", "saturation", "noise", "blur"), 0.0)
+    preprocessing = Preprocessing((96, 128), "center_crop")
+    plain = open_dataset("csv", beacon, "train", preprocessing)[0]
+    dataset = open_dataset(
+        "csv", beacon, "train", preprocessing, Augmentation(**still, **{crop: True})
+    )
+    shifts = []
+    for seed in range(8):
+        torch.manual_seed(seed)
+        sample = dataset[0]
+        seen, labeled = seen_and_labeled(sample)
+        np.testing.assert_allclose(seen, labeled, atol=0.1)
+        shifts.append(np.abs(seen - seen_and_labeled(plain)[0]).max())
+        same = {"random_crop": "translation", "turned_crop": "intrinsics"}[crop]
+        assert torch.equal(getattr(sample, same), getattr(plain, same))
+    assert max(shifts) > 4
 
 
 def test_all_is_every_split_in_order(root):

@@ -36,6 +36,14 @@ def graph_bytes(entries):
     return model.SerializeToString()
 
 
+@pytest.mark.parametrize("locates", ["object", "camera"])
+def test_entries_say_what_the_network_locates(locates):
+    metadata = replace(METADATA, locates=locates)
+    assert ModelMetadata.from_entries(metadata.to_entries()) == metadata
+    with pytest.raises(ValueError, match="locates: expected one of"):
+        ModelMetadata.from_entries(metadata.to_entries() | {"locates": "ship"})
+
+
 FILE = sealed(graph_bytes(METADATA.to_entries()))
 
 

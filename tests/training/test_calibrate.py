@@ -49,7 +49,13 @@ def split(seed, count=COUNT):
     q = np.roll(turn.as_quat(), 1, axis=1)
     shown = torch.full((count, 3, 2, 2), 0.8)
     for rows in np.split(np.arange(count), 4):
-        yield Sample(shown[rows], torch.tensor(t[rows]), torch.tensor(q[rows]), rows)
+        yield Sample(
+            shown[rows],
+            torch.tensor(t[rows]),
+            torch.tensor(q[rows]),
+            rows,
+            torch.ones(len(rows), 4),
+        )
 
 
 def absent(probability=0.2):

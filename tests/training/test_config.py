@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from jsonargparse import ArgumentParser
 
 from ffpose.errors import DataError
 from ffpose.models import PRESETS
@@ -94,3 +95,15 @@ def test_bad_values_are_refused(build, message):
 def test_the_configuration_alone_does_not_load_torch():
     code = "import sys; from ffpose.training import TrainConfig; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(("word", "white"), [("4095", 4095.0), ("p99.5", "p99.5")])
+def test_a_white_level_survives_the_command_line_and_yaml(tmp_path, word, white):
+    parser = ArgumentParser()
+    parser.add_class_arguments(TrainConfig)
+    words = ["--data.kind", "csv", "--data.root", "set", "--out", "run", "--data.white", word]
+    given = parser.instantiate(parser.parse_args(words))
+    assert given.data.white == white
+    path = tmp_path / "config.yaml"
+    path.write_text(dump_config(TrainConfig(**vars(given))))
+    assert load_config(path).data.white == white

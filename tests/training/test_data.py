@@ -75,7 +75,9 @@ def test_any_split_validates(scene):
     assert (len(data.train_set), len(data.val_set)) == (IMAGES, 2)
 
 
-@pytest.mark.parametrize("options", [{"holdout": 1}, {"holdout": -2}, {"white": 0.0}])
+@pytest.mark.parametrize(
+    "options", [{"holdout": 1}, {"holdout": -2}, {"white": 0.0}, {"white": "p0"}]
+)
 def test_bad_options_are_refused(own, options):
     with pytest.raises(ValueError, match=r"data\.(holdout|white): expected"):
         DataConfig("csv", own, **options)
@@ -115,6 +117,7 @@ def test_a_scene_trains_and_selects_by_its_spread(scene, tmp_path):
     assert evaluation.ranking.tolist() == np.argsort(ranked, kind="stable").tolist()
     assert errors.translation_m.max() < 20  # of the center, 374 m from the origin
     assert read_metadata(result.folder.best).data["kind"] == "cambridge"
+    assert read_metadata(result.folder.best).locates == "camera"
 
 
 def test_images_of_several_cameras_train(own, tmp_path):

@@ -1,5 +1,8 @@
 """Several processes that train together do what one does on the same batches."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import chain
 
@@ -9,14 +12,16 @@ from safetensors.torch import load_file
 
 from ffpose import DataError
 from ffpose.training import DataConfig, OptimizerConfig, Stage, train
+from ffpose.training.checkpoint import read_results
 from ffpose.training.config import TrainConfig
+from ffpose.training.config_file import dump_config
 from ffpose.training.processes import Processes, joined, started
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
 FIELDS = {**MODEL_FIELDS, "dropout": 0.0}
 
 # Batch norm counts in evaluation: its statistics would be those of each process's own half.
-STAGES = (Stage("branches", 2, freeze=("backbone",)),)
+STAGES = (Stage("branches", 7, freeze=("backbone",)),)
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +39,14 @@ def config_of(image_set, out, **fields):
 
 @pytest.mark.parametrize("accumulate", [1, 2])
 def test_two_processes_are_one_of_twice_the_batch(image_set, tmp_path, accumulate):
-    """Their means over halves of a batch have the mean of the whole."""
+    """Their means over halves of a batch have the mean of the whole: in 21 steps here."""
     alone = train(config_of(image_set, tmp_path / "one", batch_size=4), quiet=True)
     batch_size = 2 // accumulate
     together = config_of(
         image_set, tmp_path / "two", batch_size=batch_size, processes=2, accumulate=accumulate
     )
     both = train(together, quiet=True)
-    assert len(both.history) == 2
+    assert len(both.history) == 7
     for one, two in zip(alone.history, both.history, strict=True):
         for name in ("train_loss", "val_mean_translation_error_m", "val_median_rotation_error_deg"):
             assert two[name] == pytest.approx(one[name], rel=1e-5), name
@@ -67,3 +72,53 @@ def test_one_process_is_alone_and_starts_none(monkeypatch):
     with started(1, None), joined("cpu") as processes:
         assert processes == Processes(0, 1)
         assert not torch.distributed.is_initialized()
+
+
+WORKER = """
+import os, signal, sys, time
+from pathlib import Path
+from ffpose.training import train
+from ffpose.training.config_file import load_config
+from ffpose.training.processes import Processes
+
+average, steps = Processes.average_gradients, 0
+
+def until_killed(self, parameters):
+    global steps
+    steps += 1
+    if steps == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    average(self, parameters)
+
+if os.environ["TORCHELASTIC_RESTART_COUNT"] == "1":
+    time.sleep(float(os.environ["RANK"]))  # rank 0 is early, and looks for rank 1
+elif os.environ["RANK"] == "1":
+    Path(sys.argv[2]).touch()
+    Processes.average_gradients = until_killed
+train(load_config(Path(sys.argv[1])), resume=True, quiet=True)
+"""
+
+
+def test_a_killed_rank_is_restarted_and_the_run_finishes(image_set, tmp_path):
+    """Three steps an epoch: the second of two ranks is killed in the second epoch."""
+    config = config_of(image_set, tmp_path / "killed", batch_size=2)
+    (tmp_path / "config.yaml").write_text(dump_config(config))
+    (tmp_path / "worker.py").write_text(WORKER)
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    words = [str(tmp_path / name) for name in ("worker.py", "config.yaml", "begun")]
+    done = subprocess.run(
+        [sys.executable, *launch, "--max-restarts=1", *words],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "begun").exists()
+    whole = train(replace(config, out=tmp_path / "whole", processes=2), quiet=True)
+    rows = read_results(tmp_path / "killed/results.csv")
+    assert [row["epoch"] for row in rows] == [1, 2, 3, 4, 5, 6, 7]
+    for row, expected in zip(rows, whole.history, strict=True):
+        assert row["train_loss"] == pytest.approx(expected["train_loss"], rel=1e-5)
+    assert "exitcode: -9" in done.stderr

@@ -16,9 +16,9 @@ from torch.utils.data import Dataset
 from ffpose.datasets.cache import cached_frames
 from ffpose.datasets.records import Record
 from ffpose.datasets.targets import Target, to_pose, to_vector
-from ffpose.geometry import DistortedCamera, Pose
-from ffpose.preprocessing import Preprocessing, Window
-from ffpose.transforms import Augmentation, random_window, standardize
+from ffpose.geometry import Camera, DistortedCamera, Pose
+from ffpose.preprocessing import Preprocessing, planes
+from ffpose.transforms import Augmentation, crop_turn, random_window, standardize, turn_camera
 
 Part = str
 """Part of a set: the name of a split, or ``"all"`` for all of its splits joined."""
@@ -49,12 +49,15 @@ class Sample(NamedTuple):
             (`ffpose.datasets.targets`).
         orientation: Unit quaternion ``(w, x, y, z)``, ``w >= 0``, float32 ``(4,)``.
         index: Index of the sample in the dataset.
+        intrinsics: ``(fx, fy, cx, cy)`` of the camera that sees ``image``, in its pixels; float64
+            ``(4,)``. The camera's distortion, if it has any, is that of ``PoseDataset.records``.
     """
 
     image: Tensor
     translation: Tensor
     orientation: Tensor
     index: int  # type: ignore[assignment]  # hides tuple.index, which means nothing here
+    intrinsics: Tensor
 
 
 class PoseDataset(Dataset[Sample]):
@@ -97,9 +100,10 @@ class PoseDataset(Dataset[Sample]):
     ) -> None:
         if not records:
             raise ValueError("dataset: expected at least one record, got none")
-        if augmentation and augmentation.random_crop and preprocessing.mode != "center_crop":
+        if augmentation and augmentation.crops and preprocessing.mode != "center_crop":
+            crop = "random_crop" if augmentation.random_crop else "turned_crop"
             raise ValueError(
-                "augmentation: random_crop expects preprocessing of mode 'center_crop', "
+                f"augmentation: {crop} expects preprocessing of mode 'center_crop', "
                 f"got {preprocessing.mode!r}"
             )
         self.records, self.target = tuple(records), target
@@ -135,15 +139,14 @@ class PoseDataset(Dataset[Sample]):
         """
         index = range(len(self))[index]
         frame = self._frame(index) if self._frames is None else self._frames[index]
-        image = torch.from_numpy(self.preprocessing.cut(frame, self._window(frame)))
         pose = torch.from_numpy(self.poses[index]).float()
-        translation, orientation = pose[:3], pose[3:]
-        if self.augmentation is not None:
-            camera = self.preprocessing.camera(self.records[index].camera)
-            image, translation, orientation = self.augmentation(
-                image, translation, orientation, camera
-            )
-        return Sample(standardize(image, self.preprocessing), translation, orientation, index)
+        view, camera = self._view(frame, (pose[:3], pose[3:]), self.records[index].camera)
+        image, translation, orientation = (
+            view if self.augmentation is None else self.augmentation(*view, camera)
+        )
+        intrinsics = torch.tensor((camera.fx, camera.fy, camera.cx, camera.cy), dtype=torch.float64)
+        image = standardize(image, self.preprocessing)
+        return Sample(image, translation, orientation, index, intrinsics)
 
     def load_image(self, index: int) -> Image.Image:
         """Decode image ``index`` as RGB at its size on disk.
@@ -158,19 +161,29 @@ class PoseDataset(Dataset[Sample]):
         """Check that the images and labels are such that turning the camera keeps them true."""
         if self.target != "object":
             raise ValueError(
-                "augmentation: pan, tilt and roll keep an object's origin in view, and expect "
-                "labels that locate one, got labels that locate the camera"
+                "augmentation: pan, tilt, roll and turned_crop expect labels that locate an "
+                "object, got labels that locate the camera"
             )
         if any(isinstance(record.camera, DistortedCamera) for record in self.records):
             raise ValueError(
-                "augmentation: pan, tilt and roll expect cameras without distortion; "
+                "augmentation: pan, tilt, roll and turned_crop expect cameras without distortion; "
                 "--data.undistort undistorts the images"
             )
 
     def _frame(self, index: int) -> NDArray[np.uint8]:
         return self.preprocessing.frame(self.load_image(index))
 
-    def _window(self, frame: NDArray[np.uint8]) -> Window:
-        if self.augmentation is not None and self.augmentation.random_crop:
-            return random_window(self.preprocessing, frame.shape[:2])
-        return self.preprocessing.center_window(frame.shape[:2])
+    def _view(
+        self, frame: NDArray[np.uint8], label: tuple[Tensor, Tensor], camera: Camera
+    ) -> tuple[tuple[Tensor, Tensor, Tensor], Camera]:
+        """Crop a frame; return the crop in [0, 1], its label, and the camera that sees it."""
+        preprocessing, augmentation = self.preprocessing, self.augmentation
+        window, view = preprocessing.center_window(frame.shape[:2]), preprocessing.camera(camera)
+        if augmentation is not None and augmentation.crops:
+            window = random_window(preprocessing, frame.shape[:2])
+            crop = preprocessing.window_camera(camera, window)
+            if augmentation.turned_crop:
+                whole, image = preprocessing.frame_camera(camera), torch.from_numpy(planes(frame))
+                return turn_camera(image, *label, whole, crop_turn(whole, crop, view), view), view
+            view = crop
+        return (torch.from_numpy(preprocessing.cut(frame, window)), *label), view

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from PIL import Image
 
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, DistortedCamera, Pose
-from ffpose.images import DEEP_MODES, MODES, open_image, to_rgb
+from ffpose.images import DEEP_MODES, MODES, check_white, open_image, to_rgb
 from ffpose.undistortion import undistort
 
 
@@ -23,18 +22,19 @@ class Decoding:
     Attributes:
         undistort: Undistort the images of cameras with distortion.
         white: Level that becomes 255 in monochrome images of more than 8 bits, such as 4095 for 12
-            bits; None for images of 8 bits.
+            bits, or the percentile of each image's own levels, such as ``"p99.5"``; None for images
+            of 8 bits.
 
     Raises:
-        ValueError: ``white`` is not a positive number.
+        ValueError: ``white`` is neither a positive number nor a percentile.
     """
 
     undistort: bool = False
-    white: float | None = None
+    white: float | str | None = None
 
     def __post_init__(self) -> None:
-        if self.white is not None and not 0 < self.white < math.inf:
-            raise ValueError(f"white: expected a positive level, got {self.white}")
+        if self.white is not None:
+            check_white("white", self.white)
 
 
 AS_ON_DISK = Decoding()
@@ -55,7 +55,7 @@ class Record:
         raw_quaternion: The quaternion ``(w, x, y, z)`` as in the file, before the reader normalizes
             it and `Pose` chooses its sign; None for a label that comes from no quaternion.
         lens: Camera of the file, where decoding undistorts it; None where it does not.
-        white: Level that becomes 255, as for `Decoding`.
+        white: Level or percentile that becomes 255, as for `Decoding`.
     """
 
     image: Path
@@ -66,7 +66,7 @@ class Record:
     line: int
     raw_quaternion: tuple[float, float, float, float] | None = None
     lens: DistortedCamera | None = None
-    white: float | None = None
+    white: float | str | None = None
 
     def decoded_by(self, decoding: Decoding) -> Record:
         """Return the record whose image is decoded as ``decoding`` says."""

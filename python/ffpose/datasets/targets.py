@@ -10,15 +10,12 @@ to the world's arbitrary origin.
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ffpose.geometry import FloatArray, Pose, rotation_matrix
+from ffpose.geometry import FloatArray, Pose, Target, camera_pose
 
-Target = Literal["object", "camera"]
-"""What labels locate: the object in the camera frame, or the camera in the world."""
+__all__ = ["Target", "camera_pose", "spread", "to_pose", "to_vector"]
 
 
 def to_vector(pose: Pose, target: Target) -> FloatArray:
@@ -39,25 +36,6 @@ def to_pose(vector: ArrayLike, target: Target) -> Pose:
         return Pose.from_vector(vector)
     values = np.asarray(vector, np.float64)
     return camera_pose(values[..., :3], values[..., 3:])
-
-
-def camera_pose(center: ArrayLike, q: ArrayLike) -> Pose:
-    """Return the pose of the world in the frame of a camera.
-
-    Args:
-        center: Center of the camera in the world ``(3,)``, meters.
-        q: Unit quaternion ``(4,)``, ``(w, x, y, z)``, from the world to the camera frame.
-
-    Raises:
-        TypeError: The values are not real numbers.
-        ValueError: As `Pose`.
-
-    Example:
-        >>> camera_pose([0, 0, -4], [1, 0, 0, 0]).transform([0.0, 0.0, 0.0]).tolist()
-        [0.0, 0.0, 4.0]
-    """
-    still = Pose(center, q)  # checks both
-    return Pose(-rotation_matrix(still.q) @ still.t, still.q)
 
 
 def spread(vectors: FloatArray) -> float:

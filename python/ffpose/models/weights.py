@@ -14,7 +14,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
@@ -24,7 +24,7 @@ from ffpose import __version__
 from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type
 from ffpose.errors import DataError
 from ffpose.files import atomic_write, sha256
-from ffpose.geometry import Camera
+from ffpose.geometry import Camera, Target
 from ffpose.models.compact_resnet import EXTRA_PART
 from ffpose.models.pretrained import BackboneSource
 from ffpose.models.zoo import resolve
@@ -53,12 +53,13 @@ class WeightsMetadata:
         recipe: Training configuration as a JSON document: loss, optimizer, augmentation, stages,
             seed, steps.
         data: Training data as a JSON document: name, ``count``, ``digest``, and ``image_size``, the
-            ``[width, height]`` of the images before preprocessing.
+            ``[width, height]`` of the images before preprocessing; ``locates`` is `locates`.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
         version: Version of ffpose that wrote the file.
 
     Raises:
-        ValueError: ``in_view_threshold`` is not a probability, or ``image_size`` is invalid.
+        ValueError: ``in_view_threshold`` is not a probability, or ``image_size`` or ``locates`` is
+            invalid.
     """
 
     config: NetworkConfig
@@ -78,6 +79,14 @@ class WeightsMetadata:
                 pass
             case other:
                 raise ValueError(f"data: expected image_size [width, height], got {other!r}")
+        if self.locates not in get_args(Target):
+            raise ValueError(f"data: expected locates object or camera, got {self.locates!r}")
+
+    @property
+    def locates(self) -> Target:
+        """What the network locates; an object, where ``data`` does not say."""
+        target: Target = (self.data or {}).get("locates", "object")
+        return target
 
     @property
     def camera(self) -> Camera | None:

@@ -4,7 +4,8 @@ Each is a string: ``ffpose_format`` (of these entries), ``ffpose_version``, ``ar
 ``quaternion_order``, ``filter``, ``weights_sha256``; and, as JSON, ``config``, ``preprocessing``,
 ``camera`` (of the images trained on), ``view_camera`` (of the network's input) and
 ``in_view_threshold``. A graph in int8 has ``precision`` and ``calibration_sha256`` too: of the
-SHA-256s in hexadecimal, one behind the other, of the images that it was calibrated with.
+SHA-256s in hexadecimal, one behind the other, of the images that it was calibrated with. A graph
+that locates the camera in the world has ``locates``, ``camera``.
 
 The last record of the file is the entry ``ffpose_sha256``: the SHA-256 of all bytes before it, by
 which an altered file is known, with nothing beside it. ONNX is protobuf, whose records may stand in
@@ -24,7 +25,7 @@ from typing import Any, Literal, get_args
 from ffpose import __version__
 from ffpose.config import NetworkConfig, config_type
 from ffpose.errors import DataError
-from ffpose.geometry import Camera
+from ffpose.geometry import Camera, Target
 from ffpose.preprocessing import Preprocessing
 
 FORMAT = 1
@@ -58,6 +59,7 @@ class ModelMetadata:
         version: Of ffpose that wrote the graph.
         precision: Of its convolutions and matrix products.
         calibration_sha256: Of the calibration images of a graph in int8.
+        locates: What the network locates.
     """
 
     config: NetworkConfig
@@ -69,6 +71,7 @@ class ModelMetadata:
     version: str = __version__
     precision: Precision = "float32"
     calibration_sha256: str | None = None
+    locates: Target = "object"
 
     def to_entries(self) -> dict[str, str]:
         """Return the entries but for the checksum."""
@@ -88,6 +91,7 @@ class ModelMetadata:
             "weights_sha256": self.weights_sha256 or "",
             "config": self.config.to_json(),
             **self._int8_entries(),
+            **({} if self.locates == "object" else {"locates": self.locates}),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
         }
 
@@ -112,6 +116,9 @@ class ModelMetadata:
         if precision not in get_args(Precision):
             known = get_args(Precision)
             raise ValueError(f"precision: expected one of {known}, got {precision!r}")
+        locates: Any = entries.get("locates", "object")
+        if locates not in get_args(Target):
+            raise ValueError(f"locates: expected one of {get_args(Target)}, got {locates!r}")
         camera = json.loads(entries["camera"])
         filter: Any = entries["filter"]
         return cls(
@@ -124,6 +131,7 @@ class ModelMetadata:
             entries["ffpose_version"],
             precision,
             entries.get("calibration_sha256") or None,
+            locates,
         )
 
 

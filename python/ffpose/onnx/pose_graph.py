@@ -90,6 +90,7 @@ def graph_entries(weights: str | Path) -> Callable[[Filter], dict[str, str]]:
             source.camera,
             source.in_view_threshold,
             digest,
+            locates=source.locates,
         ).to_entries()
 
     return entries

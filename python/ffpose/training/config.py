@@ -6,11 +6,11 @@ the paper (section 4.3) where it states a value.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from ffpose.images import check_white
 from ffpose.training.stages import JOINT_STAGE, Stage
 
 TEST_SEEDS = 1_000_000
@@ -45,7 +45,8 @@ class DataConfig:
             and leave it out of training; 0 leaves none out.
         undistort: Whether to undistort the images of cameras with distortion.
         white: Level that becomes white in monochrome images of more than 8 bits, such as 4095 for
-            12 bits; None for images of 8 bits.
+            12 bits, or the percentile of each image's own levels, such as "p99.5"; None for images
+            of 8 bits.
         scene: For kind "scenes": name of the rendered set, or several joined by a plus; validation
             uses the first.
         count: For kind "scenes": number of training images of each set.
@@ -70,7 +71,7 @@ class DataConfig:
     val_split: str = "val"
     holdout: int = 0
     undistort: bool = False
-    white: float | None = None
+    white: float | str | None = None
     scene: str = "soyuz_hard"
     count: int = 10000
     validation: int = 200
@@ -84,8 +85,8 @@ class DataConfig:
     def __post_init__(self) -> None:
         _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
         _expect(self.holdout == 0 or self.holdout > 1, "data.holdout", "0, 2 or more", self.holdout)
-        usable = self.white is None or 0 < self.white < math.inf
-        _expect(usable, "data.white", "a positive level", self.white)
+        if self.white is not None:
+            check_white("data.white", self.white)
         _expect(self.count >= 1, "data.count", "1 or more", self.count)
         _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
         for name in ("empty", "decoys", "cut", "randomized"):

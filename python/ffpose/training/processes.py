@@ -19,6 +19,8 @@ from typing import Any
 
 import torch
 from torch import Tensor, distributed, nn
+from torch.distributed.distributed_c10d import PrefixStore, Store
+from torch.distributed.rendezvous import rendezvous
 
 ENVIRONMENT = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 """The variables of ``torchrun`` that are read."""
@@ -100,11 +102,26 @@ def joined(device: str) -> Iterator[Processes]:
     gpu = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
     if gpu:
         torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
-    distributed.init_process_group("nccl" if gpu else "gloo")
+    distributed.init_process_group(
+        "nccl" if gpu else "gloo", store=_store(), rank=int(os.environ["RANK"]), world_size=world
+    )
     try:
         yield current()
     finally:
         distributed.destroy_process_group()
+
+
+def _store() -> Store:
+    """Return the store in which the processes of this start find each other.
+
+    ``torchrun`` keeps one store over its restarts of a group (PyTorch issue 135712): a process that
+    is early would find the addresses of those that ended, and wait for them. On one machine the
+    starts are counted; on several the counts differ, and docs/training.md names the remedy.
+    """
+    store: Store = next(iter(rendezvous("env://")))[0]
+    start = os.environ.get("TORCHELASTIC_RESTART_COUNT", "0")
+    one_machine = os.environ.get("LOCAL_WORLD_SIZE") == os.environ["WORLD_SIZE"]
+    return PrefixStore(start, store) if one_machine else store
 
 
 def current() -> Processes:

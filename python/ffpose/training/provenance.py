@@ -31,7 +31,7 @@ def recipe(config: TrainConfig) -> dict[str, Any]:
 
 
 def describe_data(dataset: PoseDataset, kind: str) -> dict[str, Any]:
-    """Describe the images of a run: kind, number, size, and a digest.
+    """Describe the images of a run: kind, what labels locate, number, size, and a digest.
 
     The digest is the SHA-256, in hexadecimal, of the concatenation over all images of the name, a
     newline, and the label ``[t, q]`` as little-endian float64.
@@ -41,6 +41,7 @@ def describe_data(dataset: PoseDataset, kind: str) -> dict[str, Any]:
         digest.update(f"{name}\n".encode() + pose.astype("<f8").tobytes())
     return {
         "kind": kind,
+        "locates": dataset.target,
         "count": len(dataset),
         "image_size": None if dataset.image_size is None else list(dataset.image_size),
         "digest": digest.hexdigest(),
