@@ -119,7 +119,7 @@ def test_levels_of_sixteen_bits_are_scaled_by_the_stated_white(root):
 
 
 def test_levels_of_sixteen_bits_are_scaled_by_a_percentile_of_their_image(root):
-    """Of levels 1 to 3072, the median is 1536.5, and 99 % of the way from first to last 3041.29."""
+    """The levels are 1 to 3072: their median is 1536.5, their 99th percentile 3041.29."""
     levels = np.arange(1, 48 * 64 + 1, dtype=np.uint16).reshape(48, 64)
     Image.fromarray(levels).save(root / "a/0.png")
     for white, level in (("p50", 1536.5), ("p99", 3041.29), ("p100", 3072), ("p0.1", 4.071)):

@@ -139,10 +139,15 @@ def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
 
 def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:
     """Sample images ``(B, C, H, W)`` at ``pixels (B, h, w, 2)``; zero outside."""
-    height, width = image.shape[-2:]
-    scale = pixels.new_tensor((2 / width, 2 / height))
-    grid = (pixels * scale - 1).to(image.dtype)
-    return F.grid_sample(image, grid, mode=mode, align_corners=False)
+    u, v = pixels.unbind(-1)
+    return _sample_planes(image, u, v, mode)
+
+
+def _sample_planes(image: Tensor, u: Tensor, v: Tensor, mode: str = "bilinear") -> Tensor:
+    """Sample images as `sample`, at the coordinates ``u`` and ``v``, each ``(B, h, w)``."""
+    rows, columns = image.shape[-2:]
+    grid = torch.stack((u * (2 / columns) - 1, v * (2 / rows) - 1), dim=-1)
+    return F.grid_sample(image, grid.to(image.dtype), mode=mode, align_corners=False)
 
 
 def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:
@@ -204,11 +209,9 @@ def look_into(
     # Half a pixel outside a level there are zeros, as everywhere beyond.
     u = torch.minimum((u * scale).clamp_min(-0.5), right + 0.5)
     v = torch.minimum((v * scale).clamp_min(-0.5), bottom + 0.5) + first
-    count, _, rows, columns = pyramid.images.shape
     height, width = view.size
-    grid = torch.stack((u * (2 / columns) - 1, v * (2 / rows) - 1), dim=-1)
-    grid = grid.view(count, views * height, width, 2)  # the views of an image below each other
-    seen = F.grid_sample(pyramid.images, grid.to(pyramid.images.dtype), align_corners=False)
+    below = (pyramid.images.shape[0], views * height, width)  # the views of an image
+    seen = _sample_planes(pyramid.images, u.view(below), v.view(below))
     return torch.unflatten(seen, 2, (views, height)).transpose(1, 2).flatten(0, 1)
 
 

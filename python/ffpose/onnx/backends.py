@@ -153,7 +153,10 @@ class OpenVinoSession:
             graph = core.read_model(str(model))
             self.compiled = core.compile_model(graph, "CPU", settings)
         except RuntimeError as error:
-            raise RuntimeError(f"OpenVINO cannot load {model}: {error}") from error
+            raise RuntimeError(
+                f"OpenVINO cannot load {model}; it takes graphs of standard operators, as"
+                f" `ffpose export --filter matmul` writes them: {error}"
+            ) from error
         # The compiled graph's outputs bear names of what was fused into them as well.
         self.outputs = [output.any_name for output in graph.outputs]
 

@@ -14,7 +14,7 @@ pub(crate) struct SquareOrder<T> {
     /// The place of each column frequency.
     outputs: Vec<usize>,
     blocks: usize,
-    /// Of weight and gradient alike.
+    /// Factors on the weight, and on its gradient.
     scales: Scales<T>,
 }
 

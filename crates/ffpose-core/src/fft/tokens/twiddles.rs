@@ -4,9 +4,9 @@ use super::groups::HALVES;
 use crate::fft::codelets::{Codelet, TurnedDft, root};
 use crate::simd::Element;
 
-/// What [`super::groups::Filter`] multiplies by, as vectors of real parts and vectors of imaginary ones: `exp(-2πi y / L)` for `y < J = L / 2`,
-/// and for each group of `rows` rows its halfway, its factors and its factors of the way back, which has the norm
-/// of images of `points` lines.
+/// The twiddle factors of [`super::groups::Filter`], as vectors of real and vectors of imaginary parts: `exp(-2πi y / L)` for
+/// `y < J = L / 2`, and for each group of `rows` rows its halfway, its factors, and those of the inverse transform, which are
+/// normalized for `points` lines.
 pub(super) fn twiddles<T: Element>(
     [points, width]: [usize; 2],
     lanes: usize,
