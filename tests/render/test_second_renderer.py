@@ -20,6 +20,8 @@ from ffpose.render.shading.view import View
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed")
 mi.set_variant("scalar_rgb")
 
+pytestmark = pytest.mark.peer
+
 WIDTH, HEIGHT = 160, 120
 SQUARE_PIXELS = Camera(1280, 960, 640.0, 640.0, 640.0, 480.0)
 """The only ones that Mitsuba has."""

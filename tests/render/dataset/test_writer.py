@@ -352,6 +352,7 @@ def test_workers_end_with_their_parent_and_the_next_run_carries_on(folder, tmp_p
     assert contents(tmp_path / "set") == contents(folder)
 
 
+@pytest.mark.peer
 @pytest.mark.skipif(find_spec("ray") is None, reason="the extra `ray` is not installed")
 @pytest.mark.filterwarnings("ignore")  # Ray's own
 def test_ray_does_not_change_a_byte(tmp_path):
