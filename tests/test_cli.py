@@ -319,6 +319,27 @@ def test_an_unknown_option_is_one_line_with_what_was_meant(option, meant, image_
     assert f"unrecognized arguments: {option} 4 (did you mean {meant}?)" in line
 
 
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        (
+            "data: {holdot: 5}",
+            "Group 'data' does not accept option 'holdot' (did you mean data.hold",
+        ),
+        ("batch_sise: 3", "Option 'batch_sise' is not accepted (did you mean batch_size?)"),
+    ],
+)
+def test_an_unknown_field_of_a_config_is_one_line_with_what_was_meant(
+    text, meant, tmp_path, capsys
+):
+    (tmp_path / "run.yaml").write_text(text)
+    with pytest.raises(SystemExit) as leaving:
+        main(["train", "--config", str(tmp_path / "run.yaml"), "--out", "x"])
+    assert leaving.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert meant in line
+
+
 @pytest.mark.parametrize("workers", [0, 1])
 def test_a_broken_image_is_one_line_whoever_reads_it(workers, tmp_path, capsys):
     root = write_set(tmp_path / "set")
@@ -404,6 +425,16 @@ def test_interruption_is_said_and_code_1(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("ffpose.render.dataset.writer.write_dataset", interrupt)
     assert main(["render", "soyuz_easy", "--out", str(tmp_path), "--count", "1"]) == 1
     assert "interrupted" in capsys.readouterr().err
+
+
+def test_an_interrupted_training_says_how_to_continue(image_set, monkeypatch, capsys, tmp_path):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ffpose.training.engine.train", interrupt)
+    assert main(train_words(image_set, tmp_path / "run")) == 1
+    said = capsys.readouterr().err
+    assert f"finished epochs are saved in {tmp_path / 'run'}; continue with --resume" in said
 
 
 def test_image_size():

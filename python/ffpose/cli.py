@@ -8,7 +8,6 @@ Imports are deferred until a command runs, so that ``ffpose --help`` is fast and
 from __future__ import annotations
 
 import argparse
-import difflib
 import json
 import re
 import sys
@@ -18,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ffpose.errors import MissingExtraError, require, without_traceback
+from ffpose.errors import MissingExtraError, hint, require, without_traceback
 from ffpose.files import expect_folder
 from ffpose.recipes import Kind, recipe_file, recipe_names
 
@@ -196,7 +195,11 @@ def train(options: Namespace) -> None:
     resume = fields.pop("resume")
     for name in ("config", "recipe", "transforms"):  # they have become fields
         fields.pop(name)
-    result = run(TrainConfig(**fields), resume=resume)
+    try:
+        result = run(TrainConfig(**fields), resume=resume)
+    except KeyboardInterrupt:
+        say(f"ffpose: finished epochs are saved in {options.out}; continue with --resume")
+        raise
     if result.leads:
         save_figure(training_curves(result.history), result.folder.curves)
         say(f"best epoch {result.best_epoch}: {result.folder.best}")
@@ -577,11 +580,18 @@ def advice(message: str, known: Sequence[str]) -> str:
     Examples:
         >>> advice("unrecognized arguments: --batch-size 4", ["--out", "--batch_size"])
         'unrecognized arguments: --batch-size 4 (did you mean --batch_size?)'
+        >>> advice("Group 'data' does not accept option 'holdot'", ["--data.holdout"])
+        "Group 'data' does not accept option 'holdot' (did you mean data.holdout?)"
     """
     line = " ".join(message.split())
-    unknown = re.search(r"(?i)unrecognized arguments: (--[^\s=]+)", line)
-    close = difflib.get_close_matches(unknown[1], known, n=1) if unknown else []
-    return f"{line} (did you mean {close[0]}?)" if close else line
+    if unknown := re.search(r"(?i)unrecognized arguments: (--[^\s=]+)", line):
+        return line + hint(unknown[1], known)
+    fields = [name.removeprefix("--") for name in known]
+    if unknown := re.search(r"Group '(.+)' does not accept option '(.+)'", line):
+        return line + hint(f"{unknown[1]}.{unknown[2]}", fields)
+    if unknown := re.search(r"Option '(.+)' is not accepted", line):
+        return line + hint(unknown[1], fields)
+    return line
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -6,7 +6,9 @@ All other errors are Python's own: `ValueError` for a shape or value, `TypeError
 
 from __future__ import annotations
 
+import difflib
 import importlib
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 
@@ -45,6 +47,19 @@ class MissingExtraError(ImportError):
             f"this part of ffpose needs {package}, of the extra [{extra}]; install it with: pip "
             f"install 'WHEEL[{extra}]', WHEEL being the file that `make wheel` leaves in dist/"
         )
+
+
+def hint(unknown: str, known: Iterable[str]) -> str:
+    """Return the most similar of the known names as a question; nothing where none is similar.
+
+    Examples:
+        >>> hint("depht", ["depth", "dim"])
+        ' (did you mean depth?)'
+        >>> hint("colour", ["depth", "dim"])
+        ''
+    """
+    close = difflib.get_close_matches(unknown, list(known), n=1)
+    return f" (did you mean {close[0]}?)" if close else ""
 
 
 def without_traceback(text: str) -> str:

@@ -67,7 +67,7 @@ def test_refused_values(name, value, text):
     [
         ("[]", "expected a JSON object, got list"),
         ("{", "Expecting property name"),
-        ('{"depht": 3}', r"expected fields out of .*depth.*got \['depht'\]"),
+        ('{"depht": 3}', r"fields out of .*depth.*got depht \(did you mean depth\?\)"),
         ('{"depth": -3}', "depth: expected"),
     ],
 )

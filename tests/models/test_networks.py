@@ -98,7 +98,7 @@ def test_an_unknown_architecture_or_preset_is_told_the_names():
         ("ursonet", {"smoothing": 0.0}, "smoothing: expected a finite number above 0, got 0.0"),
         ("ursonet", {"hidden": 1.5}, "hidden: expected a whole number, at least 1, got 1.5"),
         ("ursonet", {"image_size": (24, 64)}, "image_size: expected each at least 32"),
-        ("ursonet", {"depth": 3}, r"expected fields out of .*bins_per_dim.*got \['depth'\]"),
+        ("ursonet", {"depth": 3}, r"expected fields out of .*bins_per_dim.*got depth$"),
         ("posenet", {"beta": -1.0}, "beta: expected a finite number above 0, got -1.0"),
         ("posenet", {"dropout": 1.0}, "dropout: expected 0 <= dropout < 1, got 1.0"),
     ],

@@ -153,8 +153,8 @@ def test_a_run_is_not_overwritten(image_set, tmp_path):
 def test_resume_refuses_another_configuration(image_set, tmp_path):
     config = train_config(image_set, tmp_path / "run", epochs=1)
     run_quietly(config)
-    with pytest.raises(ValueError, match=r"expected seed=0 .*got 1"):
-        run_quietly(replace(config, seed=1), resume=True)
+    with pytest.raises(ValueError, match=r"batch_size: expected 4, got 2; seed: expected 0, got 1"):
+        run_quietly(replace(config, seed=1, batch_size=2), resume=True)
     with pytest.raises(ValueError, match="expected stages that begin with the 1 finished"):
         run_quietly(replace(config, stages=(Stage("other", 2),)), resume=True)
 
@@ -191,12 +191,22 @@ def test_tuples_among_the_model_fields_resume(image_set, tmp_path):
     assert len(run_quietly(replace(config, epochs=2), resume=True).history) == 2
 
 
-def test_resume_refuses_a_truncated_state(image_set, tmp_path):
+def cut(data):
+    return data[:-1000]
+
+
+def flip_one_bit(data):
+    middle = len(data) // 2  # within the weights, where no format would notice
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+
+
+@pytest.mark.parametrize("damage", [cut, flip_one_bit])
+def test_resume_refuses_a_damaged_state(image_set, tmp_path, damage):
     config = train_config(image_set, tmp_path / "run", epochs=1)
     run_quietly(config)
     state = config.out / "state.pt"
-    state.write_bytes(state.read_bytes()[:-1000])
-    with pytest.raises(DataError, match=r"state\.pt: not a checkpoint"):
+    state.write_bytes(damage(state.read_bytes()))
+    with pytest.raises(DataError, match=r"state\.pt: damaged, or not a checkpoint"):
         run_quietly(config, resume=True)
 
 
@@ -243,6 +253,53 @@ def test_frozen_parts_do_not_change(image_set, tmp_path):
     changed = {name for name in before if not torch.equal(before[name], after[name])}
     assert changed
     assert all(name.startswith("translation_branch") for name in changed)
+
+
+@pytest.fixture
+def best_at_first(monkeypatch):
+    """Scores that rise from epoch to epoch."""
+    monkeypatch.setattr(
+        "ffpose.training.engine._scores", lambda _, state: list(range(len(state.history)))
+    )
+
+
+TWO_STAGES = (Stage("joint", 2), Stage("translation", 2, ("backbone", "orientation_branch")))
+
+
+@pytest.mark.parametrize("ema", [0.0, 0.9])
+def test_a_stage_starts_from_the_best_weights_so_far(image_set, tmp_path, best_at_first, ema):
+    config = train_config(image_set, tmp_path / "run", epochs=None, stages=TWO_STAGES, ema=ema)
+    result = run_quietly(config)
+    assert result.best_epoch == 1
+    best, last = (load_file(config.out / f"{name}.safetensors") for name in ("best", "last"))
+    changed = {name for name in best if not torch.equal(best[name], last[name])}
+    assert changed
+    assert all(name.startswith("translation_branch") for name in changed)
+
+
+def test_a_run_resumed_between_two_stages_equals_an_uninterrupted_one(
+    image_set, tmp_path, best_at_first
+):
+    whole = train_config(image_set, tmp_path / "whole", epochs=None, stages=TWO_STAGES, ema=0.9)
+    run_quietly(whole)
+    part = replace(whole, out=tmp_path / "part")
+    for stages in (TWO_STAGES[:1], (TWO_STAGES[0], replace(TWO_STAGES[1], epochs=1)), TWO_STAGES):
+        run_quietly(replace(part, stages=stages), resume=(part.out / "state.pt").exists())
+    assert same_files(whole.out, part.out)
+    assert without_times(whole.out / "results.csv") == without_times(part.out / "results.csv")
+
+
+def test_the_learned_weight_of_a_frozen_branch_stays(image_set, tmp_path):
+    result = run_quietly(train_config(image_set, tmp_path, epochs=None, stages=TWO_STAGES))
+    s_q, s_t = ([row[name] for row in result.history] for name in ("s_q", "s_t"))
+    assert s_q[1] == s_q[2] == s_q[3] != s_q[0]
+    assert len(set(s_t)) == 4
+
+
+def test_training_without_progress_ends_early(image_set, tmp_path, best_at_first):
+    config = train_config(image_set, tmp_path, epochs=50, patience=2)
+    assert len(run_quietly(config).history) == 3
+    assert len(run_quietly(replace(config, patience=3), resume=True).history) == 4
 
 
 @pytest.fixture
@@ -421,9 +478,11 @@ def test_weight_decay_is_part_of_the_gradient_or_apart_from_it(kind, expected):
     assert (loss.s_t.item(), loss.s_q.item()) == (-3.0, -6.5)
 
 
-@pytest.mark.parametrize("bad", [{"rol": 10}, {"roll": "ten"}])
-def test_unknown_augmentation_lists_the_known(image_set, tmp_path, bad):
+@pytest.mark.parametrize(
+    ("bad", "got"), [({"rol": 10}, r"rol \(did you mean roll\?\)"), ({"roll": "ten"}, "{.roll")]
+)
+def test_unknown_augmentation_lists_the_known(image_set, tmp_path, bad, got):
     config = train_config(image_set, tmp_path / "run")
     config = replace(config, data=replace(config.data, augmentation=bad))
-    with pytest.raises(ValueError, match=r"data\.augmentation: expected .*roll.* got \{'rol"):
+    with pytest.raises(ValueError, match=rf"data\.augmentation: expected .*roll.* got {got}"):
         run_quietly(config)

@@ -1,8 +1,11 @@
+from itertools import repeat
+
 import pytest
 from torch import nn
 
 from ffpose.config import CONFIGS, PRESETS
-from ffpose.training.stages import PAPER_STAGES, Stage, check_stages, enter_stage, plan
+from ffpose.losses import PoseLoss
+from ffpose.training.stages import PAPER_STAGES, Stage, check_stages, enter_stage, next_epoch
 
 
 class Parts(nn.Module):
@@ -23,18 +26,72 @@ def test_the_papers_stages():
         ("translation", 150),
         ("orientation", 150),
     ]
-    assert len(plan(PAPER_STAGES)) == 800
 
 
-def test_plan_counts_through_all_stages():
-    epochs = plan((Stage("a", 2), Stage("b", 1)))
-    assert [epoch.number for epoch in epochs] == [1, 2, 3]
+def run_through(stages, scores, patience=0):
+    """The epochs of a run whose validation gives these scores in turn."""
+    epochs, finished = [], []
+    while (epoch := next_epoch(stages, finished, patience)) is not None:
+        epochs.append(epoch)
+        finished.append((epoch.stage.name, next(scores)))
+    return epochs
+
+
+def test_epochs_count_through_all_stages():
+    epochs = run_through((Stage("a", 2), Stage("b", 1)), repeat(0.0))
+    assert [(epoch.number, epoch.stage.name, epoch.index) for epoch in epochs] == [
+        (1, "a", 0),
+        (2, "a", 1),
+        (3, "b", 0),
+    ]
     assert [epoch.opens_stage for epoch in epochs] == [True, False, True]
+    assert len(run_through(PAPER_STAGES, repeat(0.0))) == 800
+
+
+@pytest.mark.parametrize(
+    ("patience", "names"), [(0, "aaaaab"), (1, "aaab"), (2, "aaaaab"), (3, "aaaaab")]
+)
+def test_a_stage_ends_early_once_its_score_falls_no_more(patience, names):
+    scores = iter([0.5, 0.4, 0.6, 0.3, 0.9, 0.0])
+    epochs = run_through((Stage("a", 5), Stage("b", 1)), scores, patience)
+    assert "".join(epoch.stage.name for epoch in epochs) == names
+    assert [epoch.number for epoch in epochs] == list(range(1, len(names) + 1))
+
+
+@pytest.mark.parametrize(
+    "finished",
+    [
+        [("b", 0.0)],
+        [("a", 0.0), ("b", 0.0)],
+        [("a", 0.0)] * 3,
+        [("a", 0.0)] * 2 + [("b", 0.0)] * 2,
+        [("a", 0.0)] * 2 + [("b", 0.0), ("c", 0.0)],
+    ],
+)
+def test_finished_epochs_of_other_stages_are_refused(finished):
+    expected = rf"begin with the {len(finished)} finished epochs, got a \(2\), b \(1\)"
+    with pytest.raises(ValueError, match=expected):
+        next_epoch((Stage("a", 2), Stage("b", 1)), finished)
+
+
+def test_stages_of_one_name_are_refused():
+    with pytest.raises(ValueError, match="stages: expected names that differ, got a, a"):
+        check_stages(CONFIGS["base"].parts, (Stage("a", 1), Stage("a", 2)))
+
+
+@pytest.mark.parametrize(
+    ("stage", "learned"), list(zip(PAPER_STAGES, ("s_t s_q", "s_t", "s_q"), strict=True))
+)
+def test_the_weight_of_a_frozen_branch_is_frozen(stage, learned):
+    loss = PoseLoss()
+    enter_stage(Parts(), loss, PAPER_STAGES[1])
+    enter_stage(Parts(), loss, stage)
+    assert [n for n, w in loss.named_parameters() if w.requires_grad] == learned.split()
 
 
 def test_a_frozen_part_gets_no_gradient_and_stands_in_evaluation():
     model = Parts()
-    enter_stage(model, PAPER_STAGES[1])
+    enter_stage(model, PoseLoss(), PAPER_STAGES[1])
     assert trainable(model) == {"translation_branch"}
     assert model.translation_branch.training
     assert not any(module.training for module in model.backbone.modules())
@@ -43,10 +100,10 @@ def test_a_frozen_part_gets_no_gradient_and_stands_in_evaluation():
 
 def test_the_next_stage_thaws_what_it_does_not_freeze():
     model = Parts()
-    enter_stage(model, PAPER_STAGES[1])
-    enter_stage(model, PAPER_STAGES[2])
+    enter_stage(model, PoseLoss(), PAPER_STAGES[1])
+    enter_stage(model, PoseLoss(), PAPER_STAGES[2])
     assert trainable(model) == {"orientation_branch"}
-    enter_stage(model, PAPER_STAGES[0])
+    enter_stage(model, PoseLoss(), PAPER_STAGES[0])
     assert trainable(model) == {"backbone", "translation_branch", "orientation_branch"}
     assert all(module.training for module in model.modules())
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from ffpose.errors import hint
 from ffpose.training.config import TrainConfig
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def changed(config: Config, changes: Mapping[str, Any], place: str = "") -> Conf
         place: Dotted name of ``config``, for the error.
 
     Raises:
-        ValueError: A field that there is not, with the nearest that there is.
+        ValueError: A field that there is not, with the most similar that there is.
 
     Examples:
         >>> from ffpose.training.config import DataConfig
@@ -120,8 +120,8 @@ def changed(config: Config, changes: Mapping[str, Any], place: str = "") -> Conf
     values = {}
     for name, value in changes.items():
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1) or [", ".join(known)]
-            raise ValueError(f"changes: expected a field such as {place}{near[0]}, got {name!r}")
+            expected = f"expected one of {place}{{{', '.join(known)}}}"
+            raise ValueError(f"changes: {expected}, got {name!r}{hint(name, known)}")
         values[name] = _value(getattr(config, name), value, f"{place}{name}")
     return replace(config, **values)
 

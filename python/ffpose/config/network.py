@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
+from ffpose.errors import hint
 from ffpose.geometry import Camera
 
 
@@ -131,7 +132,8 @@ class NetworkConfig:
         known = [field.name for field in fields(cls)]
         unknown = sorted(set(values) - set(known))
         if unknown:
-            raise ValueError(f"config: expected fields out of {', '.join(known)}; got {unknown}")
+            got = ", ".join(f"{name}{hint(name, known)}" for name in unknown)
+            raise ValueError(f"config: expected fields out of {', '.join(known)}; got {got}")
 
     def to_json(self) -> str:
         """Return a JSON object with all fields."""

@@ -9,7 +9,8 @@ same contents.
 from __future__ import annotations
 
 import csv
-import pickle
+import hashlib
+import io
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,8 +25,20 @@ from ffpose.training.config_file import dump_config, flatten, load_config
 Row = dict[str, float | str]
 """One epoch in the table of results, value by column name."""
 
-FREE_FIELDS = {"out", "epochs", "stages", "device", "data.root", "data.cache", "data.workers"}
+FREE_FIELDS = {
+    "out",
+    "epochs",
+    "stages",
+    "patience",
+    "device",
+    "data.root",
+    "data.cache",
+    "data.workers",
+}
 """Fields that may change when a run is resumed: where it runs, and for how long."""
+
+DIGEST_SIZE = hashlib.sha256().digest_size
+"""Number of bytes of the SHA-256 at the end of a checkpoint."""
 
 
 @dataclass
@@ -42,6 +55,7 @@ class TrainState:
         optimizer: The optimizer's `state_dict`.
         history: Rows of all finished epochs.
         best_epoch: Number of the epoch with the lowest validation score; 0 before the first.
+        best: The averaged weights after it, which the next stage starts from.
     """
 
     model: dict[str, Any] = field(default_factory=dict)
@@ -50,6 +64,7 @@ class TrainState:
     optimizer: dict[str, Any] = field(default_factory=dict)
     history: list[Row] = field(default_factory=list)
     best_epoch: int = 0
+    best: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -125,20 +140,28 @@ class RunFolder:
             path.write_text(dump_config(config))
 
     def save_state(self, state: TrainState) -> None:
-        """Write the checkpoint; its last epoch then counts as finished."""
-        with atomic_write(self.state) as path:
-            torch.save(asdict(state), path)
+        """Write the checkpoint with its SHA-256; its last epoch then counts as finished."""
+        contents = io.BytesIO()
+        torch.save(asdict(state), contents)
+        with atomic_write(self.state) as path, path.open("wb") as file:
+            file.write(contents.getbuffer())
+            file.write(hashlib.sha256(contents.getbuffer()).digest())
 
     def load_state(self) -> TrainState:
         """Read the checkpoint that `save_state` wrote.
 
         Raises:
-            ffpose.DataError: The file is truncated or not a checkpoint.
+            ffpose.DataError: The file is truncated, altered or not a checkpoint.
         """
-        try:
-            return TrainState(**torch.load(self.state, map_location="cpu", weights_only=True))
-        except (RuntimeError, EOFError, TypeError, pickle.UnpicklingError) as error:
-            raise DataError(f"not a checkpoint: {error}", self.state) from error
+        data = self.state.read_bytes()
+        contents, digest = data[:-DIGEST_SIZE], data[-DIGEST_SIZE:]
+        if (found := hashlib.sha256(contents).digest()) != digest:
+            raise DataError(
+                "damaged, or not a checkpoint of this version of ffpose: expected SHA-256 "
+                f"{digest.hex()} at the end of the file, got {found.hex()}",
+                self.state,
+            )
+        return TrainState(**torch.load(io.BytesIO(contents), map_location="cpu", weights_only=True))
 
     def save_results(self, history: list[Row]) -> None:
         """Write the table of results; NaN where an older version's rows lack a column."""
@@ -149,12 +172,15 @@ class RunFolder:
 
     def _check_config(self, config: TrainConfig) -> None:
         saved, given = flatten(load_config(self.config)), flatten(config)
-        for name in saved.keys() - FREE_FIELDS:
-            if saved[name] != given[name]:
-                raise ValueError(
-                    f"resume: expected {name}={saved[name]!r} as in {self.config}, "
-                    f"got {given[name]!r}"
-                )
+        changed = [
+            f"{name}: expected {saved[name]!r}, got {given[name]!r}"
+            for name in saved
+            if name not in FREE_FIELDS and saved[name] != given[name]
+        ]
+        if changed:
+            raise ValueError(
+                f"resume: not the configuration of {self.config}: {'; '.join(changed)}"
+            )
 
 
 def read_results(path: Path) -> list[Row]:

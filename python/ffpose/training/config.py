@@ -244,7 +244,10 @@ class TrainConfig:
         normalize_translation: Whether the head predicts translations standardized by mean and
             standard deviation of the training split, instead of meters.
         epochs: Number of epochs of the first stage; overrides that of ``stages``.
-        stages: Training stages, in order; by default the first stage of the paper alone.
+        stages: Training stages, in order; by default the first stage of the paper alone. Each
+            starts from the best weights of those before it.
+        patience: Number of epochs without a better validation score after which a stage ends early;
+            0 for never.
         batch_size: Number of images per batch.
         accumulate: Number of batches whose gradients are accumulated for one step.
         processes: Number of training processes on this machine, each with batches of its own; 1
@@ -272,6 +275,7 @@ class TrainConfig:
     normalize_translation: bool = True
     epochs: int | None = None
     stages: tuple[Stage, ...] = (JOINT_STAGE,)
+    patience: int = 0
     batch_size: int = 8
     accumulate: int = 1
     processes: int = 1
@@ -292,6 +296,7 @@ class TrainConfig:
         names = get_args(ModelName)
         _expect(self.model in names, "model", f"one of {', '.join(names)}", self.model)
         _expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
+        _expect(self.patience >= 0, "patience", "0 or more", self.patience)
         _expect(self.batch_size >= 1, "batch_size", "1 or more", self.batch_size)
         _expect(self.accumulate >= 1, "accumulate", "1 or more", self.accumulate)
         _expect(self.processes >= 1, "processes", "1 or more", self.processes)

@@ -25,7 +25,7 @@ from ffpose.datasets.scenes import (
     open_validation,
     open_views,
 )
-from ffpose.errors import DataError
+from ffpose.errors import DataError, hint
 from ffpose.geometry import Camera, DistortedCamera, Pose
 from ffpose.images import open_image
 from ffpose.preprocessing import Preprocessing
@@ -213,10 +213,11 @@ def view_spec(model: FilterformerPoseConfig, camera: Camera) -> ViewSpec:
 
 
 def _augmentation(values: Mapping[str, Any]) -> Augmentation:
+    known = list(Augmentation.__dataclass_fields__)
+    expected = f"data.augmentation: expected numbers for some of {', '.join(known)}"
+    for name in values.keys() - known:
+        raise ValueError(f"{expected}; got {name}{hint(name, known)}")
     try:
         return Augmentation(**values)
-    except TypeError as error:  # an unknown name, or a value that is no number
-        names = ", ".join(Augmentation.__dataclass_fields__)
-        raise ValueError(
-            f"data.augmentation: expected numbers for some of {names}, got {dict(values)}"
-        ) from error
+    except TypeError as error:  # a value that is no number
+        raise ValueError(f"{expected}; got {dict(values)}") from error

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +22,7 @@ from ffpose.datasets.targets import Target, spread
 from ffpose.errors import require
 from ffpose.metrics import PoseError
 from ffpose.models import FilterformerPose, read_metadata
+from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibrate import calibrate
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
@@ -33,7 +33,7 @@ from ffpose.training.progress import Reporter
 from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
 from ffpose.training.schedule import learning_rate
-from ffpose.training.stages import Epoch, enter_stage, plan
+from ffpose.training.stages import Epoch, enter_stage, next_epoch
 from ffpose.training.tasks import trained_together
 
 SELECTED_BY: dict[Target, str] = {"object": "val_esa_score", "camera": "val_scene_score"}
@@ -123,22 +123,25 @@ def _train_in(
     folder = RunFolder(config.out)
     state = folder.open(config, resume=resume)
     run = build_run(config, processes)
-    epochs = plan(config.resolved_stages)
     if state.history:
-        _restore(run, state, epochs)
+        _restore(run, state)
         run.average.model.backbone.source = read_metadata(folder.last).backbone_source
     if processes.leads:
         folder.begin(config)
     done, steps = len(state.history), run.task.steps
+    epochs = sum(stage.epochs for stage in config.resolved_stages)
     with (
         Events(config.out, done, wanted=config.tensorboard and processes.leads) as events,
-        Reporter(len(epochs), done, steps, quiet=quiet) as reporter,
+        Reporter(epochs, done, steps, quiet=quiet) as reporter,
     ):
-        for epoch in epochs[done:]:
+        while (epoch := _next_epoch(run, state)) is not None:
             if cpu_minutes is not None and _cpu_seconds_of(state) >= 60 * cpu_minutes:
                 break
+            if epoch.opens_stage and state.history:
+                _return_to_best(run, state)
             row = _train_and_validate(run, epoch, reporter)
             state.history.append(row)
+            _keep_best(run, state)
             if processes.leads:
                 _write(run, state, folder)
             events.epoch_ends(row)
@@ -180,14 +183,36 @@ def _calibrate(run: Run, folder: RunFolder) -> None:
     model.save_pretrained(folder.best, **header)
 
 
-def _restore(run: Run, state: TrainState, epochs: Sequence[Epoch]) -> None:
-    """Restore ``run`` from ``state``, and check that the planned stages agree with its history."""
-    done = [(row["epoch"], row["stage"]) for row in state.history]
-    if done != [(epoch.number, epoch.stage.name) for epoch in epochs[: len(done)]]:
-        raise ValueError(
-            f"resume: expected stages that begin with the {len(done)} finished epochs, got "
-            + ", ".join(f"{stage.name} ({stage.epochs})" for stage in run.config.resolved_stages)
-        )
+def _scores(run: Run, state: TrainState) -> list[float]:
+    """Return the validation score of each finished epoch; the lowest is the best."""
+    column = SELECTED_BY[run.task.val_set.target]
+    return [float(row[column]) for row in state.history]
+
+
+def _next_epoch(run: Run, state: TrainState) -> Epoch | None:
+    stages = [str(row["stage"]) for row in state.history]
+    finished = list(zip(stages, _scores(run, state), strict=True))
+    return next_epoch(run.config.resolved_stages, finished, run.config.patience)
+
+
+def _keep_best(run: Run, state: TrainState) -> None:
+    """Keep the averaged weights of the last epoch in ``state``, if they are the best so far."""
+    scores = _scores(run, state)
+    if state.best_epoch == 0 or scores[-1] < min(scores[:-1]):
+        state.best_epoch = len(scores)
+        weights = run.average.model.state_dict()
+        state.best = {name: value.detach().clone() for name, value in weights.items()}
+
+
+def _return_to_best(run: Run, state: TrainState) -> None:
+    """Continue from the best weights so far, as a stage does after another."""
+    run.model.load_state_dict(state.best)
+    run.average = AveragedModel(run.model, run.config.ema)
+
+
+def _restore(run: Run, state: TrainState) -> None:
+    """Restore ``run`` from ``state``, and check that the stages agree with its history."""
+    _next_epoch(run, state)
     run.model.load_state_dict(state.model)
     run.average.load_state_dict(state.average)
     run.task.loss.load_state_dict(state.loss)
@@ -217,10 +242,7 @@ def cpu_seconds() -> float:
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``, the checkpoint last."""
     header = _header(run)
-    column = SELECTED_BY[run.task.val_set.target]
-    best = min(state.history, key=lambda row: float(row[column]))
-    if best is state.history[-1]:
-        state.best_epoch = len(state.history)
+    if state.best_epoch == len(state.history):
         run.average.model.save_pretrained(folder.best, **header)
     run.average.model.save_pretrained(folder.last, **header)
     folder.save_results(state.history)
@@ -247,7 +269,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     """
     seed = _epoch_seed(run.config.seed, epoch.number)
     torch.manual_seed(seed + run.processes.rank)
-    enter_stage(run.model, epoch.stage)
+    enter_stage(run.model, run.task.loss, epoch.stage)
     if epoch.opens_stage:
         run.optimizer = build_optimizer(run.model, run.task.loss, run.config.optimizer)
     sums = torch.zeros(3, dtype=torch.float64)

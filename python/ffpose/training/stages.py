@@ -4,7 +4,8 @@ The paper (section 4.3) trains in three stages: everything for 500 epochs; then 
 150 epochs with the orientation branch frozen; then the orientation for 150 epochs with the
 translation branch frozen. It does not say whether the shared backbone is trained in the last two.
 Here it is frozen there, including its batch norm: training it would change the features that the
-frozen branch relies on.
+frozen branch relies on. Each stage starts from the best weights so far, and the learned weight of a
+frozen branch's loss is frozen with it.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ PAPER_STAGES = (
 
 @dataclass(frozen=True)
 class Epoch:
-    """One epoch of a plan.
+    """One epoch of a run.
 
     Attributes:
         number: Number of the epoch in the whole run, counted from 1.
@@ -68,23 +69,60 @@ class Epoch:
         return self.index == 0
 
 
-def plan(stages: tuple[Stage, ...]) -> list[Epoch]:
-    """List the epochs of all stages in order.
+def next_epoch(
+    stages: Sequence[Stage], finished: Sequence[tuple[str, float]], patience: int = 0
+) -> Epoch | None:
+    """Return the epoch that follows the finished ones; None after the last.
+
+    Args:
+        stages: The stages of the run, in order.
+        finished: Stage and validation score, lower is better, of each finished epoch.
+        patience: Number of epochs without a better score in its stage after which a stage ends
+            early; 0 for never.
+
+    Raises:
+        ValueError: The finished epochs are not those of such stages.
 
     Examples:
-        >>> [(e.number, e.stage.name, e.index) for e in plan((Stage("a", 2), Stage("b", 1)))]
-        [(1, 'a', 0), (2, 'a', 1), (3, 'b', 0)]
+        >>> stages = (Stage("a", 9), Stage("b", 1))
+        >>> next_epoch(stages, [("a", 0.5), ("a", 0.6)]).index
+        2
+        >>> next_epoch(stages, [("a", 0.5), ("a", 0.6)], patience=1).stage.name
+        'b'
     """
-    steps = [(stage, index) for stage in stages for index in range(stage.epochs)]
-    return [Epoch(number, stage, index) for number, (stage, index) in enumerate(steps, start=1)]
+    left = list(finished)
+    for stage in stages:
+        scores = []
+        while left and left[0][0] == stage.name:
+            scores.append(left.pop(0)[1])
+        if len(scores) == stage.epochs or _stopped(scores, patience):
+            continue
+        if left or len(scores) > stage.epochs:
+            break
+        return Epoch(len(finished) + 1, stage, len(scores))
+    else:
+        if not left:
+            return None
+    planned = ", ".join(f"{stage.name} ({stage.epochs})" for stage in stages)
+    expected = f"expected stages that begin with the {len(finished)} finished epochs"
+    raise ValueError(f"resume: {expected}, got {planned}")
+
+
+def _stopped(scores: Sequence[float], patience: int) -> bool:
+    """Tell whether the last ``patience`` scores of a stage are no better than one before."""
+    return 0 < patience < len(scores) and min(scores[-patience:]) >= min(scores[:-patience])
 
 
 def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
     """Check that each stage freezes only parts that the network has, and not all of them.
 
     Raises:
-        ValueError: A stage freezes a part that the network lacks, or all parts.
+        ValueError: A stage freezes a part that the network lacks, or all parts, or has another's
+            name.
     """
+    names = [stage.name for stage in stages]
+    if len(set(names)) < len(names):
+        raise ValueError(f"stages: expected names that differ, got {', '.join(names)}")
     for stage in stages:
         missing = [part for part in stage.freeze if part not in parts]
         if missing:
@@ -98,12 +136,19 @@ def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
             )
 
 
-def enter_stage(model: nn.Module, stage: Stage) -> None:
+LOSS_WEIGHTS = {"translation_branch": "s_t", "orientation_branch": "s_q"}
+"""The learned weight of each branch's loss (`ffpose.losses.PoseLoss`)."""
+
+
+def enter_stage(model: nn.Module, loss: nn.Module, stage: Stage) -> None:
     """Put ``model`` in training mode, except for the parts that ``stage`` freezes.
 
     A frozen part gets no gradient and stays in evaluation mode: no dropout, and batch norm uses its
-    running statistics unchanged. Safe to call at every epoch.
+    running statistics unchanged. The learned weight of a frozen branch's loss gets none either: the
+    branch's errors do not fall any more, and would only move it. Safe to call at every epoch.
     """
+    for name, weight in loss.named_parameters():
+        weight.requires_grad_(name not in {LOSS_WEIGHTS.get(part) for part in stage.freeze})
     model.train()
     model.requires_grad_(True)
     for part in stage.freeze:

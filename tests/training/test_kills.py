@@ -1,0 +1,71 @@
+"""Killed at any moment and resumed, a training ends as one that nobody killed."""
+
+import multiprocessing
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from ffpose.training import Stage, train
+from ffpose.training.checkpoint import RunFolder, read_results
+from tiny_runs import train_config, write_set
+
+KILLS = 50
+STAGES = (Stage("joint", 20), Stage("translation", 60, ("backbone", "orientation_branch")))
+
+
+def resume(config):
+    torch.set_num_threads(1)
+    train(config, resume=True, quiet=True)
+
+
+def start(config):
+    """Resume in a process of its own, which has torch already: kills shall meet the training."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["ffpose.training.engine", "tiny_runs", "test_kills"])
+    process = context.Process(target=resume, args=(config,))
+    process.start()
+    return process
+
+
+def losses(folder):
+    return [row["train_loss"] for row in read_results(folder / "results.csv")]
+
+
+def epochs_done(folder):
+    """A table may be of an epoch whose checkpoint was not written: at most one more."""
+    return len(losses(folder)) if (folder / "results.csv").exists() else 0
+
+
+@pytest.mark.slow
+def test_fifty_kills_change_nothing(tmp_path):
+    image_set = write_set(tmp_path / "set")
+    whole = train_config(image_set, tmp_path / "whole", epochs=None, stages=STAGES, ema=0.9)
+    process = start(whole)
+    process.join()
+    assert process.exitcode == 0
+
+    config = replace(whole, out=tmp_path / "killed")
+    generator = np.random.default_rng(0)
+    longest, before = 1.0, 0
+    for _ in range(KILLS):
+        process = start(config)
+        process.join(generator.uniform(0, longest))
+        process.kill()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL, "the training ended before the last kill"
+        done = epochs_done(config.out)
+        longest *= 0.5 if done > before + 1 else 1.2  # about an epoch between two kills
+        before = done
+    assert before > 10
+    process = start(config)
+    process.join()
+    assert process.exitcode == 0
+    assert losses(config.out) == losses(whole.out)
+    for name in ("last", "best"):
+        ours, theirs = (load_file(getattr(RunFolder(each.out), name)) for each in (config, whole))
+        assert ours.keys() == theirs.keys()
+        assert all(torch.equal(ours[key], theirs[key]) for key in ours)
