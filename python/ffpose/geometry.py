@@ -398,16 +398,20 @@ def poses(
     translation_covariance: ArrayLike | None = None,
     rotation_covariance: ArrayLike | None = None,
     in_view: ArrayLike | None = None,
+    *,
+    locates: Target = "object",
 ) -> list[Pose]:
     """Return the poses of a batch, as a network gives it.
 
     Args:
-        translation: ``(B, 3)``, as `Pose`.
+        translation: ``(B, 3)``, as `Pose`; from a network that locates the camera, its center.
         orientation: ``(B, 4)``, as `Pose`.
         translation_covariance: ``(B, 3, 3)``, as `PoseUncertainty`; None where the network has no
             uncertainty, and so the next two.
         rotation_covariance: ``(B, 3, 3)``, as `PoseUncertainty`.
         in_view: ``(B,)``, as `PoseUncertainty`.
+        locates: What the network locates. Where it is the camera, the poses are those of the world
+            in the camera frame (`camera_pose`).
 
     Raises:
         TypeError: As `Pose`.
@@ -415,7 +419,8 @@ def poses(
     """
     rows = zip(np.asarray(translation), np.asarray(orientation), strict=True)
     if translation_covariance is None or rotation_covariance is None or in_view is None:
-        return [Pose(t, q) for t, q in rows]
+        pose = Pose if locates == "object" else camera_pose
+        return [pose(t, q) for t, q in rows]
     uncertainties = map(
         PoseUncertainty,
         np.asarray(translation_covariance),

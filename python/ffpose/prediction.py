@@ -20,7 +20,6 @@ from ffpose.geometry import (
     Pose,
     PoseUncertainty,
     Target,
-    camera_pose,
 )
 from ffpose.images import read_rgb
 from ffpose.overlay import draw_axes
@@ -120,10 +119,9 @@ class Network(Protocol):
     """A network over images: by torch (`ffpose.predictor`) or without (`ffpose.onnx`)."""
 
     def __call__(self, image: Image.Image) -> Pose:
-        """Return the network's output for an RGB image.
+        """Return the pose of the spacecraft in an RGB image.
 
-        The pose of the spacecraft; from a network that locates the camera, the camera's center in
-        place of a translation (`ffpose.geometry.camera_pose`).
+        From a network that locates the camera, the pose of the world in the camera frame.
         """
 
 
@@ -210,8 +208,6 @@ def predict(
             pose = network(image)
         except ValueError as error:
             raise DataError(str(error), path) from error
-        if description.locates == "camera":
-            pose = camera_pose(pose.t, pose.q)
         used = camera or description.camera
         yield Prediction(path, pose, used, description.in_view_threshold, description.locates)
 

@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from ffpose.geometry import Camera, FloatArray, Pose, poses
+from ffpose.geometry import Camera, FloatArray, Pose, Target, poses
 from ffpose.models import PoseNetwork, load_network, read_metadata
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import expect_aspect, for_images
@@ -23,22 +23,30 @@ class Predictor:
         model: The network; it is put in evaluation mode.
         preprocessing: Conversion from image to network input.
         camera: Camera of the images, at any image size; None accepts images of any camera.
+        locates: What the network locates. Where it is the camera, poses are those of the world in
+            the camera frame.
 
     Attributes:
         model: The network.
         preprocessing: Conversion from image to network input.
         camera: Camera of the images, or None.
+        locates: What the network locates.
 
     Examples:
         ``Predictor.from_weights("soyuz-easy")(Image.open("0_rgb.png").convert("RGB"))``
     """
 
     def __init__(
-        self, model: PoseNetwork, preprocessing: Preprocessing, camera: Camera | None = None
+        self,
+        model: PoseNetwork,
+        preprocessing: Preprocessing,
+        camera: Camera | None = None,
+        locates: Target = "object",
     ) -> None:
         self.model = model.eval()
         self.preprocessing = preprocessing
         self.camera = camera
+        self.locates: Target = locates
 
     @classmethod
     def from_weights(
@@ -67,7 +75,7 @@ class Predictor:
             camera=camera,
             any_camera=any_camera,
         )
-        return cls(load_network(weights), preprocessing, expected)
+        return cls(load_network(weights), preprocessing, expected, metadata.locates)
 
     def __call__(self, image: Image.Image) -> Pose:
         """Predict the pose of the spacecraft in an RGB image, with uncertainty if available.
@@ -87,7 +95,8 @@ class Predictor:
             expect_aspect(self.camera, *image.size)
         with torch.inference_mode():
             prediction = self.model(torch.stack([self.preprocessing(i) for i in images]))
-        return poses(**{name: _rows(values) for name, values in prediction._asdict().items()})
+        outputs = {name: _rows(values) for name, values in prediction._asdict().items()}
+        return poses(**outputs, locates=self.locates)
 
 
 def _rows(values: Tensor) -> FloatArray:

@@ -22,6 +22,7 @@ from ffpose.onnx.metadata import ModelMetadata, sealed
 from ffpose.onnx.runtime import PoseEstimator
 from ffpose.prediction import Prediction
 from ffpose.preprocessing import Preprocessing
+from networks import MODEL_FIELDS
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
@@ -152,13 +153,15 @@ def folder(tmp_path):
 
 def expected(estimator, image):
     threshold = estimator.metadata.in_view_threshold
-    return Prediction(image, estimator(image), CAMERA, threshold).to_dict()
+    locates = estimator.metadata.locates
+    return Prediction(image, estimator(image), CAMERA, threshold, locates).to_dict()
 
 
 def assert_same(got, wanted, tolerance):
     assert list(got) == list(wanted)
-    assert (got["image"], got.get("flagged")) == (wanted["image"], wanted.get("flagged"))
-    for name in wanted.keys() - {"image", "flagged", "roll_pitch_yaw_deg"}:
+    words = {"image", "flagged", "locates"}
+    assert all(got.get(name) == wanted.get(name) for name in words)
+    for name in wanted.keys() - words - {"roll_pitch_yaw_deg"}:
         np.testing.assert_allclose(got[name], wanted[name], rtol=0, atol=tolerance)
     turn = np.subtract(got["roll_pitch_yaw_deg"], wanted["roll_pitch_yaw_deg"])
     np.testing.assert_allclose((turn + 180) % 360, 180, rtol=0, atol=1e-9 + 1e3 * tolerance)
@@ -227,6 +230,26 @@ def test_a_network_with_filters_gives_its_pose(run, folder, tmp_path):
     for document in documents:
         assert "in_view" not in document
         assert_same(document, expected(estimator, Path(document["image"])), 1e-5)
+
+
+@pytest.mark.parametrize("locates", ["object", "camera"])
+@pytest.mark.parametrize("name", MODEL_FIELDS)
+def test_every_network_gives_its_pose(run, folder, tmp_path, name, locates):
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("torch")
+    from ffpose.cli import main
+    from ffpose.models import build_network
+
+    network = build_network(name, backbone_weights="none", **MODEL_FIELDS[name])
+    weights, graph = tmp_path / "small.safetensors", tmp_path / "small.onnx"
+    network.save_pretrained(
+        weights, preprocessing=Preprocessing((64, 64)), data={"locates": locates}
+    )
+    assert main(["export", str(weights), "--out", str(graph)]) == 0
+    code, (document,), errors = run(graph, "--images", folder({"a.png": png(picture())}))
+    assert (code, errors) == (0, [])
+    assert ("camera_center_m" in document) == (locates == "camera")
+    assert_same(document, expected(PoseEstimator(graph), Path(document["image"])), 1e-5)
 
 
 def test_images_of_another_camera_are_refused_unless_asked_for(run, folder, model):

@@ -106,6 +106,25 @@ def test_the_pose_is_that_of_torch(files, picture):
     assert_same_pose(PoseEstimator(graph, threads=1)(picture), expected)
 
 
+def test_a_located_camera_is_taken_to_the_origin(tmp_path, picture):
+    torch.manual_seed(0)
+    weights, graph = tmp_path / "scene.safetensors", tmp_path / "scene.onnx"
+    network = FilterformerPose.from_config("tiny", backbone_weights="none", **SMALL)
+    network.save_pretrained(
+        weights, preprocessing=Preprocessing((64, 64)), data={"locates": "camera"}
+    )
+    assert main(["export", str(weights), "--out", str(graph), "--filter", "matmul"]) == 0
+    image = read_rgb(picture)
+    with torch.inference_mode():
+        center = network.eval()(Preprocessing((64, 64))(image)[None]).translation[0]
+    estimates = (
+        Predictor.from_weights(weights, any_camera=True),
+        PoseEstimator(graph, any_camera=True),
+    )
+    for estimate in estimates:
+        np.testing.assert_allclose(estimate(image).transform(center), np.zeros(3), atol=1e-4)
+
+
 def test_the_graph_knows_what_it_is_of(files):
     weights, graph = files
     source, metadata = read_metadata(weights), read_model_metadata(graph)

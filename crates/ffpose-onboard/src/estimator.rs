@@ -49,7 +49,7 @@ impl Estimator {
             camera.expect_aspect(picture.width, picture.height)?;
         }
         let outputs = self.run(&self.metadata.preprocessing.input(&picture))?;
-        document(&outputs, self.metadata.in_view_threshold)
+        document(&outputs, self.metadata.in_view_threshold, self.metadata.locates_camera)
     }
 
     fn run(&mut self, input: &[f32]) -> Result<Outputs> {

@@ -28,6 +28,8 @@ pub struct Metadata {
     pub camera: Option<Camera>,
     /// An image whose probability that the object is in view lies below this is flagged.
     pub in_view_threshold: Option<f64>,
+    /// Whether the network gives the camera's center in the world in place of a translation.
+    pub locates_camera: bool,
 }
 
 /// The size of a camera's images, in pixels.
@@ -90,7 +92,7 @@ impl Metadata {
     }
 
     fn from_entries(entries: &HashMap<String, String>) -> Result<Self> {
-        choice(entries, "architecture", &["FilterformerPose"])?;
+        choice(entries, "architecture", &["FilterformerPose", "UrsoNet", "PoseNet"])?;
         choice(entries, "quaternion_order", &["wxyz"])?;
         let camera = json(entries, "camera")?;
         Ok(Self {
@@ -103,6 +105,8 @@ impl Metadata {
                     Error::new(format!("in_view_threshold: expected a number, got {value}"))
                 })?),
             },
+            locates_camera: entries.contains_key("locates")
+                && choice(entries, "locates", &["object", "camera"])? == "camera",
         })
     }
 }
@@ -236,6 +240,22 @@ mod tests {
     }
 
     #[test]
+    fn every_network_of_the_harness_is_read() {
+        for name in ["FilterformerPose", "UrsoNet", "PoseNet"] {
+            Metadata::of(&sealed(model(&with("architecture", name)))).unwrap();
+        }
+    }
+
+    #[test]
+    fn what_the_network_locates_is_read() {
+        assert!(!Metadata::of(&sealed(model(&ENTRIES))).unwrap().locates_camera);
+        for (target, expected) in [("object", false), ("camera", true)] {
+            let entries = [&ENTRIES[..], &[("locates", target)]].concat();
+            assert_eq!(Metadata::of(&sealed(model(&entries))).unwrap().locates_camera, expected);
+        }
+    }
+
+    #[test]
     fn the_digest_is_that_of_the_standard() {
         // FIPS 180-4's example, "abc"
         assert!(hex(b"abc").starts_with("ba7816bf8f01cfea414140de5dae2223"));
@@ -258,6 +278,11 @@ mod tests {
             (
                 sealed(model(&with("filter", "fast"))),
                 "filter: expected one of custom, matmul, none, got fast",
+            ),
+            (sealed(model(&with("architecture", "LeNet"))), "got LeNet"),
+            (
+                sealed(model(&[&ENTRIES[..], &[("locates", "ship")]].concat())),
+                "locates: expected one of object, camera, got ship",
             ),
             (sealed(model(&with("camera", "{}"))), "camera: expected a width"),
             (sealed(model(&with("preprocessing", "{"))), "preprocessing: "),

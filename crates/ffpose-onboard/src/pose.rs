@@ -13,7 +13,7 @@ const GIMBAL_LOCK: f64 = 1e-8;
 /// What a network gives for one image.
 #[derive(Debug)]
 pub struct Outputs {
-    /// Meters, camera frame.
+    /// Meters, camera frame; from a network that locates the camera its center, in the frame of the world.
     pub translation: [f64; 3],
     /// `(w, x, y, z)`, of norm 1 and either sign.
     pub orientation: [f64; 4],
@@ -34,16 +34,31 @@ pub struct Uncertainty {
 
 /// Returns the document of a pose, with the names of `ffpose predict --json` but for the image's.
 ///
+/// Where the network locates the camera, the pose is that of the world in the camera frame, and the camera's center is there too.
+///
 /// # Errors
 /// A number is not finite, the orientation has not norm 1, or the probability is none.
-pub fn document(outputs: &Outputs, in_view_threshold: Option<f64>) -> Result<Map<String, Value>> {
+pub fn document(
+    outputs: &Outputs,
+    in_view_threshold: Option<f64>,
+    locates_camera: bool,
+) -> Result<Map<String, Value>> {
     expect_finite("translation", &outputs.translation)?;
     let q = unit(outputs.orientation)?;
     let mut fields = Map::new();
     let mut put = |name: &str, value: Value| fields.insert(name.into(), value);
-    put("translation_m", json!(outputs.translation));
+    let translation = if locates_camera {
+        rotated(q, outputs.translation).map(|value| 0.0 - value)
+    } else {
+        outputs.translation
+    };
+    put("translation_m", json!(translation));
     put("orientation_wxyz", json!(q));
     put("roll_pitch_yaw_deg", json!(euler(q).map(f64::to_degrees)));
+    if locates_camera {
+        put("locates", json!("camera"));
+        put("camera_center_m", json!(outputs.translation));
+    }
     if let Some(uncertainty) = &outputs.uncertainty {
         let Uncertainty { translation_covariance, rotation_covariance, in_view } = uncertainty;
         expect_finite("translation_covariance", translation_covariance.as_flattened())?;
@@ -77,6 +92,14 @@ fn unit(q: [f64; 4]) -> Result<[f64; 4]> {
         return Ok(q.map(|value| value / scale + 0.0)); // no negative zero
     }
     Err(Error::new(format!("orientation: expected norm 1 within {TOLERANCE}, got {norm}")))
+}
+
+/// Returns a vector rotated by a unit quaternion: `v + 2 w (u × v) + 2 u × (u × v)` with `q = (w, u)`.
+fn rotated([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
+    let cross = |v: [f64; 3]| [y * v[2] - z * v[1], z * v[0] - x * v[2], x * v[1] - y * v[0]];
+    let once = cross(v);
+    let twice = cross(once);
+    std::array::from_fn(|i| v[i] + 2.0 * (w * once[i] + twice[i]))
 }
 
 /// Returns roll, pitch and yaw, radians: rotations about fixed x, then y, then z, as `ffpose.quaternion_to_euler`.
@@ -114,7 +137,7 @@ mod tests {
     }
 
     fn angles(orientation: [f64; 4]) -> [f64; 3] {
-        let document = document(&outputs(orientation, None), None).unwrap();
+        let document = document(&outputs(orientation, None), None, false).unwrap();
         serde_json::from_value(document["roll_pitch_yaw_deg"].clone()).unwrap()
     }
 
@@ -124,7 +147,7 @@ mod tests {
             ([-0.6, 0.8, 0.0, 0.0], [0.6, -0.8, 0.0, 0.0]),
             ([0.0, 0.0, 0.0, -1.0005], [0.0, 0.0, 0.0, 1.0]),
         ] {
-            let document = document(&outputs(q, None), Some(0.5)).unwrap();
+            let document = document(&outputs(q, None), Some(0.5), false).unwrap();
             assert_eq!(document["orientation_wxyz"], json!(expected));
             assert_eq!(document["translation_m"], json!([1.0, 2.0, 10.0]));
             assert_eq!(document.len(), 3);
@@ -150,15 +173,31 @@ mod tests {
     }
 
     #[test]
+    fn a_located_camera_becomes_the_pose_of_the_world() {
+        const H: f64 = FRAC_1_SQRT_2;
+        for (q, expected) in [
+            ([1.0, 0.0, 0.0, 0.0], [-1.0, -2.0, -10.0]),
+            ([H, 0.0, 0.0, H], [2.0, -1.0, -10.0]), // x to y: (1, 2, 10) becomes (-2, 1, 10)
+            ([H, H, 0.0, 0.0], [-1.0, 10.0, -2.0]), // y to z: (1, 2, 10) becomes (1, -10, 2)
+        ] {
+            let document = document(&outputs(q, None), None, true).unwrap();
+            assert_eq!(document["locates"], json!("camera"));
+            assert_eq!(document["camera_center_m"], json!([1.0, 2.0, 10.0]));
+            let t: [f64; 3] = serde_json::from_value(document["translation_m"].clone()).unwrap();
+            assert!(t.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{t:?}");
+        }
+    }
+
+    #[test]
     fn a_doubtful_view_is_flagged() {
         let q = [1.0, 0.0, 0.0, 0.0];
         let flagged = |in_view, threshold| {
-            document(&outputs(q, Some(in_view)), threshold).unwrap().get("flagged").cloned()
+            document(&outputs(q, Some(in_view)), threshold, false).unwrap().get("flagged").cloned()
         };
         assert_eq!(flagged(0.4, Some(0.5)), Some(json!(true)));
         assert_eq!(flagged(0.5, Some(0.5)), Some(json!(false)));
         assert_eq!(flagged(0.5, None), None);
-        let document = document(&outputs(q, Some(0.5)), None).unwrap();
+        let document = document(&outputs(q, Some(0.5)), None, false).unwrap();
         assert_eq!(document["translation_covariance_m2"][1], json!([0.0, 2.0, 0.0]));
         assert_eq!(document["rotation_covariance_rad2"][2][2], json!(3.0));
     }
@@ -177,7 +216,7 @@ mod tests {
             (outputs(q, Some(1.5)), "in_view: expected a probability, got 1.5"),
             (outputs(q, Some(f64::NAN)), "in_view: expected a probability, got NaN"),
         ] {
-            let error = document(&outputs, None).unwrap_err().to_string();
+            let error = document(&outputs, None, false).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");
         }
     }

@@ -85,6 +85,8 @@ class PoseEstimator:
     def __call__(self, image: ImageLike) -> Pose:
         """Return the pose of the spacecraft in an image, with its uncertainty if there is one.
 
+        From a network that locates the camera, the pose of the world in the camera frame.
+
         Args:
             image: A file; or a Pillow image, RGB; or an array ``(H, W, 3)``, uint8, RGB.
 
@@ -106,7 +108,7 @@ class PoseEstimator:
         if len(images) == 0:
             return []
         inputs = [self.preprocess(image) for image in images]
-        return poses(**self.run(np.stack(inputs)))
+        return poses(**self.run(np.stack(inputs)), locates=self.metadata.locates)
 
     def preprocess(self, image: ImageLike) -> NDArray[np.float32]:
         """Return the network's input ``(3, h, w)`` for an image; raises as for its pose."""
