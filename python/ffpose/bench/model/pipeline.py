@@ -71,7 +71,7 @@ class Pipeline:
         marks.append(perf_counter())
         outputs = self.run(inputs)
         marks.append(perf_counter())
-        poses(**outputs)
+        poses(**outputs, locates="object")
         marks.append(perf_counter())
         return tuple(after - before for before, after in pairwise(marks))
 
