@@ -1,5 +1,6 @@
 import csv
 import json
+import shutil
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,21 @@ def test_figures_against_numpy_and_scipy(evaluation):
     assert summary["median_rotation_error_deg"] == pytest.approx(np.median(angle))
     esa = (distance / np.linalg.norm(truth[:, :3], axis=1) + np.radians(angle)).mean()
     assert summary["esa_score"] == pytest.approx(esa)
+
+
+def test_images_are_decoded_as_in_training(image_set, tmp_path):
+    root = shutil.copytree(image_set, tmp_path / "bent")
+    camera = {"width": SIZE[0], "height": SIZE[1], "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
+    (root / "camera.json").write_text(json.dumps(camera | {"distortion": [0.3, 0, 0, 0, 0]}))
+    fields = {"image_size": (48, 64), "depth": 1, "dim": 16, "heads": 2}
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **fields)
+    lenses = {}
+    for undistort in (False, True):
+        path = tmp_path / f"{undistort}.safetensors"
+        model.save_pretrained(path, recipe={"data": {"undistort": undistort, "white": None}})
+        lenses[undistort] = evaluate(path, "urso", root).dataset.records[0].lens
+    assert lenses[False] is None
+    assert lenses[True].distortion == (0.3, 0, 0, 0, 0)
 
 
 def test_the_baseline_comes_from_the_training_split(evaluation, image_set):

@@ -7,7 +7,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose, PoseUncertainty
+from ffpose.geometry import Camera, DistortedCamera, Pose, PoseUncertainty
 from ffpose.images import read_rgb
 from ffpose.models import FilterformerPose
 from ffpose.prediction import (
@@ -20,6 +20,7 @@ from ffpose.prediction import (
 from ffpose.predictor import Predictor
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import reproject
+from ffpose.undistortion import undistort
 
 VIEW = Camera(64, 64, 50.0, 60.0, 30.0, 33.0)
 """Camera of the network's input: 128x96 pixels of the images, squeezed."""
@@ -306,6 +307,46 @@ def test_a_located_camera_is_said_to_be_one(locator, picture):
     assert abs(np.dot(document["orientation_wxyz"], raw.orientation[0].numpy())) == pytest.approx(1)
     x, y, z = center
     assert f"camera at ({x:.2f}, {y:.2f}, {z:.2f}) m in the world" in str(found)
+
+
+LENS = DistortedCamera(128, 96, 100.0, 120.0, 60.0, 49.5, (0.3, 0.0, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture
+def trained_undistorted(tmp_path):
+    path = tmp_path / "undistorted.safetensors"
+    fields = FIELDS | {"camera": (50.0, 60.0, 30.0, 33.0)}
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **fields)
+    recipe = {"data": {"undistort": True, "white": None}}
+    data = {"image_size": [128, 96]}
+    model.save_pretrained(path, preprocessing=PLAIN, recipe=recipe, data=data)
+    return path
+
+
+def test_images_are_undistorted_as_in_training(trained_undistorted, picture):
+    with pytest.raises(ValueError, match="--camera FILE, whose distortion is taken out"):
+        list(predict(trained_undistorted, [picture]))
+    (bent,) = predict(trained_undistorted, [picture], camera=LENS)
+    flat = undistort(read_rgb(picture), LENS)
+    expected = Predictor.from_weights(trained_undistorted, camera=LENS.pinhole)(flat)
+    np.testing.assert_array_equal(bent.pose.vector, expected.vector)
+    (as_it_is,) = predict(trained_undistorted, [picture], any_camera=True)
+    assert as_it_is.pose != bent.pose
+
+
+def test_levels_are_scaled_as_in_training(tmp_path):
+    """Of 12 bits: 1000 of 4095 is gray 62; an image of 8 bits stays as it is."""
+    weights = tmp_path / "deep.safetensors"
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **FIELDS)
+    recipe = {"data": {"undistort": False, "white": 4095}}
+    model.save_pretrained(weights, preprocessing=PLAIN, recipe=recipe)
+    deep, plain = tmp_path / "deep.png", tmp_path / "plain.png"
+    Image.fromarray(np.full((64, 64), 1000, np.uint16)).save(deep)
+    Image.fromarray(np.full((64, 64), 62, np.uint8)).save(plain)
+    one, other = predict(weights, [deep, plain])
+    assert one.pose == other.pose
+    drawn = np.asarray(Image.open(write_overlay(one, tmp_path / "drawn")))
+    assert (drawn == 62).all(axis=-1).any()
 
 
 def test_an_object_is_described_as_ever(weights, picture):

@@ -12,6 +12,7 @@ from PIL import Image
 from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import Reprojection, reproject
+from ffpose.undistortion import undistort
 
 SOURCE = Camera(width=320, height=240, fx=210.0, fy=214.0, cx=150.5, cy=127.25)
 POINTS = np.array([[0.1, -0.05, 1.0], [-1.2, 0.8, 5.0], [2.0, 1.0, 9.0]])
@@ -151,7 +152,18 @@ def test_the_view_has_the_inputs_size():
         Reprojection.of(PLAIN, SOURCE, replace(VIEW, width=65))
 
 
-def test_a_source_with_distortion_is_refused():
+def test_a_source_with_distortion_is_undistorted_first():
     lens = DistortedCamera(320, 240, 210.0, 214.0, 150.5, 127.25, (0.1, 0.0, 0.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match="expected one without distortion"):
-        Reprojection.of(PLAIN, lens, VIEW)
+    view = Camera(64, 48, 42.0, 43.0, 31.0, 25.0)
+    image = noise_image(320, 240)
+    bent = Reprojection.of(Preprocessing((48, 64)), lens, view)
+    flat = Reprojection.of(Preprocessing((48, 64)), lens.pinhole, view)
+    np.testing.assert_array_equal(bent.frame(image), flat.frame(undistort(image, lens)))
+    assert (bent.frame(image) != flat.frame(image)).any()
+    assert bent.image_camera(view, 320, 240) == lens
+
+
+def test_distortion_is_not_ignored():
+    lens = DistortedCamera(320, 240, 210.0, 214.0, 150.5, 127.25, (0.1, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="expected a camera without distortion"):
+        reproject(noise_image(320, 240), lens, VIEW)

@@ -258,7 +258,7 @@ def evaluate(options: Namespace) -> None:
         data.root,
         data.split,
         any_camera=options.any_camera,
-        decoding=Decoding(data.undistort, data.white),
+        decoding=Decoding(data.undistort, data.white) if data.undistort or data.white else None,
     )
     write_results(evaluation, options.out)
     write_evaluation_figures(evaluation, options.out)

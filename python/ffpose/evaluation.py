@@ -37,7 +37,6 @@ from ffpose.calibration import (
     summarize_regions,
 )
 from ffpose.datasets import (
-    AS_ON_DISK,
     Conditions,
     Decoding,
     Part,
@@ -237,7 +236,7 @@ def evaluate(
     *,
     batch_size: int = 32,
     any_camera: bool = False,
-    decoding: Decoding = AS_ON_DISK,
+    decoding: Decoding | None = None,
 ) -> Evaluation:
     """Evaluate weights on the images of a split.
 
@@ -249,7 +248,7 @@ def evaluate(
         batch_size: Images per batch.
         any_camera: Reproject images of a camera other than the weights' into the network's view
             (`ffpose.reprojection`).
-        decoding: From image files to the images that the network was trained on.
+        decoding: Conversion from image files to images; None for that of the training.
 
     Returns:
         Predictions and labels.
@@ -262,6 +261,7 @@ def evaluate(
     """
     model = load_network(weights)
     metadata = read_metadata(weights)
+    decoding = decoding or Decoding(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, any_camera)
     baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
@@ -311,7 +311,7 @@ def choose_preprocessing(
 def _agree(camera: Camera, other: Camera) -> bool:
     """Return whether size and intrinsics of two cameras agree.
 
-    Weights do not record distortion: images are undistorted, or not, as in training.
+    Distortion is none of them: images are undistorted, or not, as in training.
     """
     pairs = zip(_pinhole(camera), _pinhole(other), strict=True)
     return all(math.isclose(one, two, rel_tol=CAMERA_TOLERANCE) for one, two in pairs)

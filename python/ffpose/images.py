@@ -55,15 +55,20 @@ def check_white(name: str, white: float | str) -> None:
         raise ValueError(f"{name}: expected {WHITE}, got {white!r}")
 
 
-def read_rgb(path: Path) -> Image.Image:
+def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:
     """Read an image file as RGB; transparency is dropped.
+
+    Args:
+        path: The file.
+        white: Level of a monochrome image of more than 8 bits that becomes 255, as for `to_rgb`;
+            images of 8 bits stay as they are.
 
     Raises:
         FileNotFoundError: The file does not exist.
         DataError: The file is not an intact image, or its mode is not in `MODES`.
     """
     with open_image(path) as image:
-        return to_rgb(image, path)
+        return to_rgb(image, path, white if image.mode in DEEP_MODES else None)
 
 
 @contextmanager

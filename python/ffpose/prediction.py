@@ -37,6 +37,7 @@ class Prediction:
         in_view_threshold: Probability below which the object counts as not in view; None where
             the weights have no threshold.
         locates: What the network locates.
+        white: Level of an image of more than 8 bits that becomes 255.
     """
 
     image: Path
@@ -44,6 +45,7 @@ class Prediction:
     camera: Camera | None = None
     in_view_threshold: float | None = None
     locates: Target = "object"
+    white: float | str | None = None
 
     @property
     def center(self) -> FloatArray:
@@ -140,6 +142,10 @@ class Description(Protocol):
     def locates(self) -> Target:
         """As `Prediction`."""
 
+    @property
+    def white(self) -> float | str | None:
+        """Level of images of more than 8 bits that becomes 255; None where none was stated."""
+
 
 def open_network(
     weights: str | Path, *, camera: Camera | None = None, any_camera: bool = False
@@ -203,13 +209,19 @@ def predict(
     description = describe(weights)
     network = open_network(weights, camera=camera, any_camera=any_camera)
     for path in images:
-        image = read_rgb(path)
+        image = read_rgb(path, description.white)
         try:
             pose = network(image)
         except ValueError as error:
             raise DataError(str(error), path) from error
-        used = camera or description.camera
-        yield Prediction(path, pose, used, description.in_view_threshold, description.locates)
+        yield Prediction(
+            path,
+            pose,
+            camera or description.camera,
+            description.in_view_threshold,
+            description.locates,
+            description.white,
+        )
 
 
 def overlay_path(image: Path, folder: Path) -> Path:
@@ -258,7 +270,7 @@ def write_overlay(prediction: Prediction, folder: Path) -> Path:
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = overlay_path(prediction.image, folder)
-    drawn = read_rgb(prediction.image)
+    drawn = read_rgb(prediction.image, prediction.white)
     if not prediction.flagged:
         drawn = draw_axes(drawn, prediction.pose, prediction.camera or URSO_CAMERA)
     with atomic_write(path) as temporary:

@@ -65,7 +65,8 @@ class Predictor:
         Raises:
             FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
             ValueError: The weights were altered or are of another kind of network, or both
-                ``camera`` and ``any_camera`` are given.
+                ``camera`` and ``any_camera`` are given, or neither for weights that were trained
+                on undistorted images.
         """
         metadata = read_metadata(weights)
         preprocessing, expected = for_images(
@@ -74,6 +75,7 @@ class Predictor:
             metadata.camera,
             camera=camera,
             any_camera=any_camera,
+            undistorted=metadata.undistorted,
         )
         return cls(load_network(weights), preprocessing, expected, metadata.locates)
 

@@ -16,6 +16,7 @@ from PIL import Image
 
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.preprocessing import Preprocessing
+from ffpose.undistortion import undistort
 
 SNAP = 1e-6
 """Rounding tolerance: an edge this close to a pixel border, in pixels, is taken to be on it."""
@@ -39,7 +40,7 @@ def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
 
     Args:
         image: RGB image of the source's size.
-        source: Camera of the image.
+        source: Camera of the image, without distortion.
         view: Camera with the same position and orientation.
 
     Returns:
@@ -48,8 +49,10 @@ def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
 
     Raises:
         ValueError: The image's size differs from the source's, or it covers less than a pixel of
-            the view.
+            the view, or the source has distortion.
     """
+    if isinstance(source, DistortedCamera):
+        raise ValueError(f"source: expected a camera without distortion, got {source}")
     if image.size != (source.width, source.height):
         raise ValueError(
             f"image: expected {source.width}x{source.height}, the size of its camera, "
@@ -102,12 +105,12 @@ class Reprojection(Preprocessing):
     """Preprocessing that reprojects the images of one camera to the network's view.
 
     Attributes:
-        source: Camera of the images; an image of another size is taken as resized.
+        source: Camera of the images, which are undistorted first if it has distortion; an image of
+            another size is taken as resized.
         view: Camera of the network's input, with image size ``size``.
 
     Raises:
-        ValueError: An attribute of `Preprocessing` is invalid, or ``view`` is not of ``size``,
-            or ``source`` has distortion.
+        ValueError: An attribute of `Preprocessing` is invalid, or ``view`` is not of ``size``.
     """
 
     source: Camera
@@ -117,11 +120,6 @@ class Reprojection(Preprocessing):
         super().__post_init__()
         if (self.view.height, self.view.width) != tuple(self.size):
             raise ValueError(f"view: expected (height, width) {tuple(self.size)}, got {self.view}")
-        if isinstance(self.source, DistortedCamera):
-            raise ValueError(
-                "camera: expected one without distortion, as reprojection only scales and shifts; "
-                f"undistort the images first (evaluate: --data.undistort), got {self.source}"
-            )
 
     @classmethod
     def of(cls, preprocessing: Preprocessing, source: Camera, view: Camera) -> Reprojection:
@@ -144,7 +142,10 @@ class Reprojection(Preprocessing):
                 f"image: expected the aspect ratio of its camera, {self.source}, "
                 f"got {image.size[0]}x{image.size[1]}"
             )
-        return np.asarray(reproject(image, self.source.resized(*image.size), self.view))
+        source = self.source.resized(*image.size)
+        if isinstance(source, DistortedCamera):
+            image, source = undistort(image, source), source.pinhole
+        return np.asarray(reproject(image, source, self.view))
 
     def camera(self, camera: Camera) -> Camera:
         """Return the camera of the view."""
@@ -167,6 +168,7 @@ def for_images(
     *,
     camera: Camera | None = None,
     any_camera: bool = False,
+    undistorted: bool = False,
 ) -> tuple[Preprocessing, Camera | None]:
     """Return what brings the images to come to a network's input.
 
@@ -176,16 +178,23 @@ def for_images(
         expected: The camera of the images trained on; None where it is not known.
         camera: The camera of the images to come; None: they are of the expected one.
         any_camera: They are resized, as if the expected camera had taken them.
+        undistorted: The images trained on were undistorted.
 
     Returns:
         The preprocessing, which turns images of ``camera`` by geometry, and the camera whose aspect
         ratio an image must have (`expect_aspect`), None for any.
 
     Raises:
-        ValueError: Both a camera and any are asked for.
+        ValueError: Both a camera and any are asked for, or neither where the images to come must be
+            undistorted as those trained on were.
     """
     if camera is not None and any_camera:
         raise ValueError("expected --camera or --any-camera, got both")
+    if undistorted and camera is None and not any_camera:
+        raise ValueError(
+            "expected --camera FILE, whose distortion is taken out of images as in training, or "
+            "--any-camera for images without distortion, got neither"
+        )
     if camera is not None and view is not None:
         preprocessing = Reprojection.of(preprocessing, camera, view)
     return preprocessing, None if any_camera or camera is not None else expected

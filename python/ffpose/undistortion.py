@@ -5,10 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import torch
+from numpy.typing import NDArray
 from PIL import Image
-from torch import Tensor
-from torch.nn.functional import grid_sample
 
 from ffpose.geometry import DistortedCamera
 
@@ -29,20 +27,30 @@ def undistort(image: Image.Image, camera: DistortedCamera) -> Image.Image:
     expected = ("RGB", (camera.width, camera.height))
     if (image.mode, image.size) != expected:
         raise ValueError(f"image: expected mode and size {expected}, got {image.mode, image.size}")
-    pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1)[None].float()  # (1, 3, H, W)
-    seen = grid_sample(pixels, _grid(camera), "bilinear", "zeros", align_corners=False)[0]
-    return Image.fromarray(seen.permute(1, 2, 0).round().to(torch.uint8).numpy())
+    height, width = camera.height, camera.width
+    bordered = np.pad(np.asarray(image, np.float32), ((1, 1), (1, 1), (0, 0)))
+    pixels = bordered.reshape(-1, 3)
+    seen = np.zeros((height * width, 3), np.float32)
+    for place, weight in _corners(camera):
+        seen += pixels[place] * weight[:, None]
+    return Image.fromarray(np.rint(seen).astype(np.uint8).reshape(height, width, 3))
 
 
 @lru_cache(maxsize=2)
-def _grid(camera: DistortedCamera) -> Tensor:
-    """Return where the image shows each pixel of the pinhole's, ``(1, H, W, 2)`` in [-1, 1].
+def _corners(camera: DistortedCamera) -> list[tuple[NDArray[np.intp], NDArray[np.float32]]]:
+    """Return place and weight ``(H W,)`` of the four pixels between which the image shows each one.
 
-    `grid_sample` without aligned corners has the edges of the image at -1 and 1, as
-    `ffpose.geometry` has them at 0 and its size.
+    Places count in the image with a black border of one pixel, where all that lies outside is.
     """
-    columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    pixels = np.stack([columns, rows], axis=-1)
-    focal, center = (camera.fx, camera.fy), (camera.cx, camera.cy)
-    seen = camera.bend((pixels - center) / focal) * focal + center
-    return torch.from_numpy(2 * seen / (camera.width, camera.height) - 1).float()[None]
+    width, height = camera.width, camera.height
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = (np.stack([columns, rows], axis=-1) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    seen = camera.bend(rays) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    x, y = (np.clip(seen + 0.5, 0, (width + 1, height + 1))).reshape(-1, 2).T  # center 0.5 is at 1
+    left, top = np.minimum(x, width).astype(np.intp), np.minimum(y, height).astype(np.intp)
+    across, down = x - left, y - top
+    corners = []
+    for right, low in np.ndindex(2, 2):
+        weight = np.where(right, across, 1 - across) * np.where(low, down, 1 - down)
+        corners.append(((top + low) * (width + 2) + left + right, weight.astype(np.float32)))
+    return corners

@@ -36,6 +36,13 @@ def graph_bytes(entries):
     return model.SerializeToString()
 
 
+@pytest.mark.parametrize("white", [None, 4095.0, "p99.5"])
+@pytest.mark.parametrize("undistorted", [False, True])
+def test_entries_say_how_images_were_decoded(undistorted, white):
+    metadata = replace(METADATA, undistorted=undistorted, white=white)
+    assert ModelMetadata.from_entries(metadata.to_entries()) == metadata
+
+
 @pytest.mark.parametrize("locates", ["object", "camera"])
 def test_entries_say_what_the_network_locates(locates):
     metadata = replace(METADATA, locates=locates)

@@ -30,6 +30,11 @@ impl Estimator {
         let mut metadata = Metadata::read(&options.model)?;
         if options.any_camera {
             metadata.camera = None;
+        } else if metadata.undistorted {
+            return Err(Error::new(
+                "expected a network for images as the camera takes them, got one trained on undistorted images: undistort them \
+                 first, and say so by --any-camera",
+            ));
         }
         let session = open_session(options, metadata.needs_operators)?;
         let mut estimator = Self { metadata, session };

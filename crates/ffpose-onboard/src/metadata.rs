@@ -30,6 +30,8 @@ pub struct Metadata {
     pub in_view_threshold: Option<f64>,
     /// Whether the network gives the camera's center in the world in place of a translation.
     pub locates_camera: bool,
+    /// Whether the images trained on were undistorted.
+    pub undistorted: bool,
 }
 
 /// The size of a camera's images, in pixels.
@@ -107,6 +109,8 @@ impl Metadata {
             },
             locates_camera: entries.contains_key("locates")
                 && choice(entries, "locates", &["object", "camera"])? == "camera",
+            undistorted: entries.contains_key("decoding")
+                && json(entries, "decoding")?["undistorted"] == true,
         })
     }
 }
@@ -243,6 +247,18 @@ mod tests {
     fn every_network_of_the_harness_is_read() {
         for name in ["FilterformerPose", "UrsoNet", "PoseNet"] {
             Metadata::of(&sealed(model(&with("architecture", name)))).unwrap();
+        }
+    }
+
+    #[test]
+    fn undistorted_training_is_read() {
+        assert!(!Metadata::of(&sealed(model(&ENTRIES))).unwrap().undistorted);
+        for (decoding, expected) in [
+            (r#"{"undistorted": true, "white": null}"#, true),
+            (r#"{"undistorted": false, "white": 4095}"#, false),
+        ] {
+            let entries = [&ENTRIES[..], &[("decoding", decoding)]].concat();
+            assert_eq!(Metadata::of(&sealed(model(&entries))).unwrap().undistorted, expected);
         }
     }
 

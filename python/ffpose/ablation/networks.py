@@ -21,13 +21,16 @@ BASE = replace(
     data=replace(
         ATTITUDE_BASE.data,
         count=3000,
-        augmentation={"roll": 180.0, "contrast": 0.0, "saturation": 0.0, "noise": 0.04},
+        attitude_range_deg=(30.0, 30.0, 30.0),
+        augmentation={"roll": 10.0, "contrast": 0.0, "saturation": 0.0, "noise": 0.04},
     ),
     model="tiny",
     model_fields=IMAGE,
-    epochs=4,
+    epochs=6,
 )
-"""Turned about the optical axis, which is exact for image and label, and varied in brightness."""
+"""Attitudes within 30° of the set's own; over all of them whole images teach no network of this size
+anything in minutes. Turned about the optical axis, which is exact for image and label, and varied in
+brightness."""
 
 QUATERNION = {"loss": vars(LossConfig(s_t=0.0, s_q=-3.0, antipodal=True))}
 """Weights of meters and quaternions to begin with as Kendall and Cipolla (CVPR 2017) set them: the

@@ -89,6 +89,22 @@ class WeightsMetadata:
         return target
 
     @property
+    def undistorted(self) -> bool:
+        """Whether the training images were undistorted (`ffpose.datasets.Decoding`)."""
+        return bool(self._data_config.get("undistort", False))
+
+    @property
+    def white(self) -> float | str | None:
+        """White level of training images of more than 8 bits (`ffpose.datasets.Decoding`)."""
+        white: float | str | None = self._data_config.get("white")
+        return white
+
+    @property
+    def _data_config(self) -> Mapping[str, Any]:
+        config: Mapping[str, Any] = (self.recipe or {}).get("data", {})
+        return config
+
+    @property
     def camera(self) -> Camera | None:
         """Camera of the training images; None where the config has no camera.
 

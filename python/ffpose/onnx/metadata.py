@@ -60,6 +60,8 @@ class ModelMetadata:
         precision: Of its convolutions and matrix products.
         calibration_sha256: Of the calibration images of a graph in int8.
         locates: What the network locates.
+        undistorted: Whether the images trained on were undistorted.
+        white: Level of images of more than 8 bits that became 255 in training.
     """
 
     config: NetworkConfig
@@ -72,6 +74,8 @@ class ModelMetadata:
     precision: Precision = "float32"
     calibration_sha256: str | None = None
     locates: Target = "object"
+    undistorted: bool = False
+    white: float | str | None = None
 
     def to_entries(self) -> dict[str, str]:
         """Return the entries but for the checksum."""
@@ -82,6 +86,7 @@ class ModelMetadata:
             "view_camera": None if view is None else asdict(view),
             "in_view_threshold": self.in_view_threshold,
         }
+        decoding = {"undistorted": self.undistorted, "white": self.white}
         return {
             "ffpose_format": str(FORMAT),
             "ffpose_version": self.version,
@@ -92,6 +97,7 @@ class ModelMetadata:
             "config": self.config.to_json(),
             **self._int8_entries(),
             **({} if self.locates == "object" else {"locates": self.locates}),
+            **({"decoding": json.dumps(decoding)} if any(decoding.values()) else {}),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
         }
 
@@ -132,6 +138,7 @@ class ModelMetadata:
             precision,
             entries.get("calibration_sha256") or None,
             locates,
+            **json.loads(entries.get("decoding", "{}")),
         )
 
 

@@ -91,6 +91,8 @@ def graph_entries(weights: str | Path) -> Callable[[Filter], dict[str, str]]:
             source.in_view_threshold,
             digest,
             locates=source.locates,
+            undistorted=source.undistorted,
+            white=source.white,
         ).to_entries()
 
     return entries

@@ -69,6 +69,7 @@ class PoseEstimator:
             self.metadata.camera,
             camera=camera,
             any_camera=any_camera,
+            undistorted=self.metadata.undistorted,
         )
         self._session = open_session(
             Path(model),
@@ -112,7 +113,7 @@ class PoseEstimator:
 
     def preprocess(self, image: ImageLike) -> NDArray[np.float32]:
         """Return the network's input ``(3, h, w)`` for an image; raises as for its pose."""
-        picture = as_image(image)
+        picture = as_image(image, self.metadata.white)
         expect_aspect(self.camera, *picture.size)
         return self.preprocessing.array(picture)
 
@@ -142,10 +143,15 @@ class PoseEstimator:
         return self._session.run(inputs)
 
 
-def as_image(image: ImageLike) -> Image.Image:
-    """Return a Pillow image, RGB; raises as `PoseEstimator`."""
+def as_image(image: ImageLike, white: float | str | None = None) -> Image.Image:
+    """Return a Pillow image, RGB; raises as `PoseEstimator`.
+
+    Args:
+        image: As there.
+        white: Level of a file of more than 8 bits that becomes 255.
+    """
     if isinstance(image, str | Path):
-        return read_rgb(Path(image))
+        return read_rgb(Path(image), white)
     if isinstance(image, Image.Image):
         if image.mode != "RGB":
             raise ValueError(f"image: expected mode RGB, got {image.mode}")
