@@ -28,9 +28,9 @@ BASE = replace(
     model_fields=IMAGE,
     epochs=6,
 )
-"""Attitudes within 30° of the set's own; over all of them whole images teach no network of this size
-anything in minutes. Turned about the optical axis, which is exact for image and label, and varied in
-brightness."""
+"""Attitudes within 30° of the camera's axes; over all attitudes whole images teach a network of this
+size nothing in minutes. Turned about the optical axis, which is exact for image and label, and
+varied in brightness."""
 
 QUATERNION = {"loss": vars(LossConfig(s_t=0.0, s_q=-3.0, antipodal=True))}
 """Weights of meters and quaternions to begin with as Kendall and Cipolla (CVPR 2017) set them: the
