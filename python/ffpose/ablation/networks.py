@@ -28,7 +28,7 @@ BASE = replace(
     model_fields=IMAGE,
     epochs=6,
 )
-"""Attitudes within 30° of the camera's axes; over all attitudes whole images teach a network of this
+"""Attitudes within 30° of the camera's axes: over all of them, whole images teach a network of this
 size nothing in minutes. Turned about the optical axis, which is exact for image and label, and
 varied in brightness."""
 
