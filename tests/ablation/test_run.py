@@ -15,6 +15,7 @@ from safetensors.torch import load_file
 from ffpose.ablation import get_study, run
 from ffpose.cli import main
 from ffpose.training import Stage, train
+from ffpose.training.checkpoint import read_results
 from tiny_ablation import tiny_study, write_sets
 
 RUNS = ("grid-seed0", "none-seed0", "grid-seed1", "none-seed1")
@@ -200,7 +201,7 @@ def test_table_5_is_of_landmarks_on_disk(tmp_path):
         get_study("table5"),
         tmp_path / "study",
         seeds=1,
-        epochs=1,
+        epochs=3,
         variants=["ShopFacade-posenet"],
         changes={
             "model_fields": fields,
@@ -213,6 +214,11 @@ def test_table_5_is_of_landmarks_on_disk(tmp_path):
     assert outcome.done == ("ShopFacade-posenet-seed0",)
     result = json.loads((tmp_path / "study/ShopFacade-posenet-seed0/results.json").read_text())
     assert result["test"]["images"] == 4
+    stages = [
+        row["stage"]
+        for row in read_results(tmp_path / "study/ShopFacade-posenet-seed0/results.csv")
+    ]
+    assert stages == ["joint", "translation", "orientation"]
     median = result["test"]["median_translation_error_m"]
     line = next(x for x in outcome.table.read_text().splitlines() if "1.46 m | 8.08°" in x)
     assert line.startswith(f"| ShopFacade-posenet | {median:.2f} m")

@@ -36,6 +36,7 @@ from ffpose.training.checkpoint import FREE_FIELDS
 from ffpose.training.config import TEST_SEEDS
 from ffpose.training.config_file import flatten
 from ffpose.training.run import UNKNOWN_CAMERA, build_run
+from ffpose.training.stages import shortened
 
 TEST_SEED = TEST_SEEDS + 100
 """Of the rendered test images: no training, demo or model card shows them."""
@@ -130,8 +131,8 @@ def ablate(
         out: The folder to write; one that was begun is gone on with.
         seeds: Runs a variant, with the seeds 0 ... ``seeds - 1`` of weights, order and
             augmentation. All see the same images.
-        epochs: Budget of a run: epochs of one stage, in place of the study's.
-        cpu_minutes: The same in minutes of the training's CPU time, whole epochs.
+        epochs: Budget of a run in place of the study's, shared by its stages in proportion.
+        cpu_minutes: The same in minutes of the training's CPU time: whole epochs of one stage.
         variants: Names of those to run; all for none.
         changes: Fields of the study's base to change, nested: ``{"data": {"count": 1000}}``.
         sets: Folder of sets, each named as its scene, to train and test on: in URSO's layout in
@@ -198,9 +199,10 @@ def _training(
     network(config)
     if cpu_minutes is not None and config.optimizer.schedule == "cosine":
         raise ValueError("minutes: expected optimizer.schedule step, for cosine ends with an epoch")
-    if epochs is not None or cpu_minutes is not None:
-        stage = Stage("joint", ENDLESS if epochs is None else epochs)
-        config = replace(config, stages=(stage,), epochs=None)
+    if epochs is not None:
+        config = replace(config, stages=shortened(config.resolved_stages, epochs), epochs=None)
+    if cpu_minutes is not None:
+        config = replace(config, stages=(Stage("joint", ENDLESS),), epochs=None)
     data = replace(config.data, root=out / config.data.root)
     if sets is not None:
         kind = "urso" if data.kind == "scenes" else data.kind
