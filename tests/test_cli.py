@@ -101,6 +101,32 @@ def test_predict(trained, image_set, tmp_path, capsys):
     ]
 
 
+def test_predict_goes_on_after_an_image_that_cannot_be_used(trained, image_set, tmp_path, capsys):
+    broken, missing = tmp_path / "broken.png", tmp_path / "missing.png"
+    broken.write_bytes(b"cut off")
+    good = [str(image_set / f"{index}_rgb.png") for index in (0, 1)]
+    words = [
+        "predict",
+        str(trained / "best.safetensors"),
+        good[0],
+        str(broken),
+        str(missing),
+        good[1],
+    ]
+    assert main([*words, "--json"]) == 1
+    said = capsys.readouterr()
+    entries = json.loads(said.out)["predictions"]
+    assert [entry["image"] for entry in entries] == words[2:]
+    assert ["error" in entry for entry in entries] == [False, True, True, False]
+    assert entries[0] | {"image": ""} != entries[3] | {"image": ""}
+    first, second, last = said.err.splitlines()
+    assert str(broken) in first
+    assert str(missing) in second
+    assert last == "ffpose: 2 of 4 images have no pose"
+    assert main(words) == 1
+    assert len(capsys.readouterr().out.splitlines()) == 2
+
+
 def test_predict_draws_with_the_camera_it_is_given(trained, image_set, tmp_path):
     """The axes' origin is where the printed translation is, by fx x / z + cx."""
     camera = {"width": 64, "height": 48, "fx": 8.0, "fy": 8.0, "cx": 12.0, "cy": 40.0}

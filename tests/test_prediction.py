@@ -259,20 +259,24 @@ def test_standard_deviations_against_samples():
     half = generator.standard_normal((2, 3, 3)) * np.array([0.3, 0.01])[:, None, None]
     translation, rotation = half @ half.transpose(0, 2, 1)
     t = np.array([1.0, -2.0, 9.0])
-    distance, angle = standard_deviations(t, PoseUncertainty(translation, rotation, 1.0))
+    uncertainty = PoseUncertainty(translation, rotation, 1.0)
+    distance, in_plane, out_of_plane = standard_deviations(t, uncertainty)
     moved = t + 1e-3 * generator.multivariate_normal(np.zeros(3), translation, 200_000)
     lengths = np.linalg.norm(moved, axis=1)  # a small step, for which length is linear
     assert distance == pytest.approx(lengths.std() / 1e-3, rel=0.01)
     vectors = generator.multivariate_normal(np.zeros(3), rotation, 200_000)
-    turns = np.degrees(Rotation.from_rotvec(vectors).magnitude())
-    assert angle == pytest.approx(np.sqrt((turns**2).mean()), rel=0.01)
+    turns = np.degrees(Rotation.from_rotvec(vectors).as_rotvec())
+    along = turns @ (t / np.linalg.norm(t))
+    assert in_plane == pytest.approx(np.sqrt((along**2).mean()), rel=0.01)
+    across = (turns**2).sum(axis=1) - along**2
+    assert out_of_plane == pytest.approx(np.sqrt(across.mean()), rel=0.01)
 
 
 def test_in_words_with_uncertainty():
     words = str(Prediction("a.png", sure_pose(), in_view_threshold=0.2))
     assert words == (
         "a.png: t = (0.00, 0.00, 10.00) m ± 0.50 m along the ray, "
-        "roll 0.0°, pitch 0.0°, yaw 0.0° ± 3.0°"
+        "roll 0.0°, pitch 0.0°, yaw 0.0° ± 2.0° in plane, ± 2.2° out of plane"
     )
 
 

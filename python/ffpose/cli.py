@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ffpose.errors import MissingExtraError, hint, require, without_traceback
+from ffpose.errors import DataError, MissingExtraError, hint, require, without_traceback
 from ffpose.files import expect_folder
 from ffpose.recipes import Kind, recipe_file, recipe_names
 
@@ -284,13 +284,18 @@ def predict_arguments(parser: ArgumentParser) -> None:
 def predict(options: Namespace) -> None:
     """Print the pose seen in each image.
 
+    An image that cannot be used is told, the others are still predicted, and the exit code is 1.
     Images of another camera than the weights' are reprojected to the network's view if --camera
     names it, and resized to the network's input with --any-camera.
     """
     from ffpose.geometry import Camera
     from ffpose.prediction import describe as describe_weights
-    from ffpose.prediction import expect_axes, expect_distinct_overlays, write_overlay
-    from ffpose.prediction import predict as run
+    from ffpose.prediction import (
+        expect_axes,
+        expect_distinct_overlays,
+        open_predictions,
+        write_overlay,
+    )
 
     if options.overlay is not None:
         expect_folder(options.overlay)
@@ -299,16 +304,28 @@ def predict(options: Namespace) -> None:
     elif options.camera is not None and describe_weights(options.weights).camera is None:
         raise ValueError("--camera: expected with --overlay, for these weights know no camera")
     camera = None if options.camera is None else Camera.read(options.camera)
-    predictions = []
-    found = run(options.weights, options.images, camera=camera, any_camera=options.any_camera)
-    for prediction in found:
-        predictions.append(prediction.to_dict())
+    documents: list[dict[str, Any]] = []
+    failed = 0
+    predicted = open_predictions(options.weights, camera=camera, any_camera=options.any_camera)
+    for path in options.images:
+        try:
+            prediction = predicted(path)
+        except (OSError, DataError) as error:
+            if len(options.images) == 1:
+                raise
+            failed += 1
+            documents.append({"image": str(path), "error": describe(error)})
+            say(f"ffpose: {describe(error)}")
+            continue
+        documents.append(prediction.to_dict())
         if not options.json:
             print(prediction)
         if options.overlay is not None:
             say(str(write_overlay(prediction, options.overlay)))
     if options.json:
-        show({"predictions": predictions})
+        show({"predictions": documents})
+    if failed:
+        raise DataError(f"{failed} of {len(documents)} images have no pose")
 
 
 def export_arguments(parser: ArgumentParser) -> None:

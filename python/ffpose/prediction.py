@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -97,24 +97,27 @@ class Prediction:
         x, y, z = self.pose.t
         meters = degrees = ""
         if uncertainty is not None:
-            distance, angle = standard_deviations(self.pose.t, uncertainty)
-            meters, degrees = f" ± {distance:.2f} m along the ray", f" ± {angle:.1f}°"
+            distance, in_plane, out_of_plane = standard_deviations(self.pose.t, uncertainty)
+            meters = f" ± {distance:.2f} m along the ray"
+            degrees = f" ± {in_plane:.1f}° in plane, ± {out_of_plane:.1f}° out of plane"
         return (
             f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m{meters}, "
             f"roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°{degrees}"
         )
 
 
-def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[float, float]:
-    """Return the standard deviations of the distance, meters, and the rotation angle, degrees.
+def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[float, float, float]:
+    """Return the standard deviations of the distance and of the rotation's two parts.
 
-    The first is that along the viewing ray ``u`` to ``t``, ``sqrt(uᵀ C u)``; the second is the root
-    mean square length of the rotation vector, ``sqrt(trace C)``.
+    Along the viewing ray ``u`` to ``t``: ``sqrt(uᵀ C u)`` of the translation, meters, and of the
+    rotation vector, which is the rotation in plane, degrees; and out of plane, the root mean square
+    length of the rotation vector across the ray, ``sqrt(trace C - uᵀ C u)``, degrees.
     """
     ray = t / np.linalg.norm(t)
     distance = np.sqrt(ray @ uncertainty.translation_covariance @ ray)
-    angle = np.sqrt(np.trace(uncertainty.rotation_covariance))
-    return float(distance), float(np.degrees(angle))
+    along = ray @ uncertainty.rotation_covariance @ ray
+    across = np.trace(uncertainty.rotation_covariance) - along
+    return float(distance), *np.degrees(np.sqrt([along, across])).tolist()
 
 
 class Network(Protocol):
@@ -193,7 +196,7 @@ def predict(
     camera: Camera | None = None,
     any_camera: bool = False,
 ) -> Iterator[Prediction]:
-    """Predict the pose in each image file, lazily.
+    """Predict the pose in each image file, lazily, up to the first that cannot be used.
 
     Args:
         weights: Weights file, name of shipped weights, or exported ``.onnx`` graph.
@@ -206,15 +209,26 @@ def predict(
         ValueError: The weights cannot be used.
         ffpose.DataError: An image cannot be read, or its aspect ratio differs from its camera's.
     """
+    yield from map(open_predictions(weights, camera=camera, any_camera=any_camera), images)
+
+
+def open_predictions(
+    weights: str | Path, *, camera: Camera | None = None, any_camera: bool = False
+) -> Callable[[Path], Prediction]:
+    """Open weights and return the function from an image file to its prediction.
+
+    Arguments and errors are those of `predict`.
+    """
     description = describe(weights)
     network = open_network(weights, camera=camera, any_camera=any_camera)
-    for path in images:
+
+    def predicted(path: Path) -> Prediction:
         image = read_rgb(path, description.white)
         try:
             pose = network(image)
         except ValueError as error:
             raise DataError(str(error), path) from error
-        yield Prediction(
+        return Prediction(
             path,
             pose,
             camera or description.camera,
@@ -222,6 +236,8 @@ def predict(
             description.locates,
             description.white,
         )
+
+    return predicted
 
 
 def overlay_path(image: Path, folder: Path) -> Path:

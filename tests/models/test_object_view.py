@@ -74,7 +74,7 @@ def assert_a_whole_pose(pose, count):
         *({"orientation_head": head} for head in HEADS),
         {"pooling": "flatten", "depth": 0},
         {"pooling": "flatten", "orientation_head": "6d"},
-        {"pooling": "mean", "looks": 1, "filter": "tokens"},
+        {"pooling": "mean", "looks": 1, "filter": "tokens", "hidden_sigma": (9.0, 9.0)},
         {"first_stride": 1, "image_size": (50, 70), "object_size": (17, 30)},
     ],
 )
@@ -336,6 +336,7 @@ def test_an_exported_network_takes_batches_of_any_size():
         ({"distance_m": (20.0, 10.0)}, r"distance_m: expected 0 < near < far, got \(20.0, 10.0\)"),
         ({"distance_m": (0.0, 10.0)}, "distance_m: expected 0 < near"),
         ({"distance_m": (1.0, math.inf)}, "distance_m: expected 0 < near"),
+        ({"hidden_sigma": (0.0, -1.0)}, "hidden_sigma: expected 0 or more each"),
         ({"object_radius_m": 0.0}, "object_radius_m: expected above 0, got 0"),
         ({"object_size": (0, 16)}, r"object_size: expected whole numbers.* got \(0, 16\)"),
         ({"object_size": (16.5, 16)}, r"object_size: expected whole numbers.* got \(16.5, 16\)"),
@@ -387,3 +388,18 @@ def test_turned_looks_are_averaged():
             covariances.append(view.rotation.mT @ torch.diag_embed(sigma) @ view.rotation)
     torch.testing.assert_close(pose.translation, torch.stack(places).mean(0))
     torch.testing.assert_close(pose.rotation_covariance, torch.stack(covariances).mean(0))
+
+
+def test_the_uncertainty_grows_with_what_the_frame_does_not_show(monkeypatch):
+    """Variances times (1 + k h)² for an object on the frame's edge, h = 0.5; poses stay."""
+    grown, plain = build(hidden_sigma=(6.0, 2.0)).eval(), build().eval()
+    grown.load_state_dict(plain.state_dict())
+    for model in (grown, plain):
+        monkeypatch.setattr(model, "hidden", lambda points: torch.full((len(points),), 0.5))
+    images = torch.randn(3, 3, 48, 64)
+    with torch.no_grad():
+        got, expected = grown(images), plain(images)
+    for name, factor in (("translation_covariance", 16), ("rotation_covariance", 4)):
+        torch.testing.assert_close(getattr(got, name), factor * getattr(expected, name))
+    for name in ("translation", "orientation", "in_view"):
+        assert torch.equal(getattr(got, name), getattr(expected, name))

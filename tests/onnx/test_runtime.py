@@ -52,6 +52,7 @@ NETWORKS = {
             "object_size": (32, 32),
             "looks": 2,
             "turns": 2,
+            "hidden_sigma": (3.0, 2.0),
         },
     ),
 }

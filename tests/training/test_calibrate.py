@@ -10,7 +10,13 @@ from scipy.stats import chi2
 
 from ffpose.calibration import coverage, region_probability, squared_mahalanobis
 from ffpose.datasets import Sample
-from ffpose.training.calibrate import CHI_SQUARE_90, calibrate, variance_scale
+from ffpose.training.calibrate import (
+    CHI_SQUARE_90,
+    GROWTH_LIMIT,
+    calibrate,
+    sigma_growth,
+    variance_scale,
+)
 
 COUNT = 2000
 TRUE_VARIANCES = (0.09, 4e-4)
@@ -24,9 +30,12 @@ AHEAD = (0.0, 0.0, 40.0)
 class Drawn(torch.nn.Module):
     """Answers one pose to pictures that hold one number each: their presence."""
 
-    def __init__(self, view="object", distance_scale=1.0):
+    def __init__(self, view="object", distance_scale=1.0, hidden_sigma=(0.0, 0.0), hidden=0.0):
         super().__init__()
-        self.config = SimpleNamespace(orientation_view=view, distance_scale=distance_scale)
+        self.share = hidden
+        self.config = SimpleNamespace(
+            orientation_view=view, distance_scale=distance_scale, hidden_sigma=hidden_sigma
+        )
         self.register_buffer("variance_scales", torch.ones(2))
 
     def forward(self, images):
@@ -35,10 +44,16 @@ class Drawn(torch.nn.Module):
         return (
             torch.tensor(AHEAD).expand(count, 3) * self.config.distance_scale,
             torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
-            unit * SAID[0] * self.variance_scales[0],
-            unit * SAID[1] * self.variance_scales[1],
+            unit * SAID[0] * self.variance_scales[0] * self.growth(0),
+            unit * SAID[1] * self.variance_scales[1] * self.growth(1),
             images.flatten(1).mean(1),
         )
+
+    def growth(self, axis):
+        return (1 + self.config.hidden_sigma[axis] * self.share) ** 2
+
+    def hidden(self, points):
+        return torch.full((len(points),), self.share)
 
 
 def split(seed, count=COUNT):
@@ -115,15 +130,57 @@ def test_the_threshold_parts_what_can_be_parted():
     assert 0.2 < threshold < 0.8
 
 
+def test_the_growth_is_what_the_cut_objects_lack():
+    """Of noise of σ (1 + k h), covariances of σ² lack the growth k."""
+    rng = np.random.default_rng(3)
+    hidden = rng.uniform(0.2, 0.8, 20000)
+    errors = (1 + 7 * hidden)[:, None] * rng.standard_normal((20000, 3))
+    assert sigma_growth((errors**2).sum(1), hidden) == pytest.approx(7, rel=0.05)
+
+
+def test_no_growth_where_none_is_needed_and_the_limit_where_nothing_is_hidden():
+    small = chi2.rvs(3, size=1000, random_state=1)
+    assert sigma_growth(small / 4, np.full(1000, 0.5)) == 0.0
+    assert sigma_growth(small * 4, np.zeros(1000)) == GROWTH_LIMIT
+
+
+@pytest.mark.parametrize("before", [(0.0, 0.0), (2.0, 5.0)])
+def test_ninety_percent_of_cut_objects_lie_in_the_region_of_ninety_percent(before):
+    """Errors as of whole objects times 1 + 4 / 2, and no growth wanted in rotation."""
+    model = Drawn(hidden_sigma=before)
+
+    def cut():
+        model.share = 0.5
+        for batch in split(5):
+            t = np.asarray(AHEAD) + 3 * (batch.translation.numpy() - AHEAD)
+            yield batch._replace(translation=torch.tensor(t))
+
+    found = calibrate(model, split(0), absent(), cut())
+    assert found.hidden_sigma[0] == pytest.approx(4, rel=0.1)
+    assert found.hidden_sigma[1] < 0.2
+
+
+def test_without_cut_objects_the_growth_stays():
+    model = Drawn(hidden_sigma=(2.0, 5.0))
+    assert calibrate(model, split(0), absent()).hidden_sigma == (2.0, 5.0)
+
+
 def test_a_network_that_gives_no_uncertainty_is_refused():
     with pytest.raises(ValueError, match="expected one with orientation_view 'object'"):
         calibrate(Drawn("frame"), split(0), absent())
 
 
-@pytest.mark.parametrize(("labeled", "empty"), [([], absent()), (list(split(0)), [])])
-def test_images_of_both_kinds_are_needed(labeled, empty):
-    with pytest.raises(ValueError, match="expected some that show the object and some that do not"):
-        calibrate(Drawn(), labeled, empty)
+def test_images_with_the_object_are_needed():
+    with pytest.raises(ValueError, match="labeled: expected images that show the object, got none"):
+        calibrate(Drawn(), [], absent())
+
+
+def test_without_empty_images_scales_are_found_and_no_threshold():
+    found = calibrate(Drawn(), split(0), [])
+    assert found.in_view_threshold is None
+    torch.testing.assert_close(
+        found.variance_scales, calibrate(Drawn(), split(0), absent()).variance_scales
+    )
 
 
 @pytest.mark.parametrize("bad", [[], [1.0, -1.0], [np.nan]])

@@ -101,9 +101,12 @@ def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
         shares = zip(LEVELS, coverage(probability).tolist(), strict=True)
         result[name] = {f"coverage_{100 * level:.0f}": share for level, share in shares}
     pairs = zip(answers.found, said, strict=True)
-    sigmas = np.median([standard_deviations(pose.t, u) for pose, u in pairs], axis=0)
+    distances, in_plane, out_of_plane = np.transpose(
+        [standard_deviations(pose.t, u) for pose, u in pairs]
+    )
+    result["median_sigma_distance_m"] = float(np.median(distances))
+    result["median_sigma_rotation_deg"] = float(np.median(np.hypot(in_plane, out_of_plane)))
     in_view = np.array([u.in_view for u in said])
-    result["median_sigma_distance_m"], result["median_sigma_rotation_deg"] = sigmas.tolist()
     result["median_in_view"] = float(np.median(in_view))
     if threshold is not None:
         result["flagged"] = float((in_view < threshold).mean())

@@ -76,6 +76,9 @@ class FilterformerPoseConfig(NetworkConfig):
         distance_m: Smallest and largest distance in training, meters.
         distance_scale: Factor on the predicted translation, found by calibration, that removes the
             median error of the distance (view ``"object"``).
+        hidden_sigma: Growth of the standard deviations of translation and rotation with the share
+            ``h`` of the object that lies outside of the frame: they are multiplied by ``1 +
+            hidden_sigma h``; found by calibration.
         looks: Number of times that the virtual camera is pointed; 2 looks again at the position
             that the first of these looks refined.
         turns: Number of views of the last look, evenly rotated about the viewing ray, whose
@@ -86,7 +89,11 @@ class FilterformerPoseConfig(NetworkConfig):
     """
 
     architecture: ClassVar[str] = "FilterformerPose"
-    TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {"object_size": 2, "distance_m": 2}
+    TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
+        "object_size": 2,
+        "distance_m": 2,
+        "hidden_sigma": 2,
+    }
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
         "norm": get_args(NormPlace),
         "filter": get_args(FilterKind),
@@ -127,6 +134,7 @@ class FilterformerPoseConfig(NetworkConfig):
     first_stride: int = 4
     distance_m: tuple[float, float] = (8.0, 42.0)
     distance_scale: float = 1.0
+    hidden_sigma: tuple[float, float] = (0.0, 0.0)
     looks: int = 2
     turns: int = 4
 
@@ -155,6 +163,8 @@ class FilterformerPoseConfig(NetworkConfig):
             raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
         if not 0 < self.distance_scale < math.inf:
             raise ValueError(f"distance_scale: expected above 0, got {self.distance_scale}")
+        if not all(0 <= growth < math.inf for growth in self.hidden_sigma):
+            raise ValueError(f"hidden_sigma: expected 0 or more each, got {self.hidden_sigma}")
         if not 0 < self.object_radius_m < math.inf:
             raise ValueError(f"object_radius_m: expected above 0, got {self.object_radius_m}")
         if self.orientation_view == "object":

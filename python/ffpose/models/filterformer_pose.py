@@ -29,6 +29,7 @@ from ffpose.models.object_look import (
     LookHead,
     LookNumbers,
     covariances,
+    hidden_share,
     points_at,
     split_numbers,
 )
@@ -264,7 +265,23 @@ class FilterformerPose(PoseNetwork):
         for _ in range(1, self.config.looks):
             points = self._look_around(levels, points, turns=1).translation
         pose = self._look_around(levels, points, self.config.turns)
-        return pose._replace(translation=pose.translation * self.config.distance_scale)
+        pose = pose._replace(translation=pose.translation * self.config.distance_scale)
+        if self.config.hidden_sigma == (0.0, 0.0):
+            return pose
+        hidden = self.hidden(pose.translation)[:, None, None]
+        for_translation, for_rotation = ((1 + hidden * k) ** 2 for k in self.config.hidden_sigma)
+        return pose._replace(
+            translation_covariance=pose.translation_covariance * for_translation,
+            rotation_covariance=pose.rotation_covariance * for_rotation,
+        )
+
+    def hidden(self, points: Tensor) -> Tensor:
+        """Return the share ``(B,)`` of objects at ``points (B, 3)`` that the frame does not show.
+
+        An object is taken for a disk of half the radius that the virtual camera's image covers.
+        """
+        radius = self.config.object_radius_m / 2
+        return hidden_share(points, radius, self.intrinsics, self.config.image_size)
 
     def _look_around(self, levels: Pyramid, points: Tensor, turns: int) -> UncertainPose:
         """Look at points ``(B, 3)`` in views rotated about the ray, and average the predictions."""

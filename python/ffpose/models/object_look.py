@@ -14,13 +14,14 @@ the object (`ffpose.models.virtual_camera`) and predicts, in that camera's frame
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ffpose.models.virtual_camera import VirtualCamera
+from ffpose.models.virtual_camera import LEAST_DEPTH, VirtualCamera, toward
 
 OFFSET_SCALE = 4.0
 OFFSET_LIMIT = 4.0
@@ -31,6 +32,14 @@ LOG_SIGMA_LIMITS = (-6.0, 1.5)
 
 SMALL_NUMBERS = 3 + 6 + 1
 """Number of outputs besides the orientation's: offset, log standard deviations, logit."""
+
+
+DISK_POINTS = 256
+"""Number of points for which the share of the object outside of the frame is counted."""
+
+GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
+"""Angle between successive points, with which they cover a disk evenly (Vogel, "A better way to
+construct the sunflower head", Mathematical Biosciences, 1979)."""
 
 
 class LookNumbers(NamedTuple):
@@ -145,6 +154,30 @@ def covariances(numbers: LookNumbers, view: VirtualCamera, scales: Tensor) -> tu
     translation = (to_camera * variance[:, None, :3]) @ to_camera.transpose(1, 2)
     rotation = (back * variance[:, None, 3:]) @ view.rotation
     return translation * scales[0], rotation * scales[1]
+
+
+def hidden_share(
+    points: Tensor, radius_m: float, intrinsics: Tensor, size: tuple[int, int]
+) -> Tensor:
+    """Return the share ``(B,)`` of a disk about each point that the frame does not show.
+
+    The disk faces the camera; `DISK_POINTS` spread over it are projected.
+
+    Args:
+        points: Centers ``(B, 3)``, meters, camera frame, not behind the camera.
+        radius_m: Radius of the disk.
+        intrinsics: ``(4,)``, fx, fy, cx, cy of the frame.
+        size: ``(height, width)`` of the frame in pixels.
+    """
+    number = torch.arange(DISK_POINTS, dtype=points.dtype, device=points.device) + 0.5
+    radius, angle = radius_m * (number / DISK_POINTS).sqrt(), number * GOLDEN_ANGLE
+    disk = torch.stack([radius * angle.cos(), radius * angle.sin(), torch.zeros_like(radius)])
+    x, y, z = (toward(points) @ disk + points[:, :, None]).unbind(1)  # (B, DISK_POINTS)
+    fx, fy, cx, cy = intrinsics.unbind(-1)
+    depth = z.clamp_min(LEAST_DEPTH)
+    u, v = x / depth * fx + cx, y / depth * fy + cy
+    seen = (z > LEAST_DEPTH) & (u > 0) & (u < size[1]) & (v > 0) & (v < size[0])
+    return 1 - seen.to(points.dtype).mean(1)
 
 
 def sigma_loss(log_sigma: Tensor, residual: Tensor) -> Tensor:

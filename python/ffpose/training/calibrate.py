@@ -4,12 +4,15 @@ Translations are scaled by one factor, such that the median error of the logarit
 is zero. The covariances of translation and of rotation are scaled by one factor each, such that the
 90 % confidence regions contain 90 % of the ground truth of the validation split. This is the analog
 of temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks",
-ICML 2017). Coverage at other levels, and under other conditions, is up to the network.
+ICML 2017). Of an object that the border cuts the network's errors are larger than it knows; there
+the standard deviations grow with the share that is outside of the frame, such that the regions
+contain 90 % of the ground truth of cut objects too. Coverage at other levels, and under other
+conditions, is up to the network.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +31,12 @@ LEVEL = 0.9
 CHI_SQUARE_90 = 6.251388631170325
 """The 90 % quantile of the chi-square distribution with three degrees of freedom."""
 
+ROUNDS = 5
+"""Number of times that scale and growth are found in turn; each hardly depends on the other."""
+
+GROWTH_LIMIT = 50.0
+"""Largest growth of a standard deviation per hidden share."""
+
 
 class Calibration(NamedTuple):
     """Calibration parameters found on the validation split.
@@ -35,16 +44,38 @@ class Calibration(NamedTuple):
     Attributes:
         distance_scale: For the field of the network's config of that name.
         variance_scales: ``(2,)`` float32, for the network's buffer of that name.
-        in_view_threshold: Images with a lower probability of the object being in view are flagged.
+        in_view_threshold: Images with a lower probability of the object being in view are flagged;
+            None where there were no images without the object.
+        hidden_sigma: For the field of the network's config of that name.
     """
 
     distance_scale: float
     variance_scales: Tensor
-    in_view_threshold: float
+    in_view_threshold: float | None
+    hidden_sigma: tuple[float, float]
+
+
+class Distances(NamedTuple):
+    """Squared Mahalanobis distances of the ground truth of a set of images.
+
+    They are those of covariances without the growth by the hidden share.
+
+    Attributes:
+        translation: ``(N,)``.
+        rotation: ``(N,)``.
+        hidden: Shares ``(N,)`` of the objects that the frame does not show.
+    """
+
+    translation: FloatArray
+    rotation: FloatArray
+    hidden: FloatArray
 
 
 def calibrate(
-    model: FilterformerPose, labeled: Iterable[Sample], empty: Iterable[Tensor]
+    model: FilterformerPose,
+    labeled: Iterable[Sample],
+    empty: Iterable[Tensor],
+    cut: Iterable[Sample] = (),
 ) -> Calibration:
     """Find the scales of a network's distances and variances, and the threshold that flags images.
 
@@ -56,36 +87,65 @@ def calibrate(
     Args:
         model: A network with a second look.
         labeled: Batches of the validation split, as a DataLoader of a `PoseDataset` yields them.
-        empty: Standardized batches ``(B, 3, H, W)`` of images that do not show the object.
+        empty: Standardized batches ``(B, 3, H, W)`` of images that do not show the object, for the
+            threshold.
+        cut: Batches like ``labeled`` of objects that the border cuts; without any,
+            ``hidden_sigma`` stays as it is.
 
     Raises:
-        ValueError: The network predicts no uncertainty, ``labeled`` or ``empty`` has no images, or
-            a covariance is not positive definite.
+        ValueError: The network predicts no uncertainty, ``labeled`` has no images, or a covariance
+            is not positive definite.
     """
     if model.config.orientation_view != "object":
         raise ValueError("model: expected one with orientation_view 'object', got 'frame'")
     model.eval()
-    seen, truths = [], []
-    for batch in labeled:
-        seen.append(_see(model, batch.image))
-        truths.append((_array(batch.translation), _array(batch.orientation)))
+    seen, truths = _see_all(model, labeled)
     absent = [_see(model, images)[4] for images in empty]
-    if not seen or not absent:
-        raise ValueError("images: expected some that show the object and some that do not")
-    t, q, translation_covariance, rotation_covariance, shown = map(
-        np.concatenate, zip(*seen, strict=False)
-    )
-    true_t, true_q = map(np.concatenate, zip(*truths, strict=False))
-    factor = distance_factor(t, true_t)
-    scales = [
-        variance_scale(squared_mahalanobis(true_t - t * factor, translation_covariance)),
-        variance_scale(squared_mahalanobis(rotation_vector(true_q, q), rotation_covariance)),
+    if not seen:
+        raise ValueError("labeled: expected images that show the object, got none")
+    factor = distance_factor(seen[0], truths[0])
+    whole = _distances(model, seen, truths, factor)
+    partial = _distances(model, *there, factor) if (there := _see_all(model, cut))[0] else None
+    fits = [
+        _fit(d2, whole.hidden, growth, None if partial is None else (partial[axis], partial.hidden))
+        for axis, (d2, growth) in enumerate(zip(whole[:2], model.config.hidden_sigma, strict=True))
     ]
+    scales, growths = zip(*fits, strict=True)
     return Calibration(
         model.config.distance_scale * factor,
         model.variance_scales.detach().cpu().float() * torch.tensor(scales),
-        choose_threshold(shown, np.concatenate(absent)).threshold,
+        choose_threshold(seen[4], np.concatenate(absent)).threshold if absent else None,
+        growths,
     )
+
+
+def _fit(
+    d2: FloatArray, hidden: FloatArray, growth: float, cut: tuple[FloatArray, FloatArray] | None
+) -> tuple[float, float]:
+    """Return a variance's scale and its standard deviation's growth, each given the other."""
+    for _ in range(ROUNDS):
+        scale = variance_scale(d2 / (1 + growth * hidden) ** 2)
+        if cut is not None:
+            growth = sigma_growth(cut[0] / scale, cut[1])
+    return scale, growth
+
+
+def sigma_growth(squared_distance: ArrayLike, hidden: ArrayLike) -> float:
+    """Return the growth of a standard deviation with the hidden share that covers 90 % of truths.
+
+    With ``k``, a truth lies in its 90 % region where ``d² <= 6.2514 (1 + k h)²``, that is from ``k
+    = (sqrt(d² / 6.2514) - 1) / h`` on; the result is the 90 % quantile of these, at least zero and
+    at most `GROWTH_LIMIT`.
+
+    Args:
+        squared_distance: ``eᵀ C⁻¹ e`` of each truth ``(N,)``, N > 0.
+        hidden: Share ``(N,)`` of each object that the frame does not show.
+    """
+    excess = np.sqrt(np.asarray(squared_distance) / CHI_SQUARE_90) - 1
+    share = np.asarray(hidden)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        needed = np.where(excess <= 0, 0.0, np.minimum(excess / share, GROWTH_LIMIT))
+    return float(np.quantile(needed, LEVEL))
 
 
 def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
@@ -117,6 +177,35 @@ def variance_scale(squared_distance: ArrayLike) -> float:
             f"squared distance: expected finite numbers (N,) of at least 0, N > 0, got {d2}"
         )
     return float(np.quantile(d2, LEVEL) / CHI_SQUARE_90)
+
+
+def _see_all(
+    model: FilterformerPose, labeled: Iterable[Sample]
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return what the network predicts for all images, and their translations and orientations."""
+    seen, truths = [], []
+    for batch in labeled:
+        seen.append(_see(model, batch.image))
+        truths.append((_array(batch.translation), _array(batch.orientation)))
+    return _joined(seen), _joined(truths)
+
+
+def _joined(batches: Sequence[Sequence[FloatArray]]) -> list[FloatArray]:
+    return [np.concatenate(parts) for parts in zip(*batches, strict=True)]
+
+
+def _distances(
+    model: FilterformerPose, seen: list[FloatArray], truths: list[FloatArray], factor: float
+) -> Distances:
+    """Return the distances of the truths from the predictions, translations times ``factor``."""
+    t, q, translation_covariance, rotation_covariance, _ = seen
+    hidden = _array(model.hidden(torch.from_numpy(t).float().to(model.variance_scales.device)))
+    growths = [(1 + growth * hidden) ** 2 for growth in model.config.hidden_sigma]
+    return Distances(
+        squared_mahalanobis(truths[0] - t * factor, translation_covariance) * growths[0],
+        squared_mahalanobis(rotation_vector(truths[1], q), rotation_covariance) * growths[1],
+        hidden,
+    )
 
 
 def _see(model: FilterformerPose, images: Tensor) -> list[FloatArray]:

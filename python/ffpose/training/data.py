@@ -56,6 +56,8 @@ class TrainingData:
         empty: Stored views without an object.
         empty_images: Whole images without an object ``(N, H, W, 3)``, uint8, to set the threshold
             that flags; None where there are none.
+        cut_set: Whole images of objects that the border cuts, to calibrate the uncertainty there;
+            None where there are none.
     """
 
     poses: NDArray[np.float64]
@@ -65,6 +67,7 @@ class TrainingData:
     views: list[Arrays] = field(default_factory=list)
     empty: list[Arrays] = field(default_factory=list)
     empty_images: Bytes | None = None
+    cut_set: PoseDataset | None = None
 
 
 def open_training_data(
@@ -156,7 +159,12 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
     ]
     poses = np.concatenate([arrays["labels"][:, :7] for arrays in views])
     empty_images = open_empty_images(config.root, scenes[0], config.seed, preprocessing)
-    return TrainingData(poses, val_set, camera, None, views, empty, empty_images)
+    cut = scenes[0].cut(*CUT_SHARE)
+    seed = (config.seed + CUT_SEEDS) % TEST_SEEDS
+    cut_set = open_validation(
+        config.root, cut, seed, config.validation, preprocessing, workers=workers
+    )
+    return TrainingData(poses, val_set, camera, None, views, empty, empty_images, cut_set)
 
 
 def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:

@@ -12,12 +12,14 @@ import math
 import os
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ffpose.config import looks_twice
 from ffpose.datasets.targets import Target, spread
 from ffpose.errors import require
 from ffpose.metrics import PoseError
@@ -146,8 +148,9 @@ def _train_in(
                 _write(run, state, folder)
             events.epoch_ends(row)
             reporter.epoch_ends(row)
-    if processes.leads:
-        _calibrate(run, folder)
+    if processes.leads and looks_twice(run.model.config):
+        for weights in (folder.best, folder.last):
+            _calibrate(run, weights)
     processes.wait()
     seconds = sum(float(row["seconds"]) for row in state.history)
     return TrainResult(folder, state.history, state.best_epoch, seconds, processes.leads)
@@ -168,19 +171,22 @@ def _header(run: Run) -> dict[str, Any]:
     }
 
 
-def _calibrate(run: Run, folder: RunFolder) -> None:
-    """Calibrate the best weights: distances, uncertainty, and what flags images without object."""
-    empty = run.task.empty()
-    if empty is None:
-        return
-    model = FilterformerPose.from_pretrained(folder.best)
+def _calibrate(run: Run, weights: Path) -> None:
+    """Calibrate weights: distances, uncertainty, and the threshold that flags images.
+
+    There is no threshold where the training has no images without the object.
+    """
+    model = FilterformerPose.from_pretrained(weights)
     model.variance_scales.fill_(1)  # so that a resumed run finds the same scales
-    model.config = replace(model.config, distance_scale=1.0)
-    found = calibrate(model, run.task.validation(whole=True), empty)
+    model.config = replace(model.config, distance_scale=1.0, hidden_sigma=(0.0, 0.0))
+    labeled, empty, cut = run.task.validation(whole=True), run.task.empty(), run.task.cut()
+    found = calibrate(model, labeled, empty or (), cut)
     model.variance_scales.copy_(found.variance_scales)
-    model.config = replace(model.config, distance_scale=found.distance_scale)
+    model.config = replace(
+        model.config, distance_scale=found.distance_scale, hidden_sigma=found.hidden_sigma
+    )
     header = _header(run) | {"in_view_threshold": found.in_view_threshold}
-    model.save_pretrained(folder.best, **header)
+    model.save_pretrained(weights, **header)
 
 
 def _scores(run: Run, state: TrainState) -> list[float]:

@@ -110,7 +110,13 @@ def _task(
             model, data.views, data.empty, config.views, data.val_set.preprocessing.std, loss.cells
         )
         return ObjectTask(
-            views, data.val_set, loss, config.batch_size, data.empty_images, processes
+            views,
+            data.val_set,
+            loss,
+            config.batch_size,
+            data.empty_images,
+            data.cut_set,
+            processes,
         )
     assert data.train_set is not None
     joint_loss = _joint_loss(config.loss, model).to(device)

@@ -81,6 +81,9 @@ class Task(Protocol):
     def empty(self) -> Iterator[Tensor] | None:
         """Iterate over standardized images without an object; None for a network without flag."""
 
+    def cut(self) -> Iterator[Sample]:
+        """Iterate over validation images whose object the border cuts; there may be none."""
+
 
 def _loader(dataset: PoseDataset, batch_size: int, workers: int, **options: Any) -> Any:
     return DataLoader(dataset, batch_size=batch_size, num_workers=workers, **options)
@@ -174,6 +177,10 @@ class FrameTask:
     def empty(self) -> None:
         """Return None: the network does not predict whether the object is in view."""
 
+    def cut(self) -> Iterator[Sample]:
+        """Iterate over no images: the network predicts no uncertainty."""
+        return iter(())
+
 
 class ObjectTask:
     """Pose with a second look, trained on stored views.
@@ -184,6 +191,7 @@ class ObjectTask:
         loss: The loss terms and their weights.
         batch_size: Images per batch.
         empty_images: Whole images without an object ``(N, H, W, 3)``, uint8; None for none.
+        cut_set: Whole validation images whose object the border cuts; None for none.
         processes: This process's place among those that train together.
     """
 
@@ -194,9 +202,11 @@ class ObjectTask:
         loss: ObjectObjective,
         batch_size: int,
         empty_images: NDArray[np.uint8] | None = None,
+        cut_set: PoseDataset | None = None,
         processes: Processes = ALONE,
     ) -> None:
         self.processes = processes
+        self.cut_set = cut_set
         self.views, self.val_set, self.loss, self.batch_size = views, val_set, loss, batch_size
         self.preprocessing = val_set.preprocessing
         self.empty_images = empty_images
@@ -257,6 +267,12 @@ class ObjectTask:
         if self.empty_images is None:
             return None
         return standardized(self.empty_images, self.preprocessing)
+
+    def cut(self) -> Iterator[Sample]:
+        """Iterate over the validation images whose object the border cuts."""
+        if self.cut_set is None:
+            return iter(())
+        return _validation(self.cut_set, ALONE, VALIDATION_BATCH, workers=0)
 
 
 def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Iterator[Tensor]:
