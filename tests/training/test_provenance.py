@@ -3,6 +3,7 @@
 import hashlib
 import json
 import struct
+from dataclasses import replace
 
 import pytest
 import torch
@@ -47,14 +48,22 @@ def test_a_camera_that_is_given_stays(image_set, tmp_path):
     assert run.model.config.camera == (30.0, 31.0, 32.0, 33.0)
 
 
-def test_what_the_backbone_began_from_outlives_an_interruption(image_set, tmp_path, monkeypatch):
-    """Random weights are what a resumed run starts with; they are replaced, and not recorded."""
+def test_a_resumed_run_knows_its_backbone_and_needs_no_pretrained_weights(
+    image_set, tmp_path, monkeypatch
+):
     source = {"name": "a", "source": "b", "sha256": "c"}
-    monkeypatch.setattr("ffpose.models.backbone.load_backbone_weights", lambda *_: source)
-    train(train_config(image_set, tmp_path / "run", epochs=1), quiet=True)
-    monkeypatch.undo()
-    run = train(train_config(image_set, tmp_path / "run", epochs=2), resume=True, quiet=True)
-    assert read_metadata(run.folder.last).backbone_source == source
+    asked = []
+
+    def load(features, name, weights):
+        asked.append(weights)
+        return source if weights == "auto" else "none"
+
+    monkeypatch.setattr("ffpose.models.backbone.load_backbone_weights", load)
+    for epochs in (1, 2):
+        config = train_config(image_set, tmp_path / "run", backbone_weights="auto", epochs=epochs)
+        run = train(config, resume=True, quiet=True)
+        assert read_metadata(run.folder.last).backbone_source == source
+    assert asked == ["auto", "none"]
 
 
 def test_a_run_begins_from_the_weights_that_it_names(image_set, tmp_path):
@@ -64,6 +73,9 @@ def test_a_run_begins_from_the_weights_that_it_names(image_set, tmp_path):
     begun = build_run(config).model.state_dict()
     assert all(torch.equal(begun[name], value) for name, value in load_file(weights).items())
     folder = train(config, quiet=True).folder
+    assert read_metadata(folder.last).recipe["init"] == digest
+    weights.unlink()  # a run that is resumed does not need them
+    train(replace(config, epochs=2), resume=True, quiet=True)
     assert read_metadata(folder.last).recipe["init"] == digest
 
 
@@ -75,7 +87,7 @@ def test_weights_to_begin_from_that_are_not_there_are_named(image_set, tmp_path)
 
 def test_the_recipe_names_nothing_of_this_machine(image_set, tmp_path):
     config = train_config(image_set, tmp_path / "run")
-    text = json.dumps(recipe(config))
+    text = json.dumps(recipe(config, None))
     assert str(image_set) not in text
     assert str(tmp_path) not in text
     assert not {"out", "device"} & set(json.loads(text))

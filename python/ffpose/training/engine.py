@@ -124,10 +124,10 @@ def _train_in(
 ) -> TrainResult:
     folder = RunFolder(config.out)
     state = folder.open(config, resume=resume)
-    run = build_run(config, processes)
+    resumed = read_metadata(folder.last) if state.history else None
+    run = build_run(config, processes, resumed=resumed)
     if state.history:
         _restore(run, state)
-        run.average.model.backbone.source = read_metadata(folder.last).backbone_source
     if processes.leads:
         folder.begin(config)
     done, steps = len(state.history), run.task.steps
@@ -165,7 +165,7 @@ def _header(run: Run) -> dict[str, Any]:
     return {
         "preprocessing": run.task.preprocessing,
         "backbone_source": run.average.model.backbone.source,
-        "recipe": recipe(run.config),
+        "recipe": recipe(run.config, run.init),
         "data": run.task.describe(run.config.data.kind),
         "dtype": getattr(torch, run.config.weights_dtype),
     }

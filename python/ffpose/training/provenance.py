@@ -7,23 +7,22 @@ from dataclasses import asdict
 from typing import Any
 
 from ffpose.datasets import PoseDataset
-from ffpose.files import sha256
 from ffpose.training.config import TrainConfig
 
 OF_THIS_MACHINE = ("out", "device", "backbone_weights")
 """Fields specific to this machine, left out; the header records the backbone's initial weights."""
 
 
-def recipe(config: TrainConfig) -> dict[str, Any]:
+def recipe(config: TrainConfig, init: str | None) -> dict[str, Any]:
     """Return the configuration as a JSON document, without paths and names of this machine.
 
-    ``init`` is the SHA-256 of the initial weights.
-
-    Raises:
-        FileNotFoundError: The file of the initial weights does not exist.
+    Args:
+        config: The configuration.
+        init: SHA-256 of the initial weights, which stands in the place of their path; None for
+            none.
     """
     fields = {name: value for name, value in asdict(config).items() if name not in OF_THIS_MACHINE}
-    fields["init"] = None if config.init is None else sha256(config.init)
+    fields["init"] = init
     fields["data"] = {
         name: value for name, value in fields["data"].items() if name not in ("root", "workers")
     }

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from ffpose.config import looks_twice
+from ffpose.files import sha256
 from ffpose.losses import FixedLoss, JointLoss, PoseLoss
 from ffpose.models import (
     FilterformerPose,
@@ -19,7 +20,7 @@ from ffpose.models import (
     build_network,
     find_config,
 )
-from ffpose.models.weights import load_weights
+from ffpose.models.weights import WeightsMetadata, load_weights
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.config import LossConfig, OptimizerConfig, TrainConfig
 from ffpose.training.data import TrainingData, open_training_data
@@ -44,6 +45,7 @@ class Run:
         task: Batches, loss and validation.
         processes: This process's place among those that train together.
         device: Where the network computes.
+        init: SHA-256 of the initial weights; None for none.
     """
 
     config: TrainConfig
@@ -53,14 +55,19 @@ class Run:
     task: Task
     device: torch.device
     processes: Processes = ALONE
+    init: str | None = None
 
 
-def build_run(config: TrainConfig, processes: Processes = ALONE) -> Run:
+def build_run(
+    config: TrainConfig, processes: Processes = ALONE, *, resumed: WeightsMetadata | None = None
+) -> Run:
     """Open the images and build model, loss and optimizer, the weights from the run's seed.
 
     Args:
         config: What the run is asked to do.
         processes: This process's place among those that train together.
+        resumed: Header of the last weights of a run that is resumed. Neither the backbone's
+            pretrained weights nor the initial weights are read then: the checkpoint has all.
 
     Raises:
         ValueError: An unknown kind of image set, or fields that do not go together.
@@ -85,15 +92,19 @@ def build_run(config: TrainConfig, processes: Processes = ALONE) -> Run:
     if config.normalize_translation and not object_view:
         fields |= translation_statistics(data.poses)
     torch.manual_seed(config.seed)
-    model = build_network(config.model, backbone_weights=config.backbone_weights, **fields).to(
-        device
-    )
-    if config.init is not None:
+    backbone_weights = config.backbone_weights if resumed is None else "none"
+    model = build_network(config.model, backbone_weights=backbone_weights, **fields).to(device)
+    init = None
+    if resumed is not None:
+        model.backbone.source = resumed.backbone_source
+        init = (resumed.recipe or {}).get("init")
+    elif config.init is not None:
         load_weights(config.init, model, grow=True)
+        init = sha256(config.init)
     task = _task(config, model, data, device, processes)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
     average = AveragedModel(model, config.ema)
-    return Run(config, model, average, optimizer, task, device, processes)
+    return Run(config, model, average, optimizer, task, device, processes, init)
 
 
 def _task(
