@@ -1,21 +1,28 @@
-"""File utilities: atomic writes, hashes, text, and checks of folders and free space."""
+"""File utilities: atomic writes, hashes, text and JSON, and checks of folders and free space."""
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import os
+import reprlib
 import shutil
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from ffpose.errors import DataError
 
 _PREFIX = ".ffpose-"
 """Prefix of the temporary folders that files are written in before they are renamed."""
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 80
+_SHORT.maxdict = _SHORT.maxlist = 12
 
 
 @contextmanager
@@ -73,6 +80,50 @@ def read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(f"expected text in UTF-8: {error}", path) from error
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file in UTF-8.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        DataError: The file is not in UTF-8, or as in `json_errors`.
+    """
+    text = read_text(path)
+    with json_errors(path):
+        return json.loads(text)
+
+
+@contextmanager
+def json_errors(path: Path, line: int | None = None) -> Iterator[None]:
+    """Turn the errors of Python's JSON decoder within the block into a `DataError`.
+
+    Args:
+        path: The file that the text comes from.
+        line: The line that the text begins on, for errors that name none.
+
+    Raises:
+        DataError: The text is not JSON, or is nested more deeply than Python's recursion limit, or
+            has an integer of more digits than Python converts.
+    """
+    try:
+        yield
+    except json.JSONDecodeError as error:
+        raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
+    except RecursionError as error:
+        raise DataError("expected JSON of few levels, got too many", path, line) from error
+    except ValueError as error:
+        raise DataError(f"expected numbers of few digits: {error}", path, line) from error
+
+
+def shortened(value: object) -> str:
+    """Return the representation of a value from a file, with an ellipsis where it is long.
+
+    Examples:
+        >>> shortened([0.5, "a"]), len(shortened("a" * 9999))
+        ("[0.5, 'a']", 80)
+    """
+    return _SHORT.repr(value)
 
 
 def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from ffpose import urso
 from ffpose.arrays import canonical_quaternion
 from ffpose.errors import DataError
-from ffpose.files import atomic_write, read_text
+from ffpose.files import atomic_write, read_json, shortened
 
 FloatArray = NDArray[np.float64]
 
@@ -133,19 +133,18 @@ class Camera:
             FileNotFoundError: The file does not exist.
             DataError: The file is not JSON, has other keys, or the values are not a valid camera.
         """
-        try:
-            values = json.loads(read_text(Path(path)))
-        except json.JSONDecodeError as error:
-            raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
+        values = read_json(Path(path))
         names = [field.name for field in fields(Camera)]
         if not isinstance(values, dict) or sorted(set(values) - {"distortion"}) != sorted(names):
-            raise DataError(f"expected the keys {', '.join(names)}, got {values}", path)
+            raise DataError(f"expected the keys {', '.join(names)}, got {shortened(values)}", path)
         for name in names:
             kinds = (int,) if name in ("width", "height") else (int, float)
             if type(values[name]) not in kinds:
-                raise DataError(f"{name}: expected a number, got {values[name]!r}", path)
+                raise DataError(f"{name}: expected a number, got {shortened(values[name])}", path)
         try:
             return DistortedCamera(**values) if "distortion" in values else Camera(**values)
+        except OverflowError as error:  # an integer of hundreds of digits
+            raise DataError(f"expected finite numbers: {error}", path) from error
         except (TypeError, ValueError) as error:
             raise DataError(str(error), path) from error
 

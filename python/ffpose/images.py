@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageFile
 
 from ffpose.errors import DataError
 
@@ -24,6 +24,10 @@ MODES = ("L", "LA", "P", "RGB", "RGBA")
 
 DEEP_MODES = ("I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of monochrome images with more than 8 bits, whose white level a user states."""
+
+
+MAX_PIXELS = 2**28 // 3
+"""Most pixels of an image file: 256 MiB as RGB, where Pillow begins to warn of hostile files."""
 
 
 WAITING = 256
@@ -65,7 +69,8 @@ def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DataError: The file is not an intact image, or its mode is not in `MODES`.
+        DataError: The file is not an intact image, or too large (`MAX_PIXELS`), or its mode is not
+            in `MODES`, or it has more than 8 bits per channel.
     """
     with open_image(path) as image:
         return to_rgb(image, path, white if image.mode in DEEP_MODES else None)
@@ -77,37 +82,46 @@ def open_image(path: Path) -> Iterator[Image.Image]:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DataError: The file is not an image, or is damaged; also if this shows within the block.
+        DataError: The file is not an image, or is damaged, or declares more than `MAX_PIXELS`; also
+            if this shows within the block.
     """
     try:
         with Image.open(path) as image:
+            if image.width * image.height > MAX_PIXELS:
+                raise _too_large(image.width * image.height, path)
             yield image
     except (FileNotFoundError, DataError):
         raise
-    except (
-        OSError,
-        SyntaxError,  # how Pillow reports a broken PNG chunk
-        ValueError,
-        Image.DecompressionBombError,
-        Image.DecompressionBombWarning,
-    ) as error:
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        found = re.search(r"\d+", str(error))
+        raise _too_large(int(found[0]) if found else None, path) from error
+    except (OSError, SyntaxError, ValueError) as error:  # SyntaxError: a broken PNG chunk
         raise DataError(f"cannot be read as an image: {error}", path) from error
+
+
+def _too_large(pixels: int | None, path: Path) -> DataError:
+    got = "more" if pixels is None else f"{pixels:,}"
+    return DataError(f"expected an image of at most {MAX_PIXELS:,} pixels, got {got}", path)
 
 
 def to_rgb(image: Image.Image, path: Path, white: float | str | None = None) -> Image.Image:
     """Decode an open image as RGB; transparency is dropped.
 
     Args:
-        image: Image from `open_image`.
+        image: Image from `open_image`, whose pixels have not been accessed.
         path: Path of the image file, for the error message.
         white: Level of a monochrome image of more than 8 bits that becomes 255, as do all above it;
             4095 for 12 bits; or the percentile of the image's own levels that does, such as
             ``"p99.5"``. None for images of 8 bits.
 
     Raises:
-        DataError: The image's mode is not in `MODES`, or with ``white`` not in `DEEP_MODES`, or the
-            percentile of its levels is not above zero.
+        DataError: The image's mode is not in `MODES`, or with ``white`` not in `DEEP_MODES`, or it
+            has several channels of more than 8 bits, or the percentile of its levels is not above
+            zero.
     """
+    if image.mode not in DEEP_MODES and _is_deep(image):
+        expected = "8 bits per channel, or one channel of 16 bits with a white level"
+        raise DataError(f"expected {expected}, got more than 8 in mode {image.mode}", path)
     if white is not None:
         return _scaled(image, path, white)
     if image.mode not in MODES:
@@ -121,9 +135,38 @@ def _scaled(image: Image.Image, path: Path, white: float | str) -> Image.Image:
     if image.mode not in DEEP_MODES:
         expected = f"pixels of mode {', '.join(DEEP_MODES)}, for which a white level is stated"
         raise DataError(f"expected {expected}, got {image.mode}", path)
+    stretched = _maxval(image)  # is forgotten once the pixels are decoded
     levels = np.asarray(image).astype(np.float64)
+    if stretched is not None:
+        levels = np.rint(levels * stretched / 65535)
     level = float(np.percentile(levels, float(white[1:]))) if isinstance(white, str) else white
     if not level > 0:
         raise DataError(f"expected a level above 0 at percentile {white}, got {level:g}", path)
     gray = np.rint(np.clip(levels / level, 0, 1) * 255).astype(np.uint8)
     return Image.fromarray(gray).convert("RGB")
+
+
+def _is_deep(image: Image.Image) -> bool:
+    """Return whether a file's channels have more than 8 bits, of which Pillow may keep only 8."""
+    return (_maxval(image) or 0) > 255 or any(
+        isinstance(part, str) and ";16" in part for part in _decoder_arguments(image)
+    )
+
+
+def _maxval(image: Image.Image) -> int | None:
+    """Return the level of a PGM or PPM file that Pillow stretches to its own white; None for none.
+
+    Pillow stretches a monochrome image of more than 8 bits to 65535, and rounds. As 65535 is at
+    least as large, rounding back is exact.
+    """
+    if image.format != "PPM":
+        return None
+    return next((part for part in _decoder_arguments(image) if isinstance(part, int)), None)
+
+
+def _decoder_arguments(image: Image.Image) -> tuple[object, ...]:
+    """Return what Pillow's decoder is told: the layout in the file, for PGM and PPM its maxval."""
+    if not isinstance(image, ImageFile.ImageFile) or not image.tile:
+        return ()
+    arguments = image.tile[0].args
+    return arguments if isinstance(arguments, tuple) else (arguments,)

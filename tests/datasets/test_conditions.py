@@ -45,7 +45,7 @@ def test_a_set_without_the_file_says_nothing(tmp_path):
         ((HEADER, "0_rgb.png,9,0,200,1,1"), r"csv:2: sun_angle_deg: expected 0…180, got '200'"),
         ((HEADER, "0_rgb.png,9,0,nan,1,1"), "sun_angle_deg: expected 0…180, got 'nan'"),
         ((HEADER, "0_rgb.png,9,0,30,1,much"), "visible_share: expected 0…1, got 'much'"),
-        ((HEADER, "0_rgb.png,9,0,30"), "earth_behind: expected 0 or 1, got None"),
+        ((HEADER, "0_rgb.png,9,0,30"), r"csv:2: expected 6 fields, got 4"),
     ],
 )
 def test_what_cannot_be_used_is_named(tmp_path, lines, message):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose.datasets.parsing import Entry, read_table
 from ffpose.errors import DataError
-from ffpose.files import read_text
+from ffpose.files import shortened
 from ffpose.urso import CONDITIONS
 
 LIMITS = {
@@ -71,27 +71,26 @@ def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None
 
 def _read_rows(path: Path) -> dict[str, list[float]]:
     """Return the values of the columns in `LIMITS` by image name."""
-    table = csv.DictReader(read_text(path).splitlines())
-    header = list(table.fieldnames or [])
-    if any(header.count(name) != 1 for name in ("image", *LIMITS)):
+    header, entries = read_table(path)
+    if not {"image", *LIMITS} <= set(header):
         raise DataError(f"expected the columns image, {', '.join(LIMITS)} once, got {header}", path)
     rows: dict[str, list[float]] = {}
-    for row in table:
-        name = row["image"]
+    for entry in entries:
+        name = entry.values["image"]
         if name in rows:
-            raise DataError(f"{name} has a row already", path, table.line_num)
-        values = [_value(row[column], column, path, table.line_num) for column in LIMITS]
-        rows[name] = values
+            raise entry.error(f"{name} has a row already")
+        rows[name] = [_value(entry, column) for column in LIMITS]
     return rows
 
 
-def _value(text: str | None, column: str, path: Path, line: int) -> float:
+def _value(entry: Entry, column: str) -> float:
+    text = entry.values[column]
     try:
-        value = float(text or "")
+        value = float(text)
     except ValueError:
         value = math.nan
     usable = value in (0.0, 1.0) if column in FLAGS else 0.0 <= value <= LIMITS[column]
     if not usable:
         expected = "0 or 1" if column in FLAGS else f"0…{LIMITS[column]:g}"
-        raise DataError(f"{column}: expected {expected}, got {text!r}", path, line)
+        raise entry.error(f"{column}: expected {expected}, got {shortened(text)}")
     return value

@@ -5,12 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from ffpose.errors import DataError
-from ffpose.files import expect_folder, read_text
+from ffpose.files import expect_folder, json_errors, read_json, read_text, shortened
 from ffpose.geometry import Pose
 
 
@@ -35,7 +36,7 @@ class Entry(NamedTuple):
         """Return a value that must be a text of at least one character."""
         value = self._value(key)
         if not isinstance(value, str) or not value.strip():
-            raise self.error(f"{key}: expected a name, got {value!r}")
+            raise self.error(f"{key}: expected a name, got {shortened(value)}")
         return value.strip()
 
     def number(self, key: str) -> float:
@@ -46,7 +47,7 @@ class Entry(NamedTuple):
         """Return a list of ``count`` finite numbers."""
         value = self._value(key)
         if not isinstance(value, list) or len(value) != count:
-            raise self.error(f"{key}: expected {count} numbers, got {value!r}")
+            raise self.error(f"{key}: expected {count} numbers, got {shortened(value)}")
         return tuple(self._finite(key, each) for each in value)
 
     def parsed(self, keys: Sequence[str]) -> tuple[float, ...]:
@@ -58,7 +59,7 @@ class Entry(NamedTuple):
         try:
             return self._finite(key, float(text))
         except ValueError as error:
-            raise self.error(f"{key}: expected a finite number, got {text!r}") from error
+            raise self.error(f"{key}: expected a finite number, got {shortened(text)}") from error
 
     def _value(self, key: str) -> Any:
         if key not in self.values:
@@ -66,9 +67,12 @@ class Entry(NamedTuple):
         return self.values[key]
 
     def _finite(self, key: str, value: object) -> float:
-        if type(value) not in (int, float) or not math.isfinite(value):  # type: ignore[arg-type]  # a number by then
-            raise self.error(f"{key}: expected a finite number, got {value!r}")
-        return float(value)  # type: ignore[arg-type]  # as above
+        if type(value) in (int, float):
+            with suppress(OverflowError):  # an integer of hundreds of digits
+                number = float(value)  # type: ignore[arg-type]  # a number by then
+                if math.isfinite(number):
+                    return number
+        raise self.error(f"{key}: expected a finite number, got {shortened(value)}")
 
     def pose(self, t: Sequence[float], q: Sequence[float]) -> Pose:
         """Return the pose of a label; what is wrong with it becomes an error of this entry."""
@@ -168,21 +172,38 @@ def read_table(path: Path) -> tuple[list[str], list[Entry]]:
         The header and the rows, of as many fields.
 
     Raises:
-        DataError: It is empty, a column is there twice, a row is short or long, or there are none.
+        DataError: It is empty, a column is there twice, a row is short or long, or there are none;
+            or as in `read_rows`.
     """
-    table = csv.reader(read_text(path).splitlines())
-    header = [name.strip() for name in next(table, [])]
+    table = read_rows(path)
+    _, names = next(table, (1, []))
+    header = [name.strip() for name in names]
     if len(set(header)) != len(header) or not header:
         raise DataError(f"expected a header of distinct columns, got {header}", path, 1)
     rows = []
-    for fields in table:
+    for line, fields in table:
         if len(fields) != len(header):
             expected = f"expected {len(header)} fields, got {len(fields)}"
-            raise DataError(expected, path, table.line_num)
-        rows.append(Entry(dict(zip(header, fields, strict=True)), path, table.line_num))
+            raise DataError(expected, path, line)
+        rows.append(Entry(dict(zip(header, fields, strict=True)), path, line))
     if not rows:
         raise DataError("expected at least one row, got none", path)
     return header, rows
+
+
+def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of a CSV file, each one line, with its number.
+
+    Raises:
+        DataError: A line is not CSV: a quote stays open, or closes within a field, or a field is
+            longer than `csv.field_size_limit`.
+    """
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        try:  # Line by line: an open quote must not take the next lines for its field.
+            fields = next(csv.reader([line], strict=True), [])
+        except csv.Error as error:
+            raise DataError(f"expected a row of CSV in one line: {error}", path, number) from error
+        yield number, fields
 
 
 def read_list(path: Path) -> list[Entry]:
@@ -199,12 +220,10 @@ def read_list(path: Path) -> list[Entry]:
     place = _skip(text, place + 1, "")
     while text[place : place + 1] != "]":
         line, counted = line + text.count("\n", counted, place), place
-        try:
+        with json_errors(path, line):
             values, place = decoder.raw_decode(text, place)
-        except json.JSONDecodeError as error:
-            raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
         if not isinstance(values, dict):
-            raise DataError(f"expected an object, got {values!r}", path, line)
+            raise DataError(f"expected an object, got {shortened(values)}", path, line)
         entries.append(Entry(values, path, line))
         place = _separator(text, place, path)
     if text[place + 1 :].strip():
@@ -240,10 +259,7 @@ def read_object(path: Path) -> Entry:
         FileNotFoundError: The file does not exist.
         DataError: It is not JSON, or no object.
     """
-    try:
-        values = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
+    values = read_json(path)
     if not isinstance(values, dict):
-        raise DataError(f"expected an object, got {values!r}", path, 1)
+        raise DataError(f"expected an object, got {shortened(values)}", path, 1)
     return Entry(values, path, 1)

@@ -19,6 +19,7 @@ from ffpose.datasets.parsing import Entry, existing_splits, read_object, split_f
 from ffpose.datasets.records import Record
 from ffpose.datasets.speed import read_images
 from ffpose.datasets.targets import Target
+from ffpose.files import shortened
 from ffpose.geometry import DistortedCamera
 
 TARGET: Target = "object"
@@ -89,11 +90,13 @@ def _matrix(entry: Entry) -> tuple[tuple[float, float, float], tuple[float, floa
     """Return the first two rows of ``cameraMatrix``, whose third is ``0 0 1``, without skew."""
     rows = entry.values.get("cameraMatrix")
     if not isinstance(rows, list) or len(rows) != 3:
-        raise entry.error(f"cameraMatrix: expected three rows, got {rows!r}")
+        raise entry.error(f"cameraMatrix: expected three rows, got {shortened(rows)}")
     named = Entry({f"cameraMatrix row {i}": row for i, row in enumerate(rows)}, *entry[1:])
     first, second, third = (named.numbers(f"cameraMatrix row {i}", 3) for i in range(3))
     if (first[1], second[0], *third) != (0, 0, 0, 0, 1):
-        raise entry.error(f"cameraMatrix: expected [fx 0 cx], [0 fy cy], [0 0 1], got {rows!r}")
+        raise entry.error(
+            f"cameraMatrix: expected [fx 0 cx], [0 fy cy], [0 0 1], got {shortened(rows)}"
+        )
     return (first[0], 0.0, first[2]), (0.0, second[1], second[2])
 
 

@@ -10,7 +10,6 @@ file, smaller images of the same shape are taken as URSO's, resized.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ffpose.datasets.cameras import read_camera
+from ffpose.datasets.parsing import read_rows
 from ffpose.datasets.records import Record
 from ffpose.datasets.targets import Target
 from ffpose.errors import DataError
@@ -117,22 +117,21 @@ def _read_names(path: Path) -> list[str]:
 
 def _read_rows(path: Path) -> list[_Row]:
     """Return the rows of a file of labels."""
-    table = csv.reader(read_text(path).splitlines())
-    header = [name.strip() for name in next(table, [])]
+    table = read_rows(path)
+    _, names = next(table, (1, []))
+    header = [name.strip() for name in names]
     if any(header.count(name) != 1 for name in COLUMNS):
         raise DataError(f"expected the columns {', '.join(COLUMNS)} once, got {header}", path, 1)
     places = [header.index(name) for name in COLUMNS]
     rows = []
-    for fields in table:
+    for line, fields in table:
         if len(fields) != len(header):
-            raise DataError(
-                f"expected {len(header)} fields, got {len(fields)}", path, table.line_num
-            )
+            raise DataError(f"expected {len(header)} fields, got {len(fields)}", path, line)
         try:
             values = tuple(float(fields[place]) for place in places)
         except ValueError as error:
-            raise DataError(f"expected numbers: {error}", path, table.line_num) from error
-        rows.append(_Row(table.line_num, values))
+            raise DataError(f"expected numbers: {error}", path, line) from error
+        rows.append(_Row(line, values))
     return rows
 
 
