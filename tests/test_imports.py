@@ -24,7 +24,7 @@ ALLOWED = {
     "attitude": set(),
     "significance": set(),
     "calibration": set(),
-    "baseline": {"attitude"},
+    "baseline": {"arrays", "attitude"},
     "ops": {"_rust"},
     "nn": {"ops", "geometry"},
     "choices": set(),
@@ -32,7 +32,7 @@ ALLOWED = {
     "models": {"nn", "preprocessing", "geometry", "config"},
     "preprocessing": {"geometry"},
     "transforms": {"geometry", "arrays", "preprocessing"},
-    "reprojection": {"geometry", "preprocessing"},
+    "reprojection": {"geometry", "preprocessing", "undistortion"},
     "views": {"geometry"},
     "undistortion": {"geometry"},
     "datasets": {"geometry", "preprocessing", "transforms", "undistortion", "views", "render"},
@@ -41,7 +41,7 @@ ALLOWED = {
     "breakdown": {"metrics", "datasets"},
     "training": {
         *("models", "nn", "losses", "metrics", "datasets", "transforms", "geometry", "views"),
-        *("attitude", "calibration", "config", "preprocessing"),
+        *("attitude", "baseline", "calibration", "config", "preprocessing"),
     },
     "evaluation": {
         *("models", "metrics", "datasets", "geometry", "preprocessing", "reprojection", "arrays"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose.arrays import canonical_quaternion
 from ffpose.attitude import remove_in_plane_error, remove_out_of_plane_error
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +29,7 @@ def mean_pose(poses: FloatArray) -> FloatArray:
         raise ValueError("mean pose: expected at least one pose, got none")
     q = poses[:, 3:]
     _, vectors = np.linalg.eigh(q.T @ q)
-    orientation = vectors[:, -1] if vectors[0, -1] >= 0 else -vectors[:, -1]
+    orientation = np.asarray(canonical_quaternion(vectors[:, -1].copy()))
     return np.concatenate([poses[:, :3].mean(axis=0), orientation])
 
 

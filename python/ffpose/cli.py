@@ -237,6 +237,9 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
         "--data.split", default="test", help="a split of the set, or all (default: test)"
     )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument(
+        "--device", default="auto", help="auto: a GPU if there is one, else the CPU"
+    )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
@@ -259,6 +262,7 @@ def evaluate(options: Namespace) -> None:
         data.split,
         any_camera=options.any_camera,
         decoding=Decoding(data.undistort, data.white) if data.undistort or data.white else None,
+        device=options.device,
     )
     write_results(evaluation, options.out)
     write_evaluation_figures(evaluation, options.out)

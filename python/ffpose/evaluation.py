@@ -47,7 +47,13 @@ from ffpose.datasets import (
 from ffpose.datasets.targets import spread
 from ffpose.geometry import Camera, Pose
 from ffpose.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
-from ffpose.models import PosePrediction, WeightsMetadata, load_network, read_metadata
+from ffpose.models import (
+    PosePrediction,
+    WeightsMetadata,
+    find_device,
+    load_network,
+    read_metadata,
+)
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import Reprojection
 from ffpose.significance import circular_correlation, correlation, median_interval
@@ -237,18 +243,20 @@ def evaluate(
     batch_size: int = 32,
     any_camera: bool = False,
     decoding: Decoding | None = None,
+    device: str = "auto",
 ) -> Evaluation:
     """Evaluate weights on the images of a split.
 
     Args:
         weights: Weights file, or the name of shipped weights; its header defines the preprocessing.
         kind: Kind of the dataset.
-        root: Folder of the dataset, whose training split gives the baseline.
+        root: Folder of the dataset. Its training split gives the baseline, if the weights do not.
         split: The split to evaluate; ``"all"`` for every split.
         batch_size: Images per batch.
         any_camera: Reproject images of a camera other than the weights' into the network's view
             (`ffpose.reprojection`).
         decoding: Conversion from image files to images; None for that of the training.
+        device: "auto" (a GPU if there is one) or a device that torch knows.
 
     Returns:
         Predictions and labels.
@@ -259,16 +267,19 @@ def evaluate(
             not that of the images.
         ffpose.DataError: An image or a label cannot be used.
     """
-    model = load_network(weights)
+    where = find_device(device)
+    model = load_network(weights).to(where)
     metadata = read_metadata(weights)
     decoding = decoding or Decoding(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, any_camera)
-    baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
+    baseline = metadata.mean_pose
+    if baseline is None:
+        baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
     loader = DataLoader(dataset, batch_size=batch_size)
     began = time.perf_counter()
     with torch.inference_mode():
-        poses = [model(batch.image) for batch in loader]
+        poses = [model(batch.image.to(where)) for batch in loader]
     seconds = (time.perf_counter() - began) / len(dataset)
     predicted = np.concatenate([_joined(poses, name) for name in PosePrediction._fields], axis=1)
     conditions = read_conditions(root, dataset.names)

@@ -7,11 +7,13 @@ import pytest
 import torch
 
 from ffpose.config import PRESETS, UrsoNetConfig, config_type
+from ffpose.losses import PoseLoss
 from ffpose.models import (
     FilterformerPose,
     PoseNet,
     UrsoNet,
     build_network,
+    find_device,
     load_network,
     read_metadata,
 )
@@ -61,7 +63,7 @@ def test_frozen_parts_stay_bit_for_bit(name):
     model = build(name)
     parts = ("backbone", "orientation_branch")
     before = {key: value.clone() for key, value in model.state_dict().items()}
-    enter_stage(model, Stage("translation", 1, parts))
+    enter_stage(model, PoseLoss(), Stage("translation", 1, parts))
     optimizer = torch.optim.Adam(model.parameters(), lr=0.1, weight_decay=0.1)
     translation, orientation = model.regress(random_images(4))
     (translation.sum() + orientation.sum()).backward()
@@ -89,6 +91,15 @@ def test_an_unknown_architecture_or_preset_is_told_the_names():
         UrsoNet.from_config("base")
     with pytest.raises(ValueError, match="expected a PoseNetConfig, got a UrsoNetConfig"):
         PoseNet.from_config(UrsoNetConfig())
+
+
+def test_a_device_is_found_by_name():
+    assert find_device("cpu") == torch.device("cpu")
+    assert find_device("auto").type == ("cuda" if torch.cuda.is_available() else "cpu")
+    absent = f"cuda:{torch.cuda.device_count()}"
+    for name in ("gpu", absent):
+        with pytest.raises(ValueError, match=f"device: expected auto, .*, got '{name}'"):
+            find_device(name)
 
 
 @pytest.mark.parametrize(

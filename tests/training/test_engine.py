@@ -1,5 +1,6 @@
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,10 @@ from ffpose.losses import PoseLoss
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training import DataConfig, NonFiniteLossError, OptimizerConfig, Stage, train
 from ffpose.training.checkpoint import RunFolder, read_results
-from ffpose.training.engine import cpu_seconds
+from ffpose.training.engine import cpu_seconds, train_epoch
 from ffpose.training.progress import Reporter
 from ffpose.training.run import build_optimizer, build_run, translation_statistics
+from ffpose.training.stages import Epoch
 from ffpose.training.tasks import trained_together
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
@@ -47,7 +49,7 @@ def same_files(first, second):
 
 
 def without_times(path):
-    times = ("seconds", "cpu_seconds", "images_per_second")
+    times = ("seconds", "cpu_seconds", "images_per_second", "loader_wait")
     return [{k: v for k, v in row.items() if k not in times} for row in read_results(path)]
 
 
@@ -117,6 +119,23 @@ def test_what_a_killed_training_left_is_removed_at_the_next_start(image_set, tmp
 def test_resume_where_no_epoch_was_finished_begins(image_set, tmp_path):
     result = run_quietly(train_config(image_set, tmp_path / "new", epochs=1), resume=True)
     assert len(result.history) == 1
+
+
+def test_the_wait_for_data_is_measured(image_set, tmp_path):
+    waits = []
+    for name, pause in (("slow", 0.5), ("fast", 0.0)):
+        run = build_run(train_config(image_set, tmp_path / name))
+        batches = list(run.task.batches(0))
+
+        def late(seed, batches=batches, pause=pause):
+            for batch in batches:
+                time.sleep(pause)
+                yield batch
+
+        run.task.batches = late
+        with Reporter(1, 0, 3, quiet=True) as reporter:
+            waits.append(train_epoch(run, Epoch(1, Stage("joint", 1), 0), reporter)["loader_wait"])
+    assert waits[1] < 0.1 < waits[0] < 1
 
 
 def test_no_epoch_begins_once_the_time_is_used_up(image_set, tmp_path):

@@ -2,13 +2,18 @@
 
 import hashlib
 import json
+import shutil
 import struct
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
 
+from ffpose.baseline import mean_pose
+from ffpose.datasets import open_dataset
+from ffpose.evaluation import evaluate
 from ffpose.models import read_metadata
 from ffpose.training import train
 from ffpose.training.provenance import describe_data, recipe
@@ -101,6 +106,19 @@ def test_the_digest_is_that_of_names_and_labels(image_set, tmp_path):
         f"{name}\n".encode() + struct.pack("<7d", *pose)
         for name, pose in zip(run.task.train_set.names, run.task.train_set.poses, strict=True)
     )
-    described = describe_data(run.task.train_set, "urso")
+    described = describe_data(run.task.train_set, run.config.data)
     assert described["digest"] == hashlib.sha256(content).hexdigest()
-    assert described["digest"] != describe_data(run.task.val_set, "urso")["digest"]
+    assert described["name"] == image_set.name
+    assert described["digest"] != describe_data(run.task.val_set, run.config.data)["digest"]
+
+
+def test_weights_carry_the_mean_pose_that_evaluation_compares_with(image_set, tmp_path):
+    run = train(train_config(image_set, tmp_path / "run", epochs=1), quiet=True)
+    test_alone = shutil.copytree(
+        image_set, tmp_path / "test", ignore=shutil.ignore_patterns("train_*", "val_*", "gt.csv")
+    )
+    alone = evaluate(run.folder.best, "urso", test_alone)
+    expected = mean_pose(
+        open_dataset("urso", image_set, "train", read_metadata(run.folder.best).preprocessing).poses
+    )
+    np.testing.assert_allclose(alone.baseline, expected, atol=1e-12)

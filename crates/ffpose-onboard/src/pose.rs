@@ -95,11 +95,14 @@ fn unit(q: [f64; 4]) -> Result<[f64; 4]> {
 }
 
 /// Returns a vector rotated by a unit quaternion: `v + 2 w (u × v) + 2 u × (u × v)` with `q = (w, u)`.
-fn rotated([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
-    let cross = |v: [f64; 3]| [y * v[2] - z * v[1], z * v[0] - x * v[2], x * v[1] - y * v[0]];
-    let once = cross(v);
-    let twice = cross(once);
+fn rotated([w, axis @ ..]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
+    let once = cross(axis, v);
+    let twice = cross(axis, once);
     std::array::from_fn(|i| v[i] + 2.0 * (w * once[i] + twice[i]))
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 /// Returns roll, pitch and yaw, radians: rotations about fixed x, then y, then z, as `ffpose.quaternion_to_euler`.

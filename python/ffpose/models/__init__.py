@@ -10,7 +10,7 @@ from ffpose.config import (
 )
 from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
 from ffpose.models.filterformer_pose import FilterformerPose
-from ffpose.models.network import PoseNetwork, PosePrediction
+from ffpose.models.network import PoseNetwork, PosePrediction, find_device
 from ffpose.models.pose_net import PoseNet
 from ffpose.models.registry import build_network, find_config, load_network
 from ffpose.models.urso_net import UrsoNet
@@ -34,6 +34,7 @@ __all__ = [
     "build_backbone",
     "build_network",
     "find_config",
+    "find_device",
     "load_network",
     "read_metadata",
 ]

@@ -64,6 +64,22 @@ for _result in (PosePrediction, UncertainPose):
     register_named_tuple(_result, f"ffpose.models.{_result.__name__}")
 
 
+def find_device(name: str) -> torch.device:
+    """Return a device by torch's name for it; ``"auto"`` is a GPU if there is one, else the CPU.
+
+    Raises:
+        ValueError: Torch does not know the device, or it is absent.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        return torch.empty(0, device=name).device
+    except (RuntimeError, AssertionError) as error:  # the latter of a torch built without it
+        raise ValueError(
+            f"device: expected auto, or a device that torch finds here, got {name!r} ({error})"
+        ) from error
+
+
 class PoseNetwork(nn.Module, ABC):
     """Base of the networks: construction by name, weights files, and one look at the whole image.
 

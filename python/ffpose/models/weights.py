@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
@@ -52,8 +54,9 @@ class WeightsMetadata:
             pretrained ones, or ``"none"`` for random ones.
         recipe: Training configuration as a JSON document: loss, optimizer, augmentation, stages,
             seed, steps.
-        data: Training data as a JSON document: name, ``count``, ``digest``, and ``image_size``, the
-            ``[width, height]`` of the images before preprocessing; ``locates`` is `locates`.
+        data: Training data as a JSON document: ``kind``, ``name``, ``count``, ``digest``, and
+            ``image_size``, the ``[width, height]`` of the images before preprocessing; ``locates``
+            is `locates` and ``mean_pose`` `mean_pose`.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
         version: Version of ffpose that wrote the file.
 
@@ -87,6 +90,12 @@ class WeightsMetadata:
         """What the network locates; an object, where ``data`` does not say."""
         target: Target = (self.data or {}).get("locates", "object")
         return target
+
+    @property
+    def mean_pose(self) -> NDArray[np.float64] | None:
+        """Mean pose of the training labels ``(7,)`` (`ffpose.baseline`); None if not stored."""
+        stored = (self.data or {}).get("mean_pose")
+        return None if stored is None else np.asarray(stored, np.float64)
 
     @property
     def undistorted(self) -> bool:

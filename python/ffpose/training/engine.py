@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -166,7 +167,7 @@ def _header(run: Run) -> dict[str, Any]:
         "preprocessing": run.task.preprocessing,
         "backbone_source": run.average.model.backbone.source,
         "recipe": recipe(run.config, run.init),
-        "data": run.task.describe(run.config.data.kind),
+        "data": run.task.describe(run.config.data),
         "dtype": getattr(torch, run.config.weights_dtype),
     }
 
@@ -267,8 +268,9 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     """Train for one pass over the training split.
 
     Returns:
-        The epoch's last learning rate, the means of the loss and its terms over the images, and
-        the weights of the loss terms.
+        The epoch's last learning rate, the means of the loss and its terms over the images, the
+        weights of the loss terms, and ``loader_wait``, the share of the time in which the loop
+        waited for data.
 
     Raises:
         NonFiniteLossError: The loss is infinite or NaN; nothing was written.
@@ -280,7 +282,8 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         run.optimizer = build_optimizer(run.model, run.task.loss, run.config.optimizer)
     sums = torch.zeros(3, dtype=torch.float64)
     rate, steps, every = 0.0, run.task.steps, run.config.accumulate
-    for step, batch in enumerate(run.task.batches(seed), start=1):
+    began, batches = time.perf_counter(), Awaited(run.task.batches(seed))
+    for step, batch in enumerate(batches, start=1):
         position = epoch.index + (step - 0.5) / steps  # the step's middle
         rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
         # Number of batches whose gradients make one step; the last step may have fewer.
@@ -298,7 +301,34 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         "train_translation_loss": means[1],
         "train_orientation_loss": means[2],
         **run.task.weights(),
+        "loader_wait": batches.seconds / (time.perf_counter() - began),
     }
+
+
+class Awaited:
+    """An iterator that measures how long it is waited for.
+
+    Args:
+        items: What it iterates over.
+
+    Attributes:
+        seconds: Time spent so far in waiting for the next item.
+    """
+
+    def __init__(self, items: Iterator[Any]) -> None:
+        self.items, self.seconds = items, 0.0
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the items."""
+        while True:
+            began = time.perf_counter()
+            try:
+                item = next(self.items)
+            except StopIteration:
+                return
+            finally:
+                self.seconds += time.perf_counter() - began
+            yield item
 
 
 def _gradients(run: Run, batch: Any, epoch: Epoch, share: int) -> Tensor:

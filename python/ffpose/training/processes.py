@@ -25,6 +25,9 @@ from torch.distributed.rendezvous import rendezvous
 ENVIRONMENT = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 """The variables of ``torchrun`` that are read."""
 
+BACKENDS = "cpu:gloo,cuda:nccl"
+"""Of processes with a GPU: their gradients are there, sums and metrics on the CPU."""
+
 
 @dataclass(frozen=True)
 class Processes:
@@ -101,14 +104,28 @@ def joined(device: str) -> Iterator[Processes]:
         return
     gpu = device.startswith("cuda") or (device == "auto" and torch.cuda.is_available())
     if gpu:
-        torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
+        torch.cuda.set_device(_own_gpu())
     distributed.init_process_group(
-        "nccl" if gpu else "gloo", store=_store(), rank=int(os.environ["RANK"]), world_size=world
+        BACKENDS if gpu else "gloo", store=_store(), rank=int(os.environ["RANK"]), world_size=world
     )
     try:
         yield current()
     finally:
         distributed.destroy_process_group()
+
+
+def _own_gpu() -> int:
+    """Return the number of this process's GPU: its number on its machine.
+
+    Launchers of one process a machine set none.
+
+    Raises:
+        ValueError: There are fewer GPUs than processes on this machine.
+    """
+    number, count = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
+    if number >= count:
+        raise ValueError(f"processes: expected at most {count}, one a GPU, got {number + 1}")
+    return number
 
 
 def _store() -> Store:

@@ -87,5 +87,6 @@ class Reporter:
             f"lr {row['learning_rate']:.2e}  "
             f"val {row['val_median_translation_error_m']:.3g} m "
             f"{row['val_median_rotation_error_deg']:.3g}°  "
-            f"{row['images_per_second']:.0f} images/s  {row['seconds']:.1f} s"
+            f"{row['images_per_second']:.0f} images/s  "
+            f"loader {100 * float(row['loader_wait']):.0f} %  {row['seconds']:.1f} s"
         )

@@ -6,8 +6,9 @@ import hashlib
 from dataclasses import asdict
 from typing import Any
 
+from ffpose.baseline import mean_pose
 from ffpose.datasets import PoseDataset
-from ffpose.training.config import TrainConfig
+from ffpose.training.config import DataConfig, TrainConfig
 
 OF_THIS_MACHINE = ("out", "device", "backbone_weights")
 """Fields specific to this machine, left out; the header records the backbone's initial weights."""
@@ -29,8 +30,13 @@ def recipe(config: TrainConfig, init: str | None) -> dict[str, Any]:
     return fields
 
 
-def describe_data(dataset: PoseDataset, kind: str) -> dict[str, Any]:
-    """Describe the images of a run: kind, what labels locate, number, size, and a digest.
+def set_name(config: DataConfig) -> str:
+    """Return the name of an image set: of its folder, or of the rendered scenes."""
+    return config.scene if config.kind == "scenes" else config.root.resolve().name
+
+
+def describe_data(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
+    """Describe the images of a run: name, what labels locate, number, size, mean pose, and digest.
 
     The digest is the SHA-256, in hexadecimal, of the concatenation over all images of the name, a
     newline, and the label ``[t, q]`` as little-endian float64.
@@ -39,9 +45,11 @@ def describe_data(dataset: PoseDataset, kind: str) -> dict[str, Any]:
     for name, pose in zip(dataset.names, dataset.poses, strict=True):
         digest.update(f"{name}\n".encode() + pose.astype("<f8").tobytes())
     return {
-        "kind": kind,
+        "kind": config.kind,
+        "name": set_name(config),
         "locates": dataset.target,
         "count": len(dataset),
         "image_size": None if dataset.image_size is None else list(dataset.image_size),
+        "mean_pose": mean_pose(dataset.poses).tolist(),
         "digest": digest.hexdigest(),
     }

@@ -19,6 +19,7 @@ from ffpose.models import (
     backbone_preprocessing,
     build_network,
     find_config,
+    find_device,
 )
 from ffpose.models.weights import WeightsMetadata, load_weights
 from ffpose.training.averaging import AveragedModel
@@ -73,7 +74,7 @@ def build_run(
         ValueError: An unknown kind of image set, or fields that do not go together.
         ffpose.DataError: A label, or a file of weights, cannot be used.
     """
-    device = _device(config.device)
+    device = find_device(config.device)
     fields = dict(config.model_fields)
     # What the data decide is not known yet; the structure is.
     model_config = find_config(config.model).with_fields({"camera": UNKNOWN_CAMERA, **fields})
@@ -141,12 +142,6 @@ def _joint_loss(config: LossConfig, model: PoseNetwork) -> JointLoss:
     if (weights := model.config.loss_weights) is not None:
         return FixedLoss(*weights, config.antipodal)
     return PoseLoss(config.s_t, config.s_q, config.antipodal)
-
-
-def _device(name: str) -> torch.device:
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    return torch.device(name)
 
 
 def translation_statistics(poses: NDArray[np.float64]) -> dict[str, tuple[float, ...]]:

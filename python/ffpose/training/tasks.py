@@ -20,14 +20,16 @@ from PIL import Image
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
+from ffpose.baseline import mean_pose
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.losses import JointLoss, LossTerms
 from ffpose.models import FilterformerPose, PoseNetwork
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.preprocessing import Preprocessing
+from ffpose.training.config import DataConfig
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
-from ffpose.training.provenance import describe_data
+from ffpose.training.provenance import describe_data, set_name
 from ffpose.training.views import ViewBatch, ViewBatches
 
 VALIDATION_BATCH = 20
@@ -75,7 +77,7 @@ class Task(Protocol):
     def validation(self, *, whole: bool = False) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split, or over the whole."""
 
-    def describe(self, kind: str) -> dict[str, Any]:
+    def describe(self, config: DataConfig) -> dict[str, Any]:
         """Describe the training images, for the header of the weights."""
 
     def empty(self) -> Iterator[Tensor] | None:
@@ -170,9 +172,9 @@ class FrameTask:
         own = ALONE if whole else self.processes
         return _validation(self.val_set, own, self.batch_size, self.workers)
 
-    def describe(self, kind: str) -> dict[str, Any]:
-        """Return kind, number, size and digest of the training images."""
-        return describe_data(self.train_set, kind)
+    def describe(self, config: DataConfig) -> dict[str, Any]:
+        """Return name, number, size, mean pose and digest of the training images."""
+        return describe_data(self.train_set, config)
 
     def empty(self) -> None:
         """Return None: the network does not predict whether the object is in view."""
@@ -249,16 +251,19 @@ class ObjectTask:
             self.val_set, ALONE if whole else self.processes, VALIDATION_BATCH, workers=0
         )
 
-    def describe(self, kind: str) -> dict[str, Any]:
-        """Return kind, number, size and digest of the labels of the training views."""
+    def describe(self, config: DataConfig) -> dict[str, Any]:
+        """Return name, number, size, mean pose and digest of the labels of the training views."""
+        labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in self.views.sets]
         digest = hashlib.sha256()
-        for arrays in self.views.sets:
-            digest.update(np.ascontiguousarray(arrays["labels"], "<f8").tobytes())
+        for part in labels:
+            digest.update(part.tobytes())
         size = self.val_set.image_size
         return {
-            "kind": kind,
+            "kind": config.kind,
+            "name": set_name(config),
             "count": len(self.views),
             "image_size": None if size is None else list(size),
+            "mean_pose": mean_pose(np.concatenate(labels)[:, :7]).tolist(),
             "digest": digest.hexdigest(),
         }
 
