@@ -45,7 +45,7 @@ ALLOWED = {
     },
     "evaluation": {
         *("models", "metrics", "datasets", "geometry", "preprocessing", "reprojection", "arrays"),
-        *("attitude", "baseline", "breakdown", "calibration", "significance"),
+        *("attitude", "baseline", "breakdown", "calibration", "significance", "onnx", "prediction"),
     },
     "overlay": {"geometry"},
     "prediction": {"models", "onnx", "predictor", "geometry", "arrays", "overlay"},
@@ -55,6 +55,7 @@ ALLOWED = {
     "card": {
         *("geometry", "attitude", "calibration", "significance", "metrics", "prediction"),
         *("predictor", "models", "baseline", "config", "evaluation", "render", "training"),
+        *("onnx", "preprocessing"),
     },
     "ablation": {
         "config",

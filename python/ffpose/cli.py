@@ -222,7 +222,7 @@ def data_arguments(parser: ArgumentParser) -> None:
 
 def weights_argument(parser: ArgumentParser) -> None:
     """Declare the arguments that choose a command's weights, and allow images of any camera."""
-    text = "weights file, or a name such as soyuz-easy; to predict, an exported .onnx too"
+    text = "weights file, a name such as soyuz-easy, or an exported .onnx graph"
     parser.add_argument("weights", type=Path, help=text)
     parser.add_argument(
         "--any-camera", action="store_true", help="accept images of a camera unlike the weights'"
@@ -409,11 +409,12 @@ def card_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `card`."""
     from ffpose.training.config import TEST_SEEDS
 
-    parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz-easy")
+    weights = "weights file, a name such as soyuz-easy, or an exported .onnx graph"
+    parser.add_argument("weights", type=Path, help=weights)
     parser.add_argument(
         "--scene", required=True, help="soyuz_easy, soyuz_hard or dragon_hard: what it was made for"
     )
-    parser.add_argument("--count", type=int, default=500, help="pictures a condition")
+    parser.add_argument("--count", type=int, default=500, help="images per condition")
     parser.add_argument("--size", type=size_type(), default="640x480", help="WIDTHxHEIGHT")
     parser.add_argument(
         "--seed", type=int, default=TEST_SEEDS, help=f"of the scenes, at least {TEST_SEEDS}"

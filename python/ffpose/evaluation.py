@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -54,11 +54,17 @@ from ffpose.models import (
     load_network,
     read_metadata,
 )
+from ffpose.onnx.metadata import ModelMetadata
+from ffpose.onnx.runtime import PoseEstimator
+from ffpose.prediction import is_graph
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import Reprojection
 from ffpose.significance import circular_correlation, correlation, median_interval
 
 FloatArray = NDArray[np.float64]
+
+Network = Callable[[torch.Tensor], dict[str, FloatArray]]
+"""From a batch of inputs to the outputs by name, as `ffpose.onnx.runtime.PoseEstimator.run`."""
 
 CAMERA_TOLERANCE = 1e-3
 """Relative difference up to which intrinsics count as those of the same camera."""
@@ -248,7 +254,8 @@ def evaluate(
     """Evaluate weights on the images of a split.
 
     Args:
-        weights: Weights file, or the name of shipped weights; its header defines the preprocessing.
+        weights: Weights file, name of shipped weights, or exported ``.onnx`` graph (float32 or
+            int8); its header defines the preprocessing.
         kind: Kind of the dataset.
         root: Folder of the dataset. Its training split gives the baseline, if the weights do not.
         split: The split to evaluate; ``"all"`` for every split.
@@ -256,7 +263,7 @@ def evaluate(
         any_camera: Reproject images of a camera other than the weights' into the network's view
             (`ffpose.reprojection`).
         decoding: Conversion from image files to images; None for that of the training.
-        device: "auto" (a GPU if there is one) or a device that torch knows.
+        device: "auto" (a GPU if there is one) or a device that torch knows; graphs run on the CPU.
 
     Returns:
         Predictions and labels.
@@ -264,33 +271,57 @@ def evaluate(
     Raises:
         FileNotFoundError: The weights or a file of the dataset are missing.
         ValueError: The weights were altered or are of another kind of network, or their camera is
-            not that of the images.
+            not that of the images, or the device cannot be had.
         ffpose.DataError: An image or a label cannot be used.
     """
-    where = find_device(device)
-    model = load_network(weights).to(where)
-    metadata = read_metadata(weights)
+    metadata, network = _open_network(weights, device)
     decoding = decoding or Decoding(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, any_camera)
-    baseline = metadata.mean_pose
+    baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     if baseline is None:
         baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
     loader = DataLoader(dataset, batch_size=batch_size)
     began = time.perf_counter()
-    with torch.inference_mode():
-        poses = [model(batch.image.to(where)) for batch in loader]
+    batches = [network(batch.image) for batch in loader]
     seconds = (time.perf_counter() - began) / len(dataset)
-    predicted = np.concatenate([_joined(poses, name) for name in PosePrediction._fields], axis=1)
+    outputs = {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
+    predicted = np.concatenate([outputs[name] for name in PosePrediction._fields], axis=1)
     conditions = read_conditions(root, dataset.names)
-    told = _uncertainties(poses)
+    told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
     if metadata.in_view_threshold is not None:
         told["in_view_threshold"] = metadata.in_view_threshold
     return Evaluation(dataset, predicted, baseline, seconds, conditions, **told)
 
 
+def _open_network(
+    weights: str | Path, device: str
+) -> tuple[WeightsMetadata | ModelMetadata, Network]:
+    """Open weights or an exported graph: what it says of itself, and its outputs in float64."""
+    if is_graph(weights):
+        if device not in ("auto", "cpu"):
+            raise ValueError(f"device: expected auto or cpu for an exported graph, got {device!r}")
+        estimator = PoseEstimator(weights, any_camera=True)
+
+        def run(images: torch.Tensor) -> dict[str, FloatArray]:
+            return {
+                k: value.astype(np.float64) for k, value in estimator.run(images.numpy()).items()
+            }
+
+        return estimator.metadata, run
+    where = find_device(device)
+    model = load_network(weights).to(where)
+
+    def forward(images: torch.Tensor) -> dict[str, FloatArray]:
+        with torch.inference_mode():
+            outputs = model(images.to(where))._asdict()
+        return {name: value.double().cpu().numpy() for name, value in outputs.items()}
+
+    return read_metadata(weights), forward
+
+
 def choose_preprocessing(
-    metadata: WeightsMetadata, camera: Camera | None, any_camera: bool
+    metadata: WeightsMetadata | ModelMetadata, camera: Camera | None, any_camera: bool
 ) -> Preprocessing:
     """Return the preprocessing from images of a camera to the network's input.
 
@@ -330,20 +361,6 @@ def _agree(camera: Camera, other: Camera) -> bool:
 
 def _pinhole(camera: Camera) -> tuple[float, ...]:
     return (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-
-
-def _uncertainties(poses: Sequence[PosePrediction]) -> dict[str, Any]:
-    """Return the uncertainty outputs by name; empty for a network without them."""
-    return {
-        name: _joined(poses, name)
-        for name in UNCERTAINTY
-        if getattr(poses[0], name, None) is not None
-    }
-
-
-def _joined(poses: Sequence[PosePrediction], name: str) -> FloatArray:
-    """Concatenate one field of the batches, in float64."""
-    return torch.cat([getattr(pose, name) for pose in poses]).double().cpu().numpy()
 
 
 def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:

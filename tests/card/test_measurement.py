@@ -50,6 +50,18 @@ def document(weights):
     return measure(weights, beacon_scene(), count=COUNT, size=(64, 48))
 
 
+def test_a_graph_has_the_card_of_its_weights(weights, document, tmp_path):
+    pytest.importorskip("onnxscript")
+    graph = tmp_path / "look.onnx"
+    assert main(["export", str(weights), "--out", str(graph), "--filter", "matmul"]) == 0
+    of_graph = measure(graph, beacon_scene(), count=COUNT, size=(64, 48))
+    for got, expected in zip(of_graph["conditions"], document["conditions"], strict=True):
+        assert got["name"] == expected["name"]
+        assert got["median_translation_error_m"] == pytest.approx(
+            expected["median_translation_error_m"], rel=1e-4
+        )
+
+
 def test_each_condition_is_measured_once_and_sunlight_and_eclipse_share_those_as_trained(document):
     rows = {row["name"]: row for row in document["conditions"]}
     light = {"sunlit only", "eclipse only"} & set(rows)

@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 
 from ffpose.cli import main
+from ffpose.evaluation import evaluate
 from ffpose.geometry import Camera
 from ffpose.images import read_rgb
 from ffpose.models import FilterformerPose, read_metadata
@@ -19,6 +20,7 @@ from ffpose.onnx.metadata import read_model_metadata
 from ffpose.onnx.runtime import PoseEstimator
 from ffpose.predictor import Predictor
 from ffpose.preprocessing import Preprocessing
+from tiny_runs import write_set
 
 pytest.importorskip("onnxscript")
 onnx = pytest.importorskip("onnx")
@@ -170,6 +172,23 @@ def test_the_camera_is_checked_and_turned_as_with_torch(files, picture):
         assert_same_pose(PoseEstimator(graph, **options)(wide), expected)
     with pytest.raises(ValueError, match="--camera or --any-camera, got both"):
         PoseEstimator(graph, camera=camera, any_camera=True)
+
+
+def test_a_graph_is_evaluated_as_its_weights_are(files, tmp_path):
+    images = write_set(tmp_path / "set")
+    of_weights, of_graph = (evaluate(path, "urso", images, any_camera=True) for path in files)
+    np.testing.assert_allclose(of_graph.predicted[:, :3], of_weights.predicted[:, :3], atol=1e-4)
+    np.testing.assert_allclose(of_graph.baseline, of_weights.baseline)
+    cosines = (of_graph.predicted[:, 3:] * of_weights.predicted[:, 3:]).sum(axis=1)
+    np.testing.assert_allclose(abs(cosines), 1, atol=1e-6)
+    assert (of_graph.in_view is None) == (of_weights.in_view is None)
+    if of_weights.in_view is not None:
+        np.testing.assert_allclose(of_graph.in_view, of_weights.in_view, atol=1e-4)
+        np.testing.assert_allclose(
+            of_graph.translation_covariance, of_weights.translation_covariance, rtol=1e-3
+        )
+    with pytest.raises(ValueError, match="device: expected auto or cpu for an exported graph"):
+        evaluate(files[1], "urso", images, device="cuda")
 
 
 @pytest.mark.parametrize(

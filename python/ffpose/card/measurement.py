@@ -32,7 +32,11 @@ from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Pose
 from ffpose.models import WeightsMetadata, load_network, read_metadata
 from ffpose.models.zoo import resolve
+from ffpose.onnx.metadata import ModelMetadata, read_model_metadata
+from ffpose.onnx.runtime import PoseEstimator
+from ffpose.prediction import is_graph
 from ffpose.predictor import Predictor
+from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import TEST_SEEDS
 
 if TYPE_CHECKING:
@@ -45,8 +49,8 @@ BASELINE_SEED, BASELINE_LABELS = 0, 1000
 """Seed and number of labels whose mean is the constant pose; the seed is one of training's."""
 
 SECOND_RENDERER = (
-    "No pictures of a second renderer: Mitsuba checks silhouettes, depths and shadows "
-    "(tests/render/test_second_renderer.py), but does not make pictures of the materials."
+    "No images of a second renderer: Mitsuba checks silhouettes, depths and shadows "
+    "(tests/render/test_second_renderer.py), but does not render the materials."
 )
 
 
@@ -124,7 +128,7 @@ def measure(
     """Measure weights under each condition.
 
     Args:
-        weights: Weights file, or the name of shipped weights.
+        weights: Weights file, name of shipped weights, or exported ``.onnx`` graph.
         scene: The set of scenes, or its name; its attitudes are widened to all.
         count: Number of images per condition.
         size: ``(width, height)`` of the images before preprocessing.
@@ -148,10 +152,9 @@ def measure(
     _check_numbers(count, seed, workers)
     scene = require("ffpose.render", "render").get_scene(scene) if isinstance(scene, str) else scene
     camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
-    metadata = read_metadata(weights)
+    metadata = read_model_metadata(weights) if is_graph(weights) else read_metadata(weights)
     plan = _plan(scene, metadata, count, size, seed, workers)
-    preprocessing = choose_preprocessing(metadata, camera, any_camera=True)
-    predictor = Predictor(load_network(weights), preprocessing)
+    predictor = _open_network(weights, choose_preprocessing(metadata, camera, any_camera=True))
     began = time.perf_counter()
     answers = answer(predictor, _with_bar(plan, show=progress))
     return {
@@ -170,6 +173,14 @@ def measure(
     }
 
 
+def _open_network(weights: str | Path, preprocessing: Preprocessing) -> Predictor | PoseEstimator:
+    if not is_graph(weights):
+        return Predictor(load_network(weights), preprocessing)
+    estimator = PoseEstimator(weights, any_camera=True)
+    estimator.preprocessing = preprocessing
+    return estimator
+
+
 def _check_numbers(count: int, seed: int, workers: int) -> None:
     for name, value, least in (("count", count, 1), ("workers", workers, 1)):
         if value < least:
@@ -182,7 +193,7 @@ def _check_numbers(count: int, seed: int, workers: int) -> None:
 
 def _plan(
     scene: Scene,
-    metadata: WeightsMetadata,
+    metadata: WeightsMetadata | ModelMetadata,
     count: int,
     size: tuple[int, int],
     seed: int,
@@ -205,11 +216,11 @@ def _with_bar(plan: Plan, *, show: bool) -> Iterable[Shown]:
     progress, console = require("rich.progress", "pose"), require("rich.console", "pose")
     total = plan.count * len(plan.about)
     screen = console.Console(stderr=True)
-    bar: Iterable[Shown] = progress.track(plan.show(), "pictures", total, console=screen)
+    bar: Iterable[Shown] = progress.track(plan.show(), "images", total, console=screen)
     return bar
 
 
-def answer(predictor: Predictor, shown: Iterable[Shown]) -> dict[str, Answers]:
+def answer(predictor: Predictor | PoseEstimator, shown: Iterable[Shown]) -> dict[str, Answers]:
     """Return the predictions for the images, by condition, in batches of `BATCH`."""
     answers: dict[str, Answers] = defaultdict(lambda: Answers([], []))
     pictures = iter(shown)

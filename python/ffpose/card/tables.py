@@ -17,7 +17,7 @@ def format_card(document: Mapping[str, Any]) -> str:
     near, far = document["distance_m"]
     head = (
         f"`{document['weights']}` (SHA-256 {document['sha256'][:12]}…) on `{document['scene']}`: "
-        f"{document['count']} pictures of {width}x{height} a condition, seed {document['seed']}, "
+        f"{document['count']} images of {width}x{height} per condition, seed {document['seed']}, "
         f"{near:g} to {far:g} m, all attitudes; ffpose {document['ffpose']}."
     )
     parts = [head, errors_table(document)]
@@ -33,7 +33,7 @@ def errors_table(document: Mapping[str, Any]) -> str:
 
     A row below the first condition shows the bootstrap intervals of its medians.
     """
-    header = ["condition", "pictures", "E_q", "mean", "90 %", "> 30°", "in-plane", "out-of-plane"]
+    header = ["condition", "images", "E_q", "mean", "90 %", "> 30°", "in-plane", "out-of-plane"]
     header += ["E_t", "mean", "E_t/‖t‖"]
     first, *others = document["conditions"]
     constant = {"name": "constant pose", **document["mean_pose_baseline"]}
@@ -121,7 +121,7 @@ def refusal_table(document: Mapping[str, Any]) -> str:
         ]
         for row in rows
     ]
-    header = ["without the object", "", "pictures", "AUROC", "missed", "in view"]
+    header = ["without the object", "", "images", "AUROC", "missed", "in view"]
     threshold = document["in_view_threshold"]
     caption = "The weights hold no threshold to flag by."
     if threshold is not None:
