@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from ffpose.baseline import mean_pose, oracles
@@ -299,7 +300,9 @@ class Uncertain(NamedTuple):
     in_view: torch.Tensor
 
 
-def test_what_a_network_says_of_its_errors_is_kept_image_by_image(weights, image_set, monkeypatch):
+def test_what_a_network_says_of_its_errors_is_kept_image_by_image(
+    evaluation, weights, image_set, monkeypatch, tmp_path
+):
     def forward(self, images):
         count = len(images)
         level = images.mean((1, 2, 3)).sigmoid()
@@ -308,11 +311,26 @@ def test_what_a_network_says_of_its_errors_is_kept_image_by_image(weights, image
         return Uncertain(*pose, 4 * matrix, 0.01 * matrix, level)
 
     monkeypatch.setattr(FilterformerPose, "forward", forward)
-    found = evaluate(weights, "urso", image_set, batch_size=4)
+    random = np.random.default_rng(0)
+    for name in ("a.png", "b.JPG"):
+        Image.fromarray(random.integers(0, 256, (96, 128, 3), np.uint8)).save(tmp_path / name)
+    found = evaluate(weights, "urso", image_set, batch_size=4, empty=tmp_path)
+    preprocessing = evaluation.dataset.preprocessing
+    files = (tmp_path / "a.png", tmp_path / "b.JPG")
+    levels = [float(preprocessing(Image.open(file)).mean().sigmoid()) for file in files]
+    np.testing.assert_allclose(found.in_view_empty, levels, rtol=1e-5)
+    assert 0 <= found.summary()["uncertainty"]["in_view"]["auroc"] <= 1
     level = [float(found.dataset[i].image.mean().sigmoid()) for i in range(6)]
     np.testing.assert_allclose(found.in_view, level, rtol=1e-5)
     np.testing.assert_allclose(found.translation_covariance[:, 1, 1], 4 * found.in_view, rtol=1e-6)
     np.testing.assert_allclose(found.rotation_covariance[:, 2, 2], found.in_view / 100, rtol=1e-6)
+
+
+def test_empty_images_need_a_folder_and_a_network_that_knows(weights, image_set, tmp_path):
+    with pytest.raises(FileNotFoundError, match="empty: expected PNG or JPEG files in"):
+        evaluate(weights, "urso", image_set, empty=tmp_path)
+    with pytest.raises(ValueError, match="empty: expected weights that predict whether"):
+        evaluate(weights, "urso", image_set, empty=next(image_set.rglob("*.png")).parent)
 
 
 @pytest.fixture

@@ -236,6 +236,9 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--data.split", default="test", help="a split of the set, or all (default: test)"
     )
+    parser.add_argument(
+        "--empty", type=Path, help="folder of images without the object, which should be flagged"
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument(
         "--device", default="auto", help="auto: a GPU if there is one, else the CPU"
@@ -263,6 +266,7 @@ def evaluate(options: Namespace) -> None:
         any_camera=options.any_camera,
         decoding=Decoding(data.undistort, data.white) if data.undistort or data.white else None,
         device=options.device,
+        empty=options.empty,
     )
     write_results(evaluation, options.out)
     write_evaluation_figures(evaluation, options.out)
@@ -355,12 +359,13 @@ def export(options: Namespace) -> None:
 
     With --int8, the differences of poses from float32 on the calibration images are printed too.
     """
+    from ffpose.images import image_files
     from ffpose.onnx.pose_graph import export_weights
-    from ffpose.onnx.pose_int8 import calibration_images, quantize_graph
+    from ffpose.onnx.pose_int8 import quantize_graph
 
     if options.int8 != (options.calibrate is not None):
         raise ValueError("--int8 and --calibrate DIR: expected both or neither, got one")
-    images = calibration_images(options.calibrate) if options.int8 else []
+    images = image_files(options.calibrate, "calibrate") if options.int8 else []
     with TemporaryDirectory(prefix="ffpose-export-") as folder:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
         exported = export_weights(options.weights, path, options.filter, say=say)

@@ -46,6 +46,7 @@ from ffpose.datasets import (
 )
 from ffpose.datasets.targets import spread
 from ffpose.geometry import Camera, Pose
+from ffpose.images import image_files, read_rgb
 from ffpose.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
 from ffpose.models import (
     PosePrediction,
@@ -250,6 +251,7 @@ def evaluate(
     any_camera: bool = False,
     decoding: Decoding | None = None,
     device: str = "auto",
+    empty: Path | None = None,
 ) -> Evaluation:
     """Evaluate weights on the images of a split.
 
@@ -264,6 +266,8 @@ def evaluate(
             (`ffpose.reprojection`).
         decoding: Conversion from image files to images; None for that of the training.
         device: "auto" (a GPU if there is one) or a device that torch knows; graphs run on the CPU.
+        empty: Folder of PNG and JPEG images that do not show the object, for the miss rate and the
+            AUROC of ``in_view``.
 
     Returns:
         Predictions and labels.
@@ -271,9 +275,11 @@ def evaluate(
     Raises:
         FileNotFoundError: The weights or a file of the dataset are missing.
         ValueError: The weights were altered or are of another kind of network, or their camera is
-            not that of the images, or the device cannot be had.
+            not that of the images, or the device cannot be had, or the network does not predict
+            whether the object is in view and ``empty`` is given.
         ffpose.DataError: An image or a label cannot be used.
     """
+    empty_images = [] if empty is None else image_files(empty, "empty")
     metadata, network = _open_network(weights, device)
     decoding = decoding or Decoding(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
@@ -291,6 +297,13 @@ def evaluate(
     told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
     if metadata.in_view_threshold is not None:
         told["in_view_threshold"] = metadata.in_view_threshold
+    if empty_images:
+        if "in_view" not in told:
+            raise ValueError(
+                "empty: expected weights that predict whether the object is in view, got others"
+            )
+        inputs = (dataset.preprocessing(read_rgb(i, decoding.white))[None] for i in empty_images)
+        told["in_view_empty"] = np.concatenate([network(each)["in_view"] for each in inputs])
     return Evaluation(dataset, predicted, baseline, seconds, conditions, **told)
 
 

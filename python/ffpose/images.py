@@ -26,6 +26,10 @@ DEEP_MODES = ("I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of monochrome images with more than 8 bits, whose white level a user states."""
 
 
+SUFFIXES = (".png", ".jpg", ".jpeg")
+"""Suffixes of the image files of a folder."""
+
+
 MAX_PIXELS = 2**28 // 3
 """Most pixels of an image file: 256 MiB as RGB, where Pillow begins to warn of hostile files."""
 
@@ -57,6 +61,20 @@ def check_white(name: str, white: float | str) -> None:
         usable = 0 < white < math.inf
     if not usable:
         raise ValueError(f"{name}: expected {WHITE}, got {white!r}")
+
+
+def image_files(folder: Path, name: str) -> list[Path]:
+    """Return the PNG and JPEG files of a folder, sorted by name; errors begin with ``name``.
+
+    Raises:
+        FileNotFoundError: The folder does not exist, or has no such file.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{name}: expected a folder of images, got {folder}")
+    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    if not images:
+        raise FileNotFoundError(f"{name}: expected PNG or JPEG files in {folder}, got none")
+    return images
 
 
 def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:

@@ -10,6 +10,7 @@ from PIL import Image
 from ffpose.cli import main
 from ffpose.config import CONFIGS
 from ffpose.errors import DataError
+from ffpose.images import image_files
 from ffpose.onnx.metadata import ModelMetadata, read_model_metadata, sealed
 from ffpose.onnx.runtime import PoseEstimator
 from ffpose.preprocessing import Preprocessing
@@ -79,7 +80,7 @@ def images(tmp_path):
     random = np.random.default_rng(1)
     for name in ("b.PNG", "a.png", "c.jpg"):
         Image.fromarray(random.integers(0, 256, (*SIZE, 3), np.uint8)).save(folder / name)
-    return pose_int8.calibration_images(folder)
+    return image_files(folder, "calibrate")
 
 
 def test_the_backbone_is_int8_and_the_head_float(graph, images, tmp_path):
@@ -141,10 +142,10 @@ def test_images_are_sorted_and_other_files_left_out(images):
 def test_what_cannot_be_calibrated_is_refused(graph, images, tmp_path):
     out = tmp_path / "int8.onnx"
     with pytest.raises(FileNotFoundError, match="calibrate: expected a folder of images, got"):
-        pose_int8.calibration_images(tmp_path / "nowhere")
+        image_files(tmp_path / "nowhere", "calibrate")
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileNotFoundError, match=r"PNG or JPEG files in .*empty, got none"):
-        pose_int8.calibration_images(tmp_path / "empty")
+        image_files(tmp_path / "empty", "calibrate")
     with pytest.raises(ValueError, match="images: expected at least 1, got none"):
         pose_int8.quantize_graph(graph, out, [])
     images[1].write_bytes(b"\x89PNG\r\n\x1a\n")

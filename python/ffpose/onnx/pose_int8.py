@@ -19,8 +19,6 @@ from ffpose.onnx.int8 import quantize
 from ffpose.onnx.metadata import read_model_metadata, sealed
 from ffpose.onnx.runtime import PoseEstimator
 
-SUFFIXES = (".png", ".jpg", ".jpeg")
-
 
 @dataclass(frozen=True)
 class Quantized:
@@ -48,21 +46,6 @@ class Quantized:
             f" {values.max():.3g} {unit}"
             for what, values, unit in pairs
         ]
-
-
-def calibration_images(folder: str | Path) -> list[Path]:
-    """Return the PNG and JPEG files of a folder, sorted by name.
-
-    Raises:
-        FileNotFoundError: There is no such folder, or no image in it.
-    """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise FileNotFoundError(f"calibrate: expected a folder of images, got {folder}")
-    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
-    if not images:
-        raise FileNotFoundError(f"calibrate: expected PNG or JPEG files in {folder}, got none")
-    return images
 
 
 def quantize_graph(
