@@ -40,7 +40,7 @@ typecheck: $(VENV)/.dev ## mypy strict, and the stubs against the built extensio
 	$(BIN)/mypy
 	MYPYPATH=python $(BIN)/stubtest ffpose._rust
 
-test-rust: tools ## the Rust tests, with optimisation
+test-rust: tools ## the Rust tests, with optimization
 	cargo test --locked --release --workspace
 
 test-python: $(VENV)/.dev ## the Python tests and the examples of the docs

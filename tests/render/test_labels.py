@@ -93,7 +93,7 @@ def drawn_silhouette(row, mesh):
 
 @pytest.mark.parametrize("name", ["soyuz_easy", "dragon_hard"])
 def test_mask_is_the_silhouette_of_the_written_label(tmp_path, name):
-    """A second rasteriser, which knows nothing of rays, fills the same pixels."""
+    """A second rasterizer, which knows nothing of rays, fills the same pixels."""
     write_dataset(name, tmp_path, 2, seed=8, size=(64, 48))
     for index, row in enumerate(written_labels(tmp_path)):
         mask = render_layers(name, 8, index, SIZE).mask

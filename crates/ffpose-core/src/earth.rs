@@ -24,7 +24,7 @@ const SCALE_HEIGHT: f32 = 0.0014;
 
 const HORIZON_AIR_MASS: f32 = 38.0;
 
-/// How far from the Earth's centre a ray still meets air.
+/// How far from the Earth's center a ray still meets air.
 const TOP: f32 = 1.018;
 
 /// Radiance of endless air under the sun.
@@ -51,9 +51,9 @@ const WAVE_SLOPE: f32 = 0.12 * 0.12;
 /// Where the Earth is, and what lights it, in the frame of the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Earth {
-    /// Unit vector to its centre.
+    /// Unit vector to its center.
     pub nadir: Vec3,
-    /// Of the camera above the ground, Earth radii.
+    /// Height of the camera above the ground, Earth radii.
     pub altitude: f32,
     /// Unit vector to the sun.
     pub sun: Vec3,
@@ -133,7 +133,7 @@ impl Heights {
 /// An [`Earth`] with all that is the same for every ray.
 struct Planet {
     earth: Earth,
-    /// The camera seen from the Earth's centre.
+    /// The camera seen from the Earth's center.
     camera: Vec3,
     /// Squared distance to the horizon.
     horizon: f32,

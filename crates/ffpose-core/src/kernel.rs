@@ -7,7 +7,7 @@
 //! - weights are `(bins, lanes, 2)`: grid, bins = H·(W/2+1); tokens, `(X, Y/2+1, 2)`.
 //!
 //! In an image view the lanes are contiguous, batch and point strides are positive and otherwise arbitrary. In a
-//! weight view real and imaginary part are neighbours and the stride of the lanes is 2. No dimension is zero, and
+//! weight view real and imaginary part are neighbors and the stride of the lanes is 2. No dimension is zero, and
 //! weights, gradient sums and the team's scratches have exactly the lengths that the kernel asked for, and
 //! begin where a vector may; the driver has seen to it.
 //! A team has several members only where a call is one single piece; results must not depend on how many.
@@ -19,7 +19,7 @@ use crate::simd::Stored;
 
 /// The transform of one [`crate::Shape`], planned once, for images of `X`.
 ///
-/// Every image is treated by itself: its result does not depend on its neighbours, so that any split of a batch gives
+/// Every image is treated by itself: its result does not depend on its neighbors, so that any split of a batch gives
 /// the same bits.
 pub(crate) trait Kernel<X: Stored>: Send + Sync {
     /// Most lanes of a view: the last tile may have fewer. In tokens the tile is all of Y.

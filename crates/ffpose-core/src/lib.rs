@@ -6,11 +6,11 @@
 //!   images `(..., H, W, C)`, transformed over H and W for each channel.
 //! - **Spectra** are real arrays with real and imaginary part on the last axis, of half the spectrum: `(X, Y/2+1, 2)` or
 //!   `(H, W/2+1, C, 2)`.
-//! - **Normalisation.** That of `torch.fft.rfft2` and `irfft2` by default: none forward, one over the points of the
+//! - **Normalization.** That of `torch.fft.rfft2` and `irfft2` by default: none forward, one over the points of the
 //!   plane inverse.
 //! - **Elements** are `f32` or `f64`; filters also take half precision, computed in `f32`.
 //! - **Threads** are the caller's: a [`Pool`] lends them.
-//! - **Quaternions** are Hamilton's, scalar first `(w, x, y, z)`. Angles are in radians, translations in metres.
+//! - **Quaternions** are Hamilton's, scalar first `(w, x, y, z)`. Angles are in radians, translations in meters.
 
 #![deny(unsafe_code)]
 

@@ -58,7 +58,7 @@ pub(crate) fn worth_together(pool: &dyn Pool, elements: usize) -> usize {
     worth(pool, elements / 3 * 2)
 }
 
-/// Runs `work` on every job. Each of `workers` begins with an equal share of neighbouring jobs, the same in every call: what it
+/// Runs `work` on every job. Each of `workers` begins with an equal share of neighboring jobs, the same in every call: what it
 /// wrote there is still in its cache. Then it takes what is left of the others' shares.
 ///
 /// Jobs write to places of their own, so the result does not depend on who does which.

@@ -1,6 +1,6 @@
 //! Errors and scores of estimated poses, sample by sample.
 //!
-//! Translations are `(N, 3)` in metres, orientations `(N, 4)` as in [`crate::quaternion`], of any norm above zero; `q`
+//! Translations are `(N, 3)` in meters, orientations `(N, 4)` as in [`crate::quaternion`], of any norm above zero; `q`
 //! and `-q` are one orientation. Results are `(N,)`. NaN and infinity are errors: a mean must not hide them.
 
 use std::f64::consts::PI;
@@ -32,7 +32,7 @@ pub struct PosePairs<'a, T> {
     pub q_hat: ArrayViewD<'a, T>,
 }
 
-/// `‖t - t_hat‖` in metres.
+/// `‖t - t_hat‖` in meters.
 ///
 /// # Errors
 /// [`Error::Shape`]; [`Error::NotFinite`] with the row.

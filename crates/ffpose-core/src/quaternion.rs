@@ -58,7 +58,7 @@ pub fn canonical<T: Real>(q: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
     array_of(q.shape(), rows)
 }
 
-/// Roll, pitch and yaw `(..., 3)` of `q (..., 4)`, which need not be normalised: turns about x, then y, then z of the
+/// Roll, pitch and yaw `(..., 3)` of `q (..., 4)`, which need not be normalized: turns about x, then y, then z of the
 /// fixed frame (ZYX), as in Ye et al., Eq. 12, with the sign of the pitch that inverts [`from_euler`].
 ///
 /// Roll and yaw are in `(-π, π]`. Pitch is in `[-π/2, π/2]`, by an arctangent that equals the clamped arcsine and keeps its

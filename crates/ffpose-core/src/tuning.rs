@@ -50,7 +50,7 @@ pub(crate) struct Tuning {
     /// Whether the hardware prefetcher brings what the L3 cache has, as Intel's do.
     pub(crate) fetches_ahead: bool,
 
-    /// Bytes of the lanes of a grid's narrow tile, as they are computed with. Neighbouring lines of an image soon after each other
+    /// Bytes of the lanes of a grid's narrow tile, as they are computed with. Neighboring lines of an image soon after each other
     /// are what memory is quick at; alone, lines at a distance of a power of two meet in the same few sets of the cache.
     pub(crate) narrow_tile: usize,
     /// The same of the widest tile.

@@ -10,6 +10,7 @@ use ffpose_core::{
     StdThreads,
 };
 use ndarray::{ArrayD, Axis};
+use rustfft::num_traits::FromPrimitive;
 
 /// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
 const GRIDS: [[usize; 4]; 25] = [
@@ -178,24 +179,25 @@ fn double_precision_agrees_with_the_sums() {
 }
 
 /// One case of the property: everything that a caller may choose, from one number.
-fn any_case_agrees<X: Number<Real = f32> + PartialEq>(
+fn any_case_agrees<X: Number<Real: Number<Real = X::Real>> + PartialEq>(
     numbers: &mut Numbers,
     layout: Layout,
     dim: &[usize],
+    eps: f64,
 ) {
     let shape = Shape::of_images(layout, dim).unwrap();
-    let eps = f64::from(f32::EPSILON).max(rounding::<X>());
-    let [x, grad] = [(); 2].map(|()| numbers.array::<f32>(dim).mapv(X::nearest_to));
-    let weight = numbers.array::<f32>(&shape.weight());
+    let eps = eps.max(rounding::<X>());
+    let [x, grad] = [(); 2].map(|()| numbers.array::<X::Real>(dim).mapv(X::nearest_to));
+    let weight = numbers.array::<X::Real>(&shape.weight());
     let [x64, grad64] = [&x, &grad].map(|a| exact(&a.mapv(X::widened)));
     let weight64 = exact(&weight);
     let mut conjugate = weight64.clone();
     conjugate.map_axis_mut(Axis(weight.ndim() - 1), |mut w| w[1] = -w[1]);
     let threads = 1 + numbers.below(9);
     let wanted = [[true, false], [false, true], [true, true]][numbers.below(3)];
-    for plan in plans::<f32>(shape) {
+    for plan in plans::<X::Real>(shape) {
         let what = |name| format!("{name} {layout:?} {dim:?}, {threads} threads, {wanted:?}");
-        let close = |name, got: ArrayD<f32>, expected: &ArrayD<f64>, scale: f64| {
+        let close = |name, got: ArrayD<X::Real>, expected: &ArrayD<f64>, scale: f64| {
             let tolerance = 4.0 * eps * ((shape.rows * shape.columns) as f64).log2().max(1.0);
             let error = (exact(&got) - expected).mapv(f64::abs);
             let worst = error.iter().fold(0.0, |most: f64, &e| if e <= most { most } else { e });
@@ -226,10 +228,10 @@ fn any_case_agrees<X: Number<Real = f32> + PartialEq>(
 }
 
 /// Half a unit in the last place of what results are rounded to.
-fn rounding<X: Number<Real = f32> + PartialEq>() -> f64 {
-    let one = X::nearest_to(1.0);
-    let steps = (1..24).map(|bit| 0.5_f32.powi(bit));
-    steps.take_while(|step| X::nearest_to(1.0 + step) != one).last().map_or(0.0, f64::from) / 2.0
+fn rounding<X: Number + PartialEq>() -> f64 {
+    let nearest = |value: f64| X::nearest_to(X::Real::from_f64(value).unwrap());
+    let steps = (1..60).map(|bit| 0.5_f64.powi(bit));
+    steps.take_while(|step| nearest(1.0 + step) != nearest(1.0)).last().unwrap() / 2.0
 }
 
 #[test]
@@ -243,10 +245,12 @@ fn any_shape_type_threads_and_gradients_agree_with_the_sums() {
             1 => (Layout::Grid, vec![batch, rows, columns, 1 + numbers.below(70)]),
             _ => (Layout::Grid, vec![batch, 1, rows * columns, 1 + numbers.below(40)]),
         };
-        match numbers.below(4) {
-            0 => any_case_agrees::<Bf16>(&mut numbers, layout, &dim),
-            1 => any_case_agrees::<F16>(&mut numbers, layout, &dim),
-            _ => any_case_agrees::<f32>(&mut numbers, layout, &dim),
+        let eps = f32::EPSILON.into();
+        match numbers.below(5) {
+            0 => any_case_agrees::<Bf16>(&mut numbers, layout, &dim, eps),
+            1 => any_case_agrees::<F16>(&mut numbers, layout, &dim, eps),
+            2 => any_case_agrees::<f64>(&mut numbers, layout, &dim, f64::EPSILON),
+            _ => any_case_agrees::<f32>(&mut numbers, layout, &dim, eps),
         }
     }
 }

@@ -39,7 +39,7 @@ from ffpose.training.run import UNKNOWN_CAMERA, build_run
 from ffpose.training.stages import shortened
 
 TEST_SEED = TEST_SEEDS + 100
-"""Of the rendered test images: no training, demo or model card shows them."""
+"""Seed of the rendered test images, which no training, demo or model card shows."""
 
 ENDLESS = 10_000
 """Epochs of a run that ends by time."""

@@ -1,4 +1,4 @@
-"""Deployment: networks as ONNX graphs, and their use without torch.
+"""Deployment: export of networks as ONNX graphs, and inference without torch.
 
 * `export` writes any module with spectral filters as an ONNX graph; needs the extra ``[export]``.
 * `ffpose.onnx.runtime.PoseEstimator` runs the graphs of ``ffpose export``; torch is never imported.

@@ -1,4 +1,4 @@
-"""The runtimes that compute a graph: ONNX Runtime and OpenVINO, behind one call."""
+"""Inference sessions in ONNX Runtime and OpenVINO, behind one interface."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def open_session(
         model: The ONNX file.
         filter: How the graph computes spectral filters; the library is loaded for ``"custom"``.
         backend: ``"onnxruntime"`` or ``"openvino"``.
-        threads: That an image is computed with; None: as many as the backend finds good.
+        threads: Number of threads within an image; None for the backend's default.
         providers: ONNX Runtime's execution providers, the first that can is taken for each node;
             None for the CPU's.
         precision: ``"float32"``, or ``"bfloat16"`` for matrix products where the CPU has

@@ -1,4 +1,4 @@
-"""Writes torch modules with spectral filters as ONNX graphs, and checks what was written.
+"""Export of torch modules with spectral filters as ONNX graphs, compared with torch.
 
 torch's own exporter turns ``torch.fft`` into DFT nodes, which runtimes compute slowly or refuse.
 Here a filter becomes one node of our own domain (``filter="custom"``), or products with real
@@ -29,13 +29,13 @@ from ffpose.onnx.metadata import Filter, sealed
 from ffpose.onnx.operators import translations
 
 OPSET = 18
-"""Of ONNX's standard operators, which ONNX Runtime 1.17 and OpenVINO 2024 and later know."""
+"""Opset of the standard operators, supported by ONNX Runtime 1.17, OpenVINO 2024 and later."""
 
 TOLERANCE = 1e-4
-"""Largest difference between graph and module that is taken for rounding."""
+"""Largest difference between graph and module that counts as rounding."""
 
 FOLDED = 1 << 26
-"""Constants of up to so many bytes are computed beforehand, the weights of filters among them."""
+"""Largest constant that is folded, bytes; above the size of filters' weights."""
 
 FilterChoice = Literal["custom", "matmul"]
 Say = Callable[[str], None]
@@ -43,13 +43,13 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written.
+    """An exported graph.
 
     Attributes:
-        path: The ONNX file.
+        path: Path of the ONNX file.
         filter: How the graph computes its filters; ``"none"`` where it has none.
-        bytes: Length of the file.
-        differences: By output, the largest difference between graph and module.
+        bytes: Size of the file.
+        differences: Largest difference between graph and module, by output.
     """
 
     path: Path

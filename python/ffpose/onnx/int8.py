@@ -1,4 +1,4 @@
-"""Static quantization of a graph to int8: what takes the time, in eight bits.
+"""Static quantization of the costly operators of a graph to int8.
 
 Convolutions and products with constant matrices of the backbone and of the branches become int8:
 weights by channel, activations by the range that calibration images show. Spectral filters,
@@ -21,7 +21,7 @@ from ffpose.onnx.library import get_library_path
 from ffpose.onnx.metadata import Filter
 
 OPERATORS = ("Conv", "Gemm", "MatMul")
-"""What is quantized where it has a constant weight."""
+"""Operators that are quantized where their weight is constant."""
 
 PARTS = ("backbone", "object_backbone", "projection", "attention", "feed_forward", "flatten")
 """Words of a module's path within which operators are quantized."""

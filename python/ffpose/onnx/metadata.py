@@ -1,16 +1,16 @@
-"""What an exported graph says of itself, in the ``metadata_props`` of its ONNX file.
+"""Metadata of exported graphs, stored in ``metadata_props`` of the ONNX file.
 
-Each is a string: ``ffpose_format`` (of these entries), ``ffpose_version``, ``architecture``,
-``quaternion_order``, ``filter``, ``weights_sha256``; and, as JSON, ``config``, ``preprocessing``,
-``camera`` (of the images trained on), ``view_camera`` (of the network's input) and
-``in_view_threshold``. A graph in int8 has ``precision`` and ``calibration_sha256`` too: of the
-SHA-256s in hexadecimal, one behind the other, of the images that it was calibrated with. A graph
-that locates the camera in the world has ``locates``, ``camera``.
+All entries are strings: ``ffpose_format`` (version of these entries), ``ffpose_version``,
+``architecture``, ``quaternion_order``, ``filter``, ``weights_sha256``; and, as JSON, ``config``,
+``preprocessing``, ``camera`` (of the training images), ``view_camera`` (of the network's input) and
+``in_view_threshold``. An int8 graph also has ``precision`` and ``calibration_sha256``, the SHA-256
+of the concatenated hexadecimal SHA-256s of its calibration images. A graph that locates the camera
+in the world has ``locates``, with the value ``camera``.
 
-The last record of the file is the entry ``ffpose_sha256``: the SHA-256 of all bytes before it, by
-which an altered file is known, with nothing beside it. ONNX is protobuf, whose records may stand in
-any order, so that every reader takes such a file; `read_entries` reads the few that matter here,
-and needs no library.
+The last record of the file is the entry ``ffpose_sha256``, the SHA-256 of all bytes before it,
+which shows alterations without a second file. ONNX files are protobuf messages, whose records may
+come in any order, so every reader accepts such a file; `read_entries` parses just the records
+needed here, without a library.
 """
 
 from __future__ import annotations
@@ -35,8 +35,7 @@ QUATERNION_ORDER = "wxyz"
 CHECKSUM = "ffpose_sha256"
 
 Filter = Literal["custom", "matmul", "none"]
-"""How the graph computes its spectral filters: by the library's operator, by standard ones; none
-are in it."""
+"""How a graph computes its spectral filters: custom operator, standard operators, or has none."""
 
 Precision = Literal["float32", "int8"]
 
@@ -46,22 +45,21 @@ METADATA_PROPS = 14
 
 @dataclass(frozen=True)
 class ModelMetadata:
-    """What an exported graph says of itself; what it does not know is None.
+    """Metadata of an exported graph; None where unknown.
 
     Attributes:
-        config: Of the network.
-        preprocessing: Turns an image into the input ``images``.
+        config: Configuration of the network.
+        preprocessing: Conversion from image to the input ``images``.
         filter: How the spectral filters are computed.
-        camera: Of the images trained on.
-        in_view_threshold: An image whose probability that the object is in view lies below this is
-            flagged.
-        weights_sha256: Of the weights file that the graph was made of.
-        version: Of ffpose that wrote the graph.
-        precision: Of its convolutions and matrix products.
-        calibration_sha256: Of the calibration images of a graph in int8.
+        camera: Camera of the training images.
+        in_view_threshold: Images with a lower probability of the object being in view are flagged.
+        weights_sha256: SHA-256 of the weights file that was exported.
+        version: Version of ffpose that wrote the graph.
+        precision: Precision of convolutions and matrix products.
+        calibration_sha256: SHA-256 of the calibration images of an int8 graph.
         locates: What the network locates.
-        undistorted: Whether the images trained on were undistorted.
-        white: Level of images of more than 8 bits that became 255 in training.
+        undistorted: Whether the training images were undistorted.
+        white: Level that became 255 in training images of more than 8 bits.
     """
 
     config: NetworkConfig
@@ -78,7 +76,7 @@ class ModelMetadata:
     white: float | str | None = None
 
     def to_entries(self) -> dict[str, str]:
-        """Return the entries but for the checksum."""
+        """Return the entries, without the checksum."""
         view = self.config.view_camera
         values = {
             "preprocessing": self.preprocessing.to_dict(),
@@ -108,11 +106,11 @@ class ModelMetadata:
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, str]) -> ModelMetadata:
-        """Return what `to_entries` wrote.
+        """Parse the entries that `to_entries` returns.
 
         Raises:
             KeyError: An entry is missing.
-            ValueError: One cannot be.
+            ValueError: An entry has an invalid value.
         """
         choices = {"quaternion_order": (QUATERNION_ORDER,), "filter": get_args(Filter)}
         for name, known in choices.items():
@@ -143,12 +141,12 @@ class ModelMetadata:
 
 
 def read_model_metadata(path: str | Path) -> ModelMetadata:
-    """Read what an exported graph says of itself, and check that its file is as it was written.
+    """Read the metadata of an exported graph, and verify the checksum of the file.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        ffpose.DataError: It is no ONNX file, not of ``ffpose export``, altered, or newer than this
-            version.
+        FileNotFoundError: The file does not exist.
+        ffpose.DataError: The file is not an ONNX file, was not written by ``ffpose export``, was
+            altered, or is newer than this version.
     """
     path = Path(path)
     if not path.is_file():
@@ -179,7 +177,7 @@ def read_model_metadata(path: str | Path) -> ModelMetadata:
 
 
 def sealed(data: bytes) -> bytes:
-    """Return an ONNX file with the record of its checksum behind it."""
+    """Append the record of its checksum to the bytes of an ONNX file."""
     return data + _checksum_record(hashlib.sha256(data).hexdigest())
 
 
@@ -200,10 +198,10 @@ def _checksum_record(digest: str) -> bytes:
 
 
 def read_entries(data: bytes) -> Iterator[tuple[str, str]]:
-    """Yield keys and values of ``metadata_props`` of the bytes of an ONNX file.
+    """Yield the keys and values of ``metadata_props`` in the bytes of an ONNX file.
 
     Raises:
-        ValueError: They are no protobuf.
+        ValueError: The bytes are not a protobuf message.
     """
     for field, entry in _records(memoryview(data)):
         if field == METADATA_PROPS:
@@ -237,7 +235,7 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _varint(data: memoryview, place: int) -> tuple[int, int]:
-    """Return the number at ``place``, seven bits a byte, and the place behind it."""
+    """Return the varint at ``place``, seven bits per byte, and the place after it."""
     value = 0
     for shift in range(0, 70, 7):
         if place >= len(data):

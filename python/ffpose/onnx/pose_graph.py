@@ -31,7 +31,7 @@ BATCHES = (2, 1, 3)
 INPUT_NAMES = ["images"]
 
 PATCHES = 8
-"""Of a random image, along each side of their square."""
+"""Number of patches along each side of a random image."""
 
 SHARE = 4
 """The shorter side of a random image over that of the square."""

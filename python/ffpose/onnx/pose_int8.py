@@ -1,4 +1,4 @@
-"""``ffpose export --int8``: a pose network's graph in int8, and what it loses by that."""
+"""Quantization of a pose network's graph to int8 (``ffpose export --int8``), and its loss."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from ffpose.onnx.runtime import PoseEstimator
 
 @dataclass(frozen=True)
 class Quantized:
-    """What was written, and how far its poses are from float32's on the calibration images.
+    """An int8 graph, and the differences of its poses from float32's on the calibration images.
 
     Attributes:
-        path: The ONNX file.
-        bytes: Length of the file.
+        path: Path of the ONNX file.
+        bytes: Size of the file.
         nodes: Number of nodes in int8.
-        translation_m: ``(N,)`` differences by image, metres.
-        rotation_deg: ``(N,)`` differences by image, degrees.
+        translation_m: Differences of each image ``(N,)``, meters.
+        rotation_deg: Differences of each image ``(N,)``, degrees.
     """
 
     path: Path
@@ -39,7 +39,7 @@ class Quantized:
     rotation_deg: NDArray[np.floating[Any]]
 
     def lines(self) -> list[str]:
-        """Return the differences in words, median and largest."""
+        """Return the differences as text: median and largest."""
         pairs = (("translation", self.translation_m, "m"), ("rotation", self.rotation_deg, "deg"))
         return [
             f"int8 against float32, {what}: median {np.median(values):.3g} {unit}, largest"
@@ -59,16 +59,17 @@ def quantize_graph(
 
     Args:
         graph: The float32 graph.
-        path: The ONNX file to write; its folder must exist.
-        images: To calibrate with: as the network will see them, by the camera of the weights.
-        say: Is told what is under way.
+        path: ONNX file to write; its folder must exist.
+        images: Calibration images, typical of the weights' camera.
+        say: Called with a line about each step.
 
     Raises:
-        FileNotFoundError: There is no such graph or image, or the operator's library is missing.
+        FileNotFoundError: The graph, an image or the operator's library does not exist.
         MissingExtraError: onnx or onnxruntime is not installed.
-        ffpose.DataError: The graph is not of ``ffpose export``, or an image cannot be read.
-        ValueError: ``images`` is empty, the graph is int8 already, or an image is of another aspect
-            ratio than the camera's.
+        ffpose.DataError: The graph was not written by ``ffpose export``, or an image cannot be
+            read.
+        ValueError: ``images`` is empty, the graph is already int8, or the aspect ratio of an image
+            differs from the camera's.
     """
     metadata = read_model_metadata(graph)
     if metadata.precision != "float32":

@@ -1,4 +1,4 @@
-"""Poses from images by an exported graph: NumPy, Pillow and a runtime, without torch."""
+"""Pose estimation with an exported graph: NumPy, Pillow and a runtime, without torch."""
 
 from __future__ import annotations
 
@@ -20,31 +20,32 @@ ImageLike = str | Path | Image.Image | NDArray[np.uint8]
 
 
 class PoseEstimator:
-    """A graph of ``ffpose export`` and the way from an image to its input.
+    """A graph written by ``ffpose export``, with its preprocessing: poses from images.
 
     Args:
-        model: The ONNX file.
-        camera: The camera of the images to come, which are turned by geometry into the network's
-            view; None: that of the weights.
-        any_camera: Resize any image to the network's input, as if the weights' camera had taken it.
+        model: Path of the ONNX file.
+        camera: Camera of the images, which are reprojected to the network's view; None for the
+            weights' own camera.
+        any_camera: Resize any image to the network's input, as if taken by the weights' camera.
         backend: ``"onnxruntime"`` or ``"openvino"``.
-        threads: That an image is computed with; None: as many as the backend finds good.
+        threads: Number of threads within an image; None for the backend's default.
         providers: ONNX Runtime's execution providers; None for the CPU's.
-        precision: ``"float32"``, or ``"bfloat16"`` where backend and CPU have it.
-        warm_up: Runs on a black image before the first real one, whose memory and plans they make.
+        precision: ``"float32"``, or ``"bfloat16"`` where backend and CPU support it.
+        warm_up: Number of runs on a black image at construction, which allocate memory and plan.
 
     Attributes:
-        metadata: What the graph says of itself.
-        preprocessing: From image to network input.
-        camera: The camera whose aspect ratio an image must have; None for any.
+        metadata: Metadata of the graph.
+        preprocessing: Conversion from image to network input.
+        camera: Camera whose aspect ratio an image must have; None for any.
 
     Raises:
-        FileNotFoundError: There is no such file, or the custom operator's library is missing.
+        FileNotFoundError: The file does not exist, or the custom operator's library is missing.
         MissingExtraError: The backend is not installed.
-        ffpose.DataError: The file is no graph of ``ffpose export``, is altered, or is newer than
-            this version.
-        ValueError: A choice that backend or CPU cannot do, or both a camera and any are asked for.
-        RuntimeError: The backend cannot load graph or library.
+        ffpose.DataError: The file was not written by ``ffpose export``, was altered, or is newer
+            than this version.
+        ValueError: Backend or CPU do not support a choice, or both ``camera`` and ``any_camera``
+            are given.
+        RuntimeError: The backend cannot load the graph or the library.
 
     Examples:
         ``PoseEstimator("model.onnx", threads=1)("image.png").t``
@@ -89,22 +90,22 @@ class PoseEstimator:
         From a network that locates the camera, the pose of the world in the camera frame.
 
         Args:
-            image: A file; or a Pillow image, RGB; or an array ``(H, W, 3)``, uint8, RGB.
+            image: Path of an image file, Pillow image (RGB), or array ``(H, W, 3)``, uint8, RGB.
 
         Raises:
-            FileNotFoundError: There is no such file.
-            ffpose.DataError: The file is no image that becomes RGB without loss.
-            TypeError: No image, or an array of another dtype.
-            ValueError: An array of another shape, an image of another mode, of another aspect ratio
-                than its camera's, or a result that is not finite.
+            FileNotFoundError: The file does not exist.
+            ffpose.DataError: The file is not an image that converts to RGB without loss.
+            TypeError: ``image`` is none of these, or its dtype is not uint8.
+            ValueError: The shape is not ``(H, W, 3)``, the mode not RGB, the aspect ratio not the
+                camera's, or a result is not finite.
         """
         return self.batch([image])[0]
 
     def batch(self, images: Sequence[ImageLike] | NDArray[np.uint8]) -> list[Pose]:
-        """Return the poses of several images, which the network sees at once; raises as for one.
+        """Return the poses of several images, computed as one batch; raises as for one.
 
         Args:
-            images: As for one each, or an array ``(B, H, W, 3)``.
+            images: Images as for one, or an array ``(B, H, W, 3)``.
         """
         if len(images) == 0:
             return []
@@ -121,16 +122,16 @@ class PoseEstimator:
         """Return the network's outputs by name for a batch of inputs.
 
         Args:
-            inputs: ``(B, 3, h, w)``, float32, standardized as `preprocess` does.
+            inputs: Images ``(B, 3, h, w)``, float32, standardized as by `preprocess`.
 
         Returns:
             ``translation (B, 3)``, meters, and ``orientation (B, 4)``, scalar first and of either
-            sign; of a network that knows its uncertainty ``translation_covariance (B, 3, 3)``,
-            ``rotation_covariance (B, 3, 3)`` and ``in_view (B,)`` too.
+            sign; with predicted uncertainty also ``translation_covariance (B, 3, 3)``,
+            ``rotation_covariance (B, 3, 3)`` and ``in_view (B,)``.
 
         Raises:
-            TypeError: Another dtype.
-            ValueError: Another shape, or a number that is not finite.
+            TypeError: The dtype is not float32.
+            ValueError: The shape is not ``(B, 3, h, w)``, or a number is not finite.
         """
         expected = (3, *self.metadata.config.image_size)
         if inputs.dtype != np.float32:
@@ -144,11 +145,11 @@ class PoseEstimator:
 
 
 def as_image(image: ImageLike, white: float | str | None = None) -> Image.Image:
-    """Return a Pillow image, RGB; raises as `PoseEstimator`.
+    """Convert to a Pillow image, RGB; raises as `PoseEstimator`.
 
     Args:
-        image: As there.
-        white: Level of a file of more than 8 bits that becomes 255.
+        image: Image as there.
+        white: Level that becomes 255 in a file of more than 8 bits.
     """
     if isinstance(image, str | Path):
         return read_rgb(Path(image), white)

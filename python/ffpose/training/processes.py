@@ -26,7 +26,7 @@ ENVIRONMENT = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 """The variables of ``torchrun`` that are read."""
 
 BACKENDS = "cpu:gloo,cuda:nccl"
-"""Of processes with a GPU: their gradients are there, sums and metrics on the CPU."""
+"""Backends of processes with a GPU: gradients are on it, sums and metrics on the CPU."""
 
 
 @dataclass(frozen=True)

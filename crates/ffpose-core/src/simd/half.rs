@@ -285,7 +285,7 @@ mod tests {
         }
     }
 
-    /// Midpoints go to the even neighbour, and what is next to them to the nearer.
+    /// Midpoints go to the even neighbor, and what is next to them to the nearer.
     fn rounds_between_all_neighbours<H: Stored<Real = f32> + PartialEq + std::fmt::Debug>(
         half: impl Fn(u16) -> H,
         largest: u16,
@@ -319,7 +319,7 @@ mod tests {
         }
     }
 
-    /// Every value, its neighbours in single precision and the midpoints, in vectors as one by one.
+    /// Every value, its neighbors in single precision and the midpoints, in vectors as one by one.
     fn vectors_convert_as_numbers_do<H: Stored<Real = f32>>(half: impl Fn(u16) -> H) {
         let halves: Vec<_> = (0..=u16::MAX).chain([7; 5]).map(&half).collect(); // five: no whole vector
         let mut wide = vec![0.0; halves.len()];

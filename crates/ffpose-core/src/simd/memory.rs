@@ -15,7 +15,7 @@ pub(super) fn is_within(first: usize, count: usize, step: usize, len: usize) -> 
 #[inline(always)]
 pub(crate) fn gather<E: Copy, const N: usize>(buffer: &[E], first: usize, step: usize) -> [E; N] {
     assert!(is_within(first, N, step, buffer.len()));
-    // SAFETY: an array of uninitialised elements needs no initialisation.
+    // SAFETY: an array of uninitialized elements needs no initialization.
     let mut elements: [MaybeUninit<E>; N] = unsafe { MaybeUninit::uninit().assume_init() };
     for (i, element) in elements.iter_mut().enumerate() {
         // SAFETY: at most the index checked above.
@@ -50,7 +50,7 @@ pub(crate) fn gather_at<E: Copy, const N: usize>(
     span: usize,
 ) -> [E; N] {
     assert!(is_within(first, span, step, buffer.len()));
-    // SAFETY: an array of uninitialised elements needs no initialisation.
+    // SAFETY: an array of uninitialized elements needs no initialization.
     let mut elements: [MaybeUninit<E>; N] = unsafe { MaybeUninit::uninit().assume_init() };
     for (element, &offset) in elements.iter_mut().zip(&offsets) {
         assert!(offset < span); // constants, as a rule

@@ -4,7 +4,7 @@ use std::marker::PhantomData;
 
 use super::{Complex, Element, MAX_LANES, Tile, Vector};
 
-/// As many complex vectors as `COUNT`, each of runs of `RUN` neighbouring complex numbers that alternate real and imaginary part:
+/// As many complex vectors as `COUNT`, each of runs of `RUN` neighboring complex numbers that alternate real and imaginary part:
 /// run `i` of vector `j` begins at `starts[i] + j * stride`.
 #[derive(Clone, Copy)]
 pub(crate) struct Runs<'a, T, const RUN: usize, const COUNT: usize> {

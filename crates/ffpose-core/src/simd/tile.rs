@@ -71,7 +71,7 @@ impl<'a, T: Stored> Tile<'a, T> {
         step: usize,
     ) -> [V; N] {
         assert!(V::LANES <= self.lanes && is_within(first, N, step, self.points));
-        // SAFETY: an array of uninitialised elements needs no initialisation.
+        // SAFETY: an array of uninitialized elements needs no initialization.
         let mut vectors: [MaybeUninit<V>; N] = unsafe { MaybeUninit::uninit().assume_init() };
         for (i, vector) in vectors.iter_mut().enumerate() {
             // SAFETY: the point is one of the view's, which holds `lanes >= LANES` elements there (checked above).
@@ -90,7 +90,7 @@ impl<'a, T: Stored> Tile<'a, T> {
         span: usize,
     ) -> [V; N] {
         assert!(V::LANES <= self.lanes && is_within(first, span, 1, self.points));
-        // SAFETY: an array of uninitialised elements needs no initialisation.
+        // SAFETY: an array of uninitialized elements needs no initialization.
         let mut vectors: [MaybeUninit<V>; N] = unsafe { MaybeUninit::uninit().assume_init() };
         for (vector, &offset) in vectors.iter_mut().zip(&offsets) {
             assert!(offset < span); // constants, as a rule
@@ -119,7 +119,7 @@ impl<'a, T: Stored> Tile<'a, T> {
     }
 
     /// Asks for the cache lines where `count` points from `first` on begin. They may lie behind the last point: then it
-    /// is memory of a neighbour, if any.
+    /// is memory of a neighbor, if any.
     #[inline(always)]
     pub(crate) fn prefetch(&self, first: usize, count: usize) {
         let mut address = self.start.wrapping_add(first * self.stride);

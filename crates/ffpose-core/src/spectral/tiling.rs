@@ -11,7 +11,7 @@ const BATCH: Axis = Axis(0);
 const IMAGE_LANES: Axis = Axis(2);
 const WEIGHT_LANES: Axis = Axis(1);
 
-/// Pieces are numbered tile by tile, and part by part within a tile: neighbours share the tile's weight.
+/// Pieces are numbered tile by tile, and part by part within a tile: neighbors share the tile's weight.
 #[derive(Clone, Copy)]
 pub(crate) struct Tiling {
     images: usize,

@@ -58,7 +58,7 @@ impl Function {
 }
 
 #[test]
-#[cfg_attr(debug_assertions, ignore = "nothing is inlined without optimisation")]
+#[cfg_attr(debug_assertions, ignore = "nothing is inlined without optimization")]
 fn kernels_are_vector_code_without_calls() {
     let Some((relocations, disassembly)) = objdump("-R").zip(objdump("-d")) else {
         println!("skipped: objdump, of binutils, is not installed");

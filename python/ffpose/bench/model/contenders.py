@@ -123,7 +123,7 @@ def _module(name: str, model: nn.Module) -> Any:
 def differences(calls: Mapping[str, Call], baseline: str) -> dict[str, float | None]:
     """Return each contender's largest difference of outputs from the baseline's.
 
-    Metres of translations and quaternions of one sign; relative to the largest number otherwise.
+    Meters of translations and quaternions of one sign; relative to the largest number otherwise.
     None for the contender without filters, which computes something else.
 
     Raises:

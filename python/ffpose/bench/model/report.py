@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LEGEND = (
     "p50, p95, p99: of the latency of single calls, in turns with the other contenders; ratio: p50"
     " over the baseline's",
-    "difference: largest, from the baseline's outputs; metres, quaternions, relative for the rest",
+    "difference: largest, from the baseline's outputs; meters, quaternions, relative for the rest",
     "without filters: the same graph with its filters left out, which computes something else",
 )
 

@@ -14,7 +14,7 @@ pub(crate) struct Codelet;
 pub(crate) trait Dft<const N: usize> {
     fn dft<V: Vector>(x: [Complex<V>; N]) -> [Complex<V>; N];
 
-    /// The unnormalised inverse: the forward codelet between two exchanges of real and imaginary parts, which cost nothing, as
+    /// The unnormalized inverse: the forward codelet between two exchanges of real and imaginary parts, which cost nothing, as
     /// they rename registers.
     #[inline(always)]
     fn idft<V: Vector>(x: [Complex<V>; N]) -> [Complex<V>; N] {

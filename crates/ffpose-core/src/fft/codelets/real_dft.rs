@@ -139,7 +139,7 @@ real_power_of_two!(16, 8, [0, 4, 2, 10, 1, 5, 9, 13]);
 /// `Q = 7`, coprime to `P`: a real DFT of each. `Q` a power of two: the second line is turned by `exp(-πi q / Q)`, which makes
 /// it the odd frequencies of a line of `2 Q`, of which `4 m + 1` stand for all.
 pub(crate) trait TwoReal<const Q: usize> {
-    /// Of each slot: which line, and the frequency modulo `Q` in it.
+    /// Line of each slot, and the frequency modulo `Q` in it.
     const FREQUENCIES: [(usize, usize); Q];
 
     /// Slot 0 is frequency 0 and the middle of the whole line of `P Q`.

@@ -1,7 +1,7 @@
 //! A weight in natural order, read in that of the groups, and the sums of its gradient brought back from there.
 //!
 //! Vector `j` of a group is frequency `k + M j` along Y, with `k` that of the lane. Below `Y / 2` these stand in the weight's row
-//! of `u`, above it in that of `-u` in reverse; either way the lanes of a run are neighbours.
+//! of `u`, above it in that of `-u` in reverse; either way the lanes of a run are neighbors.
 
 use super::steps::Step;
 use crate::simd::{Algorithm, Complex, Element, MAX_LANES, Runs, Tile, TileMut, Vector};
@@ -62,7 +62,7 @@ impl TokenShape {
     }
 }
 
-/// Items of neighbouring frequencies of a row.
+/// Items of neighboring frequencies of a row.
 pub(super) struct Run {
     /// The first among the vectors of a block.
     pub(super) item: usize,
@@ -79,7 +79,7 @@ pub(super) struct NaturalWeight<'a, T> {
 
 /// The weight of a group of `2 J` vectors.
 pub(super) struct GroupWeight<'a, T, const RUN: usize, const J: usize> {
-    /// Of frequencies below `Y / 2`, and of those above it, whose vectors and lanes are in reverse.
+    /// Weights of the frequencies below `Y / 2`, and of those above it, whose vectors and lanes are in reverse.
     own: Runs<'a, T, RUN, J>,
     mirror: Runs<'a, T, RUN, J>,
     /// Instead of vectors 0 and `J`, which have the columns of zero and Nyquist, where the Hermitian part counts.

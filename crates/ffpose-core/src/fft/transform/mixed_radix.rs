@@ -93,7 +93,7 @@ impl<T: Element> MixedRadix<T> {
         }
     }
 
-    /// The unnormalised inverse of [`forward`](Self::forward).
+    /// The unnormalized inverse of [`forward`](Self::forward).
     pub(crate) fn inverse(&self, line: &mut [T], work: &mut [T]) {
         for pass in self.list.iter().rev() {
             pass.run::<true>(self.isa, line, work);

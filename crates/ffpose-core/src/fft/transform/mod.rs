@@ -63,7 +63,7 @@ impl<T: Element> Transform<T> {
         forward(line: &mut [T], work: &mut [T])
     }
     delegate! {
-        /// The unnormalised inverse of `forward`.
+        /// The unnormalized inverse of `forward`.
         inverse(line: &mut [T], work: &mut [T])
     }
 }

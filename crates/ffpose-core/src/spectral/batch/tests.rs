@@ -64,7 +64,7 @@ fn loads(batch: &Batch<'_, f32>, shape: Shape) -> Vec<usize> {
     shared_out(&pieces, batch.workers * batch.members)
 }
 
-/// Loads of workers who begin with equal shares of neighbouring pieces and then take what is left of the others', as
+/// Loads of workers who begin with equal shares of neighboring pieces and then take what is left of the others', as
 /// [`parallel::run`] has them.
 fn shared_out(pieces: &[usize], workers: usize) -> Vec<usize> {
     let bound = |worker| pieces.len() * worker / workers;
