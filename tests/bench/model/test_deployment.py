@@ -20,6 +20,7 @@ from ffpose.bench.model.contenders import (
     CUSTOM,
     DFT,
     GRAPH_KINDS,
+    INT8,
     MATMUL,
     OPENVINO,
     PLAIN,
@@ -31,6 +32,7 @@ from ffpose.bench.model.contenders import (
     with_torch_fft,
     write_graphs,
 )
+from ffpose.bench.model.operators import shares
 from ffpose.bench.model.pipeline import (
     STAGES,
     TOTAL,
@@ -58,6 +60,7 @@ NAMES_HERE = [
     *(TORCH_BEFORE, TORCH),
     *([CUSTOM] if HAS_LIBRARY else []),
     *(MATMUL, WITHOUT),
+    *([INT8] if HAS_LIBRARY else []),
     *([OPENVINO] if importlib.util.find_spec("openvino") else []),
 ]
 
@@ -92,7 +95,12 @@ def test_run_prints_tables_and_writes_document_and_picture(tmp_path, monkeypatch
         assert each["ratio"][MATMUL] == pytest.approx(medians[MATMUL] / medians[TORCH_BEFORE])
         apart = each["largest_difference"]
         assert apart.pop(WITHOUT) is None
+        assert apart.pop(INT8, 1.0) > 1e-4  # 8 bits
         assert max(apart.values()) < 1e-4
+    for name, shares in document["operator_shares"].items():
+        assert name in NAMES_HERE
+        assert sum(shares.values()) == pytest.approx(1)
+        assert "Conv" in shares or "QLinearConv" in shares or "FusedConv" in shares
     (stages,) = document["image_file_to_pose"]
     for latencies in stages["latencies"].values():
         assert set(latencies) == {*STAGES, TOTAL}
@@ -108,7 +116,7 @@ def test_run_prints_tables_and_writes_document_and_picture(tmp_path, monkeypatch
 def test_every_graph_computes_what_it_says(tmp_path):
     """The graph without filters is the network with filters that let everything pass."""
     measured = subject(GFNET, tmp_path)
-    kinds = [kind for kind in GRAPH_KINDS if HAS_LIBRARY or kind != "custom"]
+    kinds = [kind for kind in GRAPH_KINDS if kind != "int8" and (HAS_LIBRARY or kind != "custom")]
     graphs = write_graphs(measured.model, measured.images(2), tmp_path, kinds)
     operators = {
         kind: {node.op_type for node in onnx.load(graph.path).graph.node}
@@ -131,6 +139,24 @@ def test_every_graph_computes_what_it_says(tmp_path):
         with torch.no_grad():
             expected = model.double()(images.double())
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-5)
+
+
+def test_operator_shares_by_hand(tmp_path):
+    """The first run, up to 100 µs, counts for nothing."""
+    node = {"cat": "Node", "dur": 30}
+    events = [
+        {"cat": "Session", "name": "model_run", "ts": 0, "dur": 100},
+        {**node, "name": "a_kernel_time", "ts": 50, "args": {"op_name": "Conv"}},
+        {**node, "name": "a_fence_before", "ts": 105, "args": {"op_name": "Conv"}},
+        {**node, "name": "a_kernel_time", "ts": 110, "args": {"op_name": "Conv"}},
+        {**node, "name": "b_kernel_time", "ts": 140, "args": {"op_name": "MatMul"}},
+        {**node, "name": "c_kernel_time", "ts": 170, "args": {"op_name": "Conv"}},
+        {"cat": "Session", "name": "model_run", "ts": 105, "dur": 100},
+    ]
+    (tmp_path / "profile.json").write_text(json.dumps(events))
+    found = shares(tmp_path / "profile.json")
+    assert list(found) == ["Conv", "MatMul"]
+    assert found["Conv"] == pytest.approx(2 / 3)
 
 
 def test_pipelines_and_a_new_process_give_one_pose(tmp_path):
@@ -171,9 +197,10 @@ def test_the_plan_of_a_pose_network_and_of_gfnet(tmp_path, monkeypatch):
     assert (whole.batches, whole.threads) == ((1, 8), (1, 2, 4))
     assert (quick.batches, quick.threads) == ((1,), (1,))
     assert whole.names[:2] == [TORCH_BEFORE, TORCH]
-    assert {COMPILED, CUSTOM, MATMUL, DFT, WITHOUT} <= set(whole.names)
+    assert {COMPILED, CUSTOM, MATMUL, DFT, WITHOUT, INT8} <= set(whole.names)
     assert set(whole.names) - set(quick.names) == {COMPILED, DFT}
     assert any(DFT in note for note in quick.notes)
+    assert INT8 not in make_plan(gfnet, quick=True).names
     assert {TORCH_FFT, TORCH_BFLOAT16, CUSTOM} <= set(make_plan(gfnet, quick=True).names)
     chosen = make_plan(pose, quick=False, batches=[3], threads=[2])
     assert (chosen.batches, chosen.threads) == ([3], [2])

@@ -21,6 +21,7 @@ from ffpose.bench.model.subjects import Subject
 from ffpose.errors import require
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.exporter import record, relative_differences, serialized, tensors_of
+from ffpose.onnx.int8 import quantize
 from ffpose.onnx.matmul import filters_of
 from ffpose.onnx.metadata import Filter
 from ffpose.onnx.pose_graph import pose_differences
@@ -36,6 +37,7 @@ MATMUL = "ONNX Runtime, matmul"
 DFT = "ONNX Runtime, torch's DFT export"
 WITHOUT = "ONNX Runtime, without filters"
 PLAIN = "ONNX Runtime"
+INT8 = "ONNX Runtime, int8"
 OPENVINO = "OpenVINO"
 OPENVINO_BFLOAT16 = "OpenVINO, bfloat16"
 
@@ -45,12 +47,13 @@ GRAPH_OF: Mapping[str, GraphKind] = {
     MATMUL: "matmul",
     DFT: "dft",
     WITHOUT: "without",
+    INT8: "int8",
     OPENVINO: "matmul",
     OPENVINO_BFLOAT16: "matmul",
 }
 """The graph that a contender runs; the others run the module."""
 
-LESS_PRECISE = (TORCH_AUTOCAST, TORCH_BFLOAT16, OPENVINO_BFLOAT16)
+LESS_PRECISE = (TORCH_AUTOCAST, TORCH_BFLOAT16, OPENVINO_BFLOAT16, INT8)
 APART = 1e-3
 """Largest difference of float32 contenders that counts as rounding; `ffpose export` asks for less
 on batches of its own."""
@@ -146,9 +149,10 @@ def _named(outputs: Outputs, like: Outputs) -> Outputs:
     return dict(zip(like, outputs.values(), strict=True))
 
 
-GraphKind = Literal["custom", "matmul", "dft", "without"]
+GraphKind = Literal["custom", "matmul", "dft", "without", "int8"]
 """``"custom"`` and ``"matmul"`` are `ffpose.onnx.export`'s; ``"dft"`` is what torch's own exporter
-makes of ``torch.fft``; ``"without"`` has its filters left out, and computes something else."""
+makes of ``torch.fft``; ``"without"`` has its filters left out, and computes something else;
+``"int8"`` is ``"custom"`` quantized, calibrated with the images that it is recorded with."""
 
 GRAPH_KINDS: tuple[GraphKind, ...] = get_args(GraphKind)
 
@@ -176,14 +180,16 @@ def write_graphs(
         model: In evaluation mode.
         images: A batch of more than one, to record with.
         folder: Where the files are written.
-        kinds: Of the graphs.
+        kinds: Kinds of the graphs; ``"int8"`` needs ``"custom"``.
         entries: Gives a file's metadata, for how the graph computes its filters.
         output_names: Of the graph's outputs, in order.
     """
     ir = require("onnx_ir", "export")
     recorded = ir.to_proto(record(model, (images,), output_names=output_names))
-    graphs = {}
+    graphs: dict[GraphKind, Graph] = {}
     for kind in kinds:
+        if kind == "int8":
+            continue
         if kind == "dft":
             graph = record(with_torch_fft(model), (images,), output_names=output_names)
         else:
@@ -194,6 +200,10 @@ def write_graphs(
         path = folder / f"{kind}.onnx"
         path.write_bytes(data)
         graphs[kind] = Graph(path, filter)
+    if "int8" in kinds:
+        source, path = graphs["custom"], folder / "int8.onnx"
+        quantize(source.path, path, source.filter, [images.numpy()])
+        graphs["int8"] = Graph(path, source.filter)
     return graphs
 
 

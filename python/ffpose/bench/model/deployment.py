@@ -17,6 +17,7 @@ from pathlib import Path
 from ffpose.bench.model.contenders import (
     CUSTOM,
     GRAPH_OF,
+    INT8,
     OPENVINO,
     PLAIN,
     TORCH,
@@ -26,6 +27,7 @@ from ffpose.bench.model.contenders import (
     differences,
     write_graphs,
 )
+from ffpose.bench.model.operators import operator_shares
 from ffpose.bench.model.pipeline import (
     ColdStart,
     Pipeline,
@@ -61,6 +63,8 @@ class DeploymentResults:
         cases: Of the network alone.
         stages: By number of threads and contender, latencies of the stages from file to pose.
         starts: By contender, cold starts; empty for a network that gives no pose.
+        operators: By contender in ONNX Runtime, the share of each operator in the time of its
+            nodes, batch 1, one thread.
         notes: For the reader, on what is left out or unusual.
     """
 
@@ -69,6 +73,7 @@ class DeploymentResults:
     cases: Sequence[CaseResult]
     stages: Mapping[int, Mapping[str, Mapping[str, Latency]]]
     starts: Mapping[str, ColdStart]
+    operators: Mapping[str, Mapping[str, float]]
     notes: Sequence[str]
 
 
@@ -153,7 +158,12 @@ def measure(
                 stages[count] = _measure_stages(measured, graphs, plan, folder, count)
         progress.update(task, advance=1, description="new processes")
         starts = _measure_starts(measured, graphs, plan, folder)
-    return DeploymentResults(network, plan.names[0], results, stages, starts, plan.notes)
+        operators = {
+            name: operator_shares(graphs[GRAPH_OF[name]], measured.images(1).numpy(), folder, 1)
+            for name in (CUSTOM, PLAIN, INT8)
+            if name in plan.names
+        }
+    return DeploymentResults(network, plan.names[0], results, stages, starts, operators, plan.notes)
 
 
 def _measure_case(

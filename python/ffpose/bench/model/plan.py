@@ -12,6 +12,7 @@ from ffpose.bench.model.contenders import (
     COMPILED,
     CUSTOM,
     DFT,
+    INT8,
     MATMUL,
     OPENVINO,
     OPENVINO_BFLOAT16,
@@ -110,15 +111,21 @@ def _compiled(quick: bool) -> tuple[list[str], list[str]]:
 def _in_runtimes(measured: Subject, quick: bool) -> tuple[list[str], list[str]]:
     if importlib.util.find_spec("onnxruntime") is None:
         return [], ["ONNX Runtime is not measured: it is not installed"]
+    # The parts of a pose network that are quantized are known by their names.
+    int8 = [INT8] if measured.weights is not None else []
     if not measured.has_filters:
-        return [PLAIN], ["this network has no spectral filter: its graph is standard operators"]
+        return [PLAIN, *int8], [
+            "this network has no spectral filter: its graph is standard operators"
+        ]
     try:
         get_library_path()
     except FileNotFoundError as error:
         return [MATMUL, WITHOUT], [f"{CUSTOM} is not measured: {error}"]
     if quick:
-        return [CUSTOM, MATMUL, WITHOUT], [f"{DFT} is not measured: it takes a second export"]
-    return [CUSTOM, MATMUL, DFT, WITHOUT], []
+        return [CUSTOM, MATMUL, WITHOUT, *int8], [
+            f"{DFT} is not measured: it takes a second export"
+        ]
+    return [CUSTOM, MATMUL, DFT, WITHOUT, *int8], []
 
 
 def _in_openvino() -> tuple[list[str], list[str]]:

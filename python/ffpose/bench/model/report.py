@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,10 +21,13 @@ if TYPE_CHECKING:
     from ffpose.bench.model.deployment import CaseResult, DeploymentResults
 
 
+OPERATORS_SHOWN = 12
+
 LEGEND = (
     "p50, p95, p99: of the latency of single calls, in turns with the other contenders; ratio: p50"
     " over the baseline's",
     "difference: largest, from the baseline's outputs; meters, quaternions, relative for the rest",
+    "int8: calibrated with random images, so its difference says nothing; ffpose evaluate does",
     "without filters: the same graph with its filters left out, which computes something else",
 )
 
@@ -43,6 +47,8 @@ def print_results(results: DeploymentResults) -> None:
         _print_stages(console, results, threads)
     if results.starts:
         _print_starts(console, results)
+    if results.operators:
+        _print_operators(console, results.operators)
     print_notes(console, (*LEGEND, f"baseline: {results.baseline}", *results.notes))
 
 
@@ -94,6 +100,21 @@ def _print_starts(console: Console, results: DeploymentResults) -> None:
     console.print(table)
 
 
+def _print_operators(console: Console, operators: Mapping[str, Mapping[str, float]]) -> None:
+    table = make_table("share of the time of its nodes, batch 1, 1 thread: %", "operator")
+    for contender in operators:
+        table.add_column(contender, justify="right")
+    totals = {
+        name: sum(shares.get(name, 0.0) for shares in operators.values())
+        for shares in operators.values()
+        for name in shares
+    }
+    for name in sorted(totals, key=lambda name: -totals[name])[:OPERATORS_SHOWN]:
+        cells = (100 * shares.get(name, 0.0) for shares in operators.values())
+        table.add_row(name, *(f"{cell:.1f}" for cell in cells))
+    console.print(table)
+
+
 def make_document(results: DeploymentResults) -> dict[str, Any]:
     """Return all measurements of a deployment, with the ratios of p50 to the baseline's."""
     baseline = results.baseline
@@ -126,6 +147,7 @@ def make_document(results: DeploymentResults) -> dict[str, Any]:
             for threads, by_name in results.stages.items()
         ],
         "cold_starts": {name: asdict(start) for name, start in results.starts.items()},
+        "operator_shares": {name: dict(shares) for name, shares in results.operators.items()},
     }
 
 
