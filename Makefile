@@ -10,7 +10,7 @@ ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml -
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-arm test-onboard docs bench ort onboard wheel clean tools
+.PHONY: help demo test all format lint typecheck test-rust test-python test-arm test-onboard docs bench ort onboard weights wheel clean tools
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -63,6 +63,16 @@ ort: tools ## build the operator for ONNX Runtime into the package; installing f
 
 onboard: tools ## build the program that poses images without Python, of Rust 1.92 or newer (docs/onboard.md)
 	cargo build $(ONBOARD)
+
+weights: runs/soyuz-easy/.trained runs/soyuz-hard/.trained ## train the three shipped weights from the start: hours
+
+# Weights begin with those that their configuration names as `init`. A training that was interrupted goes on.
+runs/soyuz-hard/.trained runs/soyuz-easy-robust-begin/.trained: runs/soyuz-shared/.trained
+runs/soyuz-easy-robust/.trained: runs/soyuz-easy-robust-begin/.trained
+runs/soyuz-easy/.trained: runs/soyuz-easy-robust/.trained
+runs/%/.trained: configs/%.yaml | $(VENV)/.user
+	$(BIN)/ffpose train --config $< --resume
+	@touch $@
 
 wheel: $(VENV)/.dev ort ## build the wheel, the one file in dist
 	rm -rf dist

@@ -1,5 +1,7 @@
 """The configurations in configs/ are read as they stand, each by the network that it names."""
 
+import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,8 @@ from ffpose.training.config import DataConfig, TrainConfig
 from ffpose.training.config_file import load_config
 from ffpose.training.stages import PAPER_STAGES
 
-FILES = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
+ROOT = Path(__file__).parents[2]
+FILES = sorted((ROOT / "configs").glob("*.yaml"))
 
 
 def test_there_are_some():
@@ -24,6 +27,16 @@ def test_a_configuration_is_read(path):
     config = load_config(path)
     PRESETS[config.model].with_fields(config.model_fields)
     assert config.out == Path("runs") / path.stem
+
+
+def test_make_trains_each_weights_after_those_that_they_begin_with(tmp_path):
+    command = ["make", "--dry-run", "weights", f"VENV={tmp_path}"]
+    printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    trained = [Path(name) for name in re.findall(r"train --config (\S+) --resume", printed)]
+    assert sorted(trained) == [path.relative_to(ROOT) for path in FILES]
+    for place, path in enumerate(trained):
+        init = load_config(ROOT / path).init
+        assert init is None or Path(init).parent.name in {each.stem for each in trained[:place]}
 
 
 def test_the_papers_recipe_is_what_the_paper_says(capsys, tmp_path):
