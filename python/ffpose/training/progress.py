@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from ffpose.training.stages import Epoch
 
 
+LONG_WAIT = 0.05
+"""Share of an epoch spent waiting for data from which it is shown."""
+
+
 class Reporter:
     """A progress bar over the steps, and one line per finished epoch.
 
@@ -81,12 +85,13 @@ class Reporter:
         self._bar.update(self._task, advance=1, figures=figures)
 
     def epoch_ends(self, row: Row) -> None:
-        """Print the results of the epoch."""
+        """Print the results of the epoch, and the wait for data if it is long."""
+        wait = float(row["loader_wait"])
         self.notice(
             f"epoch {row['epoch']}/{self._epochs}  loss {row['train_loss']:.4g}  "
             f"lr {row['learning_rate']:.2e}  "
             f"val {row['val_median_translation_error_m']:.3g} m "
             f"{row['val_median_rotation_error_deg']:.3g}°  "
-            f"{row['images_per_second']:.0f} images/s  "
-            f"loader {100 * float(row['loader_wait']):.0f} %  {row['seconds']:.1f} s"
+            f"{row['images_per_second']:.0f} images/s  {row['seconds']:.1f} s"
+            + (f"  {100 * wait:.0f} % of it for data" if wait > LONG_WAIT else "")
         )
