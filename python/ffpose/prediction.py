@@ -131,7 +131,7 @@ class Network(Protocol):
 
 
 class Description(Protocol):
-    """What weights and exported graphs say of themselves."""
+    """Fields that the headers of weights and of exported graphs share."""
 
     @property
     def camera(self) -> Camera | None:

@@ -1,4 +1,4 @@
-"""From an image to the network's input: what training, testing and deployment share.
+"""Preprocessing of an image to the network's input, shared by training and deployment.
 
 By default the *whole* frame is resized: the target of an object pose may stand anywhere in it, and
 a crop that moves the target without its label teaches a wrong position. Ye et al. (Sensors 2023,

@@ -1,4 +1,4 @@
-"""What makes a network learn attitude, on rendered scenes: each part removed or changed alone.
+"""Ablation of what makes a network learn attitude: each part removed or changed alone.
 
 The learning rate is constant after its warm-up and the validated weights are a moving average, so
 that the end of every epoch is a result of its own: runs can be compared after equal samples and

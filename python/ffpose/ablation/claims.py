@@ -1,4 +1,4 @@
-"""Who works on what, where several processes, of one machine or more, share a folder.
+"""Claims on runs by processes, on one machine or several, that share an ablation folder.
 
 A claim is a file that names the host and the process. It appears with its contents by a hard link,
 which one process alone can make, on network file systems too. What a dead process left is taken

@@ -49,7 +49,7 @@ TIMED_CALLS = 15
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a call came to.
+    """Outcome of a call.
 
     Attributes:
         table: The file ``ablation.md``.
@@ -85,7 +85,7 @@ class Run:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the result depends on, as JSON can hold it; not where and how it is computed."""
+        """Return the settings that a result depends on, as JSON, without those of the machine."""
         free = FREE_FIELDS - {"epochs", "stages"}
         values = {name: v for name, v in flatten(self.config).items() if name not in free}
         values |= {"cpu_minutes": self.cpu_minutes, "test_images": self.test_images}

@@ -1,4 +1,4 @@
-"""What an ablation asks: a training, and what its variants change in it."""
+"""Definition of an ablation study: a training, and what its variants change in it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Config = TypeVar("Config", bound="DataclassInstance")
 
 
 class Published(NamedTuple):
-    """What a paper prints of a variant: means over a test set, or medians.
+    """Published figures of a variant: means over a test set, or medians.
 
     Attributes:
         translation_m: Translation error, meters.

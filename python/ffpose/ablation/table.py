@@ -1,4 +1,4 @@
-"""What a study came to: ``ablation.csv``, a row a run, and ``ablation.md``, means over the seeds.
+"""Results of a study: ``ablation.csv``, a row per run, and ``ablation.md``, means over the seeds.
 
 Runs are compared twice: by the test images at the end of their training, and by the validation
 images when each had taken the CPU time of the shortest run, which a slow network reaches after

@@ -1,4 +1,4 @@
-"""What training, evaluation and export know of a network's configuration."""
+"""Base class of network configurations, for training, evaluation and export."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What training, evaluation, prediction and export know of a network.
+"""Base class of pose networks, for training, evaluation, prediction and export.
 
 A network maps images to a named tuple of predictions, has parts that a training stage may freeze
 (`ffpose.config.NetworkConfig.parts`), and brings its losses: that of the translation, and that of

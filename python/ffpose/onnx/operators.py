@@ -1,4 +1,4 @@
-"""How the operators of `ffpose.ops` are written in ONNX: one of our own domain, one in terms of it.
+"""ONNX forms of the operators of `ffpose.ops`: one of our own domain, one in terms of it.
 
 ``ffpose::SpectralFilter(x, weight) -> y``, attribute ``layout``, is `ffpose.ops.spectral_filter`;
 the library of `ffpose.onnx.get_library_path` computes it, with the weight prepared once a session

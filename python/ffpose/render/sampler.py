@@ -1,4 +1,4 @@
-"""Where the spacecraft, the sun and the Earth are in one image, drawn from the set's ranges."""
+"""Sampling of the positions of spacecraft, sun and Earth in one image, from the set's ranges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a set of images is: the spacecraft, the range of poses and the camera, as plain data."""
+"""Definition of a set of images: the spacecraft, the range of poses and the camera."""
 
 from __future__ import annotations
 

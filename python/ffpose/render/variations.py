@@ -62,7 +62,7 @@ class Variation:
 
     @property
     def light(self) -> tuple[Scene, bool]:
-        """What the light before the sensor depends on: variations that agree are one rendering."""
+        """Key of what the light before the sensor depends on; equal keys share one rendering."""
         return replace(self.scene, sensor=Sensor()), self.empty
 
 

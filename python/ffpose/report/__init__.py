@@ -1,1 +1,1 @@
-"""What is written of an evaluation: result files, plots, and an HTML page."""
+"""Output of an evaluation: result files, plots, and an HTML page."""

@@ -45,7 +45,7 @@ RANDOMIZATION = 0.5
 
 @dataclass(frozen=True)
 class TrainingData:
-    """What a run learns from and is validated on.
+    """Training and validation data of a run.
 
     Attributes:
         poses: Labels of the training split ``(N, 7)``.

@@ -1,4 +1,4 @@
-"""What a network with a second look is trained to do.
+"""Training objective of a network with a second look.
 
 The terms, each a mean over the samples that show the object: the first look's location, the
 orientation head's own loss, the offset, the likelihood of both errors under the network's standard

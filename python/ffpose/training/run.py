@@ -36,7 +36,7 @@ UNKNOWN_CAMERA = (1.0, 1.0, 0.0, 0.0)
 
 @dataclass
 class Run:
-    """What the loop works on.
+    """State of a training loop.
 
     Attributes:
         config: What the run is asked to do.

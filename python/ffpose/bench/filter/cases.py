@@ -1,4 +1,4 @@
-"""What `ffpose bench filter` measures: sizes, batches, work, threads and contenders.
+"""Cases of `ffpose bench filter`: sizes, batches, work, threads and contenders.
 
 A plan has the cases for each instruction set, and notes on what cannot be measured here.
 """

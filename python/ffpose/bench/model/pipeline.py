@@ -1,4 +1,4 @@
-"""From an image file to a pose: latency by stages, and of a new process to its first pose."""
+"""Latency from image file to pose by stages, and of a new process to its first pose."""
 
 from __future__ import annotations
 

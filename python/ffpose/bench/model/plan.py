@@ -1,4 +1,4 @@
-"""Which contenders, batches and threads `ffpose bench model NETWORK` measures, and for how long."""
+"""Plan of `ffpose bench model NETWORK`: contenders, batches, threads, and times."""
 
 from __future__ import annotations
 

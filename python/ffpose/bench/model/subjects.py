@@ -1,4 +1,4 @@
-"""What `ffpose bench model` can measure: a pose network of a preset or of weights, or `gfnet`.
+"""Networks that `ffpose bench model` measures: of a preset or of weights, or `gfnet`.
 
 The last is a network of a user's kind: global filters between small perceptrons, after Rao et al.,
 "Global Filter Networks for Image Classification", NeurIPS 2021, GFNet-Ti: patches of 16x16 pixels,

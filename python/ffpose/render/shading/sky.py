@@ -1,4 +1,4 @@
-"""What is behind the spacecraft: stars, the sun's disk, the Earth seen from low orbit."""
+"""Background of the spacecraft: stars, the sun's disk, the Earth seen from low orbit."""
 
 from __future__ import annotations
 
