@@ -339,7 +339,7 @@ def test_images_are_undistorted_as_in_training(trained_undistorted, picture):
 
 
 def test_levels_are_scaled_as_in_training(tmp_path):
-    """Of 12 bits: 1000 of 4095 is gray 62; an image of 8 bits stays as it is."""
+    """Level 1000 of 12 bits, 4095, is gray 62; an image of 8 bits stays as it is."""
     weights = tmp_path / "deep.safetensors"
     model = FilterformerPose.from_config("tiny", backbone_weights="none", **FIELDS)
     recipe = {"data": {"undistort": False, "white": 4095}}

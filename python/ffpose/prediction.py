@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from PIL import Image
@@ -23,6 +23,10 @@ from ffpose.geometry import (
 )
 from ffpose.images import read_rgb
 from ffpose.overlay import draw_axes
+
+if TYPE_CHECKING:
+    from ffpose.models import WeightsMetadata
+    from ffpose.onnx.metadata import ModelMetadata
 
 
 @dataclass(frozen=True)
@@ -130,26 +134,6 @@ class Network(Protocol):
         """
 
 
-class Description(Protocol):
-    """Fields that the headers of weights and of exported graphs share."""
-
-    @property
-    def camera(self) -> Camera | None:
-        """The camera of the images trained on; None where it is not known."""
-
-    @property
-    def in_view_threshold(self) -> float | None:
-        """As `Prediction`."""
-
-    @property
-    def locates(self) -> Target:
-        """As `Prediction`."""
-
-    @property
-    def white(self) -> float | str | None:
-        """Level of images of more than 8 bits that becomes 255; None where none was stated."""
-
-
 def open_network(
     weights: str | Path, *, camera: Camera | None = None, any_camera: bool = False
 ) -> Network:
@@ -173,8 +157,8 @@ def open_network(
     return Predictor.from_weights(weights, camera=camera, any_camera=any_camera)
 
 
-def describe(weights: str | Path) -> Description:
-    """Read what weights, or an exported graph, say of themselves; raises as `open_network`."""
+def describe(weights: str | Path) -> WeightsMetadata | ModelMetadata:
+    """Read the header of weights or of an exported graph; raises as `open_network`."""
     if is_graph(weights):
         from ffpose.onnx.metadata import read_model_metadata
 

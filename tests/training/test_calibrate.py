@@ -131,7 +131,7 @@ def test_the_threshold_parts_what_can_be_parted():
 
 
 def test_the_growth_is_what_the_cut_objects_lack():
-    """Of noise of σ (1 + k h), covariances of σ² lack the growth k."""
+    """Covariances of σ² lack the growth k where the noise has σ (1 + k h)."""
     rng = np.random.default_rng(3)
     hidden = rng.uniform(0.2, 0.8, 20000)
     errors = (1 + 7 * hidden)[:, None] * rng.standard_normal((20000, 3))

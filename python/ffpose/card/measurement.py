@@ -30,11 +30,11 @@ from ffpose.errors import require
 from ffpose.evaluation import choose_preprocessing
 from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Pose
-from ffpose.models import WeightsMetadata, load_network, read_metadata
+from ffpose.models import WeightsMetadata, load_network
 from ffpose.models.zoo import resolve
-from ffpose.onnx.metadata import ModelMetadata, read_model_metadata
+from ffpose.onnx.metadata import ModelMetadata
 from ffpose.onnx.runtime import PoseEstimator
-from ffpose.prediction import is_graph
+from ffpose.prediction import describe, is_graph
 from ffpose.predictor import Predictor
 from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import TEST_SEEDS
@@ -152,7 +152,7 @@ def measure(
     _check_numbers(count, seed, workers)
     scene = require("ffpose.render", "render").get_scene(scene) if isinstance(scene, str) else scene
     camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
-    metadata = read_model_metadata(weights) if is_graph(weights) else read_metadata(weights)
+    metadata = describe(weights)
     plan = _plan(scene, metadata, count, size, seed, workers)
     predictor = _open_network(weights, choose_preprocessing(metadata, camera, any_camera=True))
     began = time.perf_counter()

@@ -89,7 +89,7 @@ def _module_path(node: Any) -> list[str]:
 def _fold(graph: Path, folded: Path, filter: Filter) -> str:
     """Write a graph with its batch norms folded into convolutions; return its input's name."""
     runtime = require("onnxruntime", "export")
-    options = _options(runtime, filter)
+    options = session_options(runtime, filter)
     options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_ENABLE_BASIC
     options.optimized_model_filepath = str(folded)
     session = runtime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
@@ -105,7 +105,7 @@ def _ranges(
     calibrate = require("onnxruntime.quantization.calibrate", "export")
     calibrator = calibrate.MinMaxCalibrater(graph, list(OPERATORS), str(observed))
     calibrator.augment_graph()
-    options = _options(runtime, filter)  # the calibrator's own know no library
+    options = session_options(runtime, filter)  # the calibrator's own know no library
     options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_DISABLE_ALL
     calibrator.infer_session = runtime.InferenceSession(
         str(observed), options, providers=["CPUExecutionProvider"]
@@ -126,7 +126,8 @@ class _Reader:
         return None if batch is None else {self.name: batch}
 
 
-def _options(runtime: Any, filter: Filter) -> Any:
+def session_options(runtime: Any, filter: Filter) -> Any:
+    """Return ONNX Runtime's options for a graph, with the operator's library if it needs that."""
     options = runtime.SessionOptions()
     if filter == "custom":
         options.register_custom_ops_library(get_library_path())

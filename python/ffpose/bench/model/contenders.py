@@ -187,9 +187,7 @@ def write_graphs(
     ir = require("onnx_ir", "export")
     recorded = ir.to_proto(record(model, (images,), output_names=output_names))
     graphs: dict[GraphKind, Graph] = {}
-    for kind in kinds:
-        if kind == "int8":
-            continue
+    for kind in (kind for kind in kinds if kind != "int8"):
         if kind == "dft":
             graph = record(with_torch_fft(model), (images,), output_names=output_names)
         else:

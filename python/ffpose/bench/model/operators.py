@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ffpose.bench.model.contenders import Graph
 from ffpose.errors import require
-from ffpose.onnx.library import get_library_path
+from ffpose.onnx.int8 import session_options
 
 RUNS = 20
 
@@ -28,12 +28,10 @@ def operator_shares(
         threads: Number of threads within an image.
     """
     runtime = require("onnxruntime", "export")
-    options = runtime.SessionOptions()
+    options = session_options(runtime, graph.filter)
     options.intra_op_num_threads = threads
     options.enable_profiling = True
     options.profile_file_prefix = str(folder / graph.path.stem)
-    if graph.filter == "custom":
-        options.register_custom_ops_library(get_library_path())
     session = runtime.InferenceSession(str(graph.path), options, providers=["CPUExecutionProvider"])
     inputs = {session.get_inputs()[0].name: images}
     for _ in range(RUNS):
