@@ -79,7 +79,7 @@ def test_every_variant_of_the_attitude_study_is_built(variant):
     blocks = 0 if model.orientation_branch.encoder is None else model.config.depth
     assert blocks == (2 if "former" in variant.name else 0)
     assert (model.object_backbone is None) == (variant.name == "view-frame")
-    assert config.object_loss.dense == (variant.name != "no-dense")
+    assert config.object_loss.renders == (variant.name != "no-dense")
 
 
 @pytest.mark.parametrize("name", ["attitude", "filters"])

@@ -256,6 +256,9 @@ def test_numbers_beyond_their_limits_are_clamped(model):
     assert torch.equal(low.log_sigma, torch.full((2, 6), -6.0))
 
 
+KEYPOINTS = 3
+
+
 def random_batch(model, objective, count=4):
     config = model.config
     rows, columns = (side // config.first_stride for side in config.image_size)
@@ -268,6 +271,7 @@ def random_batch(model, objective, count=4):
         orientation=torch.nn.functional.normalize(torch.randn(count, 4), dim=1),
         offset=torch.randn(count, 3),
         coordinates=coordinates,
+        keypoints=torch.rand(count, KEYPOINTS, 2),
         present=torch.arange(count) > 0,
         index=torch.arange(count),
     )
@@ -276,7 +280,7 @@ def random_batch(model, objective, count=4):
 @pytest.mark.parametrize("fields", [{"orientation_head": head} for head in HEADS])
 def test_the_objective_trains_every_weight(fields):
     model = build(**fields)
-    objective = ObjectObjective(model, ObjectLossConfig())
+    objective = ObjectObjective(model, ObjectLossConfig(keypoints=1.0), KEYPOINTS)
     both = torch.nn.ModuleList([model, objective])
     before = {name: value.clone() for name, value in both.named_parameters()}
     optimizer = torch.optim.Adam(both.parameters(), 1e-3)

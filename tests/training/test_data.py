@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from safetensors.torch import load_file
 
+from ffpose import DataError
+from ffpose.datasets import cut_views
 from ffpose.evaluation import evaluate
 from ffpose.models import CONFIGS, read_metadata
 from ffpose.preprocessing import Preprocessing
-from ffpose.training import DataConfig
+from ffpose.training.config import DataConfig, ObjectLossConfig, TrainConfig, ViewAugmentation
 from ffpose.training.data import open_training_data
 from ffpose.training.engine import train
+from ffpose.training.run import build_run
 from tiny_runs import train_config
 
 CAMERA = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
@@ -54,7 +58,7 @@ def own(tmp_path):
 
 
 def opened(config, model="tiny"):
-    return open_training_data(config, CONFIGS[model], Preprocessing((32, 32)), dense=False)
+    return open_training_data(config, CONFIGS[model], Preprocessing((32, 32)), coordinates=False)
 
 
 def test_held_out_images_validate_and_do_not_train(own):
@@ -84,7 +88,9 @@ def test_bad_options_are_refused(own, options):
 
 
 def second_look(config):
-    return open_training_data(config, CONFIGS["compact"], Preprocessing((64, 64)), dense=False)
+    return open_training_data(
+        config, CONFIGS["compact"], Preprocessing((64, 64)), coordinates=False
+    )
 
 
 def test_a_second_look_needs_an_object_and_a_pinhole(scene, own):
@@ -97,7 +103,7 @@ def test_a_second_look_needs_an_object_and_a_pinhole(scene, own):
         second_look(config)
     small = replace(CONFIGS["compact"], image_size=(64, 64))
     undistorted = replace(config, undistort=True)
-    data = open_training_data(undistorted, small, Preprocessing((64, 64)), dense=False)
+    data = open_training_data(undistorted, small, Preprocessing((64, 64)), coordinates=False)
     assert len(data.views) == 1
 
 
@@ -132,3 +138,75 @@ def test_images_of_several_cameras_train(own, tmp_path):
     assert read_metadata(result.folder.best).camera is None
     evaluation = evaluate(result.folder.best, "csv", own, "train")
     assert len(evaluation.errors.translation_m) == IMAGES
+
+
+def second_look_config(root, out, **fields):
+    """One epoch of a small network with a second look on a user's own images."""
+    small = {"image_size": [48, 64], "first_stride": 4, "bins": 100, "bins_degree": 1, "dim": 16}
+    points = out.with_name("points.csv")
+    points.write_text("name,x,y,z\ntip,1,0,0\nfoot,0,-1,0.5\n")
+    data = DataConfig("csv", root, holdout=3, keypoints=str(points))
+    loss = ObjectLossConfig(coordinates=0, mask=0, keypoints=1)
+    values = {"model": "compact", "model_fields": small, "data": data, "object_loss": loss}
+    return TrainConfig(out=out, epochs=1, batch_size=2, device="cpu", **(values | fields))
+
+
+def test_keypoints_teach_a_set_that_has_poses_alone(own, tmp_path):
+    """Objects straight ahead, unturned, in a view 6.6 m wide to each side and not displaced."""
+    config = second_look_config(own, tmp_path / "run")
+    still = ViewAugmentation(twist_deg=0, look_lateral=0, look_distance=0, empty=0)
+    run = build_run(replace(config, views=still))
+    (batch,) = [b for b in run.task.batches(0) if 0 in b.index]
+    row = batch.index.tolist().index(0)
+    scale = 6 / 6.6 / 2  # the second of the images, 6 m away
+    expected = [[0.5 + scale / 6, 0.5], [0.5, 0.5 - scale / 6.5]]
+    np.testing.assert_allclose(batch.keypoints[row], expected, rtol=1e-5)
+    before = [value.clone() for value in run.task.loss.parameters()]
+    folder = train(config, quiet=True).folder
+    assert [tuple(value.shape) for value in before] == [(8, 96, 1, 1), (8,)]
+    assert not any("heatmaps" in name for name in load_file(folder.best))
+
+
+def test_keypoints_and_their_weight_belong_together(own, tmp_path):
+    config = second_look_config(own, tmp_path / "run")
+    message = r"expected a file and a weight above 0, or neither, got"
+    with pytest.raises(ValueError, match=f"{message} None and 1"):
+        replace(config, data=replace(config.data, keypoints=None))
+    with pytest.raises(ValueError, match=f"{message} '.*points.csv' and 0"):
+        replace(config, object_loss=ObjectLossConfig())
+    with pytest.raises(ValueError, match="none with kind scenes, which has its own, got"):
+        replace(config, data=replace(config.data, kind="scenes", holdout=0))
+
+
+def test_a_set_without_coordinates_says_what_does_without(own, tmp_path):
+    data = DataConfig("csv", own, holdout=3)
+    config = second_look_config(own, tmp_path / "run", data=data, object_loss=ObjectLossConfig())
+    with pytest.raises(DataError, match=r"train.csv:3: .*--object_loss.keypoints 1 --data.keyp"):
+        build_run(config)
+
+
+def test_views_of_a_set_are_cut_once_where_they_are_cached(own, tmp_path, monkeypatch):
+    monkeypatch.setenv("FFPOSE_CACHE", str(tmp_path / "cache"))
+    cut = []
+    once = cut_views.cut_pieces
+    monkeypatch.setattr(
+        cut_views, "cut_pieces", lambda *args: cut.append(args[1].t[2]) or once(*args)
+    )
+    config = DataConfig("csv", own, holdout=3)
+    (fresh,) = second_look(config).views
+    assert sorted(cut) == [6, 7, 9, 10]
+    for _ in range(2):
+        (mapped,) = second_look(replace(config, cache=True)).views
+        assert len(cut) == 8
+        for name, values in fresh.items():
+            np.testing.assert_array_equal(mapped[name], values)
+        assert isinstance(mapped["windows"], np.memmap)
+    moved = (own / "train.csv").read_text().replace("0,0,6,1", "0,0,6.5,1")
+    (own / "train.csv").write_text(moved)
+    (mapped,) = second_look(replace(config, cache=True)).views
+    assert mapped["labels"][0, 2] == 6.5
+    assert len(cut) == 12
+    (own / "1.png").write_bytes((own / "2.png").read_bytes())
+    (mapped,) = second_look(replace(config, cache=True)).views
+    np.testing.assert_array_equal(mapped["frames"][0], mapped["frames"][1])
+    assert len(cut) == 16

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from ffpose.models.object_look import LookNumbers
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import ObjectLossConfig
-from ffpose.training.object_objective import ObjectObjective, _between
+from ffpose.training.object_objective import ObjectObjective, _between, heatmap_loss
 from ffpose.training.views import ViewBatch
 
-COUNT, CHANNELS, GRID = 5, 3, (2, 3)
+COUNT, CHANNELS, GRID, KEYPOINTS = 5, 3, (2, 3), 7
 NONE = ObjectLossConfig(**dict.fromkeys(vars(ObjectLossConfig()), 0.0))
 
 
@@ -36,6 +36,7 @@ def batch():
         orientation=torch.nn.functional.normalize(torch.randn(COUNT, 4), dim=1),
         offset=torch.randn(COUNT, 3),
         coordinates=coordinates,
+        keypoints=torch.rand(COUNT, KEYPOINTS, 2) * 1.6 - 0.3,
         present=torch.arange(COUNT) > 0,
         index=torch.arange(COUNT),
     )
@@ -135,6 +136,12 @@ def test_presence_counts_every_sample(batch):
     assert loss(answers, batch, in_view=4).total.item() == pytest.approx(4 * expected, rel=1e-5)
 
 
+def zeros(layer):
+    torch.nn.init.zeros_(layer.weight)
+    torch.nn.init.zeros_(layer.bias)
+    return layer
+
+
 def test_dense_terms_by_hand(batch):
     """A convolution of zeros says coordinate 0 and an even chance everywhere."""
     answers = Answers(batch)
@@ -146,8 +153,7 @@ def test_dense_terms_by_hand(batch):
     }
     for name, value in expected.items():
         objective = ObjectObjective(answers, replace(NONE, **{name: 2.0}))
-        torch.nn.init.zeros_(objective.dense.weight)
-        torch.nn.init.zeros_(objective.dense.bias)
+        zeros(objective.dense["coordinates"])
         assert objective(answers, batch).total.item() == pytest.approx(2 * value, rel=1e-5)
 
 
@@ -156,10 +162,9 @@ def test_dense_places_are_quarters_of_their_cell(batch):
     answers = Answers(batch)
     objective = ObjectObjective(answers, replace(NONE, mask=1.0))
     assert objective.cells == (2 * GRID[0], 2 * GRID[1])
-    torch.nn.init.zeros_(objective.dense.weight)
+    last = zeros(objective.dense["coordinates"])
     with torch.no_grad():
-        objective.dense.bias.zero_()
-        objective.dense.bias[12:].copy_(torch.tensor([50.0, -50.0, -50.0, 50.0]))
+        last.bias[12:].copy_(torch.tensor([50.0, -50.0, -50.0, 50.0]))
     quarters = torch.tensor([[1.0, 0.0], [0.0, 1.0]]).repeat(*GRID)  # rows of each cell
     coordinates = batch.coordinates.clone()
     coordinates[:, 3] = quarters
@@ -171,14 +176,51 @@ def test_dense_places_are_quarters_of_their_cell(batch):
     assert objective(answers, wrong).total.item() == pytest.approx(50)
 
 
+def test_heatmaps_that_know_nothing_cost_the_logarithm_of_their_cells(batch):
+    objective = ObjectObjective(Answers(batch), replace(NONE, keypoints=3.0), KEYPOINTS)
+    zeros(objective.dense["heatmaps"])
+    cells = 4 * GRID[0] * GRID[1]
+    total = objective(Answers(batch), batch).total.item()
+    assert total == pytest.approx(3 * math.log(cells), rel=1e-5)
+
+
+def test_heatmaps_are_numpys_cross_entropy_of_what_the_view_shows():
+    """The label is what interpolation linear along both sides gives each cell's center."""
+    generator = np.random.default_rng(0)
+    rows, columns = 4, 6
+    logits = generator.normal(size=(COUNT, KEYPOINTS, rows, columns))
+    places = generator.uniform(-0.3, 1.3, (COUNT, KEYPOINTS, 2))
+    shown = ((places > 0) & (places < 1)).all(-1)
+    assert 0 < shown.sum() < shown.size
+    expected = []
+    for image, point in zip(*np.nonzero(shown), strict=True):
+        u, v = np.clip(places[image, point] * (columns, rows), 0.5, (columns - 0.5, rows - 0.5))
+        across = np.clip(1 - np.abs(np.arange(columns) + 0.5 - u), 0, None)
+        down = np.clip(1 - np.abs(np.arange(rows) + 0.5 - v), 0, None)
+        label = down[:, None] * across
+        assert label.sum() == pytest.approx(1)
+        map_ = logits[image, point]
+        expected.append(-(label * (map_ - np.log(np.exp(map_).sum()))).sum())
+    got = heatmap_loss(torch.from_numpy(logits), torch.from_numpy(places))
+    assert got.item() == pytest.approx(np.mean(expected), rel=1e-12)
+
+
+def test_keypoints_out_of_the_view_teach_nothing():
+    logits = torch.randn(2, KEYPOINTS, 4, 6, requires_grad=True)
+    loss = heatmap_loss(logits, torch.full((2, KEYPOINTS, 2), -1.0))
+    loss.backward()
+    assert loss.item() == 0
+    assert not logits.grad.any()
+
+
 def test_samples_without_the_object_teach_only_that(batch):
-    weights = vars(ObjectLossConfig())
+    weights = vars(ObjectLossConfig(keypoints=1.0))
     answers = Answers(batch)
-    objective = ObjectObjective(answers, ObjectLossConfig(**weights))
+    objective = ObjectObjective(answers, ObjectLossConfig(**weights), KEYPOINTS)
     expected = objective(answers, batch).total
     other = {
         name: torch.cat((torch.randn_like(getattr(batch, name)[:1]), getattr(batch, name)[1:]))
-        for name in ("orientation", "offset", "coordinates")
+        for name in ("orientation", "offset", "coordinates", "keypoints")
     }
     torch.testing.assert_close(objective(answers, batch._replace(**other)).total, expected)
     other = {name: value.flip(0) for name, value in other.items()}

@@ -163,7 +163,7 @@ def test_no_training_renders_a_tests_scenes(monkeypatch, seed):
         monkeypatch.setattr(data, name, lambda *_, **__: None)
     config = DataConfig("scenes", Path("none"), scene="soyuz_hard+soyuz_easy", seed=seed)
     model = CONFIGS["compact"]
-    data.open_training_data(config, model, Preprocessing(model.image_size), dense=True)
+    data.open_training_data(config, model, Preprocessing(model.image_size), coordinates=True)
     assert [content for _, content in asked] == ["object", "object", "empty", "decoy"]
     assert all(0 <= given < TEST_SEEDS for given, _ in asked)
     assert all((given == seed) == (content == "object") for given, content in asked)

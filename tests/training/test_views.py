@@ -7,9 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera, Pose
 from ffpose.models import FilterformerPose
+from ffpose.models.virtual_camera import turn_to
 from ffpose.training.clutter import clutter
 from ffpose.training.config import ViewAugmentation
-from ffpose.training.views import ViewBatches
+from ffpose.training.views import ViewBatches, places_in_view
 from ffpose.views import ViewSpec, cut_pieces
 
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)  # neither square pixels nor centered
@@ -107,7 +108,7 @@ def origins(poses):
 
 def batches(model, arrays, nothing=(), **changes):
     augmentation = ViewAugmentation(**(CLEAN | changes))
-    return ViewBatches(model, arrays, nothing, augmentation, (STD,) * 3, (CELLS, CELLS))
+    return ViewBatches(model, arrays, nothing, augmentation, (STD,) * 3, (CELLS, CELLS), DOTS)
 
 
 def all_of(views, seed=0):
@@ -148,6 +149,15 @@ def test_dots_of_the_crops_lie_where_the_labels_say(model, poses, dotted, seed):
     whole = (np.abs(expected - SIDE / 2) < SIDE / 2 - 9).all(axis=(1, 2))  # no dot is cut
     assert whole.sum() >= COUNT // 2
     np.testing.assert_allclose(centroids(batch.crops)[whole], expected[whole], atol=0.12)
+    np.testing.assert_allclose(batch.keypoints * SIDE, expected, atol=2e-3)
+
+
+def test_points_behind_a_virtual_camera_are_out_of_its_view():
+    view = turn_to(torch.tensor([[0.0, 0.0, 4.0]]), RADIUS, (SIDE, SIDE))
+    points = torch.tensor([[[0.0, 0.0, 4.0], [0.0, 0.0, -4.0], [RADIUS, 0.0, 4.0]]])
+    torch.testing.assert_close(
+        places_in_view(view, points), torch.tensor([[[0.5, 0.5], [-1.0, -1.0], [1.0, 0.5]]])
+    )
 
 
 def test_views_are_twisted_displaced_and_scaled(model, poses, dotted):

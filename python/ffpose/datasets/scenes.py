@@ -1,17 +1,13 @@
 """Rendered scenes as a dataset: an unlimited set, rendered on demand and cached.
 
 A scene is a pure function of set, seed and index (`ffpose.render`), so rendered data can be cached:
-views (`ffpose.views`) and validation images lie in a folder whose name is the SHA-256 of all that
-they depend on, and any number of runs and processes map one copy. Needs the extra `render`.
+views (`ffpose.datasets.view_cache`) and validation images lie in a folder whose name is the digest
+of all that they depend on, and any number of runs and processes map one copy. Needs the extra
+`render`.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-import tempfile
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose import __version__
 from ffpose.datasets import PoseDataset, open_dataset
-from ffpose.errors import DataError, require
-from ffpose.files import atomic_write, expect_room, remove_leftovers
+from ffpose.datasets.view_cache import cached_views, digest
+from ffpose.errors import require
+from ffpose.files import atomic_write
 from ffpose.preprocessing import Preprocessing
-from ffpose.views import Content, Pieces, ViewSpec, make_arrays, open_arrays
+from ffpose.views import Content, ViewSpec
 
 if TYPE_CHECKING:
     from ffpose.render import Scene
@@ -33,9 +29,6 @@ VALIDATION_START = 10_000_000
 """Index of the first validation scene; scenes before it are for training."""
 
 EMPTY_IMAGES = 100
-
-RENDER_LIMIT_S = 86_400.0
-"""Age in seconds beyond which unfinished views are taken to be left by a killed process."""
 
 
 def find_scene(name: str, attitude_range_deg: tuple[float, float, float]) -> Scene:
@@ -78,39 +71,13 @@ def open_views(
     from ffpose.render import views
 
     described = views.describe(scene, seed, spec, content)
-    folder = root / f"views-{_digest({**described, 'count': count})}"
-    if not folder.exists():
-        pieces = views.render_views(scene, seed, range(count), spec, content, workers)
-        _store(folder, pieces, count, spec)
-    try:
-        return open_arrays(folder)
-    except (OSError, ValueError, EOFError) as error:
-        text = f"expected views, remove the folder to make them anew: {error}"
-        raise DataError(text, folder) from error
-
-
-def _store(folder: Path, pieces: Iterator[Pieces], count: int, spec: ViewSpec) -> None:
-    """Write the views to a temporary folder and rename it, so that all exist or none."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(folder.parent, older_than=RENDER_LIMIT_S)
-    # A mapped file on a full disk would kill the process.
-    need = sum(
-        math.prod(shape) * np.dtype(kind).itemsize for shape, kind in spec.shapes(count).values()
+    folder = root / f"views-{digest({**described, 'count': count})}"
+    return cached_views(
+        folder,
+        count,
+        spec,
+        lambda: views.render_views(scene, seed, range(count), spec, content, workers),
     )
-    expect_room(folder.parent, need, f"{count} views")
-    with tempfile.TemporaryDirectory(prefix=".ffpose-", dir=folder.parent) as place:
-        unfinished = Path(place) / folder.name
-        unfinished.mkdir()
-        arrays = make_arrays(unfinished, count, spec)
-        for row, piece in enumerate(pieces):
-            piece.store(arrays, row)
-        for array in arrays.values():
-            array.flush()
-        try:
-            unfinished.rename(folder)
-        except OSError:
-            if not folder.exists():  # otherwise another process was faster
-                raise
 
 
 def open_validation(
@@ -160,7 +127,7 @@ def render_images(
 
     height, width = preprocessing.frame_size(scene.camera.width, scene.camera.height)
     described = {"scene": scene.parameters(), "seed": seed, "size": (width, height)}
-    folder = root / f"{name}-{_digest({**described, 'count': len(indices)})}"
+    folder = root / f"{name}-{digest({**described, 'count': len(indices)})}"
     write_dataset(
         scene,
         folder,
@@ -185,7 +152,7 @@ def open_empty_images(
 
     height, width = preprocessing.size
     described = {"scene": scene.parameters(), "seed": seed, "empty": (width, height)}
-    path = root / f"empty-{_digest(described)}.npy"
+    path = root / f"empty-{digest(described)}.npy"
     if not path.exists():
         camera = camera_of(scene, (width, height))
         images = []
@@ -199,8 +166,3 @@ def open_empty_images(
         with atomic_write(path) as temporary:
             np.save(temporary, np.stack(images))
     return np.asarray(np.load(path))
-
-
-def _digest(described: dict[str, Any]) -> str:
-    text = json.dumps({**described, "ffpose": __version__}, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

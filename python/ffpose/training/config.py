@@ -43,6 +43,8 @@ class DataConfig:
         val_split: Name of the validation split.
         holdout: Validate on every ``holdout``-th image of the training split instead of val_split,
             and leave it out of training; 0 leaves none out.
+        keypoints: CSV file with the object's keypoints, columns name, x, y, z in meters, for dense
+            supervision of a network with a second look; rendered scenes know their own.
         undistort: Whether to undistort the images of cameras with distortion.
         white: Level that becomes white in monochrome images of more than 8 bits, such as 4095 for
             12 bits, or the percentile of each image's own levels, such as "p99.5"; None for images
@@ -70,6 +72,7 @@ class DataConfig:
     workers: int = 0
     val_split: str = "val"
     holdout: int = 0
+    keypoints: str | None = None
     undistort: bool = False
     white: float | str | None = None
     scene: str = "soyuz_hard"
@@ -168,9 +171,9 @@ class ObjectLossConfig:
         offset: Weight of the second look's position error.
         sigma: Weight of the Gaussian likelihoods, which train the uncertainty.
         in_view: Weight of the classification of presence.
-        coordinates: Weight of the object coordinates; with ``mask`` zero too, there is no dense
-            supervision.
-        mask: Weight of the silhouette.
+        coordinates: Weight of the object coordinates, dense supervision by the renderer's labels.
+        mask: Weight of the silhouette, from the same labels.
+        keypoints: Weight of the keypoints' heatmaps, dense supervision that needs poses alone.
     """
 
     location: float = 10.0
@@ -181,6 +184,7 @@ class ObjectLossConfig:
     in_view: float = 0.5
     coordinates: float = 6.0
     mask: float = 2.0
+    keypoints: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -188,8 +192,8 @@ class ObjectLossConfig:
                 raise ValueError(f"{name}: expected 0 or more, got {value}")
 
     @property
-    def dense(self) -> bool:
-        """Whether dense supervision is on."""
+    def renders(self) -> bool:
+        """Whether there is dense supervision by labels that the renderer writes."""
         return self.coordinates > 0 or self.mask > 0
 
 
@@ -308,8 +312,22 @@ class TrainConfig:
             self.weights_dtype in kinds, "weights_dtype", " or ".join(kinds), self.weights_dtype
         )
         _expect(self.seed >= 0, "seed", "0 or more", self.seed)
+        self._check_keypoints()
         fields = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_fields.items()}
         object.__setattr__(self, "model_fields", fields)
+
+    def _check_keypoints(self) -> None:
+        """Check that keypoints and the weight of their heatmaps are given together."""
+        weight, file = self.object_loss.keypoints, self.data.keypoints
+        if self.data.kind == "scenes":
+            _expect(
+                file is None, "data.keypoints", "none with kind scenes, which has its own", file
+            )
+        elif (weight > 0) != (file is not None):
+            raise ValueError(
+                "data.keypoints and object_loss.keypoints: expected a file and a weight above 0, "
+                f"or neither, got {file!r} and {weight:g}"
+            )
 
     @property
     def resolved_stages(self) -> tuple[Stage, ...]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,12 @@ from ffpose.config import FilterformerPoseConfig, NetworkConfig, looks_twice
 from ffpose.datasets import (
     Decoding,
     PoseDataset,
-    Record,
     find_target,
     list_splits,
     read_records,
 )
+from ffpose.datasets.cut_views import cut_views
+from ffpose.datasets.keypoints import read_keypoints
 from ffpose.datasets.scenes import (
     find_scene,
     open_empty_images,
@@ -25,19 +27,20 @@ from ffpose.datasets.scenes import (
     open_validation,
     open_views,
 )
-from ffpose.errors import DataError, hint
-from ffpose.geometry import Camera, DistortedCamera, Pose
-from ffpose.images import open_image
+from ffpose.errors import hint
+from ffpose.geometry import Camera, DistortedCamera
 from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import TEST_SEEDS, DataConfig
 from ffpose.transforms import Augmentation
-from ffpose.views import Arrays, Bytes, Content, ViewSpec, cut_pieces, nearest_pixels
+from ffpose.views import Arrays, Bytes, Content, ViewSpec
 
 EMPTY_SEEDS, CUT_SEEDS, RANDOMIZED_SEEDS = 500_000, 300_000, 400_000
 """Added, among the seeds below `TEST_SEEDS`, to the seed: no two kinds show one scene."""
 
 CUT_SHARE = (0.25, 0.9)
 """Least and greatest share of a spacecraft that the border cuts."""
+
+NO_KEYPOINTS = np.zeros((0, 3))
 
 RANDOMIZATION = 0.5
 """Strength of the randomized images, as `ffpose render --randomize` has it."""
@@ -58,6 +61,7 @@ class TrainingData:
             that flags; None where there are none.
         cut_set: Whole images of objects that the border cuts, to calibrate the uncertainty there;
             None where there are none.
+        keypoints: Points of the object ``(K, 3)``, meters; none where they are unknown.
     """
 
     poses: NDArray[np.float64]
@@ -68,10 +72,11 @@ class TrainingData:
     empty: list[Arrays] = field(default_factory=list)
     empty_images: Bytes | None = None
     cut_set: PoseDataset | None = None
+    keypoints: NDArray[np.float64] = field(default_factory=lambda: NO_KEYPOINTS)
 
 
 def open_training_data(
-    config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing, *, dense: bool
+    config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing, *, coordinates: bool
 ) -> TrainingData:
     """Open the images that ``config`` names, as the network looks at them.
 
@@ -79,7 +84,7 @@ def open_training_data(
         config: Which images.
         model: How the network looks.
         preprocessing: From image to network input.
-        dense: Whether a network with a second look is to learn the object's coordinates.
+        coordinates: Whether a network with a second look learns the object's coordinates.
 
     Raises:
         ValueError: An unknown kind of image set, or fields that do not go together.
@@ -97,8 +102,10 @@ def open_training_data(
             f"(--data.undistort) that locate an object, got images of {train_set.camera} that "
             f"locate the {train_set.target}"
         )
-    views = cut_views(train_set, view_spec(model, camera), dense=dense)
-    return TrainingData(train_set.poses, val_set, camera, train_set, [views])
+    spec = view_spec(model, camera)
+    views = cut_views(train_set, spec, coordinates=coordinates, cache=config.cache)
+    keypoints = NO_KEYPOINTS if config.keypoints is None else read_keypoints(Path(config.keypoints))
+    return TrainingData(train_set.poses, val_set, camera, train_set, [views], keypoints=keypoints)
 
 
 def _open_splits(
@@ -164,7 +171,10 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
     cut_set = open_validation(
         config.root, cut, seed, config.validation, preprocessing, workers=workers
     )
-    return TrainingData(poses, val_set, camera, None, views, empty, empty_images, cut_set)
+    keypoints = np.array(list(scenes[0].build().keypoints.values()))
+    return TrainingData(
+        poses, val_set, camera, None, views, empty, empty_images, cut_set, keypoints
+    )
 
 
 def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:
@@ -172,47 +182,6 @@ def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:
     records = [record for each in sets for record in each.records]
     augmentation = _augmentation(config.augmentation) if config.augment else None
     return PoseDataset(records, sets[0].preprocessing, augmentation, config.cache)
-
-
-def cut_views(dataset: PoseDataset, spec: ViewSpec, *, dense: bool) -> Arrays:
-    """Cut the images of a set on disk into views, in memory.
-
-    Args:
-        dataset: The images.
-        spec: How the network looks.
-        dense: Read the object's coordinates too, ``N_coordinates.png`` beside ``N_rgb.png``.
-
-    Raises:
-        ffpose.DataError: An image cannot be used, or has no coordinates.
-    """
-    arrays = {
-        name: np.zeros(shape, dtype) for name, (shape, dtype) in spec.shapes(len(dataset)).items()
-    }
-    for index, record in enumerate(dataset.records):
-        frame = dataset.preprocessing.frame(dataset.load_image(index))
-        coordinates = read_coordinates(record, record.camera) if dense else None
-        cut_pieces(frame, record.label, spec, coordinates).store(arrays, index)
-    return arrays
-
-
-def read_coordinates(record: Record, camera: Camera) -> Callable[[Pose, Camera], Bytes]:
-    """Return the object's coordinates of an image as any camera of the same view sees them.
-
-    Raises:
-        ffpose.DataError: There is no such file, or it is another picture.
-    """
-    path = record.image.with_name(record.image.name.replace("_rgb.", "_coordinates."))
-    if path == record.image or not path.is_file():
-        raise record.error(
-            f"dense supervision expected {path.name}, which ffpose render --labels coordinates "
-            "writes, got none; --object_loss.coordinates 0 --object_loss.mask 0 does without"
-        )
-    with open_image(path) as image:
-        picture = np.asarray(image)
-    expected = (camera.height, camera.width, 4)
-    if picture.shape != expected or picture.dtype != np.uint8:
-        raise DataError(f"expected 8-bit RGBA of {camera.width}x{camera.height} pixels", path)
-    return lambda _, window: nearest_pixels(picture, camera, window)
 
 
 def view_spec(model: FilterformerPoseConfig, camera: Camera) -> ViewSpec:

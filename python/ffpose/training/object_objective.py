@@ -3,8 +3,9 @@
 The terms, each a mean over the samples that show the object: the first look's location, the
 orientation head's own loss, the offset, the likelihood of both errors under the network's standard
 deviations, whether the object is in view (over all samples), and, for training alone, *dense
-supervision*: the object's coordinates and silhouette from the feature map by a 1 x 1 convolution
-that is not part of the saved network (as in Wang et al., "GDR-Net", CVPR 2021).
+supervision*: the object's coordinates and silhouette (as in Wang et al., "GDR-Net", CVPR 2021), or
+heatmaps of its keypoints (as in Park and D'Amico, "SPNv2", 2022), from the feature map by 1 x 1
+convolutions that are not part of the saved network.
 """
 
 from __future__ import annotations
@@ -27,17 +28,20 @@ SMOOTH = 0.05
 
 
 class ObjectObjective(nn.Module):
-    """The loss of a network with a second look, and the convolution of the dense supervision.
+    """The loss of a network with a second look, and the convolutions of the dense supervision.
 
     Args:
         model: The network.
         config: Weights of the terms.
+        keypoints: Number of the object's keypoints.
 
     Raises:
         ValueError: The network looks once.
     """
 
-    def __init__(self, model: FilterformerPose, config: ObjectLossConfig) -> None:
+    def __init__(
+        self, model: FilterformerPose, config: ObjectLossConfig, keypoints: int = 0
+    ) -> None:
         super().__init__()
         view = model.config.orientation_view
         if model.object_backbone is None:
@@ -45,10 +49,14 @@ class ObjectObjective(nn.Module):
         self.config = config
         rows, columns = model.config.orientation_grid
         self.cells = (rows * CELLS_PER_SIDE, columns * CELLS_PER_SIDE)
-        self.dense = (
-            nn.Conv2d(model.object_backbone.channels[0], 4 * CELLS_PER_SIDE**2, 1)
-            if config.dense
-            else None
+        channels = model.object_backbone.channels[0]
+        maps = {"coordinates": 4 if config.renders else 0, "heatmaps": keypoints}
+        self.dense = nn.ModuleDict(
+            {
+                name: nn.Conv2d(channels, count * CELLS_PER_SIDE**2, 1)
+                for name, count in maps.items()
+                if count > 0
+            }
         )
 
     def forward(self, model: FilterformerPose, batch: ViewBatch) -> LossTerms:
@@ -75,8 +83,11 @@ class ObjectObjective(nn.Module):
             + c.sigma * sigma
             + c.in_view * in_view
         )
-        if self.dense is not None:
-            total = total + self._dense_loss(feature_map, batch)
+        if "coordinates" in self.dense:
+            total = total + self._coordinates_loss(feature_map, batch)
+        if "heatmaps" in self.dense:
+            seen = self._maps("heatmaps", feature_map, batch)
+            total = total + c.keypoints * heatmap_loss(seen, batch.keypoints[present])
         return LossTerms(total, first + offset, orientation)
 
     def _decoded(self, model: FilterformerPose, numbers: LookNumbers) -> Tensor:
@@ -86,15 +97,45 @@ class ObjectObjective(nn.Module):
         with torch.no_grad():
             return model.orientation.decode(numbers.orientation)
 
-    def _dense_loss(self, feature_map: Tensor, batch: ViewBatch) -> Tensor:
+    def _maps(self, name: str, feature_map: Tensor, batch: ViewBatch) -> Tensor:
+        """Return predicted maps ``(P, channels, rows, columns)`` of the samples with the object."""
+        return F.pixel_shuffle(self.dense[name](feature_map), CELLS_PER_SIDE)[batch.present]
+
+    def _coordinates_loss(self, feature_map: Tensor, batch: ViewBatch) -> Tensor:
         """Return the loss of coordinates and silhouette."""
-        assert self.dense is not None
-        seen = F.pixel_shuffle(self.dense(feature_map), CELLS_PER_SIDE)[batch.present]
+        seen = self._maps("coordinates", feature_map, batch)
         truth = batch.coordinates[batch.present]
         mask = truth[:, 3:]
         error = ((seen[:, :3] - truth[:, :3]).abs() * mask).sum() / (3 * mask.sum() + 1)
         silhouette = F.binary_cross_entropy_with_logits(seen[:, 3:], mask)
         return self.config.coordinates * error + self.config.mask * silhouette
+
+
+def heatmap_loss(logits: Tensor, places: Tensor) -> Tensor:
+    """Return the mean cross-entropy of heatmaps over the keypoints that the view shows.
+
+    The label of a keypoint is distributed over the four nearest cells as bilinear interpolation
+    would weight them, so that it keeps the place within a cell.
+
+    Args:
+        logits: ``(B, K, rows, columns)``, of the cell in which each keypoint lies.
+        places: ``(B, K, 2)``, (u, v) relative to width and height; those outside of 0 to 1 do not
+            count.
+    """
+    rows, columns = logits.shape[2:]
+    shown = ((places > 0) & (places < 1)).all(-1)
+    log_p = logits.flatten(2).log_softmax(-1)
+    sides = torch.tensor([columns, rows], dtype=places.dtype, device=places.device)
+    at = (places * sides - 0.5).clamp_min(0).minimum(sides - 1)
+    near = at.floor()
+    rest = at - near
+    total = torch.zeros_like(log_p[..., 0])
+    for right, below in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        step = torch.tensor([right, below], dtype=places.dtype, device=places.device)
+        weight = torch.where(step > 0, rest, 1 - rest).prod(-1)
+        u, v = (near + step).minimum(sides - 1).long().unbind(-1)
+        total = total - weight * log_p.gather(-1, (v * columns + u)[..., None])[..., 0]
+    return (total * shown).sum() / shown.sum().clamp_min(1)
 
 
 def half_angle(q_hat: Tensor, q: Tensor) -> Tensor:

@@ -24,7 +24,7 @@ from ffpose.models import (
 from ffpose.models.weights import WeightsMetadata, load_weights
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.config import LossConfig, OptimizerConfig, TrainConfig
-from ffpose.training.data import TrainingData, open_training_data
+from ffpose.training.data import NO_KEYPOINTS, TrainingData, open_training_data
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
 from ffpose.training.stages import check_stages
@@ -86,7 +86,7 @@ def build_run(
         preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
     with processes.leader_first():  # who renders and fills caches
         data = open_training_data(
-            config.data, model_config, preprocessing, dense=config.object_loss.dense
+            config.data, model_config, preprocessing, coordinates=config.object_loss.renders
         )
     if (c := data.camera) is not None:
         fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
@@ -117,9 +117,16 @@ def _task(
 ) -> Task:
     """Return what the network learns from."""
     if isinstance(model, FilterformerPose) and looks_twice(model.config):
-        loss = ObjectObjective(model, config.object_loss).to(device)
+        keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
+        loss = ObjectObjective(model, config.object_loss, len(keypoints)).to(device)
         views = ViewBatches(
-            model, data.views, data.empty, config.views, data.val_set.preprocessing.std, loss.cells
+            model,
+            data.views,
+            data.empty,
+            config.views,
+            data.val_set.preprocessing.std,
+            loss.cells,
+            keypoints,
         )
         return ObjectTask(
             views,

@@ -55,6 +55,8 @@ class ViewBatch(NamedTuple):
         offset: ``(B, 3)``, as `ffpose.models.object_look.offset_of`.
         coordinates: ``(B, 4, rows, columns)``: object coordinates in [-1, 1], and a mask of the
             object, 0 or 1.
+        keypoints: ``(B, K, 2)``, places (u, v) of the object's keypoints relative to the view's
+            width and height: outside of 0 to 1 where the view does not show them.
         present: ``(B,)`` bool, whether the sample shows the object.
         index: ``(B,)``, indices of the samples in the set.
     """
@@ -65,6 +67,7 @@ class ViewBatch(NamedTuple):
     orientation: Tensor
     offset: Tensor
     coordinates: Tensor
+    keypoints: Tensor
     present: Tensor
     index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
 
@@ -80,6 +83,7 @@ class ViewBatches:
         std: Standard deviation of the input's preprocessing, whose mean is zero, so that pixels
             outside an image are zero as well.
         cells: Rows and columns of the coordinate map.
+        keypoints: Points of the object ``(K, 3)``, meters; there may be none.
 
     Raises:
         ValueError: The network has no second look.
@@ -93,9 +97,11 @@ class ViewBatches:
         augmentation: ViewAugmentation,
         std: tuple[float, float, float],
         cells: tuple[int, int],
+        keypoints: NDArray[np.float64],
     ) -> None:
         self.model, self.sets, self.empty = model, tuple(arrays), tuple(empty)
         self.augmentation, self.cells = augmentation, cells
+        self.keypoints = torch.from_numpy(keypoints).float()
         self.unit = (1 / torch.tensor(std))[:, None, None]  # white, standardized
         self.scale = self.unit / 255
         self.places = _places(self.sets)
@@ -156,6 +162,7 @@ class ViewBatches:
             matrix_to_quaternion(view.rotation @ rotation),
             offset_of(view.points(t), view),
             self._coordinates(index, view, intrinsics),
+            places_in_view(view, t[:, None] + self.keypoints @ rotation.mT),
             present,
             index,
         )
@@ -242,6 +249,19 @@ class ViewBatches:
             return torch.randn(shape, generator=generator)
         start = int(torch.randint(len(self.supply) - count, (), generator=generator))
         return self.supply[start : start + count].view(shape)
+
+
+def places_in_view(view: VirtualCamera, points: Tensor) -> Tensor:
+    """Return where virtual cameras see points ``(B, K, 3)`` of the camera frame.
+
+    Returns:
+        ``(B, K, 2)``, (u, v) relative to the view's width and height; -1 for those behind it.
+    """
+    x, y, z = (points @ view.rotation.mT).unbind(-1)
+    height, width = view.size
+    scale = view.focal[:, None] / z
+    places = torch.stack([x * scale / width, y * scale / height], dim=-1) + 0.5
+    return torch.where(z[..., None] > 0, places, -1.0)
 
 
 def _rolled_pixels(turn: Tensor, camera: Tensor, size: tuple[int, int]) -> Tensor:
