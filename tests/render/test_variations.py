@@ -1,6 +1,7 @@
 """Sets that differ from one in a single thing, held against single renderings and arithmetic."""
 
 from dataclasses import replace
+from multiprocessing.pool import ThreadPool
 
 import numpy as np
 import pytest
@@ -106,6 +107,18 @@ def test_without_the_object_its_place_is_empty_or_taken_by_another():
 
 def test_any_number_of_processes_makes_the_same_pictures():
     chosen = [Variation("small", "", EASY)]
-    one, two = (rendered(chosen, 2 * variations.CHUNK, workers)["small"] for workers in (1, 2))
+    one, two = (rendered(chosen, 4, workers)["small"] for workers in (1, 2))
     for first, second in zip(one, two, strict=True):
         np.testing.assert_array_equal(first.image, second.image)
+
+
+def test_no_more_is_rendered_ahead_than_stated():
+    """Results wait in memory until they are taken, and a picture is a megabyte."""
+    started = []
+    with ThreadPool(2) as pool:
+        results = variations._map_ahead(pool, 3, lambda n: started.append(n) or [n], range(20))
+        for taken in range(1, 6):
+            assert next(results) == [taken - 1]
+            pool.apply(lambda: None)
+            assert len(started) <= taken + 2
+        assert list(results) == [[n] for n in range(5, 20)]

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
+from multiprocessing.pool import AsyncResult, Pool
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +27,8 @@ from ffpose.render.shading.sensor import Sensor
 
 Bytes = NDArray[np.uint8]
 
-CHUNK = 4
-"""Indices that a process renders before it reports."""
+AHEAD = 4
+"""Results per process that are under way or wait to be taken."""
 
 ALL_ATTITUDES = (180.0, 90.0, 180.0)
 
@@ -156,14 +158,30 @@ def render_variations(
 @contextmanager
 def _mapped(workers: int, count: int) -> Iterator[Callable[..., Iterator[list[Frame]]]]:
     """Give a `map` whose calls are spread over processes, where there are to be several."""
-    if workers <= 1 or count < 2 * CHUNK:
+    if workers <= 1 or count < 2 * workers:
         yield map
         return
     context = multiprocessing.get_context("spawn")
     with one_thread_each():  # and the parent alone answers to Ctrl-C
         pool = context.Pool(min(workers, count), signal.signal, (signal.SIGINT, signal.SIG_IGN))
     with pool:
-        yield partial(pool.imap, chunksize=CHUNK)
+        yield partial(_map_ahead, pool, AHEAD * workers)
+
+
+def _map_ahead(
+    pool: Pool, ahead: int, make: Callable[[int], list[Frame]], numbers: Iterable[int]
+) -> Iterator[list[Frame]]:
+    """Yield results in order, with at most ``ahead`` under way or waiting.
+
+    `Pool.imap` renders on however slowly its results are taken: for a model card, gigabytes.
+    """
+    waiting: deque[AsyncResult[list[Frame]]] = deque()
+    for number in numbers:
+        waiting.append(pool.apply_async(make, (number,)))
+        if len(waiting) >= ahead:
+            yield waiting.popleft().get()
+    while waiting:
+        yield waiting.popleft().get()
 
 
 def _render_group(
