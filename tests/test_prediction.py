@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -7,7 +8,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, DistortedCamera, Pose, PoseUncertainty
+from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera, Pose, PoseUncertainty
 from ffpose.images import read_rgb
 from ffpose.models import FilterformerPose
 from ffpose.prediction import (
@@ -102,7 +103,7 @@ AHEAD = Pose([0, 0, 10], [1, 0, 0, 0])
 
 
 def test_an_overlay_draws_at_the_projected_origin(picture, tmp_path):
-    path = write_overlay(Prediction(picture, AHEAD), tmp_path / "drawn")
+    path = write_overlay(Prediction(picture, AHEAD, URSO_CAMERA), tmp_path / "drawn")
     assert path == tmp_path / "drawn/view_pose.png"
     drawn, plain = np.asarray(Image.open(path), int), np.asarray(read_rgb(picture), int)
     changed = np.argwhere(np.abs(drawn - plain).sum(axis=2) > 0)
@@ -281,7 +282,7 @@ def test_in_words_with_uncertainty():
 
 
 def test_what_is_not_in_view_is_said_and_not_drawn(picture, tmp_path):
-    prediction = Prediction(picture, sure_pose(in_view=0.0312), in_view_threshold=0.2)
+    prediction = Prediction(picture, sure_pose(in_view=0.0312), URSO_CAMERA, 0.2)
     assert prediction.flagged is True
     assert str(prediction) == f"{picture}: no spacecraft in view (p = 0.031)"
     drawn = Image.open(write_overlay(prediction, tmp_path / "drawn"))
@@ -349,7 +350,8 @@ def test_levels_are_scaled_as_in_training(tmp_path):
     Image.fromarray(np.full((64, 64), 62, np.uint8)).save(plain)
     one, other = predict(weights, [deep, plain])
     assert one.pose == other.pose
-    drawn = np.asarray(Image.open(write_overlay(one, tmp_path / "drawn")))
+    shown = replace(one, camera=URSO_CAMERA)
+    drawn = np.asarray(Image.open(write_overlay(shown, tmp_path / "drawn")))
     assert (drawn == 62).all(axis=-1).any()
 
 
@@ -361,9 +363,16 @@ def test_an_object_is_described_as_ever(weights, picture):
 
 
 def test_axes_are_drawn_on_objects_alone(locator, weights):
-    expect_axes(weights)
+    expect_axes(weights, URSO_CAMERA)
     with pytest.raises(ValueError, match="overlay: expected weights that locate an object"):
-        expect_axes(locator)
+        expect_axes(locator, URSO_CAMERA)
+
+
+def test_axes_are_drawn_where_the_camera_is_known(weights, picture, tmp_path):
+    with pytest.raises(ValueError, match="overlay: expected --camera FILE, as these weights"):
+        expect_axes(weights, None)
+    with pytest.raises(ValueError, match="expected one with a camera, got camera None"):
+        write_overlay(Prediction(picture, AHEAD), tmp_path)
 
 
 def test_weights_locate_an_object_or_the_camera(tmp_path):

@@ -305,13 +305,13 @@ def predict(options: Namespace) -> None:
         write_overlay,
     )
 
+    camera = None if options.camera is None else Camera.read(options.camera)
     if options.overlay is not None:
         expect_folder(options.overlay)
         expect_distinct_overlays(options.images, options.overlay)
-        expect_axes(options.weights)
+        expect_axes(options.weights, camera)
     elif options.camera is not None and describe_weights(options.weights).camera is None:
         raise ValueError("--camera: expected with --overlay, for these weights know no camera")
-    camera = None if options.camera is None else Camera.read(options.camera)
     documents: list[dict[str, Any]] = []
     failed = 0
     predicted = open_predictions(options.weights, camera=camera, any_camera=options.any_camera)

@@ -14,7 +14,6 @@ from ffpose.arrays import quaternion_to_euler
 from ffpose.errors import DataError
 from ffpose.files import atomic_write
 from ffpose.geometry import (
-    URSO_CAMERA,
     Camera,
     FloatArray,
     Pose,
@@ -229,16 +228,20 @@ def overlay_path(image: Path, folder: Path) -> Path:
     return folder / f"{image.stem}_pose.png"
 
 
-def expect_axes(weights: str | Path) -> None:
-    """Check in advance that there is an object to draw axes on.
+def expect_axes(weights: str | Path, camera: Camera | None) -> None:
+    """Check in advance that there is an object to draw axes on, and a camera to project them.
 
     Raises:
-        ValueError: The network locates the camera.
+        ValueError: The network locates the camera, or neither its weights nor ``camera`` say what
+            the images' camera is.
     """
-    if describe(weights).locates == "camera":
+    metadata = describe(weights)
+    if metadata.locates == "camera":
         raise ValueError(
             "overlay: expected weights that locate an object, got some that locate the camera"
         )
+    if metadata.camera is None and camera is None:
+        raise ValueError("overlay: expected --camera FILE, as these weights know no camera")
 
 
 def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
@@ -262,17 +265,22 @@ def write_overlay(prediction: Prediction, folder: Path) -> Path:
     """Write the image with the predicted axes drawn on it, or without them if it is flagged.
 
     Args:
-        prediction: Image, pose and camera; URSO's camera if it has none.
+        prediction: Image, pose and camera.
         folder: Folder to write `overlay_path` to; created if missing.
 
     Returns:
         The path of the file.
+
+    Raises:
+        ValueError: The prediction has no camera.
     """
+    if prediction.camera is None:
+        raise ValueError("prediction: expected one with a camera, got camera None")
     folder.mkdir(parents=True, exist_ok=True)
     path = overlay_path(prediction.image, folder)
     drawn = read_rgb(prediction.image, prediction.white)
     if not prediction.flagged:
-        drawn = draw_axes(drawn, prediction.pose, prediction.camera or URSO_CAMERA)
+        drawn = draw_axes(drawn, prediction.pose, prediction.camera)
     with atomic_write(path) as temporary:
         drawn.save(temporary)
     return path
