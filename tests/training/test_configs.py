@@ -2,17 +2,19 @@
 
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 
+from ffpose.ablation.paper import TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5
 from ffpose.cli import main, with_recipe
 from ffpose.config import PRESETS
 from ffpose.recipes import recipe_file, recipe_names
 from ffpose.training.config import DataConfig, TrainConfig
 from ffpose.training.config_file import load_config
-from ffpose.training.stages import PAPER_STAGES
+from ffpose.training.stages import PAPER_STAGES, check_stages
 
 ROOT = Path(__file__).parents[2]
 FILES = sorted((ROOT / "configs").glob("*.yaml"))
@@ -39,19 +41,69 @@ def test_make_trains_each_weights_after_those_that_they_begin_with(tmp_path):
         assert init is None or Path(init).parent.name in {each.stem for each in trained[:place]}
 
 
-def test_the_papers_recipe_is_what_the_paper_says(capsys, tmp_path):
-    """Section 4.3, which the defaults of the configuration follow where it gives a figure."""
-    words = ["train", "--recipe", "paper", "--data.root", str(tmp_path), "--out", "runs/paper"]
+def parsed(words, folder, capsys):
+    """Return the configuration that ``ffpose train`` reads from its arguments."""
     with pytest.raises(SystemExit):
-        main([*words, "--print_config"])
-    printed = tmp_path / "config.yaml"
+        main(["train", *words, "--print_config"])
+    printed = folder / "config.yaml"
     command_line = ("recipe:", "transforms:", "resume:", "debug:")
     lines = capsys.readouterr().out.splitlines(keepends=True)
     printed.write_text("".join(line for line in lines if not line.startswith(command_line)))
+    return load_config(printed)
+
+
+PAPER = sorted((ROOT / "configs/paper").glob("*.yaml"))
+
+
+def made(config):
+    """What distinguishes the numbers that the paper publishes: the network and the images."""
+    network = PRESETS[config.model].with_fields(config.model_fields)
+    data = config.data
+    return network, data.kind, data.root.name, data.holdout
+
+
+def test_each_number_of_the_paper_has_its_configuration(tmp_path, capsys):
+    """Each variant of the five tables is made by one file, whose first line has its numbers."""
+    configs = {}
+    for path in PAPER:
+        words = ["--recipe", "paper", "--config", str(path)]
+        config = parsed(words, tmp_path, capsys)
+        assert config.stages == PAPER_STAGES
+        check_stages(PRESETS[config.model].parts, config.stages)
+        assert config.data.mode == "center_crop"
+        assert config.out == Path("runs/paper") / path.stem
+        assert made(config) not in configs
+        configs[made(config)] = path
+    used = set()
+    for number, study in enumerate((TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5), start=1):
+        for variant in study.variants:
+            config = replace(study.base, **plain(study, variant))
+            path = configs[made(config)]
+            (t_m, q_deg), first = variant.paper[:2], path.read_text().splitlines()[0]
+            assert f"Table {number}: {t_m:g} m, {q_deg:g}°" in first
+            assert ("medians" in first) == study.medians
+            used.add(path)
+    assert used == set(PAPER)
+
+
+def plain(study, variant):
+    """Return a variant's fields with the folder on which the paper measured it."""
+    changes = dict(variant.changes)
+    camera = study.base.data.kind == "cambridge"
+    scene = changes.pop("data", {}).get("scene", "soyuz_hard")
+    kind, folder = ("cambridge", "Cambridge") if camera else ("urso", "URSO")
+    data = DataConfig(kind, Path(folder) / scene, holdout=10 if camera else 0)
+    return {"data": data, **changes}
+
+
+def test_the_papers_recipe_is_what_the_paper_says(capsys, tmp_path):
+    """Section 4.3, which the defaults of the configuration follow where it gives a figure."""
+    words = ["--recipe", "paper", "--data.root", str(tmp_path), "--out", "runs/paper"]
+    config = parsed(words, tmp_path, capsys)
     crop = {"random_crop": True, "noise": 0.0, "blur": 0.0}
     data = DataConfig("urso", tmp_path, mode="center_crop", augmentation=crop)
     out = Path("runs/paper")
-    assert load_config(printed) == TrainConfig(data, out, stages=PAPER_STAGES)
+    assert config == TrainConfig(data, out, stages=PAPER_STAGES)
 
 
 @pytest.mark.parametrize("words", [["--recipe", "papre"], ["--recipe=papre"]])

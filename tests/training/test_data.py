@@ -74,6 +74,32 @@ def test_a_set_that_validates_on_nothing_is_refused(own):
         opened(DataConfig("csv", own))
 
 
+def test_any_split_trains(own):
+    (own / "flight 2.csv").write_text("\n".join((own / "train.csv").read_text().splitlines()[:3]))
+    data = opened(DataConfig("csv", own, train_split="flight 2", val_split="train"))
+    assert data.train_set.names == ["0.png", "1.png"]
+    assert len(data.val_set) == IMAGES
+    with pytest.raises(ValueError, match=r"data.train_split: expected one of train, flight 2, all"):
+        opened(DataConfig("csv", own, train_split="flight 3"))
+
+
+@pytest.mark.parametrize("trained", ["train", "all"])
+def test_what_is_trained_on_does_not_validate(own, trained):
+    with pytest.raises(
+        ValueError, match=r"data.val_split: expected a split that is not trained on"
+    ):
+        opened(DataConfig("csv", own, train_split=trained, val_split="train"))
+
+
+def test_all_splits_train_but_for_what_is_held_out(scene):
+    (scene / "dataset_test.txt").write_text(
+        (scene / "dataset_test.txt").read_text().replace("seq1", "seq2")
+    )
+    write_images(scene, ["seq2/0.png", "seq2/1.png"])
+    data = opened(DataConfig("cambridge", scene, train_split="all", holdout=4))
+    assert (len(data.train_set), len(data.val_set)) == (IMAGES, 2)
+
+
 def test_any_split_validates(scene):
     data = opened(DataConfig("cambridge", scene, val_split="test"))
     assert (len(data.train_set), len(data.val_set)) == (IMAGES, 2)

@@ -40,6 +40,7 @@ class DataConfig:
         augmentation: Fields of `ffpose.transforms.Augmentation` to change, such as {"roll": 10}.
         cache: Whether to store decoded and resized images in a file that later runs share.
         workers: Number of processes that read or render images beside the training process.
+        train_split: Name of the training split, or "all" with ``holdout``.
         val_split: Name of the validation split.
         holdout: Validate on every ``holdout``-th image of the training split instead of val_split,
             and leave it out of training; 0 leaves none out.
@@ -70,6 +71,7 @@ class DataConfig:
     augmentation: dict[str, Any] = field(default_factory=dict)
     cache: bool = False
     workers: int = 0
+    train_split: str = "train"
     val_split: str = "val"
     holdout: int = 0
     keypoints: str | None = None

@@ -114,12 +114,22 @@ def _open_splits(
     """Open the images to learn from, augmented, and those that validate."""
     kind, decoding = config.kind, Decoding(config.undistort, config.white)
     known = list_splits(kind, config.root)
+    splits = (*known, "all")
+    if config.train_split not in splits:
+        raise ValueError(
+            f"data.train_split: expected one of {', '.join(splits)}, got {config.train_split!r}"
+        )
     if not config.holdout and config.val_split not in known:
         raise ValueError(
             f"data.val_split: expected one of {', '.join(known)}, got {config.val_split!r}; "
             "--data.holdout N validates on every Nth image of the training split instead"
         )
-    train = read_records(kind, config.root, "train", decoding)
+    if not config.holdout and config.train_split in (config.val_split, "all"):
+        raise ValueError(
+            "data.val_split: expected a split that is not trained on, got "
+            f"{config.val_split!r} beside data.train_split {config.train_split!r}"
+        )
+    train = read_records(kind, config.root, config.train_split, decoding)
     if config.holdout:
         val = train[:: config.holdout]
         train = [record for index, record in enumerate(train) if index % config.holdout]

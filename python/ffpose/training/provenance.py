@@ -25,7 +25,9 @@ def recipe(config: TrainConfig, init: str | None) -> dict[str, Any]:
     fields = {name: value for name, value in asdict(config).items() if name not in OF_THIS_MACHINE}
     fields["init"] = init
     fields["data"] = {
-        name: value for name, value in fields["data"].items() if name not in ("root", "workers")
+        name: value
+        for name, value in fields["data"].items()
+        if name not in ("root", "keypoints", "workers")
     }
     return fields
 

@@ -1,0 +1,75 @@
+"""The paper's network learns what it is shown: few images by heart, many in a short time."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from ffpose.cli import main
+from ffpose.evaluation import evaluate
+from ffpose.render import get_scene
+from ffpose.render.dataset.writer import write_dataset
+from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, train
+
+SIZE = (128, 96)
+FIELDS = {"image_size": [96, 128]}
+
+
+def config(root, out, **fields):
+    """A training of the preset tiny, whose branches are filterformers, without augmentation."""
+    values = {
+        "data": DataConfig("urso", root, augment=False),
+        "model": "tiny",
+        "model_fields": FIELDS,
+        "backbone_weights": "none",
+        "normalize_translation": True,
+        "batch_size": 8,
+        "device": "cpu",
+        "optimizer": OptimizerConfig(
+            learning_rate=2e-3, schedule="cosine", warmup_epochs=2, weight_decay=0, clip_norm=1
+        ),
+    }
+    return TrainConfig(out=out, **(values | fields))
+
+
+def rendered(folder, count, **changes):
+    scene = replace(get_scene("soyuz_easy"), **changes)
+    write_dataset(scene, folder, count, seed=0, size=SIZE)
+    return folder
+
+
+def test_eight_images_are_learned_by_heart(tmp_path):
+    """Any attitude and distance: a constant pose is far from both."""
+    root = rendered(tmp_path / "eight", 10)  # of ten images in a row eight are for training
+    result = train(config(root, tmp_path / "run", epochs=100), quiet=True)
+    found = evaluate(result.folder.last, "urso", root, "train")
+    constant = found.baseline_errors
+    assert found.errors.rotation_deg.shape == (8,)
+    assert found.errors.rotation_deg.max() < 1 < 60 < constant.rotation_deg.median()
+    assert found.errors.translation_m.max() < 0.1 < 3 < constant.translation_m.median()
+
+
+def test_the_command_trains_on_64_images(tmp_path, capsys):
+    root = rendered(tmp_path / "images", 80)
+    words = ["train", "--model", "tiny", "--data.kind", "urso", "--data.root", str(root)]
+    words += ["--model_fields", str(FIELDS), "--backbone-weights", "none", "--device", "cpu"]
+    words += ["--normalize_translation", "true", "--optimizer.learning_rate", "2e-3"]
+    assert main([*words, "--epochs", "4", "--out", str(tmp_path / "run")]) == 0
+    with (tmp_path / "run/results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["samples"] for row in rows] == ["64"] * 4
+    losses = [float(row["train_loss"]) for row in rows]
+    assert losses == sorted(losses, reverse=True)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_gpu_trains_to_the_same_losses(tmp_path):
+    root = rendered(tmp_path / "images", 20)
+    losses = []
+    for device in ("cpu", "cuda"):
+        result = train(config(root, tmp_path / device, epochs=2, device=device), quiet=True)
+        losses.append([row["train_loss"] for row in result.history])
+    np.testing.assert_allclose(*losses, rtol=1e-3)
