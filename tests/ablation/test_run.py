@@ -14,8 +14,9 @@ from safetensors.torch import load_file
 
 from ffpose.ablation import get_study, run
 from ffpose.cli import main
-from ffpose.training import Stage, train
+from ffpose.training import Stage
 from ffpose.training.checkpoint import read_results
+from ffpose.training.engine import train
 from tiny_ablation import tiny_study, write_sets
 
 RUNS = ("grid-seed0", "none-seed0", "grid-seed1", "none-seed1")

@@ -9,8 +9,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from ffpose.training import Stage, train
+from ffpose.training import Stage
 from ffpose.training.checkpoint import RunFolder, read_results
+from ffpose.training.engine import train
 from tiny_runs import train_config, write_set
 
 KILLS = 50

@@ -16,8 +16,9 @@ from ffpose.evaluation import evaluate
 from ffpose.render import get_scene
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.render.scene import SCENES
-from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, train
+from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
 from ffpose.training.config import TEST_SEEDS
+from ffpose.training.engine import train
 
 SIZE = (256, 192)
 

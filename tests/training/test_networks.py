@@ -9,7 +9,8 @@ import torch
 from ffpose.evaluation import evaluate
 from ffpose.models import read_metadata
 from ffpose.predictor import Predictor
-from ffpose.training import OptimizerConfig, Stage, train
+from ffpose.training import OptimizerConfig, Stage
+from ffpose.training.engine import train
 from ffpose.training.run import build_run
 from networks import MODEL_FIELDS, NETWORKS
 from tiny_runs import train_config, write_set

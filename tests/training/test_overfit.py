@@ -11,7 +11,8 @@ from ffpose.cli import main
 from ffpose.evaluation import evaluate
 from ffpose.render import get_scene
 from ffpose.render.dataset.writer import write_dataset
-from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, train
+from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
+from ffpose.training.engine import train
 
 SIZE = (128, 96)
 FIELDS = {"image_size": [96, 128]}

@@ -11,10 +11,11 @@ import torch
 from safetensors.torch import load_file
 
 from ffpose import DataError
-from ffpose.training import DataConfig, OptimizerConfig, Stage, train
+from ffpose.training import DataConfig, OptimizerConfig, Stage
 from ffpose.training.checkpoint import read_results
 from ffpose.training.config import TrainConfig
 from ffpose.training.config_file import dump_config
+from ffpose.training.engine import train
 from ffpose.training.processes import Processes, joined, started
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
@@ -77,7 +78,7 @@ def test_one_process_is_alone_and_starts_none(monkeypatch):
 WORKER = """
 import os, signal, sys, time
 from pathlib import Path
-from ffpose.training import train
+from ffpose.training.engine import train
 from ffpose.training.config_file import load_config
 from ffpose.training.processes import Processes
 

@@ -15,7 +15,7 @@ from ffpose.baseline import mean_pose
 from ffpose.datasets import open_dataset
 from ffpose.evaluation import evaluate
 from ffpose.models import read_metadata
-from ffpose.training import train
+from ffpose.training.engine import train
 from ffpose.training.provenance import describe_data, recipe
 from ffpose.training.run import build_run
 from tiny_runs import MODEL_FIELDS, train_config, write_set

@@ -12,8 +12,9 @@ from ffpose.models import CONFIGS, FilterformerPose, read_metadata
 from ffpose.preprocessing import Preprocessing
 from ffpose.render import label, views
 from ffpose.render.dataset import writer
-from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, data, train
+from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, data
 from ffpose.training.config import TEST_SEEDS
+from ffpose.training.engine import train
 from ffpose.training.run import build_run
 
 VALIDATION = 4

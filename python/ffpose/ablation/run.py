@@ -31,10 +31,11 @@ from ffpose.evaluation import evaluate
 from ffpose.files import atomic_write, remove_leftovers
 from ffpose.models import PoseNetwork, find_config, load_network
 from ffpose.preprocessing import Preprocessing
-from ffpose.training import Stage, TrainConfig, TrainResult, train
+from ffpose.training import Stage, TrainConfig
 from ffpose.training.checkpoint import FREE_FIELDS
 from ffpose.training.config import TEST_SEEDS
 from ffpose.training.config_file import flatten
+from ffpose.training.engine import TrainResult, train
 from ffpose.training.run import UNKNOWN_CAMERA, build_run
 from ffpose.training.stages import shortened
 
@@ -144,7 +145,7 @@ def ablate(
     Raises:
         ValueError: An unknown name, two budgets, or runs of other settings in ``out``.
         ffpose.DataError: An image or a label cannot be used.
-        ffpose.training.NonFiniteLossError: A training failed; the other runs can go on.
+        ffpose.training.engine.NonFiniteLossError: A training failed; the other runs can go on.
     """
     _expect_count("seeds", seeds)
     _expect_count("test_images", test_images)

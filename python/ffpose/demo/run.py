@@ -27,7 +27,9 @@ from ffpose.render.dataset.writer import write_dataset
 from ffpose.report.page import write_report
 from ffpose.report.plots import training_curves, write_evaluation_figures
 from ffpose.report.results import write_results
-from ffpose.training import RunFolder, TrainConfig, train
+from ffpose.training import TrainConfig
+from ffpose.training.checkpoint import RunFolder
+from ffpose.training.engine import train
 from ffpose.training.run import build_run
 
 
