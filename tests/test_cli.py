@@ -243,6 +243,7 @@ def test_render_takes_a_mesh_a_camera_and_a_shard(tmp_path, capsys):
     words += ["--camera", str(tmp_path / "camera.json"), "--layers", "--labels", "coordinates"]
     words += ["--mesh", str(tmp_path / "wedge.obj"), "--mesh-scale", "0.001"]
     words += ["--motion", "4", "--jpeg", "80", "--randomize", "0.3", "--eclipse-rate", "0.34"]
+    words += ["--attitude-range", "10", "90", "20"]
     assert main(words) == 0, capsys.readouterr().err
     names = {path.name for path in (tmp_path / "set").iterdir()}
     assert {"4_rgb.png", "5_rgb.png", "5_mask.png", "5_depth.png", "5_coordinates.png"} <= names
@@ -250,6 +251,7 @@ def test_render_takes_a_mesh_a_camera_and_a_shard(tmp_path, capsys):
     assert manifest["parameters"]["scene"]["camera"]["fx"] == 90
     assert manifest["parameters"]["scene"]["craft"].startswith("wedge.obj sha256:")
     assert manifest["parameters"]["scene"]["sensor"]["jpeg_quality"] == 80
+    assert manifest["parameters"]["scene"]["attitude_range_deg"] == [10, 90, 20]
     assert manifest["parameters"]["coordinates_limit_m"] == 0.9
 
 

@@ -100,6 +100,13 @@ def render_arguments(parser: ArgumentParser) -> None:
         "--eclipse-rate", type=float, help="share in the Earth's shadow; as in orbit by default"
     )
     parser.add_argument(
+        "--attitude-range",
+        nargs=3,
+        type=float,
+        metavar=("ROLL", "PITCH", "YAW"),
+        help="largest absolute angles, degrees; 180 90 180 for all attitudes",
+    )
+    parser.add_argument(
         "--motion", type=float, default=0.0, help="largest motion blur, pixels of 1280"
     )
     parser.add_argument("--jpeg", type=int, default=0, help="JPEG quality 1-100; 0 is none")
@@ -116,9 +123,11 @@ def render(options: Namespace) -> None:
     expect_folder(options.out)
     scene = get_scene(options.scene)
     sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
+    limits = options.attitude_range
     scene = replace(
         scene,
         sensor=sensor,
+        attitude_range_deg=tuple(limits) if limits else scene.attitude_range_deg,
         eclipse_rate=scene.eclipse_rate if options.eclipse_rate is None else options.eclipse_rate,
         randomization=Randomization.of_strength(options.randomize),
         camera=Camera.read(options.camera) if options.camera else scene.camera,
@@ -346,6 +355,8 @@ def export_arguments(parser: ArgumentParser) -> None:
         default="custom",
         help="filters by ffpose's operator, or by standard ones alone (default: custom)",
     )
+    for name, what in (("looks", "second looks"), ("turns", "rotated views of the last look")):
+        parser.add_argument(f"--{name}", type=int, help=f"number of {what}, for less latency")
     parser.add_argument(
         "--int8", action="store_true", help="convolutions and matrix products in 8 bits"
     )
@@ -366,9 +377,11 @@ def export(options: Namespace) -> None:
     if options.int8 != (options.calibrate is not None):
         raise ValueError("--int8 and --calibrate DIR: expected both or neither, got one")
     images = image_files(options.calibrate, "calibrate") if options.int8 else []
+    given = {"looks": options.looks, "turns": options.turns}
+    fields = {name: value for name, value in given.items() if value is not None}
     with TemporaryDirectory(prefix="ffpose-export-") as folder:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
-        exported = export_weights(options.weights, path, options.filter, say=say)
+        exported = export_weights(options.weights, path, options.filter, say=say, **fields)
         for name, difference in exported.differences.items():
             print(f"largest difference of {name}: {difference:.2g}")
         say(f"float32: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")

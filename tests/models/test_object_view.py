@@ -1,13 +1,14 @@
 """FilterformerPose with a second look: shapes, frames, bad first looks, gradients, graphs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ffpose.models import CONFIGS, FilterformerPose, PosePrediction
+from ffpose.models import CONFIGS, FilterformerPose, PosePrediction, load_network
 from ffpose.models.network import UncertainPose
 from ffpose.models.object_look import OFFSET_LIMIT, LookNumbers, points_at
 from ffpose.models.virtual_camera import look, turn_to
@@ -306,6 +307,33 @@ def test_weights_there_and_back(model, tmp_path):
         assert torch.equal(getattr(got, name), getattr(expected, name))
     torch.testing.assert_close(got.translation_covariance, 1.5 * expected.translation_covariance)
     torch.testing.assert_close(got.rotation_covariance, 2.5 * expected.rotation_covariance)
+
+
+def test_weights_are_loaded_with_fewer_looks(model, tmp_path):
+    """One look, not rotated, is one call of the second network at the first position."""
+    path = tmp_path / "look.safetensors"
+    model.save_pretrained(path)
+    quick = FilterformerPose.from_pretrained(path, looks=1, turns=1)
+    assert quick.config == replace(model.config, looks=1, turns=1)
+    calls = []
+    quick.object_backbone.register_forward_hook(lambda _, __, maps: calls.append(len(maps[0])))
+    found = quick(torch.randn(2, 3, 48, 64))
+    assert calls == [2]
+    assert found.in_view.shape == (2,)
+
+
+def test_what_weights_depend_on_is_not_changed_as_they_are_loaded(model, tmp_path):
+    path = tmp_path / "look.safetensors"
+    model.save_pretrained(path)
+    message = r"expected fields that may change after training \(looks, turns\), got turn \(did"
+    with pytest.raises(ValueError, match=message):
+        FilterformerPose.from_pretrained(path, turn=1)
+    with pytest.raises(ValueError, match="turns: expected a whole number, at least 1, got 0"):
+        FilterformerPose.from_pretrained(path, turns=0)
+    once = FilterformerPose.from_config("tiny", backbone_weights="none", image_size=(64, 64))
+    once.save_pretrained(path)
+    with pytest.raises(ValueError, match=r"\(this network has none\), got looks"):
+        load_network(path, looks=1)
 
 
 def test_no_table_is_saved(model):

@@ -349,3 +349,23 @@ def test_presets_export(preset, tmp_path):
     model.save_pretrained(weights)
     assert main(["export", str(weights), "--out", str(graph), "--filter", "matmul"]) == 0
     assert read_model_metadata(graph).filter == "matmul"
+
+
+def test_a_graph_is_exported_with_fewer_looks(folder, files):
+    weights, _ = files
+    graph = folder / "quick.onnx"
+    words = ["export", str(weights), "--out", str(graph), "--filter", "matmul", "--turns", "1"]
+    if weights.stem != "twice":
+        assert main(words) == 1
+        return
+    assert main([*words, "--looks", "1"]) == 0
+    assert read_model_metadata(graph).config == replace(
+        read_metadata(weights).config, looks=1, turns=1
+    )
+    image = np.random.default_rng(0).integers(0, 256, (96, 128, 3), np.uint8)
+    network = FilterformerPose.from_pretrained(weights, looks=1, turns=1)
+    predictor = Predictor(network, Preprocessing((64, 64)))
+    (expected,) = predictor.batch([Image.fromarray(image)])
+    found = PoseEstimator(graph)(image)
+    np.testing.assert_allclose(found.t, expected.t, atol=1e-4)
+    np.testing.assert_allclose(found.q, expected.q, atol=1e-4)

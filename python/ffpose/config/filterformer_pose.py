@@ -188,6 +188,11 @@ class FilterformerPoseConfig(NetworkConfig):
         return ("backbone", *second, "translation_branch", "orientation_branch")
 
     @property
+    def free_fields(self) -> tuple[str, ...]:
+        """The numbers of second looks and of their views, where there is one."""
+        return ("looks", "turns") if self.orientation_view == "object" else ()
+
+    @property
     def latent(self) -> int:
         """Size of the latent vector, the heads' input."""
         return FLAT_LATENT if self.pooling == "flatten" else self.dim

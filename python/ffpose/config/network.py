@@ -122,6 +122,25 @@ class NetworkConfig:
         self.check_names(values)
         return replace(self, **values)
 
+    @property
+    def free_fields(self) -> tuple[str, ...]:
+        """Names of the fields that may be changed when trained weights are loaded."""
+        return ()
+
+    def at_inference(self, values: Mapping[str, Any]) -> Self:
+        """Return the config with fields changed that trained weights do not depend on.
+
+        Raises:
+            ValueError: A field is not of `free_fields`, or a value is invalid.
+        """
+        for name in sorted(set(values) - set(self.free_fields)):
+            known = ", ".join(self.free_fields) or "this network has none"
+            raise ValueError(
+                f"expected fields that may change after training ({known}), "
+                f"got {name}{hint(name, self.free_fields)}"
+            )
+        return replace(self, **values)
+
     @classmethod
     def check_names(cls, values: Mapping[str, Any]) -> None:
         """Check that all names are fields of the config.

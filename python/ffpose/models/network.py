@@ -241,15 +241,18 @@ class PoseNetwork(nn.Module, ABC):
         write_weights(path, state, metadata)
 
     @classmethod
-    def from_pretrained(cls, path: str | Path) -> Self:
+    def from_pretrained(cls, path: str | Path, **fields: Any) -> Self:
         """Load a network that `save_pretrained` wrote, in evaluation mode.
 
         Args:
             path: Weights file, or name of shipped weights such as ``"soyuz-easy"``
                 (`ffpose.models.zoo.names`).
+            **fields: Fields of the config to change that the weights do not depend on: ``looks``
+                and ``turns`` of a network with a second look, for less latency.
 
         Raises:
             FileNotFoundError: No such file or name.
+            ValueError: A field is none of those, or its value is invalid.
             ffpose.DataError: The file is truncated, altered, newer than this version, or of another
                 architecture.
         """
@@ -261,6 +264,7 @@ class PoseNetwork(nn.Module, ABC):
                 f" {config.architecture}",
                 path,
             )
+        config = config.at_inference(fields)
         try:
             model = cls.build(config, "none")
         except ValueError as error:

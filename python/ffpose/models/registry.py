@@ -51,15 +51,17 @@ def build_network(
     return network.from_config(config, backbone_weights=backbone_weights, **fields)
 
 
-def load_network(path: str | Path) -> PoseNetwork:
+def load_network(path: str | Path, **fields: Any) -> PoseNetwork:
     """Load a network of any kind, in evaluation mode.
 
     Args:
         path: Weights file, or name of shipped weights (`ffpose.models.zoo.names`).
+        **fields: As in `PoseNetwork.from_pretrained`.
 
     Raises:
         FileNotFoundError: No such file or name.
+        ValueError: A field is not of those that may be changed, or its value is invalid.
         ffpose.DataError: The file is truncated, altered, newer than this version, or of a network
             that this version does not know.
     """
-    return NETWORKS[read_metadata(path).config.architecture].from_pretrained(path)
+    return NETWORKS[read_metadata(path).config.architecture].from_pretrained(path, **fields)

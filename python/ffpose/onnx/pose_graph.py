@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,6 +45,7 @@ def export_weights(
     *,
     tolerance: float = TOLERANCE,
     say: Say = lambda _: None,
+    **fields: Any,
 ) -> Exported:
     """Write the network of a weights file as an ONNX graph for `ffpose.onnx.runtime`.
 
@@ -54,22 +56,23 @@ def export_weights(
         tolerance: Largest difference of graph and network, on random images, that is taken for
             rounding.
         say: Is told what is under way.
+        **fields: Fields of the network to change, as in `ffpose.models.load_network`.
 
     Raises:
         FileNotFoundError: No such weights, or the operator's library is not installed.
         ffpose.DataError: The weights cannot be used.
-        ValueError: An unknown filter.
+        ValueError: An unknown filter or field.
         RuntimeError: Graph and network differ by more than ``tolerance``.
     """
     if Path(path).suffix != ".onnx":
         raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
-    source = read_metadata(weights)
+    source, network = read_metadata(weights), load_network(weights, **fields)
     return write_graph(
-        load_network(weights),
+        network,
         [(random_images(source.preprocessing, count),) for count in BATCHES],
         path,
         filter,
-        graph_entries(weights),
+        graph_entries(weights, **fields),
         pose_differences,
         input_names=INPUT_NAMES,
         output_names=output_names(source.config),
@@ -78,13 +81,13 @@ def export_weights(
     )
 
 
-def graph_entries(weights: str | Path) -> Callable[[Filter], dict[str, str]]:
+def graph_entries(weights: str | Path, **fields: Any) -> Callable[[Filter], dict[str, str]]:
     """Return what gives the metadata of a graph of these weights, for how it computes filters."""
     source, digest = read_metadata(weights), sha256(resolve(weights))
 
     def entries(kind: Filter) -> dict[str, str]:
         return ModelMetadata(
-            source.config,
+            source.config.at_inference(fields),
             source.preprocessing,
             kind,
             source.camera,
