@@ -64,12 +64,13 @@ ort: tools ## build the operator for ONNX Runtime into the package; installing f
 onboard: tools ## build the program that poses images without Python, of Rust 1.92 or newer (docs/onboard.md)
 	cargo build $(ONBOARD)
 
-weights: runs/soyuz-easy/.trained runs/soyuz-hard/.trained ## train the three shipped weights from the start: hours
+weights: runs/soyuz-easy/.trained runs/soyuz-hard/.trained runs/dragon-hard/.trained ## train the shipped weights from the start: hours
 
 # Weights begin with those that their configuration names as `init`. A training that was interrupted goes on.
-runs/soyuz-hard/.trained runs/soyuz-easy-robust-begin/.trained: runs/soyuz-shared/.trained
+runs/soyuz-hard/.trained runs/soyuz-easy-robust-begin/.trained runs/dragon-hard-begin/.trained: runs/soyuz-shared/.trained
 runs/soyuz-easy-robust/.trained: runs/soyuz-easy-robust-begin/.trained
 runs/soyuz-easy/.trained: runs/soyuz-easy-robust/.trained
+runs/dragon-hard/.trained: runs/dragon-hard-begin/.trained
 runs/%/.trained: configs/%.yaml | $(VENV)/.user
 	$(BIN)/ffpose train --config $< --resume
 	@touch $@

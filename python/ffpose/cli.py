@@ -345,6 +345,17 @@ def predict(options: Namespace) -> None:
         raise DataError(f"{failed} of {len(documents)} images have no pose")
 
 
+def view_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments that change how often a network with a second look looks."""
+    for name, what in (("looks", "second looks"), ("turns", "rotated views of the last look")):
+        parser.add_argument(f"--{name}", type=int, help=f"number of {what}, for less latency")
+
+
+def view_fields(options: Namespace) -> dict[str, int]:
+    """Return the fields of a network that `view_arguments` changes."""
+    return {name: options[name] for name in ("looks", "turns") if options[name] is not None}
+
+
 def export_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `export`."""
     parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz-easy")
@@ -355,8 +366,7 @@ def export_arguments(parser: ArgumentParser) -> None:
         default="custom",
         help="filters by ffpose's operator, or by standard ones alone (default: custom)",
     )
-    for name, what in (("looks", "second looks"), ("turns", "rotated views of the last look")):
-        parser.add_argument(f"--{name}", type=int, help=f"number of {what}, for less latency")
+    view_arguments(parser)
     parser.add_argument(
         "--int8", action="store_true", help="convolutions and matrix products in 8 bits"
     )
@@ -377,11 +387,11 @@ def export(options: Namespace) -> None:
     if options.int8 != (options.calibrate is not None):
         raise ValueError("--int8 and --calibrate DIR: expected both or neither, got one")
     images = image_files(options.calibrate, "calibrate") if options.int8 else []
-    given = {"looks": options.looks, "turns": options.turns}
-    fields = {name: value for name, value in given.items() if value is not None}
     with TemporaryDirectory(prefix="ffpose-export-") as folder:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
-        exported = export_weights(options.weights, path, options.filter, say=say, **fields)
+        exported = export_weights(
+            options.weights, path, options.filter, say=say, **view_fields(options)
+        )
         for name, difference in exported.differences.items():
             print(f"largest difference of {name}: {difference:.2g}")
         say(f"float32: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
@@ -531,6 +541,7 @@ def bench_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
     parser.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")
     parser.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
+    view_arguments(parser)
 
 
 def bench(options: Namespace) -> None:
@@ -542,7 +553,7 @@ def bench(options: Namespace) -> None:
     deployed = options.subject == "model" and network != "attention"
     if options.subject == "filter" and options.network is not None:
         raise ValueError(f"network: expected with model, got {options.network!r} with filter")
-    for name in ("batch", "threads"):
+    for name in ("batch", "threads", "looks", "turns"):
         if options[name] is not None and not deployed:
             raise ValueError(f"--{name}: expected with a network that is deployed")
     if options.subject == "filter":
@@ -555,6 +566,7 @@ def bench(options: Namespace) -> None:
             options.quick,
             batches=options.batch,
             threads=options.threads,
+            **view_fields(options),
         )
     elif options.plot is not None:
         raise ValueError("--plot: expected with filter or a network, attention has no plot")

@@ -125,11 +125,18 @@ def random_images(preprocessing: Preprocessing, count: int) -> torch.Tensor:
 
 
 def pose_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
-    """Return the largest differences: meters, of quaternions of one sign, and relative ones."""
+    """Return the largest differences: meters, of quaternions of one sign, and relative ones.
+
+    Those of covariances are halved, to be those of the standard deviations.
+    """
     sign = np.sign((got["orientation"] * expected["orientation"]).sum(-1, keepdims=True))
     aligned = {**got, "orientation": got["orientation"] * sign}
     absolute = {
         name: float(np.abs(aligned[name] - expected[name]).max())
         for name in ("translation", "orientation")
     }
-    return relative_differences(aligned, expected) | absolute
+    relative = {
+        name: value / 2 if name.endswith("_covariance") else value
+        for name, value in relative_differences(aligned, expected).items()
+    }
+    return relative | absolute

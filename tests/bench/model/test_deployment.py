@@ -46,6 +46,7 @@ from ffpose.bench.model.plan import DeploymentPlan, make_plan
 from ffpose.bench.model.subjects import GFNET, GlobalFilterNetwork, subject
 from ffpose.cli import main
 from ffpose.config import CONFIGS, PRESETS
+from ffpose.models import FilterformerPose, read_metadata
 from ffpose.nn import GlobalFilter
 from ffpose.onnx import library
 from ffpose.onnx.library import ELF_NAME, NAMES, get_library_path
@@ -273,3 +274,16 @@ def test_the_process_of_a_graph_imports_no_torch():
 def test_what_cannot_be_measured_is_refused(words, message, capsys):
     assert main(["bench", *words]) == 1
     assert message in capsys.readouterr().err
+
+
+def test_a_network_is_measured_with_fewer_looks(tmp_path, monkeypatch):
+    weights = tmp_path / "twice.safetensors"
+    fields = {"image_size": (48, 64), "first_stride": 2, "object_size": (32, 32), "dim": 16}
+    model = FilterformerPose.from_config("compact", bins=100, bins_degree=1, **fields)
+    model.save_pretrained(weights, data={"name": "own"})
+    measured = subject(str(weights), tmp_path, looks=1, turns=3)
+    assert (measured.model.config.looks, measured.model.config.turns) == (1, 3)
+    changed = read_metadata(measured.weights)
+    assert changed == replace(read_metadata(weights), config=measured.model.config)
+    with pytest.raises(ValueError, match="gfnet: expected no fields"):
+        subject(GFNET, tmp_path, looks=1)

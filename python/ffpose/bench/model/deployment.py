@@ -85,6 +85,7 @@ def run(
     *,
     batches: Sequence[int] | None = None,
     threads: Sequence[int] | None = None,
+    **fields: int,
 ) -> None:
     """Measure a network, print the tables on standard output, and write the requested files.
 
@@ -95,11 +96,12 @@ def run(
         quick: Batch 1, one thread, the contenders that start fast, and short timings.
         batches: Images a batch; None for 1 and 8.
         threads: Numbers of threads; None for 1, 2 and all.
+        **fields: Fields of the network to change: ``looks`` and ``turns``.
 
     Raises:
         FileNotFoundError: No such network, or no folder for a file.
         MissingExtraError: What the export needs is not installed.
-        ValueError: A batch or a number of threads is below one.
+        ValueError: A batch or a number of threads is below one, or a field cannot be changed.
         RuntimeError: A contender computes something else.
     """
     expect_places(json_path, plot)
@@ -107,7 +109,7 @@ def run(
         if values is not None and min(values, default=0) < 1:
             raise ValueError(f"{name}: expected numbers of at least 1, got {list(values)}")
     with tempfile.TemporaryDirectory(prefix="ffpose-bench-") as folder:
-        results = measure(network, Path(folder), quick, batches, threads)
+        results = measure(network, Path(folder), quick, batches, threads, **fields)
     print_results(results)
     if json_path is not None:
         write_document(make_document(results), json_path)
@@ -121,6 +123,7 @@ def measure(
     quick: bool,
     batches: Sequence[int] | None = None,
     threads: Sequence[int] | None = None,
+    **fields: int,
 ) -> DeploymentResults:
     """Measure a network, with progress on standard error; arguments as `run`.
 
@@ -130,8 +133,9 @@ def measure(
         quick: As `run`.
         batches: As `run`.
         threads: As `run`.
+        **fields: As `run`.
     """
-    measured = subject(network, folder)
+    measured = subject(network, folder, **fields)
     plan = make_plan(measured, quick, batches, threads)
     cases = list(product(plan.threads, plan.batches))
     with make_progress() as progress:

@@ -9,15 +9,18 @@ stochastic depth, which cost nothing at inference, are left out.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from ffpose.bench.model.networks import network
 from ffpose.config import CONFIGS
 from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models.weights import write_weights
+from ffpose.models.zoo import resolve
 from ffpose.nn import GlobalFilter, PositionCode, SpectralFilter
 from ffpose.nn.filterformer import SelfAttention
 from ffpose.onnx.metadata import Filter
@@ -63,18 +66,24 @@ class Subject:
         return any(isinstance(module, kinds) for module in self.model.modules())
 
 
-def subject(name: str, folder: Path) -> Subject:
+def subject(name: str, folder: Path, **fields: int) -> Subject:
     """Return the network of that name.
 
     Args:
         name: ``"gfnet"``, a preset of `ffpose.config.CONFIGS`, whose weights are then random, or a
             weights file or name.
-        folder: Where random weights are written.
+        folder: Where random or changed weights are written.
+        **fields: Fields of the network to change, as in `ffpose.models.load_network`.
 
     Raises:
         FileNotFoundError: No such network or weights.
+        ValueError: A field cannot be changed.
         ffpose.DataError: The weights cannot be used.
     """
+    if name == GFNET and fields:
+        raise ValueError(
+            f"{GFNET}: expected no fields of a network with a second look, got {fields}"
+        )
     if name == GFNET:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
@@ -89,6 +98,13 @@ def subject(name: str, folder: Path) -> Subject:
     except FileNotFoundError as error:
         known = ", ".join([*CONFIGS, GFNET, "attention"])
         raise FileNotFoundError(f"network: expected one of {known}, or weights; {error}") from error
+    if fields:
+        state, source = (
+            load_file(resolve(weights)),
+            replace(source, config=source.config.at_inference(fields)),
+        )
+        weights = folder / "changed.safetensors"
+        write_weights(weights, state, source)
     return Subject(
         FilterformerPose.from_pretrained(weights),
         source.preprocessing,
