@@ -398,6 +398,11 @@ def test_an_uncertainty_that_is_none_is_refused(evaluation, wrong, message):
         Evaluation(*fields, **wrong)
 
 
+def test_a_split_of_one_image_is_evaluated(weights, tmp_path):
+    root = write_set(tmp_path / "set", test=1)
+    assert evaluate(weights, "urso", root).summary()["images"] == 1
+
+
 def test_missing_weights_are_named(image_set, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.safetensors"):
         evaluate(tmp_path / "none.safetensors", "urso", image_set)

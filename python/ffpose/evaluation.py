@@ -402,5 +402,5 @@ def _errors(predicted: FloatArray, truth: FloatArray) -> PoseErrors:
 
 def _tensors(poses: FloatArray) -> tuple[torch.Tensor, torch.Tensor]:
     """Split poses ``(N, 7)`` into translations ``(N, 3)`` and orientations ``(N, 4)``."""
-    tensor = torch.from_numpy(np.ascontiguousarray(poses))
+    tensor = torch.from_numpy(np.array(poses, order="C"))  # torch warns of what is read-only
     return tensor[:, :3], tensor[:, 3:]
