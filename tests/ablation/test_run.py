@@ -6,12 +6,11 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
-from PIL import Image
 from safetensors.torch import load_file
 
+from cambridge_sets import write_landmarks
 from ffpose.ablation import get_study, run
 from ffpose.cli import main
 from ffpose.training import Stage
@@ -178,21 +177,6 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(tmp_path, sets
 def test_landmarks_cannot_be_rendered(tmp_path):
     with pytest.raises(ValueError, match="sets: expected the folder that holds KingsCollege"):
         run.ablate(get_study("table5"), tmp_path / "study", quiet=True)
-
-
-def write_landmarks(scene):
-    """Write a scene of Cambridge Landmarks: twelve images of noise to train on, four to test."""
-    (scene / "seq1").mkdir(parents=True)
-    generator = np.random.default_rng(0)
-    for split, indices in (("train", range(12)), ("test", range(12, 16))):
-        lines = ["Visual Landmark Dataset V1", "ImageFile, Camera Position [X Y Z W P Q R]", ""]
-        for index in indices:
-            pixels = generator.integers(0, 256, (36, 64, 3), dtype=np.uint8)
-            Image.fromarray(pixels).save(scene / f"seq1/{index}.png")
-            t, q = generator.uniform(-9, 9, 3), generator.standard_normal(4)
-            numbers = " ".join(f"{x:.6f}" for x in [*t, *(q / np.linalg.norm(q))])
-            lines.append(f"seq1/{index}.png {numbers}")
-        (scene / f"dataset_{split}.txt").write_text("\n".join(lines) + "\n")
 
 
 def test_table_5_is_of_landmarks_on_disk(tmp_path):

@@ -11,40 +11,14 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.preprocessing import Preprocessing
 from ffpose.transforms import Augmentation
+from speedplus_sets import CAMERA, write_speedplus
 
 PREPROCESSING = Preprocessing(size=(24, 32))
-# The published camera through ten, in pixels of ten times the pitch.
-CAMERA = {
-    "Nu": 192,
-    "Nv": 120,
-    "ppx": 5.86e-5,
-    "ppy": 5.86e-5,
-    "fx": 0.0175130,
-    "fy": 0.0175116,
-    "ccx": 96,
-    "ccy": 60,
-    "cameraMatrix": [[298.857, 0, 96], [0, 298.834, 60], [0, 0, 1]],
-    "distCoeffs": [-0.22383, 0.51409, -0.00066, -0.00021, -0.13124],
-}
-LISTS = {
-    "synthetic/train": "q_vbs2tango_true",
-    "synthetic/validation": "q_vbs2tango",  # the older key
-    "lightbox/test": "q_vbs2tango_true",
-    "sunlamp/test": "q_vbs2tango_true",
-}
 
 
 @pytest.fixture
 def root(tmp_path):
-    for place, (file, key) in enumerate(LISTS.items()):
-        label = {"r_Vo2To_vbs_true": [1.0, -0.5, 4 + place], key: [0.6, 0, -0.8, 0]}
-        path = tmp_path / f"{file}.json"
-        (path.parent / "images").mkdir(parents=True, exist_ok=True)
-        name = "img000002.jpg" if "validation" in file else "img000001.jpg"
-        path.write_text(json.dumps([{"filename": name, **label}]))
-        Image.new("L", (192, 120), 40).save(path.parent / "images" / name)
-    (tmp_path / "camera.json").write_text(json.dumps(CAMERA))
-    return tmp_path
+    return write_speedplus(tmp_path)
 
 
 def read(root, split="train", **options):
