@@ -1,25 +1,22 @@
 """README and documentation promise; this runs, or at least parses, what they promise.
 
 Blocks of ``python`` are run, those of ``py`` (they need files or machines that are not here) are
-compiled; each call of ffpose in a block of ``sh`` is given to its parser.
+compiled; each call of ffpose in a block of ``sh`` is given to its parser as it stands, and
+``test_page_commands`` runs it in small.
 """
 
 import importlib
 import re
 import subprocess
 import tomllib
-from pathlib import Path
 
 import pytest
 
 from ffpose.cli import COMMANDS, build_parser, with_recipe
 from ffpose.info import main as info
+from pages import DOCS, ROOT, TEXTS, code_blocks
 from shell_lines import calls
 
-ROOT = Path(__file__).parents[1]
-DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-TEXTS = {path.relative_to(ROOT).as_posix(): path.read_text() for path in PAGES}
 MAKEFILE = (ROOT / "Makefile").read_text()
 OTHERS = {"--cpus-per-task", "--array", "--target"}
 """Options of other programs that the pages name."""
@@ -27,11 +24,10 @@ OTHERS = {"--cpus-per-task", "--array", "--target"}
 
 def blocks(*languages):
     """Return each code block of these languages, named by its page and number."""
-    fence = re.compile(rf"^```(?:{'|'.join(languages)})\n(.*?)^```", re.DOTALL | re.MULTILINE)
     return [
         pytest.param(code, id=f"{name}-{number}")
         for name, text in TEXTS.items()
-        for number, code in enumerate(fence.findall(text), start=1)
+        for number, code in enumerate(code_blocks(text, *languages), start=1)
     ]
 
 

@@ -1,0 +1,117 @@
+"""What the reader of a page has before its first command, in small.
+
+Every page has a checkout of ffpose; some have weights of the reader's own, images, or a published
+set in its own layout.
+"""
+
+import json
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from cambridge_sets import write_landmarks
+from ffpose.geometry import URSO_CAMERA
+from ffpose.models import build_network
+from ffpose.preprocessing import Preprocessing
+from speedplus_sets import write_speedplus
+from tiny_runs import SIZE, write_set
+
+ROOT = Path(__file__).parents[1]
+VIEW = URSO_CAMERA.resized(*SIZE)
+"""The camera of small images in URSO's layout, which have no camera.json."""
+
+POSENET = {"backbone": "compact_resnet_narrow", "reduction": 16}
+FILTERFORMER = {
+    "backbone": "compact_resnet_narrow",
+    "translation_reduction": 16,
+    "orientation_reduction": 8,
+    "depth": 1,
+    "dim": 16,
+    "heads": 2,
+}
+
+
+def write_checkout(folder):
+    """Write what the pages name of the sources."""
+    (folder / "docs/images").mkdir(parents=True)
+    shutil.copy(ROOT / "docs/images/soyuz_unseen.jpg", folder / "docs/images")
+    shutil.copytree(ROOT / "configs", folder / "configs")
+
+
+def write_weights(path, model, fields):
+    """Write random weights that know the camera of small images."""
+    width, height = SIZE
+    camera = (VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
+    fields = {**fields, "image_size": [height, width], "camera": camera}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    network = build_network(model, backbone_weights="none", **fields)
+    network.save_pretrained(path, preprocessing=Preprocessing((height, width)))
+
+
+def write_posenet(path):
+    write_weights(path, "posenet", POSENET)
+
+
+def write_filterformer(path):
+    write_weights(path, "tiny", FILTERFORMER)
+
+
+def write_picture(path, seed=0):
+    width, height = SIZE
+    pixels = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels).save(path)
+
+
+def write_pictures(folder):
+    for number in range(4):
+        write_picture(folder / f"{number}.png", number)
+
+
+def write_camera(path):
+    """Write a camera of its own: of URSO's shape, but with a longer lens."""
+    camera = {"width": 128, "height": 96, "fx": 90.0, "fy": 90.0, "cx": 64.0, "cy": 48.0}
+    path.write_text(json.dumps(camera))
+
+
+def write_mesh(path):
+    """Write a box in millimeters."""
+    trimesh.creation.box((2000, 1500, 3000)).export(path)
+
+
+OF_PAGES = {
+    "README.md": {"posenet.safetensors": write_posenet},
+    "docs/datasets.md": {"data/speedplus": partial(write_speedplus, count=4)},
+    "docs/deployment.md": {
+        "posenet.safetensors": write_posenet,
+        "runs/small/best.safetensors": write_filterformer,
+        "calibration_images": write_pictures,
+        "images": write_set,
+    },
+    "docs/models.md": {"image.png": write_picture},
+    "docs/network.md": {
+        "URSO/soyuz_hard": write_set,
+        "Cambridge/KingsCollege": write_landmarks,
+        "image.png": write_picture,
+        "camera.json": write_camera,
+    },
+    "docs/onboard.md": {"posenet.safetensors": write_posenet},
+    "docs/scenes.md": {"camera.json": write_camera, "satellite.glb": write_mesh},
+    "docs/training.md": {
+        "URSO/soyuz_hard": write_set,
+        "camera.json": write_camera,
+        "satellite.glb": write_mesh,
+    },
+}
+"""For each page the files and folders that its reader has, and what writes them."""
+
+
+def write_files(page, folder):
+    """Write what the reader of a page has."""
+    write_checkout(folder)
+    for name, write in OF_PAGES.get(page, {}).items():
+        write(folder / name)

@@ -1,0 +1,169 @@
+"""Each page's commands run one after the other, in small, as a reader follows the page.
+
+`SMALL` says what is made small and how, `NOT_RUN` what does not run and why; `reader_files` has
+what a reader has before the first command. Every command is run or is among `NOT_RUN`, those of
+other programs too, so that a page that gets a new one has to say what becomes of it.
+"""
+
+import json
+import os
+import shlex
+from itertools import chain
+
+import pytest
+
+from ffpose.arrays import instruction_set
+from ffpose.bench.filter import run as bench
+from ffpose.bench.filter.cases import Case, Plan
+from ffpose.cli import main
+from pages import TEXTS, code_blocks
+from reader_files import FILTERFORMER, OF_PAGES, POSENET, write_files
+from shell_lines import commands
+
+
+def given(value):
+    """Return a value as a word of a command line."""
+    return shlex.quote(json.dumps(value))
+
+
+TRAINING = "--epochs 1 --backbone-weights none"
+VIEWS = (
+    "--data.count 8 --data.empty 2 --data.decoys 2 --data.cut 2 --data.randomized 2 "
+    "--data.validation 2 --data.workers 0 --batch_size 4 --epochs 1"
+)
+STAGES = [
+    {"name": "joint", "epochs": 1},
+    {"name": "translation", "epochs": 1, "freeze": ["backbone", "orientation_branch"]},
+]
+URSONET = {"backbone": "resnet18", "image_size": [240, 320]}
+SMALL_URSONET = {**POSENET, "bottleneck": 8, "hidden": 16, "bins_per_dim": 4}
+SCENES = {"count": 8, "empty": 2, "decoys": 2, "validation": 2, "workers": 0}
+RENDERED = {"data": SCENES, "batch_size": 4}
+ON_DISK = {"data": {"workers": 0}, "backbone_weights": "none"}
+INPUT = {"image_size": [48, 64]}
+
+SMALL = {
+    # scenes: tenths of the sizes, and images enough for each split
+    "--count 5000": "--count 10 --size 128x96",
+    "--count 1000": "--count 2",
+    "--count 100": "--count 2 --size 128x96",
+    "--size 640x480": "--size 64x48",
+    # trainings: an epoch, without the backbone's download, of a network that is soon trained
+    "--epochs 100": TRAINING,
+    "--model small": "--model tiny",
+    "--model base": f"--model tiny {TRAINING}",
+    "--recipe paper": "--recipe paper --model tiny --backbone-weights none"
+    f" --stages {given(STAGES)}",
+    f"--model_fields {given(URSONET)}": f"--model_fields {given({**SMALL_URSONET, **INPUT})}",
+    "configs/soyuz-shared.yaml": f"configs/soyuz-shared.yaml {VIEWS}",
+    "configs/soyuz-easy-robust-begin.yaml": f"configs/soyuz-easy-robust-begin.yaml {VIEWS}",
+    "configs/soyuz-easy-robust.yaml": f"configs/soyuz-easy-robust.yaml {VIEWS}",
+    "configs/soyuz-easy.yaml": f"configs/soyuz-easy.yaml {VIEWS}",
+    "--count 60": "--count 2 --size 64x48",
+    # studies: one run of a variant or two
+    "--seeds 3 --minutes 3": "--seeds 1 --minutes 0.0001 --test-images 2"
+    f" --variants tokens posenet --changes {given(RENDERED)}",
+    "--seeds 2 --minutes 10": "--seeds 1 --minutes 0.0001 --test-images 2"
+    f" --variants base --changes {given(RENDERED)}",
+    "--out runs/table3 --seeds 3": "--out runs/table3 --seeds 1 --epochs 3"
+    " --variants soyuz_hard-tokens soyuz_hard-none"
+    f" --changes {given({**ON_DISK, 'model_fields': {**FILTERFORMER, **INPUT}})}",
+    "--out runs/table4": "--out runs/table4 --seeds 1 --epochs 3 --variants soyuz_hard-ursonet"
+    f" --changes {given({**ON_DISK, 'model_fields': SMALL_URSONET})}",
+    "--out runs/table5": "--out runs/table5 --seeds 1 --epochs 3 --variants KingsCollege-posenet"
+    f" --changes {given({**ON_DISK, 'model_fields': {**POSENET, **INPUT}})}",
+    # graphs: torch takes a minute to record those of the shipped networks
+    "export soyuz-easy": "export posenet.safetensors",
+}
+"""Words of commands, and those that run in their place."""
+
+NOT_RUN = {
+    "make": "installs, tests or builds, which is how the tests came to run",
+    "pip": "installs",
+    "source": "a shell's own",
+    "echo": "with cc, writes a library for one brand of processors",
+    "cc": "needs a C compiler",
+    "LD_PRELOAD=$PWD/mkl.so": "needs that library, in a process that begins with it",
+    "OPENBLAS_NUM_THREADS=1": "measures for a minute, and needs a new process",
+    "camera-process": "stands for the reader's own program",
+    "ffpose-onboard": "is built apart from ffpose; tests/onnx/test_onboard.py runs it",
+    "--ray": "needs a cluster; tests/render/dataset/test_writer.py renders with Ray",
+    "torchrun": "takes the ports of several machines; what it sets in the environment, --processes"
+    " sets too",
+}
+"""Words of commands that do not run here, and the reason."""
+
+COMMANDS = {
+    page: [words for block in code_blocks(text, "sh") for words in commands(block)]
+    for page, text in TEXTS.items()
+}
+
+
+def place(words, phrase):
+    """Return where a phrase begins in a command; None if it does not."""
+    parts = shlex.split(phrase)
+    starts = range(len(words) - len(parts) + 1)
+    return next((n for n in starts if words[n : n + len(parts)] == parts), None)
+
+
+def runs(words):
+    return all(place(words, phrase) is None for phrase in NOT_RUN)
+
+
+RUN = {page: list(filter(runs, lines)) for page, lines in COMMANDS.items()}
+
+
+def in_small(words):
+    """Return what runs in place of a command."""
+    for phrase, small in SMALL.items():
+        if (start := place(words, phrase)) is not None:
+            end = start + len(shlex.split(phrase))
+            words = [*words[:start], *shlex.split(small), *words[end:]]
+    return words
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder to work in, where what no option makes small is small too."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SCRATCH", str(tmp_path / "scratch"))
+    monkeypatch.setattr("ffpose.datasets.scenes.EMPTY_IMAGES", 4)
+    cases = {instruction_set(): [Case("tokens", (4, 6), 1)]}
+    monkeypatch.setattr(bench, "make_plan", lambda quick: Plan(cases, 0.001, ()))
+    monkeypatch.setattr(bench, "ALLOCATORS", ["default"])  # each has a process of its own
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page, lines in RUN.items() if lines])
+def test_the_commands_of_a_page_run_in_its_order(page, folder, capsys):
+    write_files(page, folder)
+    for words in RUN[page]:
+        program, *arguments = map(os.path.expandvars, in_small(words))
+        if program == "python":
+            option, code = arguments
+            assert option == "-c"
+            exec(compile(code, page, "exec"), {"__name__": "__main__"})
+        else:
+            assert program == "ffpose"
+            assert main(arguments) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
+
+
+@pytest.mark.parametrize("phrase", NOT_RUN)
+def test_what_does_not_run_is_in_a_page(phrase):
+    lines = chain.from_iterable(COMMANDS.values())
+    assert any(place(words, phrase) is not None for words in lines)
+
+
+@pytest.mark.parametrize("phrase", SMALL)
+def test_what_is_made_small_is_run(phrase):
+    lines = chain.from_iterable(RUN.values())
+    assert any(place(words, phrase) is not None for words in lines)
+
+
+@pytest.mark.parametrize(
+    ("page", "name"), [(page, name) for page, files in OF_PAGES.items() for name in files]
+)
+def test_a_reader_has_only_what_the_commands_name(page, name):
+    named = set(chain.from_iterable(map(in_small, RUN[page])))
+    assert {name, name.partition("/")[0]} & named
