@@ -88,8 +88,8 @@ NOT_RUN = {
     "camera-process": "stands for the reader's own program",
     "ffpose-onboard": "is built apart from ffpose; tests/onnx/test_onboard.py runs it",
     "--ray": "needs a cluster; tests/render/dataset/test_writer.py renders with Ray",
-    "torchrun": "takes the ports of several machines; what it sets in the environment, --processes"
-    " sets too",
+    "torchrun": "waits for other machines or takes minutes; --processes sets the same environment,"
+    " and tests/training/test_processes.py restarts processes as torchrun does",
 }
 """Words of commands that do not run here, and the reason."""
 
