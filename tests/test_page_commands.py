@@ -55,6 +55,7 @@ SMALL = {
     "--recipe paper": "--recipe paper --model tiny --backbone-weights none"
     f" --stages {given(STAGES)}",
     f"--model_fields {given(URSONET)}": f"--model_fields {given({**SMALL_URSONET, **INPUT})}",
+    "configs/paper/filterformerpose-n5.yaml": "configs/paper/filterformerpose-n5.yaml --model tiny",
     "configs/soyuz-shared.yaml": f"configs/soyuz-shared.yaml {VIEWS}",
     "configs/soyuz-easy-robust-begin.yaml": f"configs/soyuz-easy-robust-begin.yaml {VIEWS}",
     "configs/soyuz-easy-robust.yaml": f"configs/soyuz-easy-robust.yaml {VIEWS}",
