@@ -335,7 +335,10 @@ mod tests {
             };
             // what rounding would carry over to infinity or to zero
             let nans = [0x7f80_0001, 0x7fff_ffff, 0xff80_0001, 0xffff_ffff].map(f32::from_bits);
-            let numbers: Vec<_> = wide.windows(2).flat_map(near).chain(nans.repeat(9)).collect();
+            let infinite = [65_520.0, -65_520.0, 65_519.996, -65_519.996, f32::MAX]; // or just not
+            let any = (0..=u32::MAX).step_by(65_521).map(f32::from_bits); // a prime: all bits vary
+            let numbers = wide.windows(2).flat_map(near).chain(nans.repeat(9)).chain(infinite);
+            let numbers: Vec<_> = numbers.chain(any).collect();
             let mut narrowed = vec![half(0); numbers.len()];
             isa.run(Narrow(&numbers, &mut narrowed));
             for (&number, narrowed) in numbers.iter().zip(&narrowed) {
