@@ -28,12 +28,61 @@ pub(crate) fn fetches_ahead() -> bool {
     [name.ebx, name.edx, name.ecx].map(u32::to_le_bytes).as_flattened() == b"GenuineIntel"
 }
 
+/// From what Linux knows of the first core: where cores are unlike it is a small one, as a rule. A cache that cores share counts
+/// as a whole.
 #[cfg(not(target_arch = "x86_64"))]
 fn detected_l2_cache() -> Option<usize> {
-    None
+    let caches = std::fs::read_dir("/sys/devices/system/cpu/cpu0/cache").ok()?;
+    caches.flatten().find_map(|cache| {
+        let text = |name| std::fs::read_to_string(cache.path().join(name)).unwrap_or_default();
+        l2_bytes(&text("level"), &text("type"), &text("size"))
+    })
 }
 
+/// Bytes of a cache that Linux describes by these texts, if it is an L2 cache that holds data.
+#[cfg(any(test, not(target_arch = "x86_64")))]
+fn l2_bytes(level: &str, kind: &str, size: &str) -> Option<usize> {
+    let holds_data = matches!(kind.trim(), "Unified" | "Data");
+    let kilobytes: usize = size.trim().strip_suffix('K')?.parse().ok()?;
+    (level.trim() == "2" && holds_data && kilobytes > 0).then(|| kilobytes.checked_mul(1 << 10))?
+}
+
+/// Of others it is not known: asking in vain costs less than not asking (see `Tuning`).
 #[cfg(not(target_arch = "x86_64"))]
 pub(crate) fn fetches_ahead() -> bool {
     false
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_l2_cache_is_found_among_what_linux_describes() {
+        let xeon = [
+            ["1\n", "Data\n", "48K\n"],
+            ["1\n", "Instruction\n", "32K\n"],
+            ["2\n", "Unified\n", "1280K\n"],
+            ["3\n", "Unified\n", "49152K\n"],
+        ];
+        let l2 = |caches: &[[&str; 3]]| {
+            caches.iter().find_map(|[level, kind, size]| l2_bytes(level, kind, size))
+        };
+        assert_eq!(l2(&xeon), Some(1280 << 10));
+        assert_eq!(
+            l2(&[["2\n", "Instruction\n", "1024K\n"], ["2\n", "Data\n", "256K\n"]]),
+            Some(1 << 18)
+        );
+        assert_eq!(l2(&xeon[..2]), None);
+    }
+
+    #[test]
+    fn no_size_is_made_up_where_linux_gives_none() {
+        let too_large = format!("{}K\n", usize::MAX);
+        for size in ["", "\n", "K\n", "0K\n", "-1K\n", "1M\n", "1048576\n", &too_large] {
+            assert_eq!(l2_bytes("2\n", "Unified\n", size), None, "{size}");
+        }
+        assert_eq!(l2_bytes("", "Unified\n", "1024K\n"), None);
+        assert_eq!(l2_bytes("2\n", "", "1024K\n"), None);
+    }
 }
