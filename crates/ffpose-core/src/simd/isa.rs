@@ -204,9 +204,10 @@ impl Element for f32 {
     }
 
     fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
-        match isa.0 {
-            Kind::Scalar => algorithm.baseline::<scalar::Scalar<Self>>(),
-            _ => Self::run_tuned(isa, algorithm),
+        if Self::is_tuned(isa) {
+            Self::run_tuned(isa, algorithm);
+        } else {
+            algorithm.baseline::<scalar::Scalar<Self>>();
         }
     }
 
