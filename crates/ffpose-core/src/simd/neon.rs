@@ -203,10 +203,10 @@ unsafe fn load_bf16x4(from: *const Bf16) -> float32x4_t {
 #[target_feature(enable = "neon")]
 unsafe fn store_bf16x4(a: float32x4_t, to: *mut Bf16) {
     let bits = vreinterpretq_u32_f32(a);
-    let odd = vandq_u32(vshrq_n_u32::<16>(bits), vdupq_n_u32(1));
+    let even = vceqzq_u32(vandq_u32(bits, vdupq_n_u32(1 << 16))); // -1 as an integer: the midpoint goes down
     let number = vceqq_f32(a, a); // rounding could carry a NaN over to infinity
-    let bits = vbslq_u32(number, vaddq_u32(bits, odd), vdupq_n_u32(f32::NAN.to_bits()));
-    let halves = vaddhn_u32(bits, vdupq_n_u32(0x7fff));
+    let bits = vbslq_u32(number, bits, vdupq_n_u32(f32::NAN.to_bits()));
+    let halves = vraddhn_u32(bits, even); // the upper half of the sum, rounded
     // SAFETY: the caller promises the elements; the instruction needs no alignment.
     unsafe { vst1_u16(to.cast(), halves) }
 }
