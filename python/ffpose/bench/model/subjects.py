@@ -99,10 +99,8 @@ def subject(name: str, folder: Path, **fields: int) -> Subject:
         known = ", ".join([*CONFIGS, GFNET, "attention"])
         raise FileNotFoundError(f"network: expected one of {known}, or weights; {error}") from error
     if fields:
-        state, source = (
-            load_file(resolve(weights)),
-            replace(source, config=source.config.at_inference(fields)),
-        )
+        state = load_file(resolve(weights))
+        source = replace(source, config=source.config.at_inference(fields))
         weights = folder / "changed.safetensors"
         write_weights(weights, state, source)
     return Subject(
