@@ -28,8 +28,8 @@ pub(crate) fn fetches_ahead() -> bool {
     [name.ebx, name.edx, name.ecx].map(u32::to_le_bytes).as_flattened() == b"GenuineIntel"
 }
 
-/// From what Linux knows of the first core: where cores are unlike it is a small one, as a rule. A cache that cores share counts
-/// as a whole.
+/// From Linux's description of the first core's caches. Where cores differ the first is a small one, as a rule; a cache that cores
+/// share counts as a whole.
 #[cfg(not(target_arch = "x86_64"))]
 fn detected_l2_cache() -> Option<usize> {
     let caches = std::fs::read_dir("/sys/devices/system/cpu/cpu0/cache").ok()?;
@@ -47,7 +47,7 @@ fn l2_bytes(level: &str, kind: &str, size: &str) -> Option<usize> {
     (level.trim() == "2" && holds_data && kilobytes > 0).then(|| kilobytes.checked_mul(1 << 10))?
 }
 
-/// Of others it is not known: asking in vain costs less than not asking (see `Tuning`).
+/// Unknown of other processors: prefetching in vain costs less than not prefetching (see `Tuning`).
 #[cfg(not(target_arch = "x86_64"))]
 pub(crate) fn fetches_ahead() -> bool {
     false
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn no_size_is_made_up_where_linux_gives_none() {
+    fn no_size_is_invented_where_linux_gives_none() {
         let too_large = format!("{}K\n", usize::MAX);
         for size in ["", "\n", "K\n", "0K\n", "-1K\n", "1M\n", "1048576\n", &too_large] {
             assert_eq!(l2_bytes("2\n", "Unified\n", size), None, "{size}");

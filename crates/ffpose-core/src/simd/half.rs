@@ -286,7 +286,7 @@ mod tests {
     }
 
     /// Midpoints go to the even neighbor, and what is next to them to the nearer.
-    fn rounds_between_all_neighbours<H: Stored<Real = f32> + PartialEq + std::fmt::Debug>(
+    fn rounds_between_all_neighbors<H: Stored<Real = f32> + PartialEq + std::fmt::Debug>(
         half: impl Fn(u16) -> H,
         largest: u16,
     ) {
@@ -363,8 +363,8 @@ mod tests {
 
     #[test]
     fn halves_are_rounded_to_nearest_even() {
-        rounds_between_all_neighbours(Bf16, 0x7f7f);
-        rounds_between_all_neighbours(F16, 0x7bff);
+        rounds_between_all_neighbors(Bf16, 0x7f7f);
+        rounds_between_all_neighbors(F16, 0x7bff);
     }
 
     #[test]
