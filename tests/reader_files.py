@@ -60,6 +60,12 @@ def write_filterformer(path):
     write_weights(path, "tiny", FILTERFORMER)
 
 
+def write_looking(path):
+    """Write weights of a network with a second look."""
+    fields = {"first_stride": 2, "object_size": [32, 32], "dim": 16, "bins": 100, "bins_degree": 1}
+    write_weights(path, "compact", fields)
+
+
 def write_picture(path, seed=0):
     width, height = SIZE
     pixels = np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
@@ -88,6 +94,7 @@ OF_PAGES = {
     "docs/datasets.md": {"data/speedplus": partial(write_speedplus, count=4)},
     "docs/deployment.md": {
         "posenet.safetensors": write_posenet,
+        "look.safetensors": write_looking,
         "runs/small/best.safetensors": write_filterformer,
         "calibration_images": write_pictures,
         "images": write_set,

@@ -74,7 +74,9 @@ SMALL = {
     "--out runs/table5": "--out runs/table5 --seeds 1 --epochs 3 --variants KingsCollege-posenet"
     f" --changes {given({**ON_DISK, 'model_fields': {**POSENET, **INPUT}})}",
     # graphs: torch takes a minute to record those of the shipped networks
+    "export soyuz-easy --out quick.onnx": "export look.safetensors --out quick.onnx",
     "export soyuz-easy": "export posenet.safetensors",
+    "model soyuz-easy": "model look.safetensors",
 }
 """Words of commands, and those that run in their place."""
 
