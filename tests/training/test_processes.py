@@ -78,25 +78,24 @@ def test_one_process_is_alone_and_starts_none(monkeypatch):
 WORKER = """
 import os, signal, sys, time
 from pathlib import Path
-from ffpose.training.engine import train
+from ffpose.training import engine
 from ffpose.training.config_file import load_config
-from ffpose.training.processes import Processes
 
-average, steps = Processes.average_gradients, 0
+take_step, steps = engine._step, 0
 
-def until_killed(self, parameters):
+def until_killed(run, rate):
     global steps
     steps += 1
     if steps == 5:
         os.kill(os.getpid(), signal.SIGKILL)
-    average(self, parameters)
+    take_step(run, rate)
 
 if os.environ["TORCHELASTIC_RESTART_COUNT"] == "1":
     time.sleep(float(os.environ["RANK"]))  # rank 0 is early, and looks for rank 1
 elif os.environ["RANK"] == "1":
     Path(sys.argv[2]).touch()
-    Processes.average_gradients = until_killed
-train(load_config(Path(sys.argv[1])), resume=True, quiet=True)
+    engine._step = until_killed
+engine.train(load_config(Path(sys.argv[1])), resume=True, quiet=True)
 """
 
 

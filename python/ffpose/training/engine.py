@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from ffpose.config import looks_twice
 from ffpose.datasets.targets import Target, spread
@@ -31,13 +31,13 @@ from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.events import Events
 from ffpose.training.memory import keep_freed_memory
-from ffpose.training.processes import Processes, joined, started
+from ffpose.training.processes import Processes, accumulating, joined, started
 from ffpose.training.progress import Reporter
 from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
 from ffpose.training.schedule import learning_rate
 from ffpose.training.stages import Epoch, enter_stage, next_epoch
-from ffpose.training.tasks import trained_together
+from ffpose.training.tasks import Objective, trained_together
 
 SELECTED_BY: dict[Target, str] = {"object": "val_esa_score", "camera": "val_scene_score"}
 """Column whose lowest value selects the best epoch; it combines both errors without units.
@@ -280,6 +280,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     enter_stage(run.model, run.task.loss, epoch.stage)
     if epoch.opens_stage:
         run.optimizer = build_optimizer(run.model, run.task.loss, run.config.optimizer)
+    objective = run.processes.parallel(Objective(run.task, run.model, run.device))
     sums = torch.zeros(3, dtype=torch.float64)
     rate, steps, every = 0.0, run.task.steps, run.config.accumulate
     began, batches = time.perf_counter(), Awaited(run.task.batches(seed))
@@ -288,8 +289,10 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
         # Number of batches whose gradients make one step; the last step may have fewer.
         share = min(every, steps - (step - 1) // every * every)
-        values = _gradients(run, batch, epoch, share)
-        if step % every == 0 or step == steps:
+        last = step % every == 0 or step == steps
+        with accumulating(objective, last=last):
+            values = _gradients(run, objective, batch, epoch, share)
+        if last:
             _step(run, rate)
         count = run.task.size(batch)
         sums += values * count
@@ -331,10 +334,10 @@ class Awaited:
             yield item
 
 
-def _gradients(run: Run, batch: Any, epoch: Epoch, share: int) -> Tensor:
+def _gradients(run: Run, objective: nn.Module, batch: Any, epoch: Epoch, share: int) -> Tensor:
     """Accumulate a batch's gradients, divided by ``share``; return its loss terms ``(3,)``."""
     with torch.autocast(run.device.type, torch.bfloat16, enabled=run.config.autocast == "bfloat16"):
-        terms = run.task.terms(run.model, batch, run.device)
+        terms = objective(batch)
     values = torch.stack(terms).detach().double().cpu()
     if not bool(values.isfinite().all()):
         raise NonFiniteLossError(
@@ -350,7 +353,6 @@ def _step(run: Run, rate: float) -> None:
     for group in run.optimizer.param_groups:
         group["lr"] = rate
     parameters = trained_together(run.model, run.task.loss)
-    run.processes.average_gradients(parameters)
     if run.config.optimizer.clip_norm > 0:
         torch.nn.utils.clip_grad_norm_(parameters, run.config.optimizer.clip_norm)
     run.optimizer.step()

@@ -2,9 +2,8 @@
 
 They come from ``torchrun`` (on any number of machines, so that Slurm, Kubernetes or Ray Train can
 launch it), which describes the group in the environment, or from ``ffpose train --processes N`` on
-this machine. Their gradients are averaged before each step, over gloo on CPUs and NCCL on GPUs.
-`torch.nn.parallel.DistributedDataParallel` would do the same through a network's `forward`; a
-network with a second look is trained through its parts. Process 0 writes the files.
+this machine. `torch.nn.parallel.DistributedDataParallel` averages their gradients in the backward
+pass, over gloo on CPUs and NCCL on GPUs. Process 0 writes the files.
 """
 
 from __future__ import annotations
@@ -12,8 +11,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import socket
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ import torch
 from torch import Tensor, distributed, nn
 from torch.distributed.distributed_c10d import PrefixStore, Store
 from torch.distributed.rendezvous import rendezvous
+from torch.nn.parallel import DistributedDataParallel
 
 ENVIRONMENT = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 """The variables of ``torchrun`` that are read."""
@@ -61,13 +62,18 @@ class Processes:
             distributed.all_reduce(values)
         return values
 
-    def average_gradients(self, parameters: Sequence[Tensor]) -> None:
-        """Give every process the mean of all processes' gradients."""
-        grads = [p.grad for p in parameters if p.grad is not None]
-        if self.world > 1 and grads:
-            flat = torch.cat([grad.flatten() for grad in grads])
-            distributed.all_reduce(flat)
-            _scatter(flat / self.world, grads)
+    def parallel(self, objective: nn.Module) -> nn.Module:
+        """Return a module of one result and of gradients that are the mean of all processes'.
+
+        Args:
+            objective: Gives the loss of a batch; all that is trained is in it, and all that is
+                trained gets a gradient. What is frozen must be so already.
+        """
+        if self.world == 1:
+            return objective
+        # A batch of one image gives the class token a gradient of other strides, which is copied.
+        warnings.filterwarnings("ignore", "Grad strides do not match bucket view strides")
+        return DistributedDataParallel(objective)
 
     @torch.no_grad()
     def agree(self, module: nn.Module) -> None:
@@ -76,7 +82,9 @@ class Processes:
         if self.world > 1 and buffers:
             flat = torch.cat([buffer.flatten() for buffer in buffers])
             distributed.broadcast(flat, 0)
-            _scatter(flat, buffers)
+            pieces = torch.split(flat, [each.numel() for each in buffers])
+            for buffer, piece in zip(buffers, pieces, strict=True):
+                buffer.copy_(piece.view_as(buffer))
 
     @contextmanager
     def leader_first(self) -> Iterator[None]:
@@ -146,11 +154,12 @@ def current() -> Processes:
     return Processes(distributed.get_rank(), distributed.get_world_size())
 
 
-def _scatter(flat: Tensor, tensors: Sequence[Tensor]) -> None:
-    """Fill tensors with the consecutive pieces of a flat one."""
-    pieces = torch.split(flat, [each.numel() for each in tensors])
-    for each, piece in zip(tensors, pieces, strict=True):
-        each.copy_(piece.view_as(each))
+def accumulating(objective: nn.Module, *, last: bool) -> AbstractContextManager[None]:
+    """Leave gradients to this process alone until the ``last`` batch of a step."""
+    if last or not isinstance(objective, DistributedDataParallel):
+        return nullcontext()
+    alone: AbstractContextManager[None] = objective.no_sync()
+    return alone
 
 
 @contextmanager

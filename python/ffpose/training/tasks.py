@@ -87,6 +87,25 @@ class Task(Protocol):
         """Iterate over validation images whose object the border cuts; there may be none."""
 
 
+class Objective(nn.Module):
+    """The loss of a batch, as a module of all that is trained.
+
+    Args:
+        task: Gives the loss.
+        model: The network.
+        device: Where it computes.
+    """
+
+    def __init__(self, task: Task, model: PoseNetwork, device: torch.device) -> None:
+        super().__init__()
+        self.model, self.loss = model, task.loss
+        self._task, self._device = task, device
+
+    def forward(self, batch: Any) -> LossTerms:
+        """Return the loss of a batch."""
+        return self._task.terms(self.model, batch, self._device)
+
+
 def _loader(dataset: PoseDataset, batch_size: int, workers: int, **options: Any) -> Any:
     return DataLoader(dataset, batch_size=batch_size, num_workers=workers, **options)
 
