@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from ffpose.errors import DataError, MissingExtraError, hint, require, without_traceback
 from ffpose.files import expect_folder
@@ -80,6 +80,7 @@ def demo(options: Namespace) -> None:
 def render_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `render`."""
     from ffpose.render.layers import LABELS
+    from ffpose.render.scene import Renderer
 
     parser.add_argument("scene", help="soyuz_easy, soyuz_hard or dragon_hard")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
@@ -111,6 +112,12 @@ def render_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--jpeg", type=int, default=0, help="JPEG quality 1-100; 0 is none")
     parser.add_argument("--randomize", type=float, default=0.0, help="domain randomization, 0-1")
+    parser.add_argument(
+        "--renderer",
+        choices=get_args(Renderer),
+        default="ffpose",
+        help="of the spacecraft; mitsuba is a path tracer, 20 times slower",
+    )
 
 
 def render(options: Namespace) -> None:
@@ -132,6 +139,7 @@ def render(options: Namespace) -> None:
         randomization=Randomization.of_strength(options.randomize),
         camera=Camera.read(options.camera) if options.camera else scene.camera,
         craft=load_craft(options.mesh, options.mesh_scale) if options.mesh else scene.craft,
+        renderer=options.renderer,
     )
     written = write_dataset(
         scene,
@@ -448,6 +456,9 @@ def card_arguments(parser: ArgumentParser) -> None:
         "--seed", type=int, default=TEST_SEEDS, help=f"of the scenes, at least {TEST_SEEDS}"
     )
     parser.add_argument("--workers", type=int, default=1, help="processes that render")
+    parser.add_argument(
+        "--mitsuba", action="store_true", help="images of the second renderer too, which is slow"
+    )
     parser.add_argument("--out", type=Path, help="folder for card.json and card.md")
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
@@ -470,6 +481,7 @@ def card(options: Namespace) -> None:
         size=image_size(options.size),
         seed=options.seed,
         workers=options.workers,
+        second_renderer=options.mitsuba,
         progress=True,
     )
     if options.out is not None:

@@ -1,6 +1,7 @@
 """The whole of a model card, at the smallest size, and the tables that it prints."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from ffpose.card.measurement import Shown, answer, measure
 from ffpose.card.statistics import Answers
 from ffpose.card.tables import format_card
 from ffpose.cli import main
+from ffpose.errors import MissingExtraError
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.models import FilterformerPose
 from ffpose.render.dataset.conditions import conditions_of
@@ -188,3 +190,24 @@ def test_the_command_prints_one_document_and_writes_it(weights, tmp_path, capsys
     assert printed["scene"] == "soyuz_easy"
     assert printed["size"] == [64, 48]
     assert sorted(path.name for path in (tmp_path / "card").iterdir()) == ["card.json", "card.md"]
+
+
+@pytest.mark.peer
+def test_images_of_a_second_renderer_are_one_more_condition(weights, document):
+    pytest.importorskip("mitsuba")
+    more = measure(weights, beacon_scene(), count=2, size=(64, 48), second_renderer=True)
+    names = [condition["name"] for condition in more["conditions"]]
+    before = [condition["name"] for condition in document["conditions"]]
+    assert set(names) - set(before) <= {"second renderer", "sunlit only", "eclipse only"}
+    assert names[-1] == "second renderer"
+    assert more["conditions"][-1]["images"] == 2
+    assert not more["notes"]
+    assert "--mitsuba" in document["notes"][0]
+
+
+def test_a_second_renderer_that_is_missing_is_an_error_before_anything_is_rendered(
+    weights, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    with pytest.raises(MissingExtraError, match=r"mitsuba.*\[mitsuba\]"):
+        measure(weights, beacon_scene(), second_renderer=True)

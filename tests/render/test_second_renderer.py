@@ -1,7 +1,8 @@
 """Pictures against a renderer of other people: Mitsuba 3, where it is installed.
 
 ``pip install mitsuba`` brings it; it is too large to ask for everywhere. It has its own camera, its
-own rays and its own reflection; the pose is given to it as a matrix.
+own rays and its own reflection; the pose is given to it as a matrix. The second half tests the
+pictures that we make with it (`ffpose.render.mitsuba`).
 """
 
 from dataclasses import replace
@@ -9,15 +10,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffpose.geometry import Camera
-from ffpose.render import SCENES, label, render_layers
+from ffpose.geometry import Camera, Pose
+from ffpose.render import SCENES, label, mitsuba, render, render_layers
 from ffpose.render.renderer import prepared
 from ffpose.render.shading.finish import Surface
-from ffpose.render.shading.reflection import HIGHLIGHT_LIMIT, Light, reflected, sun_visible
+from ffpose.render.shading.reflection import (
+    EARTH_COLOR,
+    HIGHLIGHT_LIMIT,
+    Light,
+    reflected,
+    sun_visible,
+)
 from ffpose.render.shading.tracer import Hits
 from ffpose.render.shading.view import View
+from ffpose.render.spacecraft.craft import Craft
+from ffpose.render.spacecraft.materials import Material
+from ffpose.render.spacecraft.mesh import Mesh
 
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed")
+drjit = pytest.importorskip("drjit")
 mi.set_variant("scalar_rgb")
 
 pytestmark = pytest.mark.peer
@@ -134,3 +145,113 @@ def our_metal(roughness, sun, eye):
         np.float32(sun), np.float32([0, 0, -1]), 0.0, 0.34, 1.0, 0.0, np.ones((3, 1), np.float32)
     )
     return reflected(surface, view, light, one, 0 * one)[0, 0]
+
+
+WHITE = Material((1.0, 1.0, 1.0), roughness=1.0)
+HORIZON = 0.34
+FLAT = Camera(64, 48, 64.0, 66.0, 30.0, 25.0)
+"""Neither square pixels nor a center in the middle."""
+
+
+def plate():
+    """A white square of 2 m in the plane z = 0 of the object frame."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return Craft(
+        "plate", Mesh(corners, faces, np.zeros((2, 3, 2)), np.zeros(2, np.int32)), (WHITE,)
+    )
+
+
+def light_of(pose, **parts):
+    """A light of the camera frame."""
+    values = {"sun": (0, 0, -1), "nadir": (0, 0, -1), "earth": 0.0, "sunlight": 0.0, "lamp": 0.0}
+    values |= parts
+    turned = {k: np.float32(pose.rotation.T @ np.float64(values.pop(k))) for k in ("sun", "nadir")}
+    return Light(**turned, horizon=HORIZON, tint=np.ones((3, 1), np.float32), **values)
+
+
+def drawn(pose, light, craft=None):
+    """What Mitsuba adds to a black image, and to a white one."""
+    pictures = []
+    for background in (0.0, 1.0):
+        radiance = np.full((FLAT.height, FLAT.width, 3), background, np.float32)
+        rng = np.random.default_rng(0)
+        mitsuba.draw_craft(radiance, FLAT, pose, craft or plate(), light, rng)
+        pictures.append(radiance)
+    return pictures
+
+
+def turned_plate(seed, t=(0.3, -0.2, 5.0)):
+    """A pose in which the plate faces the camera, turned about the viewing axis."""
+    angle = np.random.default_rng(seed).uniform(0, np.pi)
+    return Pose(t, (np.cos(angle), 0, 0, np.sin(angle)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        # Irradiance of the sun over pi: the cosine. Of a disk of sky about the normal: sin².
+        ({"sunlight": 1.0}, (1, 1, 1)),
+        ({"sunlight": 1.0, "sun": (0.6, 0, -0.8)}, (0.8, 0.8, 0.8)),
+        ({"earth": 1.0}, (1 - HORIZON**2) * np.array(EARTH_COLOR)),
+        ({"earth": 1.0, "nadir": (0, 0, 1)}, (0, 0, 0)),
+        ({"lamp": 25.0}, (1, 1, 1)),
+    ],
+)
+def test_a_white_plate_has_the_radiance_of_its_light(parts, expected, seed):
+    pose = turned_plate(seed)
+    shown, _ = drawn(pose, light_of(pose, **parts))
+    v, u = (int(c) for c in reversed(FLAT.project(pose.t)))
+    # Burley's diffuse term and the 4 % of reflection leave Lambert's by a few percent.
+    middle = shown[v - 3 : v + 4, u - 3 : u + 4].mean((0, 1))
+    np.testing.assert_allclose(middle, expected, rtol=0.1, atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_plate_covers_what_its_corners_project_to(seed):
+    """The area and the middle of the silhouette, by the shoelace formula."""
+    pose = turned_plate(seed)
+    black, white = drawn(pose, light_of(pose, sunlight=1.0))
+    cover = (1 - (white - black))[..., 0]
+    u, v = FLAT.project(pose.transform(plate().mesh.vertices)).T
+    area = abs(np.sum(u * np.roll(v, -1) - v * np.roll(u, -1))) / 2
+    assert cover.sum() == pytest.approx(area, rel=5e-3)
+    rows, columns = np.mgrid[: FLAT.height, : FLAT.width] + 0.5
+    middle = [(cover * at).sum() / cover.sum() for at in (columns, rows)]
+    np.testing.assert_allclose(middle, FLAT.project(pose.t), atol=0.05)
+
+
+def test_only_emission_shines_without_light():
+    """On the outer side of its faces, which is seen from -z of the camera after half a turn."""
+    craft = plate()
+    lit = replace(craft, materials=(replace(WHITE, emission=(3.0, 0.1, 0.2)),))
+    pose = Pose((0.3, -0.2, 5.0), (0, 1, 0, 0))
+    for each, expected in ((craft, (0, 0, 0)), (lit, (3.0, 0.1, 0.2))):
+        shown, _ = drawn(pose, light_of(pose), each)
+        assert shown.max((0, 1)).tolist() == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["soyuz_easy", "dragon_hard"])
+def test_their_pictures_show_what_ours_show(name):
+    """The same silhouettes, and about the same light: they count what surfaces light each other."""
+    ratios = []
+    for index in range(6):
+        ours, theirs = (
+            render(replace(SCENES[name], renderer=renderer), 9, index, (160, 120))
+            for renderer in ("ffpose", "mitsuba")
+        )
+        assert theirs.pose == ours.pose
+        mask = render_layers(SCENES[name], 9, index, (160, 120)).mask
+        ratios.append(theirs.image[mask].mean() / ours.image[mask].mean())
+    assert np.median(ratios) == pytest.approx(1, abs=0.1), ratios
+
+
+def test_their_pictures_do_not_depend_on_threads():
+    scene = replace(SCENES["soyuz_easy"], renderer="mitsuba")
+    pictures = []
+    for threads in (1, 2):
+        drjit.set_thread_count(threads)
+        pictures.append(render(scene, 9, 0, (96, 72)).image)
+    drjit.set_thread_count(2)
+    assert np.array_equal(*pictures)

@@ -13,6 +13,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -48,10 +49,7 @@ BATCH = 16
 BASELINE_SEED, BASELINE_LABELS = 0, 1000
 """Seed and number of labels whose mean is the constant pose; the seed is one of training's."""
 
-SECOND_RENDERER = (
-    "No images of a second renderer: Mitsuba checks silhouettes, depths and shadows "
-    "(tests/render/test_second_renderer.py), but does not render the materials."
-)
+ONE_RENDERER = "No images of a second renderer; ffpose card --mitsuba adds them."
 
 
 class Shown(NamedTuple):
@@ -123,6 +121,7 @@ def measure(
     size: tuple[int, int] = (640, 480),
     seed: int = TEST_SEEDS,
     workers: int = 1,
+    second_renderer: bool = False,
     progress: bool = False,
 ) -> dict[str, Any]:
     """Measure weights under each condition.
@@ -134,6 +133,8 @@ def measure(
         size: ``(width, height)`` of the images before preprocessing.
         seed: Seed of the scenes, at least `ffpose.training.config.TEST_SEEDS`, which are held out.
         workers: Number of processes that render.
+        second_renderer: Add images of Mitsuba (`ffpose.render.mitsuba`), which takes seconds for
+            each.
         progress: Show progress on standard error.
 
     Returns:
@@ -147,13 +148,15 @@ def measure(
         FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
         ValueError: The weights cannot be used, the set is unknown, ``seed`` is below
             `ffpose.training.config.TEST_SEEDS`, or a number is out of range.
-        MissingExtraError: The extra `render` is not installed.
+        MissingExtraError: The extra `render`, or `mitsuba`, is not installed.
     """
     _check_numbers(count, seed, workers)
+    if second_renderer:
+        require("mitsuba", "mitsuba")
     scene = require("ffpose.render", "render").get_scene(scene) if isinstance(scene, str) else scene
     camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
     metadata = describe(weights)
-    plan = _plan(scene, metadata, count, size, seed, workers)
+    plan = _plan(scene, metadata, count, size, seed, workers, second_renderer)
     predictor = _open_network(weights, choose_preprocessing(metadata, camera, any_camera=True))
     began = time.perf_counter()
     answers = answer(predictor, _with_bar(plan, show=progress))
@@ -169,7 +172,7 @@ def measure(
         "in_view_threshold": metadata.in_view_threshold,
         "seconds": time.perf_counter() - began,
         **_results(plan, answers, metadata.in_view_threshold),
-        "notes": [SECOND_RENDERER],
+        "notes": [] if second_renderer else [ONE_RENDERER],
     }
 
 
@@ -198,15 +201,16 @@ def _plan(
     size: tuple[int, int],
     seed: int,
     workers: int,
+    second_renderer: bool,
 ) -> Plan:
     """Plan the images for a network; only one with a second look is tested for the flag."""
     from ffpose.render.variations import variations, without_object
 
     config = metadata.config
+    vary = partial(variations, scene, second_renderer=second_renderer)
     if not looks_twice(config):
-        with_object = variations(scene, scene.distance_m[1])
-        return Plan(with_object, [], [], count, size, seed, workers)
-    with_object, without = variations(scene, config.distance_m[1]), without_object(scene)
+        return Plan(vary(scene.distance_m[1]), [], [], count, size, seed, workers)
+    with_object, without = vary(config.distance_m[1]), without_object(scene)
     return Plan(with_object, without, list(PICTURES), count, size, seed, workers)
 
 

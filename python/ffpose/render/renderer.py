@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.geometry import Camera, Pose
+from ffpose.render import mitsuba
 from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
 from ffpose.render.scene import Scene, get_scene
 from ffpose.render.shading.randomization import backdrop, stops
@@ -157,7 +158,10 @@ def shoot_each(
         if scene.randomization.materials > 0:
             finish = finish.varied(scene.randomization.materials, odd_rng)
         light = _object_light(pose, around, scene.randomization.light, odd_rng)
-        lit = _draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
+        if scene.renderer == "mitsuba":
+            lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
+        else:
+            lit = _draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
     shots = []
     for sensor in sensors:
         rng = copy.deepcopy(sensor_rng)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.render.shading.randomization import Randomization
@@ -13,6 +13,10 @@ from ffpose.render.spacecraft.craft import Craft, build_craft
 ORBIT_ECLIPSE_RATE = 0.34
 """Share of its time that a station spends in the Earth's shadow, 410 km up at 51.6 degrees of
 inclination: 39 % of an orbit when the sun lies in its plane, 34 % in the mean over the year."""
+
+
+Renderer = Literal["ffpose", "mitsuba"]
+"""What renders the spacecraft: `ffpose.render.shading`, or `ffpose.render.mitsuba`."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,7 @@ class Scene:
         camera: the camera at full size; images of other sizes are this one resized.
         sensor: how light becomes numbers.
         randomization: how far pictures leave what is real; not at all by default.
+        renderer: what renders the spacecraft; sky and Earth are always ours.
     """
 
     name: str
@@ -46,8 +51,15 @@ class Scene:
     camera: Camera = URSO_CAMERA
     sensor: Sensor = field(default_factory=Sensor)
     randomization: Randomization = field(default_factory=Randomization)
+    renderer: Renderer = "ffpose"
 
     def __post_init__(self) -> None:
+        if self.renderer not in get_args(Renderer):
+            raise ValueError(
+                f"renderer: expected one of {', '.join(get_args(Renderer))}, got {self.renderer!r}"
+            )
+        if self.renderer == "mitsuba" and self.randomization.materials > 0:
+            raise ValueError("renderer: expected ffpose for randomized materials, got 'mitsuba'")
         least, most = self.distance_m
         if not 0 < least <= most:
             raise ValueError(f"distance_m: expected 0 < least <= most, got {self.distance_m}")

@@ -68,12 +68,15 @@ class Variation:
         return replace(self.scene, sensor=Sensor()), self.empty
 
 
-def variations(scene: Scene, farthest_m: float) -> list[Variation]:
+def variations(
+    scene: Scene, farthest_m: float, *, second_renderer: bool = False
+) -> list[Variation]:
     """The set over all attitudes, as trained, and what training had not.
 
     Args:
         scene: a set.
         farthest_m: the farthest distance of training.
+        second_renderer: whether Mitsuba's pictures are among them.
     """
     scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
     least, most = CUT
@@ -81,6 +84,11 @@ def variations(scene: Scene, farthest_m: float) -> list[Variation]:
     lateral = scene.lateral_m * beyond / scene.distance_m[1]
     far = replace(scene, distance_m=(farthest_m, beyond), lateral_m=lateral)
     jpeg = replace(scene.sensor, jpeg_quality=JPEG_QUALITY)
+    mitsuba = Variation(
+        "second renderer",
+        "the spacecraft rendered by Mitsuba 3",
+        replace(scene, renderer="mitsuba"),
+    )
     return [
         Variation("as trained", "the set's own scenes, all attitudes", scene),
         Variation(
@@ -106,6 +114,7 @@ def variations(scene: Scene, farthest_m: float) -> list[Variation]:
             scene.cut(least, most),
         ),
         Variation("beyond range", f"{farthest_m:g} to {beyond:.3g} m", far),
+        *([mitsuba] if second_renderer else []),
     ]
 
 

@@ -20,6 +20,7 @@ from PIL import Image
 from ffpose.geometry import Pose
 from ffpose.render import (
     SCENES,
+    Randomization,
     coordinates_limit,
     get_scene,
     label,
@@ -372,6 +373,29 @@ def test_ray_that_is_missing_is_named(tmp_path):
     with pytest.raises(ImportError, match=r"WHEEL\[ray\]"):
         write_dataset("soyuz_easy", tmp_path / "new", 3, seed=7, size=SIZE, ray=True)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_second_renderer_that_is_missing_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    scene = replace(SCENES["soyuz_easy"], renderer="mitsuba")
+    with pytest.raises(ImportError, match=r"WHEEL\[mitsuba\]"):
+        write_dataset(scene, tmp_path / "new", 3, size=SIZE)
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"renderer": "blender"}, "renderer: expected one of ffpose, mitsuba, got 'blender'"),
+        (
+            {"renderer": "mitsuba", "randomization": Randomization.of_strength(0.5)},
+            "expected ffpose for randomized materials",
+        ),
+    ],
+)
+def test_what_a_renderer_cannot_do_is_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        replace(SCENES["soyuz_easy"], **fields)
 
 
 def test_unwritable_folder_is_an_os_error(tmp_path):

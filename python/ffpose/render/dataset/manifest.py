@@ -54,8 +54,9 @@ class Manifest:
         }
         if "coordinates" in labels:
             parameters["coordinates_limit_m"] = coordinates_limit(scene.build())
+        second = ("mitsuba",) if scene.renderer == "mitsuba" else ()
         # Through JSON, so that it compares equal to one that was read.
-        return cls(json.loads(json.dumps(parameters)), package_versions(*PACKAGES))
+        return cls(json.loads(json.dumps(parameters)), package_versions(*PACKAGES, *second))
 
     @classmethod
     def read(cls, path: Path) -> Manifest | None:

@@ -49,14 +49,16 @@ class Job(NamedTuple):
     labels: tuple[str, ...]
 
 
-def prepare(ray: bool) -> None:
+def prepare(scene: Scene, ray: bool) -> None:
     """Check that the renderer's packages are installed, and connect to Ray if it is used.
 
     Raises:
-        MissingExtraError: A package of the extra `render`, or `ray`, is not installed.
+        MissingExtraError: A package of the extra `render`, or `mitsuba` or `ray`, is not installed.
     """
     for package in ("embreex", "PIL", "rich"):
         require(package, "render")
+    if scene.renderer == "mitsuba":
+        require("mitsuba", "mitsuba")
     if ray:
         _joined_ray()
 

@@ -94,7 +94,7 @@ def write_dataset(
         DataError: The folder's manifest cannot be read.
         OSError: The folder cannot be written to, or the disk is full. Images already written stay,
             and the next run resumes from them.
-        MissingExtraError: A package of the extra `render`, or `ray`, is not installed.
+        MissingExtraError: A package of the extra `render`, `mitsuba` or `ray` is not installed.
     """
     begin = time.perf_counter()
     scene = get_scene(scene) if isinstance(scene, str) else scene
@@ -102,7 +102,7 @@ def write_dataset(
     _check_range(seed=(seed, 0, 2**63 - 1), workers=(workers, 1, 1024))
     camera = camera_of(scene, size)
     label(scene, seed, start)  # a scene that allows no pose fails before a file is written
-    prepare(ray)
+    prepare(scene, ray)
     job = Job(scene, seed, (camera.width, camera.height), Path(out), check_labels(labels))
     manifest = Manifest.of(scene, seed, job.size, job.labels)
     begun = _begun(job, manifest)
