@@ -14,5 +14,10 @@ TEXTS = {
 
 def code_blocks(text, *languages):
     """Return the code blocks of these languages in a page."""
-    fence = re.compile(rf"^```(?:{'|'.join(languages)})\n(.*?)^```", re.DOTALL | re.MULTILINE)
+    return [code for _, code in blocks_in_order(text, *languages)]
+
+
+def blocks_in_order(text, *languages):
+    """Return language and code of each block of these languages in a page."""
+    fence = re.compile(rf"^```({'|'.join(languages)})\n(.*?)^```", re.DOTALL | re.MULTILINE)
     return fence.findall(text)

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 import trimesh
 from PIL import Image
 
@@ -43,17 +44,14 @@ def write_checkout(folder):
 
 
 def write_weights(path, model, fields):
-    """Write random weights that know the camera of small images."""
+    """Write random weights, always the same, that know the camera of small images."""
+    torch.manual_seed(1)
     width, height = SIZE
     camera = (VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
     fields = {**fields, "image_size": [height, width], "camera": camera}
     path.parent.mkdir(parents=True, exist_ok=True)
     network = build_network(model, backbone_weights="none", **fields)
     network.save_pretrained(path, preprocessing=Preprocessing((height, width)))
-
-
-def write_posenet(path):
-    write_weights(path, "posenet", POSENET)
 
 
 def write_filterformer(path):
@@ -90,10 +88,9 @@ def write_mesh(path):
 
 
 OF_PAGES = {
-    "README.md": {"posenet.safetensors": write_posenet},
+    "README.md": {"look.safetensors": write_looking},
     "docs/datasets.md": {"data/speedplus": partial(write_speedplus, count=4)},
     "docs/deployment.md": {
-        "posenet.safetensors": write_posenet,
         "look.safetensors": write_looking,
         "runs/small/best.safetensors": write_filterformer,
         "calibration_images": write_pictures,
@@ -106,7 +103,7 @@ OF_PAGES = {
         "image.png": write_picture,
         "camera.json": write_camera,
     },
-    "docs/onboard.md": {"posenet.safetensors": write_posenet},
+    "docs/onboard.md": {"look.safetensors": write_looking},
     "docs/scenes.md": {"camera.json": write_camera, "satellite.glb": write_mesh},
     "docs/training.md": {
         "URSO/soyuz_hard": write_set,

@@ -8,6 +8,7 @@ other programs too, so that a page that gets a new one has to say what becomes o
 import json
 import os
 import shlex
+from importlib.util import find_spec
 from itertools import chain
 
 import pytest
@@ -16,7 +17,7 @@ from ffpose.arrays import instruction_set
 from ffpose.bench.filter import run as bench
 from ffpose.bench.filter.cases import Case, Plan
 from ffpose.cli import main
-from pages import TEXTS, code_blocks
+from pages import TEXTS, blocks_in_order, code_blocks
 from reader_files import FILTERFORMER, OF_PAGES, POSENET, write_files
 from shell_lines import commands
 
@@ -74,8 +75,7 @@ SMALL = {
     "--out runs/table5": "--out runs/table5 --seeds 1 --epochs 3 --variants KingsCollege-posenet"
     f" --changes {given({**ON_DISK, 'model_fields': {**POSENET, **INPUT}})}",
     # graphs: torch takes a minute to record those of the shipped networks
-    "export soyuz-easy --out quick.onnx": "export look.safetensors --out quick.onnx",
-    "export soyuz-easy": "export posenet.safetensors",
+    "export soyuz-easy": "export look.safetensors",
     "model soyuz-easy": "model look.safetensors",
 }
 """Words of commands, and those that run in their place."""
@@ -97,6 +97,12 @@ NOT_RUN = {
 }
 """Words of commands that do not run here, and the reason."""
 
+SMALL_CODE = {"range(5000)": "range(4)"}
+"""Code of the pages, and what runs in its place."""
+
+NEEDED = {"import ray": "ray"}
+"""Code of the pages that runs where a package is installed."""
+
 COMMANDS = {
     page: [words for block in code_blocks(text, "sh") for words in commands(block)]
     for page, text in TEXTS.items()
@@ -114,7 +120,18 @@ def runs(words):
     return all(place(words, phrase) is None for phrase in NOT_RUN)
 
 
-RUN = {page: list(filter(runs, lines)) for page, lines in COMMANDS.items()}
+RUN = {
+    page: [
+        step
+        for language, block in blocks_in_order(text, "sh", "py")
+        for step in (filter(runs, commands(block)) if language == "sh" else [block])
+    ]
+    for page, text in TEXTS.items()
+}
+"""For each page its commands, as words, and its blocks of Python, in order."""
+
+RUN_COMMANDS = {page: [s for s in steps if not isinstance(s, str)] for page, steps in RUN.items()}
+CODE = [step for steps in RUN.values() for step in steps if isinstance(step, str)]
 
 
 def in_small(words):
@@ -138,19 +155,29 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+def run_code(code, page):
+    if all(mark not in code or find_spec(package) for mark, package in NEEDED.items()):
+        for words, small in SMALL_CODE.items():
+            code = code.replace(words, small)
+        exec(compile(code, page, "exec"), {"__name__": "__main__"})
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page, lines in RUN.items() if lines])
+@pytest.mark.parametrize("page", [page for page, steps in RUN.items() if steps])
 def test_the_commands_of_a_page_run_in_its_order(page, folder, capsys):
     write_files(page, folder)
-    for words in RUN[page]:
-        program, *arguments = map(os.path.expandvars, in_small(words))
+    for step in RUN[page]:
+        if isinstance(step, str):
+            run_code(step, page)
+            continue
+        program, *arguments = map(os.path.expandvars, in_small(step))
         if program == "python":
             option, code = arguments
             assert option == "-c"
-            exec(compile(code, page, "exec"), {"__name__": "__main__"})
+            run_code(code, page)
         else:
             assert program == "ffpose"
-            assert main(arguments) == 0, f"{shlex.join(words)}\n{capsys.readouterr().err}"
+            assert main(arguments) == 0, f"{shlex.join(step)}\n{capsys.readouterr().err}"
 
 
 @pytest.mark.parametrize("phrase", NOT_RUN)
@@ -161,13 +188,18 @@ def test_what_does_not_run_is_in_a_page(phrase):
 
 @pytest.mark.parametrize("phrase", SMALL)
 def test_what_is_made_small_is_run(phrase):
-    lines = chain.from_iterable(RUN.values())
+    lines = chain.from_iterable(RUN_COMMANDS.values())
     assert any(place(words, phrase) is not None for words in lines)
+
+
+@pytest.mark.parametrize("words", [*SMALL_CODE, *NEEDED])
+def test_code_that_is_changed_or_left_out_is_in_a_page(words):
+    assert any(words in code for code in CODE)
 
 
 @pytest.mark.parametrize(
     ("page", "name"), [(page, name) for page, files in OF_PAGES.items() for name in files]
 )
 def test_a_reader_has_only_what_the_commands_name(page, name):
-    named = set(chain.from_iterable(map(in_small, RUN[page])))
+    named = set(chain.from_iterable(map(in_small, RUN_COMMANDS[page])))
     assert {name, name.partition("/")[0]} & named
