@@ -121,12 +121,48 @@ def test_the_library_gives_what_torch_gives(mixed, tmp_path):
         np.testing.assert_allclose(values, expected, rtol=0, atol=2e-5)
 
 
-def test_a_graph_that_differs_is_not_written(tmp_path):
-    with pytest.raises(RuntimeError, match=r"at most -1, got .*; no file was written"):
-        ffpose.onnx.export(
-            nn.Linear(8, 4).eval(), (torch.randn(2, 8),), tmp_path / "a.onnx", tolerance=-1
-        )
+def test_a_graph_that_differs_is_not_written(tmp_path, monkeypatch):
+    other, record = nn.Linear(8, 4).eval(), exporter.record
+    monkeypatch.setattr(exporter, "record", lambda _, *args: record(other, *args))
+    with pytest.raises(
+        RuntimeError, match=r"at most 0\.0001, or by 8 .*, got .* from float64: .*; no file was"
+    ):
+        ffpose.onnx.export(nn.Linear(8, 4).eval(), (torch.randn(2, 8),), tmp_path / "a.onnx")
     assert list(tmp_path.iterdir()) == []
+
+
+class Amplified(nn.Module):
+    """A filter whose rounding grows a thousandfold."""
+
+    def __init__(self):
+        super().__init__()
+        self.filter = GlobalFilter(8, h=6, w=4)
+        nn.init.normal_(self.filter.complex_weight)
+
+    def forward(self, x):
+        return torch.sin(1e4 * self.filter(x))
+
+
+def test_a_graph_that_loses_the_digits_its_module_loses_is_written(tmp_path):
+    torch.manual_seed(0)
+    module, x = Amplified().eval(), torch.randn(2, 36, 8)
+    (found,) = ffpose.onnx.export(module, (x,), tmp_path / "a.onnx", "matmul").differences.values()
+    assert found > exporter.TOLERANCE
+    exact = deepcopy(module).double()(x.double())
+    assert (module(x) - exact).abs().max() > exporter.TOLERANCE
+
+
+class InFloat32(Amplified):
+    def forward(self, x):
+        return super().forward(x.float())
+
+
+def test_a_module_that_float64_cannot_run_has_the_tolerance_alone(tmp_path):
+    torch.manual_seed(0)
+    with pytest.raises(RuntimeError, match=r"from float64: 0\)"):
+        ffpose.onnx.export(
+            InFloat32().eval(), (torch.randn(2, 36, 8),), tmp_path / "a.onnx", "matmul"
+        )
 
 
 def test_a_module_without_filters_needs_no_library(tmp_path, monkeypatch):

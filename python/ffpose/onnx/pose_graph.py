@@ -53,8 +53,8 @@ def export_weights(
         weights: A weights file, or the name of weights that come with the package.
         path: The ONNX file to write; its folder must exist.
         filter: ``"custom"`` or ``"matmul"``, as `ffpose.onnx.export`.
-        tolerance: Largest difference of graph and network, on random images, that is taken for
-            rounding.
+        tolerance: Difference of graph and network on random images that is taken for rounding,
+            whatever the network (`ffpose.onnx.export`).
         say: Is told what is under way.
         **fields: Fields of the network to change, as in `ffpose.models.load_network`.
 
@@ -62,7 +62,7 @@ def export_weights(
         FileNotFoundError: No such weights, or the operator's library is not installed.
         ffpose.DataError: The weights cannot be used.
         ValueError: An unknown filter or field.
-        RuntimeError: Graph and network differ by more than ``tolerance``.
+        RuntimeError: Graph and network differ by more than rounding.
     """
     if Path(path).suffix != ".onnx":
         raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
