@@ -5,7 +5,6 @@ import torch
 from torch import nn
 
 from ffpose.nn import FILTERS, Filterformer, FilterformerBlock, SpectralFilter, make_filter
-from ffpose.nn.filterformer import SelfAttention
 
 GRID, DIM = (3, 4), 8
 
@@ -58,61 +57,6 @@ def test_block_is_three_residual_sublayers():
     normed = block.feed_forward.norm(expected)
     expected = expected + block.feed_forward.sublayer(normed)
     torch.testing.assert_close(block(x), expected)
-
-
-def attentions(dim=24, heads=3, dropout=0.0):
-    """Ours and torch's from the same seed, ours under the name that its files give it."""
-    torch.manual_seed(1)
-    theirs = nn.MultiheadAttention(dim, heads, dropout=dropout, batch_first=True)
-    torch.manual_seed(1)
-    return SelfAttention(dim, heads, dropout), theirs
-
-
-def test_attention_starts_as_torchs_and_has_its_names():
-    ours, theirs = attentions()
-    expected = {f"attention.{name}": value for name, value in theirs.state_dict().items()}
-    assert ours.state_dict().keys() == expected.keys()
-    assert all(torch.equal(value, expected[name]) for name, value in ours.state_dict().items())
-
-
-@pytest.mark.parametrize("training", [False, True])
-@pytest.mark.parametrize("shape", [(1, 1, 24), (2, 50, 24), (3, 197, 24)])
-def test_attention_gives_torchs_numbers_and_gradients(shape, training):
-    ours, theirs = (module.train(training) for module in attentions())
-    for bias in (theirs.in_proj_bias, theirs.out_proj.bias):  # they start at zero
-        nn.init.normal_(bias)
-    ours.attention.load_state_dict(theirs.state_dict())
-    x = torch.randn(shape, requires_grad=True)
-    found = []
-    for y, module in ((ours(x), ours), (theirs(x, x, x, need_weights=False)[0], theirs)):
-        found.append((y, *torch.autograd.grad(y.square().sum(), (x, *module.parameters()))))
-    for got, wanted in zip(*found, strict=True):
-        torch.testing.assert_close(got, wanted, rtol=0, atol=2e-6 * wanted.abs().max().item())
-
-
-def test_attention_drops_its_weights_in_training_alone():
-    ours, theirs = attentions(dropout=0.5)
-    x = torch.randn(1, 5, 24)
-    expected = theirs.eval()(x, x, x)[0]
-    torch.testing.assert_close(ours.eval()(x), expected)
-    with torch.no_grad():
-        drawn = torch.cat([ours.train()(x) for _ in range(2000)])
-    assert not torch.allclose(drawn[0], drawn[1])
-    # The result is linear in the weights, so that its mean is the result without dropout.
-    error = (drawn.mean(0) - expected[0]) / (drawn.std(0) / len(drawn) ** 0.5)
-    assert error.abs().max() < 5
-
-
-@pytest.mark.parametrize("autocast", [False, True])
-def test_attention_in_bfloat16(autocast):
-    ours, theirs = attentions()
-    x = torch.randn(2, 50, 24)
-    expected = theirs.eval()(x, x, x)[0]
-    ours = ours.eval() if autocast else ours.eval().bfloat16()
-    with torch.autocast("cpu", torch.bfloat16, enabled=autocast):
-        got = ours(x if autocast else x.bfloat16())
-    assert got.dtype == torch.bfloat16
-    assert (got.float() - expected).abs().max() < 2**-6 * expected.abs().max()
 
 
 def test_pose_token_stays_out_of_the_filter():

@@ -15,9 +15,9 @@ from typing import get_args
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import linear, scaled_dot_product_attention
 
 from ffpose.choices import FilterKind, NormPlace
+from ffpose.nn.attention import SelfAttention
 from ffpose.nn.spectral import INIT_STD, SpectralFilter
 
 FILTERS: tuple[FilterKind, ...] = get_args(FilterKind)
@@ -53,45 +53,6 @@ def make_filter(
             return None
         case _:
             raise ValueError(f"filter: expected one of {FILTERS}, got {kind!r}")
-
-
-class SelfAttention(nn.Module):
-    """Multi-head self-attention (Eq. 4-6).
-
-    ``attention`` holds and initializes the parameters, and its forward would give the same result,
-    but in evaluation on CPUs that writes all ``N x N`` scores to memory. This forward uses
-    `scaled_dot_product_attention`, which processes the scores in blocks, in training as well; only
-    with dropout of attention weights torch has no such CPU kernel, and writing all scores makes a
-    step of ``base`` four times as long.
-
-    Args:
-        dim: Number of channels.
-        heads: Number of heads; divides ``dim``.
-        dropout: Dropout rate of the attention weights.
-        queries: Number of leading tokens that attend to all; None: every token.
-    """
-
-    def __init__(self, dim: int, heads: int, dropout: float, queries: int | None = None) -> None:
-        super().__init__()
-        self.attention = nn.MultiheadAttention(dim, heads, dropout=dropout, batch_first=True)
-        self.queries = queries
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return ``(B, queries, dim)`` for ``x (B, N, dim)``, or ``(B, N, dim)`` for all."""
-        attention = self.attention
-        batch, _, dim = x.shape
-        weights = attention.in_proj_weight.view(3, dim, dim)
-        biases = attention.in_proj_bias.view(3, dim)
-        query, key, value = (
-            linear(tokens, weights[part], biases[part])
-            .view(batch, tokens.shape[1], attention.num_heads, attention.head_dim)
-            .transpose(1, 2)
-            for part, tokens in enumerate((x[:, : self.queries], x, x))
-        )  # each (B, heads, N, dim / heads)
-        dropout = attention.dropout if self.training else 0.0
-        mixed = scaled_dot_product_attention(query, key, value, dropout_p=dropout)
-        result: Tensor = attention.out_proj(mixed.transpose(1, 2).flatten(2))
-        return result
 
 
 class Residual(nn.Module):

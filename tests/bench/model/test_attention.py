@@ -26,7 +26,7 @@ from ffpose.bench.timing import OURS, Timing
 from ffpose.cli import main
 from ffpose.config import CONFIGS, PRESETS
 from ffpose.nn import SpectralFilter
-from ffpose.nn.filterformer import SelfAttention
+from ffpose.nn.attention import SelfAttention
 
 
 @pytest.fixture(autouse=True)

@@ -20,7 +20,7 @@ from ffpose.bench.timing import OURS, Contender
 from ffpose.choices import FilterKind
 from ffpose.models import FilterformerPose
 from ffpose.nn import GlobalFilter, SpectralFilter
-from ffpose.nn.filterformer import SelfAttention
+from ffpose.nn.attention import SelfAttention
 
 Task = Literal["inference", "training step"]
 TASKS: tuple[Task, ...] = get_args(Task)

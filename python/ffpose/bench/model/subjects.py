@@ -22,7 +22,7 @@ from ffpose.models import FilterformerPose, read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.models.zoo import resolve
 from ffpose.nn import GlobalFilter, PositionCode, SpectralFilter
-from ffpose.nn.filterformer import SelfAttention
+from ffpose.nn.attention import SelfAttention
 from ffpose.onnx.metadata import Filter
 from ffpose.onnx.pose_graph import graph_entries, output_names, random_images
 from ffpose.preprocessing import Preprocessing
