@@ -152,12 +152,28 @@ def test_training_with_dropout_writes_no_scores_of_all_heads():
     assert {t.dtype for t in scores} == {torch.bool}
 
 
-@pytest.mark.parametrize("mode", ["compiled", "bfloat16"])
-def test_training_where_torchs_attention_serves(mode):
+def gradients(model, x):
+    model.zero_grad()
+    model(x).float().square().sum().backward()
+    return [p.grad for p in model.parameters()]
+
+
+@pytest.mark.parametrize("way", ["autocast", "throughout"])
+def test_half_precision_is_computed_in_float32(way):
     model, x = SelfAttention(24, 3, 0.1), torch.randn(2, 50, 24)
-    if mode == "compiled":
-        torch.compile(model, fullgraph=True, backend="aot_eager")(x).sum().backward()
-    else:
+    torch.manual_seed(2)
+    expected = gradients(model, x)
+    torch.manual_seed(2)
+    if way == "autocast":
         with torch.autocast("cpu", torch.bfloat16):
-            model(x).sum().backward()
-    assert all(p.grad.isfinite().all() for p in model.parameters())
+            got = gradients(model, x)
+    else:
+        got = gradients(model.bfloat16(), x.bfloat16())
+    for each, wanted in zip(got, expected, strict=True):
+        assert (each - wanted).abs().max() < 2**-5 * wanted.abs().max()
+
+
+def test_compiled_training_is_torchs():
+    model, x = SelfAttention(24, 3, 0.1), torch.randn(2, 50, 24)
+    found = gradients(torch.compile(model, fullgraph=True, backend="aot_eager"), x)
+    assert all(gradient.isfinite().all() for gradient in found)

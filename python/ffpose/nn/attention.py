@@ -24,7 +24,7 @@ def dropout_attention(query: Tensor, key: Tensor, value: Tensor, rate: float) ->
     works so knows no dropout: it writes scores, weights and random numbers of all heads.
 
     Args:
-        query: ``(B, heads, N, d)``, float32 or float64, on the CPU.
+        query: ``(B, heads, N, d)``, on the CPU. Half precision is computed in float32.
         key: ``(B, heads, M, d)``.
         value: ``(B, heads, M, d)``.
         rate: Share of the weights that is dropped, 0 to 1, exact to 1 / `LEVELS`; the others grow
@@ -36,8 +36,10 @@ def dropout_attention(query: Tensor, key: Tensor, value: Tensor, rate: float) ->
     kept = round((1 - rate) * LEVELS)
     if not 0 < kept <= LEVELS:
         raise ValueError(f"rate: expected at least 0 and less than 1, got {rate}")
-    result: Tensor = _DropoutAttention.apply(query, key, value, kept)
-    return result
+    kind = torch.promote_types(query.dtype, torch.float32)
+    with torch.autocast("cpu", enabled=False):
+        result: Tensor = _DropoutAttention.apply(*(x.to(kind) for x in (query, key, value)), kept)
+        return result.to(query.dtype)
 
 
 class _DropoutAttention(torch.autograd.Function):
@@ -68,14 +70,15 @@ class _DropoutAttention(torch.autograd.Function):
         products = (gradient * result).sum(-1, keepdim=True)
         gradient = gradient * (LEVELS / ctx.kept)
         of_query, of_key, of_value = map(torch.empty_like, (scaled, keys, values))
-        for part in _blocks(mask):
-            weights = _weights(scaled[part], keys[part])
-            factors = mask[part].to(weights.dtype)
-            torch.bmm((weights * factors).mT, gradient[part], out=of_value[part])
-            scores = torch.bmm(gradient[part], values[part].mT)
-            scores.mul_(factors).sub_(products[part]).mul_(weights)
-            torch.bmm(scores, keys[part], out=of_query[part])
-            torch.bmm(scores.mT, scaled[part], out=of_key[part])
+        with torch.autocast("cpu", enabled=False):
+            for part in _blocks(mask):
+                weights = _weights(scaled[part], keys[part])
+                factors = mask[part].to(weights.dtype)
+                torch.bmm((weights * factors).mT, gradient[part], out=of_value[part])
+                scores = torch.bmm(gradient[part], values[part].mT)
+                scores.mul_(factors).sub_(products[part]).mul_(weights)
+                torch.bmm(scores, keys[part], out=of_query[part])
+                torch.bmm(scores.mT, scaled[part], out=of_key[part])
         of_query *= _scale(scaled)
         of_query, of_key, of_value = (
             x.view(*lead, *x.shape[1:]) for x in (of_query, of_key, of_value)
@@ -108,8 +111,7 @@ def _random(shape: torch.Size) -> Tensor:
 
 def _takes_blocks(query: Tensor) -> bool:
     """Return whether torch has no blockwise kernel with dropout, and `dropout_attention` runs."""
-    exact = query.dtype in (torch.float32, torch.float64)
-    return exact and query.device.type == "cpu" and not torch.compiler.is_compiling()
+    return query.device.type == "cpu" and not torch.compiler.is_compiling()
 
 
 class SelfAttention(nn.Module):
