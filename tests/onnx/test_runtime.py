@@ -16,6 +16,7 @@ from ffpose.geometry import Camera
 from ffpose.images import read_rgb
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.models.zoo import names
+from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.metadata import read_model_metadata
 from ffpose.onnx.runtime import PoseEstimator
 from ffpose.predictor import Predictor
@@ -317,10 +318,34 @@ def test_openvino_gives_the_same_pose(files, picture):
         assert_same_pose(pose, expected)
 
 
+SIGNALS = """
+import signal, subprocess, sys
+from ffpose.onnx.runtime import PoseEstimator
+
+heard = []
+signal.signal(signal.SIGCHLD, lambda *_: heard.append(True))
+first = PoseEstimator(sys.argv[1], backend="openvino")
+second = PoseEstimator(sys.argv[1], backend="openvino")
+del first
+del second
+subprocess.run([sys.executable, "-c", ""], check=True)
+assert heard
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="of OpenVINO's code for Linux")
+def test_signals_are_heard_after_estimators_in_openvino_have_gone(files):
+    pytest.importorskip("openvino")
+    _, graph = files
+    command = [sys.executable, "-X", "faulthandler", "-c", SIGNALS, str(graph)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_bfloat16_where_the_cpu_has_it(files, picture):
-    openvino = pytest.importorskip("openvino")
+    pytest.importorskip("openvino")
     weights, graph = files
-    if "BF16" not in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES"):
+    if not openvino_takes_bfloat16():
         with pytest.raises(ValueError, match="this CPU has no bfloat16"):
             PoseEstimator(graph, backend="openvino", precision="bfloat16")
         return

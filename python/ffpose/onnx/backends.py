@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, Protocol, get_args
 
@@ -134,14 +135,13 @@ class OpenVinoSession:
         threads: int | None = None,
         precision: Precision = "float32",
     ) -> None:
-        openvino = require("openvino", "openvino")
+        core = openvino_core()
         if filter == "custom":
             raise ValueError(
                 "backend: OpenVINO expected a graph of standard operators, as"
                 " `ffpose export --filter matmul` writes it, got one with a custom operator"
             )
-        core = openvino.Core()
-        if precision == "bfloat16" and "BF16" not in self._capabilities(core):
+        if precision == "bfloat16" and not openvino_takes_bfloat16():
             raise ValueError("precision: expected float32, this CPU has no bfloat16 instructions")
         settings: dict[str, Any] = {
             "INFERENCE_PRECISION_HINT": "bf16" if precision == "bfloat16" else "f32",
@@ -165,6 +165,19 @@ class OpenVinoSession:
         results = self.compiled.create_infer_request().infer(list(inputs), share_outputs=False)
         return {name: results[place] for place, name in enumerate(self.outputs)}
 
-    @staticmethod
-    def _capabilities(core: Any) -> list[str]:
-        return list(core.get_property("CPU", "OPTIMIZATION_CAPABILITIES"))
+
+@cache
+def openvino_core() -> Any:
+    """Return the one OpenVINO core of the process, which lasts as long as the process.
+
+    A core's CPU plugin sets the thread's alternate signal stack (sigaltstack), and its end sets the
+    one before and unmaps its own. Of two cores that end in the order in which they began, the
+    second sets the unmapped stack of the first, and the next signal that Python handles, such as a
+    DataLoader's SIGCHLD, is a segmentation fault.
+    """
+    return require("openvino", "openvino").Core()
+
+
+def openvino_takes_bfloat16() -> bool:
+    """Return whether this CPU has instructions with which OpenVINO multiplies in bfloat16."""
+    return "BF16" in openvino_core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")

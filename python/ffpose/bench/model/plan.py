@@ -26,6 +26,7 @@ from ffpose.bench.model.contenders import (
 )
 from ffpose.bench.model.subjects import Subject
 from ffpose.machine import bfloat16_instructions, cores
+from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.library import get_library_path
 
 BATCHES = (1, 8)
@@ -131,8 +132,6 @@ def _in_runtimes(measured: Subject, quick: bool) -> tuple[list[str], list[str]]:
 def _in_openvino() -> tuple[list[str], list[str]]:
     if importlib.util.find_spec("openvino") is None:
         return [], [f"{OPENVINO} is not measured: it is not installed"]
-    import openvino
-
-    if "BF16" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES"):
+    if openvino_takes_bfloat16():
         return [OPENVINO, OPENVINO_BFLOAT16], []
     return [OPENVINO], [f"{OPENVINO_BFLOAT16} is not measured: this CPU has no instructions for it"]
