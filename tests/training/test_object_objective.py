@@ -233,6 +233,23 @@ def test_without_dense_weights_there_is_no_convolution(batch):
     assert not list(objective.parameters())
 
 
+def test_half_precision_is_the_networks_alone(batch):
+    answers = Answers(batch)
+    answers.location += 0.3
+    answers.numbers = LookNumbers(*map(torch.randn_like, answers.numbers))
+    objective = ObjectObjective(answers, ObjectLossConfig(keypoints=1.0), KEYPOINTS)
+    halves = ("location", "feature_map")
+    for name in halves:
+        setattr(answers, name, getattr(answers, name).bfloat16())
+    answers.numbers = LookNumbers(*(number.bfloat16() for number in answers.numbers))
+    with torch.autocast("cpu", torch.bfloat16):
+        got = objective(answers, batch).total
+    for name in halves:
+        setattr(answers, name, getattr(answers, name).float())
+    answers.numbers = LookNumbers(*(number.float() for number in answers.numbers))
+    torch.testing.assert_close(got, objective(answers, batch).total, rtol=1e-6, atol=0)
+
+
 def test_between_is_scipys_difference():
     generator = np.random.default_rng(0)
     a, b = Rotation.random(50, rng=generator), Rotation.random(50, rng=generator)

@@ -113,6 +113,15 @@ def test_a_run_on_scenes_resumes_bit_for_bit_and_renders_once(root, tmp_path, re
     assert all(torch.equal(value, before[key]) for key, value in load_file(best).items())
 
 
+def test_autocast_learns_from_scenes_too(root, tmp_path):
+    losses = []
+    for kind in ("none", "bfloat16"):
+        config = scenes_config(root, tmp_path / kind, epochs=1, autocast=kind)
+        losses.append(train(config, quiet=True).history[0]["train_loss"])
+    assert losses[0] != losses[1]
+    assert losses[1] == pytest.approx(losses[0], rel=0.1)
+
+
 def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path):
     config = scenes_config(root, tmp_path / "run", epochs=1)
     folder = train(config, quiet=True).folder

@@ -61,10 +61,22 @@ class ObjectObjective(nn.Module):
 
     def forward(self, model: FilterformerPose, batch: ViewBatch) -> LossTerms:
         """Return the loss, the mean position errors in meters at unit distance, and the head's."""
-        c, present = self.config, batch.present
         location = model.locate(batch.frames)
         feature_map = model.see(batch.crops)
         numbers = model.read(feature_map)
+        with torch.autocast(location.device.type, enabled=False):  # half is the network's alone
+            in_float32 = LookNumbers(*(part.float() for part in numbers))
+            return self._terms(model, batch, location.float(), feature_map.float(), in_float32)
+
+    def _terms(
+        self,
+        model: FilterformerPose,
+        batch: ViewBatch,
+        location: Tensor,
+        feature_map: Tensor,
+        numbers: LookNumbers,
+    ) -> LossTerms:
+        c, present = self.config, batch.present
         first = F.smooth_l1_loss(location, batch.location, beta=SMOOTH)
         offset = F.smooth_l1_loss(numbers.offset[present], batch.offset[present], beta=SMOOTH)
         orientation = model.orientation.loss(numbers.orientation, batch.orientation)[present].mean()

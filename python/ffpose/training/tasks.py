@@ -165,14 +165,16 @@ class FrameTask:
     def terms(self, model: PoseNetwork, batch: Sample, device: torch.device) -> LossTerms:
         """Return the joint loss of a batch."""
         t, q = batch.translation.to(device), batch.orientation.to(device)
-        t_hat, raw = model.regress(batch.image.to(device))
-        translation, head = model.translation_loss(t_hat, t), model.orientation
-        orientation = (
-            self.loss.quaternion_distance(q, head.decode(raw))  # as Eq. 10, antipodal or not
-            if isinstance(head, QuaternionHead)
-            else head.loss(raw, q)
-        )
-        return self.loss.joined(translation.mean(), orientation.mean())
+        found = model.regress(batch.image.to(device))
+        with torch.autocast(device.type, enabled=False):  # half precision is the network's alone
+            t_hat, raw = (part.float() for part in found)
+            translation, head = model.translation_loss(t_hat, t), model.orientation
+            orientation = (
+                self.loss.quaternion_distance(q, head.decode(raw))  # as Eq. 10, antipodal or not
+                if isinstance(head, QuaternionHead)
+                else head.loss(raw, q)
+            )
+            return self.loss.joined(translation.mean(), orientation.mean())
 
     def size(self, batch: Sample) -> int:
         """Return the number of images in a batch."""
