@@ -44,7 +44,7 @@ def write_checkout(folder):
 
 
 def write_weights(path, model, fields):
-    """Write random weights, always the same, that know the camera of small images."""
+    """Write random weights of a fixed seed, with the camera of small images in their header."""
     torch.manual_seed(1)
     width, height = SIZE
     camera = (VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)

@@ -132,7 +132,7 @@ def test_a_graph_that_differs_is_not_written(tmp_path, monkeypatch):
 
 
 class Amplified(nn.Module):
-    """A filter whose rounding grows a thousandfold."""
+    """A filter whose rounding error grows ten thousand times."""
 
     def __init__(self):
         super().__init__()

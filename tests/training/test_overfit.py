@@ -44,15 +44,15 @@ def rendered(folder, count, **changes):
 def test_eight_images_are_learned_by_heart(tmp_path):
     """Any attitude and distance: a constant pose is far from both.
 
-    What is left after so many steps differs by CPU and seed: 0.03 to 0.06 m of 8 to 22 m.
+    What is left after 150 epochs differs by CPU and seed: 0.03 to 0.06 m of 8 to 22 m.
     """
     root = rendered(tmp_path / "eight", 10)  # of ten images in a row eight are for training
-    result = train(config(root, tmp_path / "run", epochs=150), quiet=True)
+    result = train(config(root, tmp_path / "run", epochs=200), quiet=True)
     found = evaluate(result.folder.last, "urso", root, "train")
     constant = found.baseline_errors
     assert found.errors.rotation_deg.shape == (8,)
     assert found.errors.rotation_deg.max() < 1 < 60 < constant.rotation_deg.median()
-    assert found.errors.translation_m.max() < 0.2 < 3 < constant.translation_m.median()
+    assert found.errors.translation_m.max() < 0.1 < 3 < constant.translation_m.median()
 
 
 def test_the_command_trains_on_64_images(tmp_path, capsys):

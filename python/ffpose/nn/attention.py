@@ -110,7 +110,7 @@ def _random(shape: torch.Size) -> Tensor:
 
 
 def _takes_blocks(query: Tensor) -> bool:
-    """Return whether torch has no blockwise kernel with dropout, and `dropout_attention` runs."""
+    """Return whether `dropout_attention` runs: on CPUs, unless compiled, which unrolls its loop."""
     return query.device.type == "cpu" and not torch.compiler.is_compiling()
 
 
