@@ -136,7 +136,7 @@ def test_no_images():
     assert result.shape == query.grad.shape == (0, 3, 7, 4)
 
 
-@pytest.mark.parametrize("rate", [1.0, -0.1, 1 - 1e-6])
+@pytest.mark.parametrize("rate", [1.0, -0.1, 1 - 1e-6, float("nan")])
 def test_a_rate_that_drops_all_or_none_is_refused(rate):
     with pytest.raises(ValueError, match=rf"rate: expected .* less than 1, got {rate}"):
         dropout_attention(*heads(), rate)

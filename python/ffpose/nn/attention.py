@@ -33,8 +33,8 @@ def dropout_attention(query: Tensor, key: Tensor, value: Tensor, rate: float) ->
     Raises:
         ValueError: ``rate`` is not between 0 and 1, or drops everything.
     """
-    kept = round((1 - rate) * LEVELS)
-    if not 0 < kept <= LEVELS:
+    kept = round((1 - rate) * LEVELS) if 0 <= rate < 1 else 0
+    if kept == 0:
         raise ValueError(f"rate: expected at least 0 and less than 1, got {rate}")
     kind = torch.promote_types(query.dtype, torch.float32)
     with torch.autocast("cpu", enabled=False):
