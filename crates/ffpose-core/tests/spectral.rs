@@ -13,7 +13,7 @@ use ndarray::{ArrayD, Axis};
 use rustfft::num_traits::FromPrimitive;
 
 /// Sizes with a reason: the networks', powers of two, odd, prime, long and flat.
-const GRIDS: [[usize; 4]; 25] = [
+const GRIDS: [[usize; 4]; 32] = [
     [1, 14, 14, 20],
     [2, 7, 7, 9],
     [1, 28, 28, 5],
@@ -35,6 +35,14 @@ const GRIDS: [[usize; 4]; 25] = [
     [2, 1, 50, 40],
     [3, 1, 49, 17],
     [1, 1, 134, 5],
+    // in phases
+    [2, 1, 64, 1],
+    [3, 1, 96, 3],
+    [2, 1, 112, 2],
+    [1, 1, 240, 1],
+    [2, 1, 140, 7],
+    [2, 1, 2304, 1],
+    [1, 1, 4576, 1],
     // several images of few channels together
     [33, 1, 12, 7],
     [18, 1, 15, 3],
@@ -42,7 +50,7 @@ const GRIDS: [[usize; 4]; 25] = [
     [20, 6, 5, 2],
     [3, 4, 4, 15],
 ];
-const TOKENS: [[usize; 3]; 20] = [
+const TOKENS: [[usize; 3]; 21] = [
     [2, 14, 16],
     [1, 196, 64],
     [1, 28, 128],
@@ -60,6 +68,7 @@ const TOKENS: [[usize; 3]; 20] = [
     [2, 49, 64],
     [1, 56, 192],
     [1, 98, 128],
+    [3, 1, 96], // in phases
     // several images together
     [18, 50, 2],
     [19, 2, 50],
@@ -285,8 +294,9 @@ fn threads_and_batches_do_not_change_a_bit() {
         (Layout::Grid, vec![1, 90, 100, 60]), // one tile, cut into narrower ones
         (Layout::Grid, vec![40, 30, 30, 10]),
         (Layout::Grid, vec![16, 90, 100, 3]),
-        (Layout::Grid, vec![120, 1, 720, 7]), // sequences, several together
+        (Layout::Grid, vec![120, 1, 720, 7]), // sequences, in phases
         (Layout::Grid, vec![530, 1, 1024, 1]),
+        (Layout::Grid, vec![200, 1, 675, 3]), // several together
         (Layout::Grid, vec![40, 1, 75, 100]),
         (Layout::Tokens, vec![300, 1000, 2]),
         (Layout::Tokens, vec![37, 70, 128]),
@@ -341,13 +351,15 @@ fn an_image_is_filtered_alone_as_in_a_batch() {
 }
 
 /// Grids whose channels take all ways through the kernels.
-const CHANNELS: [[usize; 4]; 12] = [
+const CHANNELS: [[usize; 4]; 14] = [
     [2, 1, 50, 40],
     [1, 1, 49, 33],
     [3, 1, 67, 20],
     [1, 1, 134, 16],
     [5, 1, 12, 7],
     [20, 1, 9, 2],
+    [3, 1, 48, 3],
+    [2, 1, 64, 7],
     [2, 14, 14, 33],
     [1, 14, 14, 20],
     [3, 5, 6, 40],

@@ -26,7 +26,8 @@
 //!   without leaving the registers. `packing` brings the weight to kernel order, tile by tile; `single` does without for an
 //!   image alone, whose weight is read bin by bin.
 //! - **[`sequence`]**: a grid of one row. Even and odd points of a channel are one complex column.
-//! - **[`batched`]**: fewer channels than lanes. Images are copied side by side to fill vectors for one of the two above.
+//! - **[`polyphase`]**: sequences of few channels. Phases of the points fill a vector; their spectra are put together `across` them.
+//! - **[`batched`]**: fewer channels than lanes. Images are copied side by side to fill vectors for grid or sequence.
 //! - **[`tokens`]**: both axes of one plane, whose sizes have codelets: `X = A B` rows of lines of vectors. Three passes
 //!   (`passes`), on one image or several (`images`): `lines` along Y without the lanes and `blocks` over `A`; for each step
 //!   (`steps`) `blocks` over `B`, then `groups`, which transposes squares of vectors for the transform across lanes, with the
@@ -69,6 +70,7 @@ mod columns;
 mod grid;
 mod plan;
 mod planes;
+mod polyphase;
 mod sequence;
 #[cfg(test)]
 mod tests;

@@ -4,6 +4,7 @@ use super::along::AlongLines;
 use super::batched::{self, Batched};
 use super::grid::Grid;
 use super::planes::Planes;
+use super::polyphase::{self, Polyphase};
 use super::sequence::Sequence;
 use super::tokens::Tokens;
 use crate::kernel::Kernel;
@@ -17,20 +18,24 @@ pub(crate) enum Plan<T: Real> {
     Batched(Batched<T>),
     Grid(Grid<T>),
     Planes(Planes<T>),
+    Polyphase(Polyphase<T>),
     Sequence(Sequence<T>),
     Tokens(Tokens<T>),
 }
 
 impl<T: Real> Plan<T> {
     /// The plan for a shape without zeros: vectors across its lines, unless these would leave half of every vector empty. Then
-    /// across several images, or, measured with AVX2, rustfft along the lines is two to six times faster, and else two to
-    /// fourteen times slower.
+    /// across the phases of a sequence, or across several images; or, measured with AVX2, rustfft along the lines is two to six
+    /// times faster, and else two to fourteen times slower.
     pub(crate) fn new(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Self {
         let Shape { layout, rows, columns, lanes } = shape;
         let lines = match layout {
             Layout::Tokens => rows,
             Layout::Grid => lanes,
         };
+        if let Some((isa, phases)) = polyphase::chosen::<T>(isa, shape, tuning) {
+            return Self::Polyphase(Polyphase::new(isa, shape, phases));
+        }
         if batched::pays(isa.lanes::<T>(), shape, tuning) {
             return Self::Batched(Batched::new(isa, shape, tuning));
         }
@@ -54,6 +59,7 @@ impl<T: Real> Plan<T> {
             Self::Batched(kernel) => kernel,
             Self::Grid(kernel) => kernel,
             Self::Planes(kernel) => kernel,
+            Self::Polyphase(kernel) => kernel,
             Self::Sequence(kernel) => kernel,
             Self::Tokens(kernel) => kernel,
         }
@@ -65,6 +71,7 @@ impl<T: Real> Plan<T> {
             Self::AlongLines(_) | Self::Planes(_) => None,
             Self::Batched(kernel) => Some(kernel),
             Self::Grid(kernel) => Some(kernel),
+            Self::Polyphase(kernel) => Some(kernel),
             Self::Sequence(kernel) => Some(kernel),
             Self::Tokens(kernel) => Some(kernel),
         }

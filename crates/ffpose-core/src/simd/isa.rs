@@ -86,6 +86,15 @@ impl Isa {
         Self(Kind::Scalar)
     }
 
+    /// The one with vectors of half the length, if there is one.
+    pub(crate) fn narrower(self) -> Option<Self> {
+        match self.0 {
+            #[cfg(target_arch = "x86_64")]
+            Kind::Avx512 if cfg!(feature = "avx2") => Some(Self(Kind::Avx2)),
+            _ => None,
+        }
+    }
+
     /// `scalar`, `avx2`, `avx512` or `neon`.
     #[must_use]
     pub fn name(self) -> &'static str {

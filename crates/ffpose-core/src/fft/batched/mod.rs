@@ -3,7 +3,7 @@
 //! Images that go together are copied side by side, to one image `(points, lanes)` of as many lanes as a vector has, and another
 //! kernel filters that. Lanes do not see each other, so that an image is filtered the same way in any company.
 
-mod spread;
+pub(super) mod spread;
 
 use std::ops::Range;
 

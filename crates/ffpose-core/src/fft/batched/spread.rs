@@ -21,7 +21,7 @@ macro_rules! with_channels {
 }
 
 /// Copies `image` `(points, channels)` to `stage` `(points, lanes)`, from lane `first` on.
-pub(super) fn spread<E: Copy>(
+pub(in crate::fft) fn spread<E: Copy>(
     channels: usize,
     image: &[E],
     stage: &mut [E],
@@ -37,7 +37,7 @@ pub(super) fn spread<E: Copy>(
 }
 
 /// Undoes [`spread`].
-pub(super) fn collect<E: Copy>(
+pub(in crate::fft) fn collect<E: Copy>(
     channels: usize,
     stage: &[E],
     lanes: usize,

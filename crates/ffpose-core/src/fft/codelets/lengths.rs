@@ -8,6 +8,10 @@ macro_rules! with_codelet {
     (radix $length:expr, $r:ident => $run:expr, _ => $otherwise:expr) => {
         $crate::fft::codelets::with_codelet!(@one $length, $r, $run, $otherwise, 2 3 4 5 7 8 11 13 16)
     };
+    // phases of a sequence of few channels: `Dft<L>`
+    (phases $length:expr, $l:ident => $run:expr, _ => $otherwise:expr) => {
+        $crate::fft::codelets::with_codelet!(@one $length, $l, $run, $otherwise, 2 4 8 16)
+    };
     // a row of a grid: `RealDft<N, S>`, or `RealDft<P, ROWS>` across and then `Dft<Q>`
     (row $length:expr, ($n:ident, $s:ident) => $short:expr,
      ($p:ident, $q:ident, $rows:ident) => $composite:expr, _ => $otherwise:expr) => {
