@@ -48,12 +48,13 @@ pub(super) fn groups(length: usize) -> Vec<Vec<usize>> {
     groups
 }
 
-/// `p` to the `exponent` as radices: powers of two as few as possible up to 16, and of even size.
+/// `p` to the `exponent` as radices: a power of two up to 16 is one, a larger one as few as possible up to 8, of even size
+/// (two radices of 16 are slower than three smaller ones).
 fn radices(p: usize, exponent: usize) -> Vec<usize> {
     if p != 2 {
         return vec![p; exponent];
     }
-    let count = exponent.div_ceil(4);
+    let count = if exponent <= 4 { 1 } else { exponent.div_ceil(3) };
     (0..count).map(|i| 1 << ((exponent + i) / count)).collect()
 }
 
