@@ -77,7 +77,7 @@ pub(crate) trait Kernel<X: Stored>: Send + Sync {
     }
 }
 
-/// How a weight is brought from natural order to a kernel's own, scaled by the norm of the transform.
+/// How a weight, or its conjugate, is brought from natural order to a kernel's own, scaled by the norm of the transform.
 pub(crate) trait Packing<T>: Sync {
     /// Numbers in the packed weight of a tile of at most `lanes` lanes. That of a tile is those of its narrowest tiles, one
     /// after the other.
@@ -88,8 +88,23 @@ pub(crate) trait Packing<T>: Sync {
         lane.div_ceil(granule).saturating_mul(self.packed_len(granule))
     }
 
-    /// Packs the weight of one tile; the team's scratches are the kernel's.
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>);
+    /// Packs a factor made of the weight of one tile; the team's scratches are the kernel's.
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+        team: &mut Team<'_, T>,
+    );
+}
+
+/// What spectra are multiplied by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Factor {
+    /// The weight, on the way forward.
+    Weight,
+    /// Its conjugate, on the way backward.
+    Conjugate,
 }
 
 /// One image, for which bringing a weight to kernel order and a gradient back would not pay: both stay in natural order.
@@ -123,7 +138,7 @@ pub(crate) struct Backward<'a, X: Stored> {
     pub(crate) grad: ArrayView3<'a, X>,
     /// Input of the filter; read only for `grad_sum`.
     pub(crate) x: ArrayView3<'a, X>,
-    /// Weight as in [`Kernel::forward`]; read only for `grad_x`.
+    /// The conjugate weight, packed, or the weight itself where the kernel reads that as it is; read only for `grad_x`.
     pub(crate) weight: &'a [X::Real],
     /// Becomes `irfft2(G · conj W)`.
     pub(crate) grad_x: Option<ArrayViewMut3<'a, X>>,

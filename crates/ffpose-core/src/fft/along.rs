@@ -14,7 +14,7 @@ use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
 use transpose::transpose;
 
-use crate::kernel::{Backward, Kernel, Packing};
+use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::{Layout, Real, Shape};
 
@@ -166,13 +166,22 @@ impl<T: Real> Packing<T> for AlongLines<T> {
         2 * self.planes() * self.spectrum_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+        _: &mut Team<'_, T>,
+    ) {
         let packed: &mut [Complex<T>] = cast_slice_mut(packed);
         let norm = self.norm(1.0);
         for (bin, lanes) in weight.outer_iter().enumerate() {
             let (first, step) = self.places(bin);
             let to = packed[first..].iter_mut().step_by(step);
-            lanes.outer_iter().zip(to).for_each(|(w, to)| *to = Complex::new(w[0], w[1]) * norm);
+            for (w, to) in lanes.outer_iter().zip(to) {
+                let w = Complex::new(w[0], w[1]) * norm;
+                *to = if factor == Factor::Conjugate { w.conj() } else { w };
+            }
         }
     }
 }
@@ -233,7 +242,7 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
                 }
                 if grad_x.is_some() {
                     let weights = cast_slice(packed);
-                    multiply_conjugate(spectrum, &weights[index * self.spectrum_len()..]);
+                    multiply(spectrum, &weights[index * self.spectrum_len()..]);
                     self.invert(spectrum, plane, &mut work);
                 }
             }
@@ -267,11 +276,6 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
 /// `spectrum · weight`.
 fn multiply<T: Real>(spectrum: &mut [Complex<T>], weight: &[Complex<T>]) {
     spectrum.iter_mut().zip(weight).for_each(|(value, w)| *value = *value * *w);
-}
-
-/// `spectrum · conj(weight)`.
-fn multiply_conjugate<T: Real>(spectrum: &mut [Complex<T>], weight: &[Complex<T>]) {
-    spectrum.iter_mut().zip(weight).for_each(|(value, w)| *value = *value * w.conj());
 }
 
 /// `sum + conj(input) · grad`.

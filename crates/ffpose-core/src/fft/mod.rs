@@ -25,7 +25,8 @@
 //!   through the pointwise operation and back while it is in the L1 cache, and `columns::fused` does so for short columns
 //!   without leaving the registers. `packing` brings the weight to kernel order, tile by tile; `single` does without for an
 //!   image alone, whose weight is read bin by bin.
-//! - **[`sequence`]**: a grid of one row. Even and odd points of a channel are one complex column.
+//! - **[`sequence`]**: a grid of one row. Even and odd points of a channel are one complex line (`halves`), or an odd number of
+//!   points the real part of one; `lines` has the choice.
 //! - **[`polyphase`]**: sequences of few channels. Phases of the points fill a vector; their spectra are put together `across` them.
 //! - **[`batched`]**: fewer channels than lanes. Images are copied side by side to fill vectors for grid or sequence.
 //! - **[`tokens`]**: both axes of one plane, whose sizes have codelets: `X = A B` rows of lines of vectors. Three passes

@@ -6,6 +6,7 @@ use super::batch::{Batch, Weight};
 use super::tiling::Tiling;
 use super::widened::Widened;
 use super::{SpectralFilter, widened_len};
+use crate::kernel::Factor;
 use crate::number::Number;
 use crate::parallel::{Pool, StdThreads};
 use crate::scratch::{Aligned, Needs, Scratch};
@@ -50,7 +51,12 @@ impl<T: Real> SpectralFilter<T> {
             let lanes = tiling.lanes_of(tile);
             let packed = &mut prepared.numbers_mut()[packing.offset(granule, lanes.start)..];
             let packed = &mut packed[..packing.packed_len(lanes.len())];
-            packing.pack(tiling.bins(weight, tile), packed, &mut workers.together());
+            packing.pack(
+                tiling.bins(weight, tile),
+                Factor::Weight,
+                packed,
+                &mut workers.together(),
+            );
         }
         Ok(Prepared { filter, weight: prepared })
     }

@@ -13,7 +13,7 @@ use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
 use self::spread::{Transpose, TransposeBack, collect, fold, repeat, spread};
 use crate::fft::grid::Grid;
 use crate::fft::sequence::Sequence;
-use crate::kernel::{Backward, Kernel, Packing};
+use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Stored, Tile, TileMut};
 use crate::tuning::{COPIED_POINTS, Tuning};
@@ -171,14 +171,21 @@ impl<T: Element> Packing<T> for Batched<T> {
         self.packing_of_inner().packed_len(self.lanes)
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+        team: &mut Team<'_, T>,
+    ) {
         let (stage, mut team) = self.share(team);
         let stage = &mut stage[..2 * self.shape.bins_len() * self.lanes];
         let weight = cast_slice(weight.to_slice().expect("a weight has no gaps"));
         let copies: &mut [[T; 2]] = cast_slice_mut(stage);
         repeat(self.channels, weight, copies, self.lanes);
         let weight = ArrayView3::from_shape((self.shape.bins_len(), self.lanes, 2), stage);
-        self.packing_of_inner().pack(weight.expect("as many numbers"), packed, &mut team);
+        let weight = weight.expect("as many numbers");
+        self.packing_of_inner().pack(weight, factor, packed, &mut team);
     }
 }
 

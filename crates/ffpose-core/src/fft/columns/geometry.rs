@@ -2,33 +2,25 @@
 
 use super::First;
 use super::pointwise::At;
-use crate::simd::Element;
 
 /// Where columns and their places are.
-pub(crate) struct Geometry<'a, T> {
+#[derive(Clone, Copy)]
+pub(crate) struct Geometry<'a> {
     /// The position of each frequency.
     pub(crate) outputs: &'a [usize],
     /// Columns of one vector.
     pub(super) count: usize,
     /// Complex vectors from one column to the next.
     pub(crate) pitch: usize,
-    pub(super) first: &'a First<T>,
+    pub(super) first: First,
     pub(super) first_places: usize,
 }
 
-impl<T> Clone for Geometry<'_, T> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<T> Copy for Geometry<'_, T> {}
-
-impl<T: Element> Geometry<'_, T> {
+impl Geometry<'_> {
     /// Whether a column is two real lines.
     #[inline(always)]
     pub(crate) fn is_pair(&self, column: usize) -> bool {
-        column == 0 && !self.first.is_complex()
+        column == 0 && self.first == First::TwoReal
     }
 
     /// Column and vector of each of `lines` lines, in the order in which a weight in natural order is read in longer runs.

@@ -1,8 +1,7 @@
 //! The columns of a grid: forward transform, what is done with the spectrum, and inverse, one column at a time in cache.
 //!
 //! A packed weight, and a gradient sum, holds for each column its places in turn. The places of two real columns, those of DC and
-//! Nyquist, packed together are `W(0), N(0), W(1), N(1), ...` up to row frequency `H / 2`; both are Hermitian in it. Those of one
-//! real line of `2 H` are `X(0), X(H), X(1), X(H - 1), ...`.
+//! Nyquist, packed together are `W(0), N(0), W(1), N(1), ...` up to row frequency `H / 2`; both are Hermitian in it.
 
 mod fused;
 mod geometry;
@@ -12,8 +11,7 @@ pub(crate) mod pointwise;
 use self::fused::Fused;
 use self::geometry::Geometry;
 use self::pointwise::{Accumulate, At, Pointwise, Product};
-use crate::fft::codelets::pair::{join, merge, split, unmerge};
-use crate::fft::codelets::root;
+use crate::fft::codelets::pair::{join, split};
 use crate::fft::transform::Transform;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, scatter,
@@ -25,36 +23,20 @@ pub(crate) struct Columns<T> {
     transform: Transform<T>,
     fused: Option<Fused>,
     count: usize,
-    first: First<T>,
+    first: First,
 }
 
 /// What column 0 is.
-pub(crate) enum First<T> {
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum First {
     /// As the others.
     Complex,
     /// Two real columns, as real and imaginary part.
     TwoReal,
-    /// The even and the odd points of a real line, as real and imaginary part, with the turns of [`merge`].
-    Halves(Vec<Complex<T>>),
-}
-
-impl<T: Element> First<T> {
-    /// The halves of a real line of `length`.
-    pub(crate) fn halves(length: usize) -> Self {
-        let turns = (0..=length / 4).map(|k| {
-            let (c, s) = root(k, length);
-            Complex::new(T::nearest(c), T::nearest(-s))
-        });
-        Self::Halves(turns.collect())
-    }
-
-    fn is_complex(&self) -> bool {
-        matches!(self, Self::Complex)
-    }
 }
 
 impl<T: Element> Columns<T> {
-    pub(crate) fn new(isa: Isa, length: usize, count: usize, first: First<T>) -> Self {
+    pub(crate) fn new(isa: Isa, length: usize, count: usize, first: First) -> Self {
         let transform = Transform::new(isa, length);
         Self { isa, fused: Fused::of(isa, &transform), transform, count, first }
     }
@@ -77,7 +59,10 @@ impl<T: Element> Columns<T> {
     /// Places of column 0.
     fn first_places(&self) -> usize {
         let length = self.transform.len();
-        if self.first.is_complex() { length } else { 2 * (length / 2 + 1) }
+        match self.first {
+            First::Complex => length,
+            First::TwoReal => 2 * (length / 2 + 1),
+        }
     }
 
     /// Numbers in a packed weight of one vector.
@@ -99,24 +84,18 @@ impl<T: Element> Columns<T> {
         2 * self.isa.lanes::<T>() * vectors
     }
 
-    /// `spectrum · weight`, or `spectrum · conj weight`, for all columns.
-    pub(crate) fn filter<const CONJUGATE: bool>(
-        &self,
-        spectrum: &mut [T],
-        weight: &[T],
-        work: &mut [T],
-    ) {
-        let weight = Tile::dense(weight, self.isa.lanes::<T>());
-        let product = Product::<T, CONJUGATE> { weight, places: self.places() };
-        self.through::<_, true>(spectrum, product, work);
+    /// `spectrum · factor` for all columns.
+    pub(crate) fn filter(&self, spectrum: &mut [T], factor: &[T], work: &mut [T]) {
+        let factor = Tile::dense(factor, self.isa.lanes::<T>());
+        self.through::<_, true>(spectrum, Product { factor, places: self.places() }, work);
     }
 
-    /// `sum += conj(x) · grad`, and `grad · conj weight` if there is a weight; else `grad` is lost. `x` is transformed.
+    /// `sum += conj(x) · grad`, and `grad · factor` if there is a factor; else `grad` is lost. `x` is transformed.
     pub(crate) fn gradient(
         &self,
         grad: &mut [T],
         x: &mut [T],
-        weight: Option<&[T]>,
+        factor: Option<&[T]>,
         sum: &mut [T],
         work: &mut [T],
     ) {
@@ -124,10 +103,9 @@ impl<T: Element> Columns<T> {
         self.through::<_, false>(x, (), work);
         let (x, sum) = (Tile::dense(x, lanes), TileMut::dense(sum, lanes));
         let accumulate = Accumulate { x, sum, places };
-        match weight {
-            Some(weight) => {
-                let weight = Tile::dense(weight, lanes);
-                let product = Product::<T, true> { weight, places };
+        match factor {
+            Some(factor) => {
+                let product = Product { factor: Tile::dense(factor, lanes), places };
                 self.through::<_, true>(grad, (accumulate, product), work);
             }
             None => self.look(grad, accumulate, work),
@@ -188,12 +166,12 @@ impl<T: Element> Columns<T> {
         }
     }
 
-    fn geometry(&self) -> Geometry<'_, T> {
+    fn geometry(&self) -> Geometry<'_> {
         Geometry {
             outputs: self.transform.outputs(),
             count: self.count,
             pitch: self.pitch(),
-            first: &self.first,
+            first: self.first,
             first_places: self.first_places(),
         }
     }
@@ -201,7 +179,7 @@ impl<T: Element> Columns<T> {
 
 /// Columns that go forward, through a pointwise operation, and back.
 pub(crate) struct Through<'a, T, M> {
-    pub(crate) geometry: Geometry<'a, T>,
+    pub(crate) geometry: Geometry<'a>,
     pub(crate) spectrum: &'a mut [T],
     pub(crate) pointwise: M,
     /// Room for the places of column 0.
@@ -226,7 +204,7 @@ impl<T: Element, M: Pointwise<T>> Algorithm<T> for PointwiseStep<'_, T, M> {
 
 /// [`pair_step`] on vectors of an instruction set.
 struct PairStep<'a, T, M, const INVERSE: bool> {
-    geometry: Geometry<'a, T>,
+    geometry: Geometry<'a>,
     column: &'a mut [T],
     places: &'a mut [T],
     pointwise: &'a mut M,
@@ -247,7 +225,7 @@ impl<T: Element, M: Pointwise<T>, const INVERSE: bool> Algorithm<T>
 /// `pointwise` on the packed column 0, and its real columns packed again if the inverse follows, else left as places.
 #[inline(always)]
 pub(crate) fn pair_step<V: Vector, M: Pointwise<V::Element>, const INVERSE: bool>(
-    geometry: Geometry<'_, V::Element>,
+    geometry: Geometry<'_>,
     column: &mut [Complex<V>],
     places: &mut [Complex<V>],
     pointwise: &mut M,
@@ -258,15 +236,8 @@ pub(crate) fn pair_step<V: Vector, M: Pointwise<V::Element>, const INVERSE: bool
     for k in 0..=length / 2 {
         // a division would take as long as the arithmetic
         let (position, mirror) = (outputs[k], outputs[if k == 0 { 0 } else { length - k }]);
-        let mut both = split(column[position], column[mirror]);
-        if let First::Halves(turns) = geometry.first {
-            both = merge(both, turns[k].splat());
-        }
-        both = pointwise.apply(at.plus(2 * k), both);
+        let both = pointwise.apply(at.plus(2 * k), split(column[position], column[mirror]));
         if INVERSE {
-            if let First::Halves(turns) = geometry.first {
-                both = unmerge(both, turns[k].splat());
-            }
             let (z, opposite) = join(both);
             column[position] = z;
             column[mirror] = opposite;

@@ -5,6 +5,7 @@
 
 use ndarray::{ArrayView3, ArrayViewMut3};
 
+use crate::kernel::Factor;
 use crate::simd::{Algorithm, Complex, Element, Isa, Tile, TileMut, Vector};
 use crate::tuning::PLACES_AHEAD;
 
@@ -19,6 +20,7 @@ pub(crate) struct BinOrder<T> {
 }
 
 /// What bins are multiplied by.
+#[derive(Clone, Copy)]
 pub(crate) struct Scales<T> {
     /// In the columns of DC and Nyquist.
     pub(crate) hermitian: T,
@@ -68,15 +70,16 @@ impl<T: Element> BinOrder<T> {
         self.hermitian.len() + self.plain.len()
     }
 
-    /// Gives `each`, in turn, the weight of `R` places of one column, `first` and following, from natural order; or its conjugate.
+    /// Gives `each`, in turn, the factor at `R` places of one column, `first` and following, from a weight in natural order.
     #[inline(always)]
     pub(crate) fn read<V: Vector<Element = T>, const R: usize>(
         &self,
         weight: Tile<'_, T>,
-        conjugate: bool,
+        factor: Factor,
         first: usize,
         mut each: impl FnMut(usize, Complex<V>),
     ) {
+        let conjugate = factor == Factor::Conjugate;
         if let Some(first) = first.checked_sub(self.hermitian.len()) {
             let scale = V::splat(self.weight.plain);
             let places = &self.plain[first..first + R];
@@ -133,9 +136,15 @@ impl<T: Element> BinOrder<T> {
         }
     }
 
-    /// `weight` `(bins, lanes, 2)`, of whole vectors, to `packed`, one vector of lanes after the other.
-    pub(crate) fn pack(&self, isa: Isa, weight: ArrayView3<'_, T>, packed: &mut [T]) {
-        isa.run(PackLanes { order: self, weight: Tile::of_complex(weight), packed });
+    /// A factor made of `weight` `(bins, lanes, 2)`, of whole vectors, to `packed`, one vector of lanes after the other.
+    pub(crate) fn pack(
+        &self,
+        isa: Isa,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+    ) {
+        isa.run(PackLanes { order: self, weight: Tile::of_complex(weight), factor, packed });
     }
 
     /// `sum`, packed, to `gradient` `(bins, lanes, 2)`, of whole vectors.
@@ -147,6 +156,7 @@ impl<T: Element> BinOrder<T> {
 struct PackLanes<'a, T> {
     order: &'a BinOrder<T>,
     weight: Tile<'a, T>,
+    factor: Factor,
     packed: &'a mut [T],
 }
 
@@ -160,7 +170,7 @@ impl<T: Element> Algorithm<T> for PackLanes<'_, T> {
                 let weight = self.weight.skip_lanes(2 * i * V::LANES);
                 self.order.prefetch::<V>(weight, place + PLACES_AHEAD);
                 let mut packed = TileMut::dense(packed, V::LANES);
-                self.order.read::<V, 1>(weight, false, place, |_, z| {
+                self.order.read::<V, 1>(weight, self.factor, place, |_, z| {
                     packed.scatter::<V, 2>(2 * place, 1, [z.re, z.im]);
                 });
             }

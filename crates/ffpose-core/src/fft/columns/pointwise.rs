@@ -1,6 +1,7 @@
 //! What is done with a spectrum between a transform and its inverse.
 
 use super::order::BinOrder;
+use crate::kernel::Factor;
 use crate::simd::{Complex, Element, Tile, TileMut, Vector};
 
 /// Where the first of some vectors of one column is.
@@ -59,25 +60,23 @@ impl<T: Element, A: Pointwise<T>, B: Pointwise<T>> Pointwise<T> for (A, B) {
     }
 }
 
-/// The product with a packed weight, or with its conjugate.
-pub(crate) struct Product<'a, T, const CONJUGATE: bool> {
-    pub(crate) weight: Tile<'a, T>,
+/// The product with a packed factor.
+pub(crate) struct Product<'a, T> {
+    pub(crate) factor: Tile<'a, T>,
     /// Places of one vector.
     pub(crate) places: usize,
 }
 
-impl<T: Element, const CONJUGATE: bool> Pointwise<T> for Product<'_, T, CONJUGATE> {
+impl<T: Element> Pointwise<T> for Product<'_, T> {
     #[inline(always)]
     fn apply<V: Vector<Element = T>, const R: usize>(
         &mut self,
         at: At,
         mut spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
-        let (re, im) = parts::<V, R>(self.weight, at.vector * self.places + at.place);
+        let (re, im) = parts::<V, R>(self.factor, at.vector * self.places + at.place);
         for i in 0..R {
-            let weight = Complex::new(re[i], im[i]);
-            spectrum[i] =
-                if CONJUGATE { spectrum[i].times_conj(weight) } else { spectrum[i].times(weight) };
+            spectrum[i] = spectrum[i].times(Complex::new(re[i], im[i]));
         }
         spectrum
     }
@@ -114,12 +113,12 @@ impl<T: Element> Pointwise<T> for Accumulate<'_, T> {
     }
 }
 
-/// As [`Product`], with a weight in natural order.
+/// As [`Product`], with a factor made of a weight in natural order.
 pub(crate) struct NaturalProduct<'a, T> {
     pub(crate) order: &'a BinOrder<T>,
     /// Complex numbers, as pairs of real ones.
     pub(crate) weight: Tile<'a, T>,
-    pub(crate) conjugate: bool,
+    pub(crate) factor: Factor,
 }
 
 impl<T: Element> Pointwise<T> for NaturalProduct<'_, T> {
@@ -130,8 +129,8 @@ impl<T: Element> Pointwise<T> for NaturalProduct<'_, T> {
         mut spectrum: [Complex<V>; R],
     ) -> [Complex<V>; R] {
         let weight = self.weight.skip_lanes(2 * at.vector * V::LANES);
-        self.order.read::<V, R>(weight, self.conjugate, at.place, |i, weight| {
-            spectrum[i] = spectrum[i].times(weight);
+        self.order.read::<V, R>(weight, self.factor, at.place, |i, factor| {
+            spectrum[i] = spectrum[i].times(factor);
         });
         spectrum
     }

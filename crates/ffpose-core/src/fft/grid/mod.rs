@@ -231,7 +231,7 @@ impl<T: Element> Grid<T> {
         let weight = grad_x.is_some().then_some(packed);
         match (sum, weight) {
             (Some(sum), _) => self.columns.gradient(spectrum, other, weight, sum, work),
-            (None, Some(weight)) => self.columns.filter::<true>(spectrum, weight, work),
+            (None, Some(weight)) => self.columns.filter(spectrum, weight, work),
             (None, None) => {}
         }
         if let Some(grad_x) = grad_x {
@@ -281,7 +281,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
                 let packed = &packed[lanes.start / self.lanes * packed_len..];
                 let part = s![image, .., lanes];
                 self.rows_forward(place, x.slice(part), spectrum, work, padded);
-                self.columns.filter::<false>(spectrum, packed, work);
+                self.columns.filter(spectrum, packed, work);
                 self.rows_inverse(place, spectrum, y.slice_mut(part), work, padded);
             }
         }

@@ -3,7 +3,7 @@
 use ndarray::{ArrayView3, ArrayViewMut3, Axis, s};
 
 use super::Grid;
-use crate::kernel::Packing;
+use crate::kernel::{Factor, Packing};
 use crate::parallel::Team;
 use crate::simd::Element;
 
@@ -53,17 +53,23 @@ impl<T: Element> Packing<T> for Grid<T> {
         lanes.div_ceil(self.lanes) * self.columns.packed_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+        team: &mut Team<'_, T>,
+    ) {
         let mut packed = &mut packed[..];
         for lanes in self.parts(weight.len_of(Axis(1)), usize::MAX) {
             let part;
             (part, packed) = packed.split_at_mut(self.packed_len(lanes.len()));
             let weight = weight.slice(s![.., lanes.clone(), ..]);
             if lanes.len().is_multiple_of(self.lanes) {
-                self.order.pack(self.isa, weight, part);
+                self.order.pack(self.isa, weight, factor, part);
             } else {
                 let [room, _] = self.scratch(team.scratch()).bins;
-                self.order.pack(self.isa, self.padded_bins(weight, room), part);
+                self.order.pack(self.isa, self.padded_bins(weight, room), factor, part);
             }
         }
     }

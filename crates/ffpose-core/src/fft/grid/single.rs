@@ -5,7 +5,7 @@ use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, s};
 use super::rows::Place;
 use super::{Grid, GridBuffers};
 use crate::fft::columns::pointwise::{NaturalGradient, NaturalProduct};
-use crate::kernel::{Single, SingleBackward};
+use crate::kernel::{Factor, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Element, LINE_BYTES, Stored, Tile, TileMut};
 
@@ -37,7 +37,7 @@ impl<T: Element> Grid<T> {
         let spectrum = &mut spectrum[..self.spectra(x.ncols())];
         let place = self.place_of_one(&x);
         self.rows_forward(place, x, spectrum, work, padded);
-        self.columns.through::<_, true>(spectrum, self.product(weight, false), work);
+        self.columns.through::<_, true>(spectrum, self.product(weight, Factor::Weight), work);
         self.rows_inverse(place, spectrum, y, work, padded);
     }
 
@@ -56,7 +56,7 @@ impl<T: Element> Grid<T> {
         if grad_weight.is_some() {
             self.rows_forward(place, x, other, work, padded);
         }
-        let product = self.product(weight, true);
+        let product = self.product(weight, Factor::Conjugate);
         match grad_weight {
             None => self.columns.through::<_, true>(spectrum, product, work),
             Some(gradient) => {
@@ -78,8 +78,8 @@ impl<T: Element> Grid<T> {
         }
     }
 
-    fn product<'a>(&'a self, weight: ArrayView3<'a, T>, conjugate: bool) -> NaturalProduct<'a, T> {
-        NaturalProduct { order: &self.order, weight: Tile::of_complex(weight), conjugate }
+    fn product<'a>(&'a self, weight: ArrayView3<'a, T>, factor: Factor) -> NaturalProduct<'a, T> {
+        NaturalProduct { order: &self.order, weight: Tile::of_complex(weight), factor }
     }
 }
 

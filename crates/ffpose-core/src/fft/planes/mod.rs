@@ -16,7 +16,7 @@ use self::squares::{Gather, Put, RowBlock};
 use self::vectors::{EnterVectors, JoinVectors, LeaveVectors, SplitVectors};
 use crate::fft::columns::{Columns, First};
 use crate::fft::transform::Transform;
-use crate::kernel::{Backward, Kernel, Packing};
+use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
 
@@ -182,8 +182,14 @@ impl<T: Element> Packing<T> for Planes<T> {
         self.blocks() * self.block_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
-        self.order.pack(self.isa, weight, packed);
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+        _: &mut Team<'_, T>,
+    ) {
+        self.order.pack(self.isa, weight, factor, packed);
     }
 }
 
@@ -218,7 +224,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
             for (block, weight) in packed.chunks_exact(self.block_len()).enumerate() {
                 let block = self.block(block);
                 self.isa.run(Gather { block, spectrum, line });
-                self.along_y.filter::<false>(&mut line[..self.along_y.len()], weight, work);
+                self.along_y.filter(&mut line[..self.along_y.len()], weight, work);
                 self.isa.run(Put { block, spectrum, line });
             }
             self.inverse_x(spectrum, y, line, work, padded);
@@ -246,7 +252,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
                     self.along_y.gradient(line, other_line, weight, &mut sum[places], work);
                 } else {
                     let line = &mut line[..self.along_y.len()];
-                    self.along_y.filter::<true>(line, &packed[places], work);
+                    self.along_y.filter(line, &packed[places], work);
                 }
                 if grad_x.is_some() {
                     self.isa.run(Put { block, spectrum, line });

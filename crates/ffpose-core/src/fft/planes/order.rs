@@ -6,6 +6,7 @@
 use ndarray::{ArrayView3, ArrayViewMut3};
 
 use crate::fft::columns::order::Scales;
+use crate::kernel::Factor;
 use crate::simd::{Algorithm, Complex, Element, Isa, MAX_LANES, Tile, TileMut, Vector};
 
 /// How the frequencies of one shape are ordered and scaled.
@@ -30,9 +31,15 @@ impl<T: Element> SquareOrder<T> {
         }
     }
 
-    /// `weight` `(X, Y/2+1, 2)` to `packed`.
-    pub(crate) fn pack(&self, isa: Isa, weight: ArrayView3<'_, T>, packed: &mut [T]) {
-        isa.run(PackSquares { order: self, weight: Tile::of_complex(weight), packed });
+    /// A factor made of `weight` `(X, Y/2+1, 2)` to `packed`.
+    pub(crate) fn pack(
+        &self,
+        isa: Isa,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+    ) {
+        isa.run(PackSquares { order: self, weight: Tile::of_complex(weight), factor, packed });
     }
 
     /// `sum`, packed, to `gradient` `(X, Y/2+1, 2)`.
@@ -81,11 +88,19 @@ impl<V: Vector> Square<V> {
         V::transpose(&mut self.re[..V::LANES]);
         V::transpose(&mut self.im[..V::LANES]);
     }
+
+    #[inline(always)]
+    fn conjugate(&mut self) {
+        for im in &mut self.im[..V::LANES] {
+            *im = -*im;
+        }
+    }
 }
 
 struct PackSquares<'a, T> {
     order: &'a SquareOrder<T>,
     weight: Tile<'a, T>,
+    factor: Factor,
     packed: &'a mut [T],
 }
 
@@ -105,6 +120,10 @@ impl<T: Element> Algorithm<T> for PackSquares<'_, T> {
                 }
                 square.transpose();
                 mirror.transpose();
+                if self.factor == Factor::Conjugate {
+                    square.conjugate();
+                    mirror.conjugate();
+                }
                 for (i, v) in (start..(start + V::LANES).min(width / 2 + 1)).enumerate() {
                     let (z, mirror) = (square.get(i), mirror.get(i).conj());
                     let place = 2 * (block * width + outputs[v]);

@@ -14,10 +14,10 @@ use crate::simd::{
 pub(super) enum Spectrum<'a, T> {
     /// It is kept, and the line is lost.
     Kept(&'a mut [T]),
-    /// It is multiplied by a packed weight, or by its conjugate.
-    Product { weight: &'a [T], conjugate: bool },
-    /// `conj(x)` times it is added to a sum; then it is multiplied by the conjugate of a packed weight, or the line is lost.
-    Gradient { x: &'a [T], sum: &'a mut [T], weight: Option<&'a [T]> },
+    /// It is multiplied by a packed factor.
+    Product(&'a [T]),
+    /// `conj(x)` times it is added to a sum; then it is multiplied by a packed factor, or the line is lost.
+    Gradient { x: &'a [T], sum: &'a mut [T], factor: Option<&'a [T]> },
 }
 
 /// [`Spectrum`] for the spectrum of `line`, and the inverse.
@@ -33,6 +33,7 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
+        assert!(L <= V::LANES); // there is no code for more
         let Polyphase { transform, turns, twiddles, .. } = self.plan;
         let outputs = transform.outputs();
         let line = complex_vectors::<V>(self.line);
@@ -141,23 +142,22 @@ impl<T: Element> Spectrum<'_, T> {
                 complex_vectors::<V>(spectrum)[first..][..L].copy_from_slice(&z);
                 None
             }
-            Self::Product { weight, conjugate } => {
-                let weight = &complex_vectors_of::<V>(weight)[first..][..L];
+            Self::Product(factor) => {
+                let factor = &complex_vectors_of::<V>(factor)[first..][..L];
                 for l in 0..L {
-                    z[l] =
-                        if *conjugate { z[l].times_conj(weight[l]) } else { z[l].times(weight[l]) };
+                    z[l] = z[l].times(factor[l]);
                 }
                 Some(z)
             }
-            Self::Gradient { x, sum, weight } => {
+            Self::Gradient { x, sum, factor } => {
                 let x = &complex_vectors_of::<V>(x)[first..][..L];
                 let sum = &mut complex_vectors::<V>(sum)[first..][..L];
                 for l in 0..L {
                     sum[l] = sum[l].plus_times_conj(z[l], x[l]);
                 }
-                let weight = &complex_vectors_of::<V>((*weight)?)[first..][..L];
+                let factor = &complex_vectors_of::<V>((*factor)?)[first..][..L];
                 for l in 0..L {
-                    z[l] = z[l].times_conj(weight[l]);
+                    z[l] = z[l].times(factor[l]);
                 }
                 Some(z)
             }

@@ -15,7 +15,7 @@ use super::batched::spread::{collect, spread};
 use crate::fft::codelets::{root, with_codelet};
 use crate::fft::columns::order::Bins;
 use crate::fft::transform::Transform;
-use crate::kernel::{Backward, Kernel, Packing};
+use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, Stored, Table, Tile, TileMut, Vector, aligned,
@@ -215,7 +215,13 @@ impl<T: Element> Packing<T> for Polyphase<T> {
         self.spectrum_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], _: &mut Team<'_, T>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+        _: &mut Team<'_, T>,
+    ) {
         let weight = weight.to_slice().expect("a weight has no gaps");
         let (weight, _) = weight.as_chunks::<2>();
         let vectors = packed.chunks_exact_mut(2 * self.lanes);
@@ -227,6 +233,9 @@ impl<T: Element> Packing<T> for Polyphase<T> {
                 for ((bin, re), im) in bins.iter().zip(re).zip(im) {
                     let w = weight[bin.index * self.channels + channel];
                     (*re, *im) = (w[0] * bin.weight[0], w[1] * bin.weight[1]);
+                    if factor == Factor::Conjugate {
+                        *im = T::default() - *im;
+                    }
                 }
             }
         }
@@ -253,20 +262,20 @@ impl<X: Stored> Kernel<X> for Polyphase<X::Real> {
     fn forward(
         &self,
         x: ArrayView3<'_, X>,
-        weight: &[X::Real],
+        factor: &[X::Real],
         mut y: ArrayViewMut3<'_, X>,
         team: &mut Team<'_, X::Real>,
     ) {
         let mut buffers = self.buffers(team.scratch());
         for (x, mut y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.enter(x.to_slice().expect("an image has no gaps"), &mut buffers);
-            self.across(buffers.line, Spectrum::Product { weight, conjugate: false });
+            self.across(buffers.line, Spectrum::Product(factor));
             self.leave(&mut buffers, y.as_slice_mut().expect("an image has no gaps"));
         }
     }
 
     fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let Backward { grad, x, weight, mut grad_x, mut grad_sum, .. } = pass;
+        let Backward { grad, x, weight: factor, mut grad_x, mut grad_sum, .. } = pass;
         let mut buffers = self.buffers(team.scratch());
         for (image, grad) in grad.outer_iter().enumerate() {
             if grad_sum.is_some() {
@@ -275,12 +284,12 @@ impl<X: Stored> Kernel<X> for Polyphase<X::Real> {
                 self.across(buffers.line, Spectrum::Kept(buffers.spectrum));
             }
             self.enter(grad.to_slice().expect("an image has no gaps"), &mut buffers);
-            let weight = grad_x.is_some().then_some(weight);
+            let factor = grad_x.is_some().then_some(factor);
             self.across(
                 buffers.line,
                 match grad_sum.as_deref_mut() {
-                    Some(sum) => Spectrum::Gradient { x: buffers.spectrum, sum, weight },
-                    None => Spectrum::Product { weight: weight.unwrap_or(&[]), conjugate: true },
+                    Some(sum) => Spectrum::Gradient { x: buffers.spectrum, sum, factor },
+                    None => Spectrum::Product(factor.unwrap_or(&[])),
                 },
             );
             if let Some(grad_x) = &mut grad_x {

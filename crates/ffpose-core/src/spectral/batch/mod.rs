@@ -13,7 +13,7 @@ use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 pub(crate) use self::weights::Weight;
 use super::tiling::{Grain, Tiling, in_order};
 use crate::Shape;
-use crate::kernel::{Backward, Kernel};
+use crate::kernel::{Backward, Factor, Kernel};
 use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{Needs, Workers};
@@ -106,9 +106,11 @@ impl<'a, X: Number> Batch<'a, X> {
         workers: &mut Workers<'_, X::Real>,
     ) {
         let jobs = self.tiling.images_mut(y);
-        self.run(jobs, weight, true, packed, workers, |piece, y, weight, team| match x {
-            Some(x) => self.kernel.forward(self.tiling.images(x, piece), weight, y, team),
-            None => self.copied(y, team, |x, y, team| self.kernel.forward(x, weight, y, team)),
+        self.run(jobs, weight, Some(Factor::Weight), packed, workers, |piece, y, weight, team| {
+            match x {
+                Some(x) => self.kernel.forward(self.tiling.images(x, piece), weight, y, team),
+                None => self.copied(y, team, |x, y, team| self.kernel.forward(x, weight, y, team)),
+            }
         });
     }
 
@@ -139,7 +141,8 @@ impl<'a, X: Number> Batch<'a, X> {
         sums: Option<&mut [X::Real]>,
         workers: &mut Workers<'_, X::Real>,
     ) {
-        let (pieces, with_x) = (self.tiling.pieces(), grad_x.is_some());
+        let pieces = self.tiling.pieces();
+        let factor = grad_x.is_some().then_some(Factor::Conjugate);
         let sums_each = self.sums_len() / pieces;
         let jobs = in_order(pieces, grad_x.map(|g| self.tiling.images_mut(g)))
             .zip(in_order(pieces, sums.map(|sums| sums.chunks_exact_mut(sums_each))));
@@ -147,7 +150,7 @@ impl<'a, X: Number> Batch<'a, X> {
         self.run(
             jobs,
             weight,
-            with_x,
+            factor,
             packed,
             workers,
             |piece, (grad_x, mut sum), weight, team| {

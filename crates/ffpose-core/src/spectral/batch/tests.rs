@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use ndarray::{Array3, ArrayD, Axis};
 
 use super::*;
-use crate::kernel::Packing;
+use crate::kernel::{Factor, Packing};
 use crate::{Gradients, Isa, Layout, Scratch, SpectralFilter, StdThreads};
 
 /// Threads that take a share of as little work as torch's.
@@ -152,9 +152,15 @@ impl Packing<f32> for Counting<'_> {
         self.0.packing().unwrap().packed_len(lanes)
     }
 
-    fn pack(&self, weight: ArrayView3<'_, f32>, packed: &mut [f32], team: &mut Team<'_, f32>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, f32>,
+        factor: Factor,
+        packed: &mut [f32],
+        team: &mut Team<'_, f32>,
+    ) {
         self.1.fetch_add(weight.len_of(Axis(1)), Ordering::Relaxed);
-        self.0.packing().unwrap().pack(weight, packed, team);
+        self.0.packing().unwrap().pack(weight, factor, packed, team);
     }
 }
 

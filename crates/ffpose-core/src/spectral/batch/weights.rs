@@ -3,7 +3,7 @@
 use ndarray::ArrayView3;
 
 use super::Batch;
-use crate::kernel::Packing;
+use crate::kernel::{Factor, Packing};
 use crate::number::Number;
 use crate::parallel::{self, Team};
 use crate::scratch::Workers;
@@ -45,12 +45,12 @@ impl<X: Number> Batch<'_, X> {
         self.tiling.tiles().is_multiple_of(self.workers)
     }
 
-    /// Runs `work` on each piece, its job and the weight of its tile, packed before that if `is_wanted`.
+    /// Runs `work` on each piece, its job and the factor of its tile, packed before that if it is wanted.
     pub(super) fn run<J: Send>(
         &self,
         jobs: impl Iterator<Item = J>,
         weight: Weight<'_, X::Real>,
-        is_wanted: bool,
+        factor: Option<Factor>,
         packed: &mut [X::Real],
         workers: &mut Workers<'_, X::Real>,
         work: impl Fn(usize, J, &[X::Real], &mut Team<'_, X::Real>) + Sync,
@@ -64,12 +64,12 @@ impl<X: Number> Batch<'_, X> {
         let packed = match weight {
             Weight::Prepared(packed) => packed,
             Weight::Natural(weight) if self.is_by_tiles() => {
-                let weight = is_wanted.then_some(weight);
-                return self.run_by_tiles(jobs, (packing, weight), packed, workers, work);
+                let wanted = (packing, weight, factor);
+                return self.run_by_tiles(jobs, wanted, packed, workers, work);
             }
             Weight::Natural(weight) => {
-                if is_wanted {
-                    self.pack(packing, weight, packed, workers);
+                if let Some(factor) = factor {
+                    self.pack(packing, (weight, factor), packed, workers);
                 }
                 packed
             }
@@ -86,7 +86,7 @@ impl<X: Number> Batch<'_, X> {
     fn run_by_tiles<J: Send>(
         &self,
         mut jobs: impl Iterator<Item = J>,
-        (packing, weight): (&dyn Packing<X::Real>, Option<ArrayView3<'_, X::Real>>),
+        (packing, weight, factor): (&dyn Packing<X::Real>, ArrayView3<'_, X::Real>, Option<Factor>),
         packed: &mut [X::Real],
         workers: &mut Workers<'_, X::Real>,
         work: impl Fn(usize, J, &[X::Real], &mut Team<'_, X::Real>) + Sync,
@@ -98,8 +98,8 @@ impl<X: Number> Batch<'_, X> {
         let workers = workers.each().zip(rooms);
         parallel::run(self.pool, workers, tiles, |(tile, jobs), (team, packed)| {
             let packed = &mut packed[..packing.packed_len(self.tiling.lanes_of(tile).len())];
-            if let Some(weight) = weight {
-                packing.pack(self.tiling.bins(weight, tile), packed, team);
+            if let Some(factor) = factor {
+                packing.pack(self.tiling.bins(weight, tile), factor, packed, team);
             }
             for (part, job) in jobs.into_iter().enumerate() {
                 work(tile * parts + part, job, packed, team);
@@ -111,7 +111,7 @@ impl<X: Number> Batch<'_, X> {
     fn pack(
         &self,
         packing: &dyn Packing<X::Real>,
-        weight: ArrayView3<'_, X::Real>,
+        (weight, factor): (ArrayView3<'_, X::Real>, Factor),
         packed: &mut [X::Real],
         workers: &mut Workers<'_, X::Real>,
     ) {
@@ -121,7 +121,7 @@ impl<X: Number> Batch<'_, X> {
         let jobs = packed.chunks_mut(packing.offset(self.granule, lanes)).enumerate();
         parallel::run(self.pool, workers.each(), jobs, |(tile, packed), team| {
             let len = packing.packed_len(tiling.lanes_of(tile).len());
-            packing.pack(tiling.bins(weight, tile), &mut packed[..len], team);
+            packing.pack(tiling.bins(weight, tile), factor, &mut packed[..len], team);
         });
     }
 }

@@ -1,21 +1,21 @@
-//! The filter on sequences, which are grids of height one: lanes are channels, up to two vectors of them at a time.
+//! The filter on sequences, which are grids of height one: lanes are channels, some vectors of them at a time.
 //!
 //! A channel sees nothing of the others: of a real line of even length the even and the odd points are real and imaginary part of
-//! a complex line of half the length, which the product takes apart and joins again ([`crate::fft::codelets::pair`]). A line of odd length is the
-//! real part of a complex one.
+//! a complex line of half the length ([`halves`]). A line of odd length is the real part of a complex one.
+
+mod halves;
+mod lines;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use crate::fft::columns::order::{BinOrder, Bins, Scales};
-use crate::fft::columns::{Columns, First};
-use crate::fft::transform::inverted;
-use crate::kernel::{Backward, Kernel, Packing};
+use self::lines::Lines;
+use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{
     Algorithm, Complex, Element, Isa, LINE_BYTES, Stored, Tile, TileMut, Vector, aligned,
     complex_vectors, slack,
 };
-use crate::tuning::{SEQUENCE_AHEAD, SEQUENCE_VECTORS};
+use crate::tuning::{L1_CACHE, SEQUENCE_AHEAD, SEQUENCE_VECTORS};
 
 /// The plan for sequences of one length.
 pub(crate) struct Sequence<T> {
@@ -23,8 +23,9 @@ pub(crate) struct Sequence<T> {
     /// Lanes of a vector.
     lanes: usize,
     length: usize,
-    columns: Columns<T>,
-    order: BinOrder<T>,
+    lines: Lines<T>,
+    /// Vectors of the widest tile.
+    vectors: usize,
 }
 
 /// The scratch of one call, cut into its uses.
@@ -33,31 +34,30 @@ struct SequenceBuffers<'a, T> {
     other: &'a mut [T],
     work: &'a mut [T],
     padded: &'a mut [T],
-    /// A weight, or its gradient, of fewer lanes than two vectors.
+    /// A weight, or its gradient, of lanes that are not whole vectors.
     bins: &'a mut [T],
 }
 
 impl<T: Element> Sequence<T> {
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
-        let columns = if length.is_multiple_of(2) {
-            Columns::new(isa, length / 2, 1, First::halves(length))
-        } else {
-            Columns::new(isa, length, 1, First::Complex)
-        };
-        let order = order(length, columns.transform().outputs());
-        Self { isa, lanes: isa.lanes::<T>(), length, columns, order }
+        let (lanes, lines) = (isa.lanes::<T>(), Lines::new(isa, length));
+        let bytes = 2 * lanes * lines.pitch() * size_of::<T>();
+        let fits = |vectors: usize| vectors * bytes <= L1_CACHE;
+        let half = SEQUENCE_VECTORS / 2;
+        let vectors = if fits(half) && !fits(SEQUENCE_VECTORS) { half } else { SEQUENCE_VECTORS };
+        Self { isa, lanes, length, lines, vectors }
     }
 
     /// Most lanes of a tile.
     fn most(&self) -> usize {
-        SEQUENCE_VECTORS * self.lanes
+        self.vectors * self.lanes
     }
 
     fn scratch<'a>(&self, scratch: &'a mut [T]) -> SequenceBuffers<'a, T> {
-        let spectra = SEQUENCE_VECTORS * self.columns.len();
+        let spectra = self.vectors * self.line_len();
         let (spectrum, rest) = aligned(scratch).split_at_mut(spectra);
         let (other, rest) = rest.split_at_mut(spectra);
-        let (work, rest) = rest.split_at_mut(self.columns.work_len());
+        let (work, rest) = rest.split_at_mut(self.lines.work_len());
         let (padded, rest) = rest.split_at_mut(self.length * self.most());
         SequenceBuffers { spectrum, other, work, padded, bins: &mut rest[..self.bins_len()] }
     }
@@ -74,9 +74,14 @@ impl<T: Element> Sequence<T> {
         ArrayViewMut3::from_shape((bins, lanes, 2), room).expect("room for a tile")
     }
 
+    /// Numbers of one line of vectors.
+    fn line_len(&self) -> usize {
+        2 * self.lanes * self.lines.pitch()
+    }
+
     /// Lines for so many lanes.
     fn lines<'a>(&self, spectrum: &'a mut [T], lanes: usize) -> &'a mut [T] {
-        &mut spectrum[..lanes.div_ceil(self.lanes) * self.columns.len()]
+        &mut spectrum[..lanes.div_ceil(self.lanes) * self.line_len()]
     }
 
     /// A sequence `(points, lanes)` to lines; `padded` holds it if its lanes are not whole vectors.
@@ -121,40 +126,28 @@ impl<T: Element> Sequence<T> {
     }
 }
 
-/// Where the places of kernel order come from, for transforms whose frequency `k` is at `outputs[k]`.
-fn order<T: Element>(length: usize, outputs: &[usize]) -> BinOrder<T> {
-    let bins = Bins { rows: 1, columns: length };
-    let norm = 1.0 / length as f64;
-    let scales = |plain| Scales { hermitian: T::nearest(plain / 2.0), plain: T::nearest(plain) };
-    if length.is_multiple_of(2) {
-        let half = length / 2;
-        let places = (1..=half / 2).flat_map(|k| [bins.of(0, k), bins.of(0, half - k)]);
-        let ends = vec![bins.with_mirror(0, 0), bins.with_mirror(0, half)];
-        // the product sees doubled spectra, and each half of the way back doubles them
-        BinOrder::new(ends, places.collect(), scales(norm / 2.0), scales(norm / 2.0))
-    } else {
-        let places = inverted(outputs)[1..].iter().map(|&k| bins.of(0, k)).collect();
-        let ends = vec![bins.with_mirror(0, 0)];
-        BinOrder::new(ends, places, scales(norm), scales(2.0 * norm))
-    }
-}
-
 impl<T: Element> Packing<T> for Sequence<T> {
     fn packed_len(&self, lanes: usize) -> usize {
-        lanes.div_ceil(self.lanes) * self.columns.packed_len()
+        lanes.div_ceil(self.lanes) * self.lines.packed_len()
     }
 
-    fn pack(&self, weight: ArrayView3<'_, T>, packed: &mut [T], team: &mut Team<'_, T>) {
+    fn pack(
+        &self,
+        weight: ArrayView3<'_, T>,
+        factor: Factor,
+        packed: &mut [T],
+        team: &mut Team<'_, T>,
+    ) {
         let lanes = weight.len_of(Axis(1));
         let whole = lanes.next_multiple_of(self.lanes);
-        let packed = &mut packed[..whole / self.lanes * self.columns.packed_len()];
+        let packed = &mut packed[..whole / self.lanes * self.lines.packed_len()];
         if lanes < whole {
             let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
             padded.slice_mut(s![.., lanes.., ..]).fill(T::default());
             padded.slice_mut(s![.., ..lanes, ..]).assign(&weight);
-            self.order.pack(self.isa, padded.view(), packed);
+            self.lines.pack(padded.view(), factor, packed);
         } else {
-            self.order.pack(self.isa, weight, packed);
+            self.lines.pack(weight, factor, packed);
         }
     }
 }
@@ -171,8 +164,8 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
 
     fn scratch_len(&self) -> usize {
         let padded = self.length * self.most();
-        let spectra = 2 * SEQUENCE_VECTORS * self.columns.len();
-        slack::<X::Real>() + spectra + self.columns.work_len() + padded + self.bins_len()
+        let spectra = 2 * self.vectors * self.line_len();
+        slack::<X::Real>() + spectra + self.lines.work_len() + padded + self.bins_len()
     }
 
     fn packing(&self) -> Option<&dyn Packing<X::Real>> {
@@ -180,7 +173,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     }
 
     fn sum_len(&self, lanes: usize) -> usize {
-        self.packed_len(lanes)
+        lanes.div_ceil(self.lanes) * self.lines.sum_len()
     }
 
     fn forward(
@@ -194,7 +187,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
         let lines = self.lines(spectrum, x.len_of(Axis(2)));
         for (x, y) in x.outer_iter().zip(y.outer_iter_mut()) {
             self.enter(x, lines, padded);
-            self.columns.filter::<false>(lines, packed, work);
+            self.lines.filter(lines, packed, work);
             self.leave(lines, y, padded);
         }
     }
@@ -209,9 +202,9 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
             let weight = grad_x.is_some().then_some(weight);
             if let Some(sum) = grad_sum.as_deref_mut() {
                 self.enter(x.index_axis(Axis(0), image), other, padded);
-                self.columns.gradient(lines, other, weight, sum, work);
+                self.lines.gradient(lines, other, weight, sum, work);
             } else if let Some(weight) = weight {
-                self.columns.filter::<true>(lines, weight, work);
+                self.lines.filter(lines, weight, work);
             }
             if let Some(grad_x) = &mut grad_x {
                 self.leave(lines, grad_x.index_axis_mut(Axis(0), image), padded);
@@ -227,13 +220,13 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     ) {
         let lanes = grad_weight.len_of(Axis(1));
         let whole = lanes.next_multiple_of(self.lanes);
-        let grad_sum = &grad_sum[..whole / self.lanes * self.columns.packed_len()];
+        let grad_sum = &grad_sum[..whole / self.lanes * self.lines.sum_len()];
         if lanes < whole {
             let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
-            self.order.unpack(self.isa, grad_sum, padded.view_mut());
+            self.lines.unpack(grad_sum, padded.view_mut());
             grad_weight.assign(&padded.slice(s![.., ..lanes, ..]));
         } else {
-            self.order.unpack(self.isa, grad_sum, grad_weight);
+            self.lines.unpack(grad_sum, grad_weight);
         }
     }
 }
@@ -248,8 +241,8 @@ struct EnterPoints<'a, X: Stored> {
 impl<X: Stored> Algorithm<X::Real> for EnterPoints<'_, X> {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
-        let Self { plan: Sequence { columns, length, .. }, image, lines } = self;
-        let (inputs, pitch) = (columns.transform().inputs(), columns.pitch());
+        let Self { plan: Sequence { lines: plan, length, .. }, image, lines } = self;
+        let (inputs, pitch) = (plan.transform().inputs(), plan.pitch());
         let lines = complex_vectors::<V>(lines);
         let halves = length.is_multiple_of(2);
         for (n, &input) in inputs.iter().enumerate() {
@@ -279,8 +272,8 @@ struct LeavePoints<'a, X: Stored> {
 impl<X: Stored> Algorithm<X::Real> for LeavePoints<'_, X> {
     #[inline(always)]
     fn run<V: Vector<Element = X::Real>>(self) {
-        let Self { plan: Sequence { columns, length, .. }, mut image, lines } = self;
-        let (inputs, pitch) = (columns.transform().inputs(), columns.pitch());
+        let Self { plan: Sequence { lines: plan, length, .. }, mut image, lines } = self;
+        let (inputs, pitch) = (plan.transform().inputs(), plan.pitch());
         let lines = complex_vectors::<V>(lines);
         let halves = length.is_multiple_of(2);
         for (n, &input) in inputs.iter().enumerate() {
