@@ -20,9 +20,9 @@ impl<T: Element> Grid<T> {
         lanes <= self.alone::<X>() && lanes.is_multiple_of(self.lanes)
     }
 
-    /// For lanes of one image: far are those that do not fit in the L2 cache together with their result and their weight.
+    /// For lanes of one image, with its result and its weight.
     fn place_of_one<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
-        self.place(3 * size_of::<X>() * x.len() > self.tuning.l2_cache)
+        self.place(!self.tuning.comes_unasked(3 * size_of::<X>() * x.len()))
     }
 
     /// As [`Single::forward`], for lanes that go together.
