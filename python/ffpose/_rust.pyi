@@ -4,8 +4,8 @@ Every function raises TypeError for an argument that is not an array of float32 
 ValueError for a shape, stride or value, and MemoryError if working memory cannot be allocated.
 
 The functions for torch tensors write to tensors that the caller allocated and that do not overlap
-the inputs, except that the filter's result may be its input itself. They also take bfloat16 and
-float16, with a weight of the same dtype or of float32, and run in torch's threads.
+the inputs, except that the filter's result may be its input itself. They also take bfloat16, with
+a weight of the same dtype or of float32, and run in torch's threads.
 """
 
 from collections.abc import Sequence

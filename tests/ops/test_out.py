@@ -107,13 +107,21 @@ def test_wrong_tensors(out, error, text):
         spectral_filter(x, weight, out=out(x))
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("other", ["x", "weight"])
-def test_memory_that_overlaps_in_part(other):
-    memory = torch.randn(2000)
+def test_memory_that_overlaps_in_part(other, dtype):
+    memory = torch.randn(2000, dtype=dtype)
     x, weight = memory[:192].view(4, 6, 8), memory[300:360].view(6, 5, 2)
     start = 8 if other == "x" else 200
     with pytest.raises(ValueError, match=f"out must have memory of its own, got that of {other}"):
         spectral_filter(x, weight, out=memory[start : start + 192].view(4, 6, 8))
+
+
+@pytest.mark.parametrize("other", ["x", "weight"])
+def test_memory_of_arrays_that_overlaps_in_part(other):
+    memory = torch.randn(2000)
+    x, weight = memory[:192].view(4, 6, 8), memory[300:360].view(6, 5, 2)
+    start = 8 if other == "x" else 200
     arrays = [a.numpy() for a in (x, weight, memory[start : start + 192].view(4, 6, 8))]
     with pytest.raises(ValueError, match=f"out must have memory of its own, got that of {other}"):
         ffpose.spectral_filter(arrays[0], arrays[1], out=arrays[2])

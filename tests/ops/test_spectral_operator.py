@@ -595,7 +595,12 @@ def test_weight_shape_of_another_rank(size):
     [
         ({"x": X.numpy()}, TypeError, r"x must be a torch\.Tensor, got .*ndarray"),
         ({"x": X.transpose(1, 2)}, ValueError, r"x must be contiguous, got strides \[24, 1, 6\]"),
-        ({"x": X.int()}, TypeError, "weight must have the dtype of x.*float32 for int32"),
+        (
+            {"x": X.int()},
+            TypeError,
+            "x must be float32, float64 or bfloat16.* got int32 and float32",
+        ),
+        ({"x": X.half(), "y": X.half()}, TypeError, "x must be .* got float16 and float32"),
         ({"weight": WEIGHT[:3]}, ValueError, r"weight must have shape \(4, 4, 2\)"),
         ({"y": X.double()}, TypeError, "out must be float32, got float64"),
         ({"y": X[:1] + 1}, ValueError, r"y must have shape \(2, 4, 6\), got \(1, 4, 6\)"),

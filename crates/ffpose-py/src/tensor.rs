@@ -8,7 +8,7 @@ use std::marker::PhantomData;
 use std::mem::MaybeUninit;
 use std::ptr::NonNull;
 
-use ffpose_core::{Bf16, F16, Number};
+use ffpose_core::{Bf16, Number};
 use numpy::ndarray::{ArrayViewD, ArrayViewMutD, Dimension, IxDyn};
 use pyo3::exceptions::{PyImportError, PyTypeError, PyValueError};
 use pyo3::ffi;
@@ -64,7 +64,6 @@ const CPU: i32 = 1;
 impl Dtype {
     pub(crate) const F32: Self = Self { code: 2, bits: 32, lanes: 1 };
     pub(crate) const F64: Self = Self { code: 2, bits: 64, lanes: 1 };
-    pub(crate) const F16: Self = Self { code: 2, bits: 16, lanes: 1 };
     pub(crate) const BF16: Self = Self { code: 4, bits: 16, lanes: 1 };
 }
 
@@ -79,10 +78,6 @@ impl TensorElement for f32 {
 
 impl TensorElement for f64 {
     const DTYPE: Dtype = Dtype::F64;
-}
-
-impl TensorElement for F16 {
-    const DTYPE: Dtype = Dtype::F16;
 }
 
 impl TensorElement for Bf16 {
@@ -143,18 +138,23 @@ impl<'a> Tensor<'a> {
         Ok(unsafe { ArrayViewD::from_shape_ptr(self.dim.clone(), start.as_ptr()) })
     }
 
-    /// The elements, to write, of a tensor that shares no memory with `others`.
-    pub(crate) fn view_mut<'b, T: TensorElement>(
-        self,
-        others: impl IntoIterator<Item = &'b Tensor<'b>>,
-    ) -> PyResult<ArrayViewMutD<'a, T>> {
-        if let Some(other) = others.into_iter().find(|other| self.meets(other)) {
-            let (name, other) = (self.name, other.name);
-            let text = format!("{name} must have memory of its own, got that of {other}");
-            return Err(PyValueError::new_err(text));
-        }
+    /// That the tensor shares no memory with `others`.
+    pub(crate) fn check_apart(&self, others: &[&Tensor<'_>]) -> PyResult<()> {
+        let Some(other) = others.iter().find(|other| self.meets(other)) else {
+            return Ok(());
+        };
+        let (name, other) = (self.name, other.name);
+        let text = format!("{name} must have memory of its own, got that of {other}");
+        Err(PyValueError::new_err(text))
+    }
+
+    /// The elements, to write.
+    ///
+    /// # Safety
+    /// No other view reaches there ([`check_apart`](Self::check_apart)).
+    pub(crate) unsafe fn view_mut<T: TensorElement>(self) -> PyResult<ArrayViewMutD<'a, T>> {
         let start = self.elements::<T>()?;
-        // SAFETY: as in `view`; no other view of this call reaches there.
+        // SAFETY: as in `view`; the caller promises the rest.
         Ok(unsafe { ArrayViewMutD::from_shape_ptr(self.dim, start.as_ptr()) })
     }
 

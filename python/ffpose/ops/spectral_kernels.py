@@ -47,14 +47,17 @@ backward_op: Callable[..., tuple[Tensor, Tensor]] = (
 def forward_rust(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor | None = None) -> Tensor:
     """Filter CPU tensors; arguments and errors are those of `ffpose.ops.spectral_filter`.
 
-    Rust checks the arguments, so that a valid call needs no second check in Python.
+    Rust checks the arguments, so that a valid call needs no second check in Python. It refuses
+    float16, which is rare on CPUs: torch converts that to float32 and back.
     """
     x, weight = x.contiguous(), weight.contiguous()
     y = torch.empty_like(x) if out is None else out
     try:
         _rust.filter_tensors(x, weight, y, layout, torch.get_num_threads())
-    except (TypeError, ValueError):
+    except (TypeError, ValueError) as error:
         check_filter(x, weight, layout)  # raises the same error as on other devices
+        if isinstance(error, TypeError) and x.dtype == torch.float16:
+            return y.copy_(forward_rust(x.float(), weight.float(), layout))
         raise
     return y
 
@@ -85,10 +88,18 @@ def backward_rust(
         _rust.filter_tensors_backward(
             grad, x, weight, grad_x, grad_weight, layout, torch.get_num_threads()
         )
-    except (TypeError, ValueError):
+    except (TypeError, ValueError) as error:
         check_gradient(grad, x, weight, layout)
+        if isinstance(error, TypeError) and x.dtype == torch.float16:
+            wide = (grad.float(), x.float(), weight.float())
+            for_x, for_weight = backward_rust(*wide, layout, need_x, need_weight)
+            return _narrowed(for_x, x.dtype), _narrowed(for_weight, weight.dtype)
         raise
     return grad_x, grad_weight
+
+
+def _narrowed(grad: Tensor | None, dtype: torch.dtype) -> Tensor | None:
+    return None if grad is None else grad.to(dtype)
 
 
 def _forward_elsewhere(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
