@@ -139,6 +139,25 @@ def test_columns_without_partner_act_by_their_hermitian_part(by):
     torch.testing.assert_close(by(x, weight, "tokens"), expected)
 
 
+@pytest.mark.parametrize(
+    ("layout", "shape"),
+    [
+        *(("grid", (1, length, channels)) for length in (50, 57, 200) for channels in (1, 3, 64)),
+        *(("grid", shape) for shape in ((7, 7, 32), (14, 15, 3), (10, 10, 16), (31, 31, 20))),
+        *(("tokens", shape) for shape in ((196, 128), (49, 100), (197, 64), (3, 64))),
+    ],
+)
+def test_a_frequency_that_is_stopped_leaves_nothing(layout, shape):
+    """A mean 1e4 times as large as the rest is gone, to the rounding of the rest."""
+    x = torch.randn(2, *shape) + 1e4
+    weight = torch.zeros(weight_shape(shape, layout))
+    weight[..., 0] = 1
+    weight[0, 0] = 0
+    y = spectral_filter(x, weight, layout).double()
+    bound = 16 * torch.finfo(torch.float32).eps * y.std()
+    assert (y.mean(dim=(1, 2)).abs() <= bound).all()
+
+
 @pytest.mark.parametrize("dtype", HALVES)
 @pytest.mark.parametrize("by", [spectral_filter, filter_by_fft])
 def test_half_precision_is_rounded_once(dtype, by):

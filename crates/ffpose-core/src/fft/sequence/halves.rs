@@ -1,62 +1,48 @@
 //! Real lines of even length: even and odd points as real and imaginary part of a complex line of half the length.
 //!
-//! Of `2 M` points let `Z` be the spectrum of the complex line, `Y(k)` the conjugate of `Z(M - k)`, and `W` the factor, with
-//! `W(M + k)` the conjugate of `W(M - k)`. To take `Z` apart into the spectra of even and odd points, join these to that of the
-//! whole line, multiply and go back is linear in `Z(k)` and `Y(k)`; with `S, D = (W(k) ± W(M + k)) / 2` and `θ = πk / M` it is
+//! Of `2 M` points let `X` be the spectrum and `Z` that of the complex line. With `θ = πk / M` and `κ = cos θ / (1 + sin θ)`,
 //!
 //! ```text
-//! Z(k) <- (S - D sin θ) Z(k) + i D cos θ Y(k)
-//! Y(k) <- (S + D sin θ) Y(k) - i D cos θ Z(k)
+//! U = Z(M - k) + κ i conj Z(k)
+//! V = Z(k) - κ i conj Z(M - k)
 //! ```
 //!
-//! which takes 16 multiplications and additions where the detour takes 28. A packed factor has these three numbers for each pair.
+//! are the conjugates of `X(k)` and `X(M - k)`, each but for a number of modulus `sqrt(1 + κ²)`, whose phase matters neither to a
+//! product with a weight nor to its gradient. The same rotation of `U` and `V` leads back, times `1 + κ²`, by which packed factors
+//! are divided. To take the spectra of even and odd points apart and to join them would take three times as many operations; to
+//! multiply without coming to `X`, as many as this, with errors relative to the larger of the two bins.
 
 use ndarray::{ArrayView3, ArrayViewMut3};
 
-use crate::fft::codelets::pair::{merge, split};
 use crate::fft::codelets::root;
-use crate::fft::columns::order::{BinOrder, Bins, Scales};
 use crate::fft::transform::Transform;
 use crate::kernel::Factor;
 use crate::simd::{
-    Algorithm, Complex, Element, Isa, Tile, Vector, complex_vectors, complex_vectors_of,
+    Algorithm, Complex, Element, Isa, Tile, TileMut, Vector, complex_vectors, complex_vectors_of,
 };
 use crate::tuning::PLACES_AHEAD;
-
-/// Numbers of a packed factor for each pair of frequencies, and of a gradient's sum.
-const FACTORS: usize = 3;
-const SUMS: usize = 2;
 
 /// The plan for real lines of one even length.
 pub(super) struct Halves<T> {
     isa: Isa,
     transform: Transform<T>,
-    /// `exp(-iθ)` for each `k`.
-    turns: Vec<Complex<T>>,
-    /// What a factor is multiplied by.
+    /// `κ` and `1 / (1 + κ²)` for each `k`.
+    turns: Vec<[T; 2]>,
+    /// What a factor is multiplied by, and a gradient, too, unless its bin is its own mirror.
     norm: T,
-    /// The order of a gradient's sum: `X(0), X(M), X(1), X(M - 1), ...`.
-    order: BinOrder<T>,
 }
 
 impl<T: Element> Halves<T> {
     pub(super) fn new(isa: Isa, length: usize) -> Self {
-        let (half, bins) = (length / 2, Bins { rows: 1, columns: length });
-        let turns = (0..=half / 2).map(|k| {
-            let (c, s) = root(k, length);
-            Complex::new(T::nearest(c), T::nearest(-s))
-        });
-        let norm = 1.0 / length as f64;
-        let ends = vec![bins.with_mirror(0, 0), bins.with_mirror(0, half)];
-        let places = (1..=half / 2).flat_map(|k| [bins.of(0, k), bins.of(0, half - k)]);
-        // the sum is of spectra that come doubled
-        let scales = Scales { hermitian: T::nearest(norm / 4.0), plain: T::nearest(norm / 2.0) };
+        let turn = |k| {
+            let (cos, sin) = root(k, length);
+            [T::nearest(cos / (1.0 + sin)), T::nearest(0.5 + 0.5 * sin)]
+        };
         Self {
             isa,
-            transform: Transform::new(isa, half),
-            turns: turns.collect(),
-            norm: T::nearest(norm),
-            order: BinOrder::new(ends, places.collect(), scales, scales),
+            transform: Transform::new(isa, length / 2),
+            turns: (0..=length / 4).map(turn).collect(),
+            norm: T::nearest(2.0 / length as f64),
         }
     }
 
@@ -69,12 +55,9 @@ impl<T: Element> Halves<T> {
         self.transform.len() | 1
     }
 
+    /// Numbers of a packed factor, and of a gradient's sum.
     pub(super) fn packed_len(&self) -> usize {
-        self.numbers(FACTORS * self.turns.len())
-    }
-
-    pub(super) fn sum_len(&self) -> usize {
-        self.numbers(SUMS * self.turns.len())
+        self.numbers(2 * self.turns.len())
     }
 
     pub(super) fn work_len(&self) -> usize {
@@ -94,7 +77,8 @@ impl<T: Element> Halves<T> {
 
     /// As [`crate::kernel::Kernel::unpack_gradient`], for whole vectors.
     pub(super) fn unpack(&self, sum: &[T], gradient: ArrayViewMut3<'_, T>) {
-        self.order.unpack(self.isa, sum, gradient);
+        let gradient = TileMut::of_complex(gradient);
+        self.isa.run(Unpack { plan: self, sum, gradient });
     }
 
     /// The lines times a packed factor.
@@ -103,7 +87,7 @@ impl<T: Element> Halves<T> {
         for (line, factor) in lines.zip(factor.chunks_exact(self.packed_len())) {
             let line = &mut line[..self.numbers(self.transform.len())];
             self.transform.forward(line, work);
-            self.isa.run(Product { outputs: self.transform.outputs(), line, factor });
+            self.isa.run(Product { plan: self, line, factor });
             self.transform.inverse(line, work);
         }
     }
@@ -119,26 +103,34 @@ impl<T: Element> Halves<T> {
     ) {
         let (pitch, line) = (self.numbers(self.pitch()), self.numbers(self.transform.len()));
         let lines = grad.chunks_exact_mut(pitch).zip(x.chunks_exact_mut(pitch));
-        for (i, ((grad, x), sum)) in lines.zip(sum.chunks_exact_mut(self.sum_len())).enumerate() {
+        for (i, ((grad, x), sum)) in lines.zip(sum.chunks_exact_mut(self.packed_len())).enumerate()
+        {
             let (grad, x) = (&mut grad[..line], &mut x[..line]);
             self.transform.forward(x, work);
             self.transform.forward(grad, work);
             self.isa.run(Accumulate { plan: self, grad, x, sum });
             if let Some(factor) = factor {
                 let factor = &factor[i * self.packed_len()..][..self.packed_len()];
-                let outputs = self.transform.outputs();
-                self.isa.run(Product { outputs, line: grad, factor });
+                self.isa.run(Product { plan: self, line: grad, factor });
                 self.transform.inverse(grad, work);
             }
         }
     }
+
+    /// The positions of `Z(k)` and `Z(M - k)`, and `κ`, for each `k`.
+    #[inline(always)]
+    fn pairs(&self) -> impl Iterator<Item = ((usize, usize), T)> {
+        let outputs = self.transform.outputs();
+        let mirrors = std::iter::once(&outputs[0]).chain(outputs.iter().rev());
+        let positions = outputs.iter().copied().zip(mirrors.copied());
+        positions.zip(self.turns.iter().map(|turn| turn[0]))
+    }
 }
 
-/// The positions of each frequency up to half of them, and of its mirror.
+/// `U` and `V` from `Z(k)` and `Z(M - k)`; or these, `1 + κ²` times, from `U` and `V`.
 #[inline(always)]
-fn pairs(outputs: &[usize]) -> impl Iterator<Item = (usize, usize)> {
-    let mirrors = std::iter::once(&outputs[0]).chain(outputs.iter().rev());
-    outputs[..=outputs.len() / 2].iter().copied().zip(mirrors.copied())
+fn rotated<V: Vector>(z: Complex<V>, mirror: Complex<V>, kappa: V) -> [Complex<V>; 2] {
+    [z.swap().scale_add(kappa, mirror), mirror.swap().neg_scale_add(kappa, z)]
 }
 
 struct Pack<'a, T> {
@@ -151,34 +143,58 @@ struct Pack<'a, T> {
 impl<T: Element> Algorithm<T> for Pack<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Self { plan: Halves { turns, transform, norm, .. }, weight, factor, packed } = self;
-        let (half, norm) = (transform.len(), V::splat(*norm));
-        let packed = complex_vectors::<V>(packed);
+        let Halves { turns, transform, norm, .. } = self.plan;
+        let half = transform.len();
+        let packed = complex_vectors::<V>(self.packed);
         for (k, turn) in turns.iter().enumerate() {
-            let turn = turn.splat::<V>();
-            for (i, packed) in packed.chunks_exact_mut(FACTORS * turns.len()).enumerate() {
-                let weight = weight.skip_lanes(2 * i * V::LANES);
+            let norm = V::splat(*norm * turn[1]);
+            let im_norm = match self.factor {
+                _ if k == 0 => V::splat(T::default()),
+                Factor::Weight => -norm,
+                Factor::Conjugate => norm,
+            };
+            for (i, packed) in packed.chunks_exact_mut(2 * turns.len()).enumerate() {
+                let weight = self.weight.skip_lanes(2 * i * V::LANES);
                 weight.prefetch_complex::<V>(half.saturating_sub(k + PLACES_AHEAD));
-                let (mut w, mut mirror) =
-                    (weight.complex::<V>(k).scale(norm), weight.complex::<V>(half - k).scale(norm));
-                if k == 0 {
-                    (w.im, mirror.im) = (Complex::zero().im, Complex::zero().im);
+                for (to, bin) in packed[2 * k..].iter_mut().zip([k, half - k]) {
+                    let w = weight.complex::<V>(bin);
+                    *to = Complex::new(w.re * norm, w.im * im_norm);
                 }
-                match factor {
-                    Factor::Weight => mirror = mirror.conj(),
-                    Factor::Conjugate => w = w.conj(),
+            }
+        }
+    }
+}
+
+struct Unpack<'a, T> {
+    plan: &'a Halves<T>,
+    sum: &'a [T],
+    gradient: TileMut<'a, T>,
+}
+
+impl<T: Element> Algorithm<T> for Unpack<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(mut self) {
+        let Halves { turns, transform, norm, .. } = self.plan;
+        let half = transform.len();
+        let sums = complex_vectors_of::<V>(self.sum);
+        for (k, turn) in turns.iter().enumerate() {
+            let norm = *norm * turn[1];
+            let (norm, im_norm) = match k {
+                0 => (V::splat(norm * T::nearest(0.5)), V::splat(T::default())),
+                _ => (V::splat(norm), -V::splat(norm)),
+            };
+            for (i, sums) in sums.chunks_exact(2 * turns.len()).enumerate() {
+                let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
+                for (sum, bin) in sums[2 * k..].iter().zip([k, half - k]) {
+                    gradient.set_complex(bin, Complex::new(sum.re * norm, sum.im * im_norm));
                 }
-                let (sum, difference) = (w + mirror, w - mirror);
-                packed[FACTORS * k] = difference.scale_add(turn.im, sum);
-                packed[FACTORS * k + 1] = difference.neg_scale_add(turn.im, sum);
-                packed[FACTORS * k + 2] = difference.scale(-turn.re);
             }
         }
     }
 }
 
 struct Product<'a, T> {
-    outputs: &'a [usize],
+    plan: &'a Halves<T>,
     line: &'a mut [T],
     factor: &'a [T],
 }
@@ -187,11 +203,14 @@ impl<T: Element> Algorithm<T> for Product<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
         let line = complex_vectors::<V>(self.line);
-        let (factors, _) = complex_vectors_of::<V>(self.factor).as_chunks::<FACTORS>();
-        for ((position, opposite), [of_z, of_mirror, across]) in pairs(self.outputs).zip(factors) {
-            let (z, mirror) = (line[position], line[opposite]);
-            line[position] = z.times(*of_z).minus_i_times(mirror.conj(), *across);
-            line[opposite] = mirror.times_conj(*of_mirror).minus_i_times(z.conj(), across.conj());
+        let (factors, _) = complex_vectors_of::<V>(self.factor).as_chunks::<2>();
+        for (((position, opposite), kappa), factors) in self.plan.pairs().zip(factors) {
+            let kappa = V::splat(kappa);
+            let [u, v] = rotated(line[position], line[opposite], kappa);
+            let (u, v) = (u.times(factors[0]), v.times(factors[1]));
+            let [z, mirror] = rotated(u, v, kappa);
+            line[position] = z;
+            line[opposite] = mirror;
         }
     }
 }
@@ -206,15 +225,13 @@ struct Accumulate<'a, T> {
 impl<T: Element> Algorithm<T> for Accumulate<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Halves { transform, turns, .. } = self.plan;
         let (grad, x) = (complex_vectors_of::<V>(self.grad), complex_vectors_of::<V>(self.x));
-        let (sums, _) = complex_vectors::<V>(self.sum).as_chunks_mut::<SUMS>();
-        for (((position, opposite), turn), sums) in pairs(transform.outputs()).zip(turns).zip(sums)
-        {
-            let turn = turn.splat();
-            let g = merge(split(grad[position], grad[opposite]), turn);
-            let x = merge(split(x[position], x[opposite]), turn);
-            for i in 0..SUMS {
+        let (sums, _) = complex_vectors::<V>(self.sum).as_chunks_mut::<2>();
+        for (((position, opposite), kappa), sums) in self.plan.pairs().zip(sums) {
+            let kappa = V::splat(kappa);
+            let g = rotated(grad[position], grad[opposite], kappa);
+            let x = rotated(x[position], x[opposite], kappa);
+            for i in 0..2 {
                 sums[i] = sums[i].plus_times_conj(g[i], x[i]);
             }
         }

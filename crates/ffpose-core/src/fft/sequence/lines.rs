@@ -47,18 +47,10 @@ impl<T: Element> Lines<T> {
         }
     }
 
-    /// Numbers of a packed factor.
+    /// Numbers of a packed factor, and of a gradient's sum.
     pub(super) fn packed_len(&self) -> usize {
         match self {
             Self::Even(halves) => halves.packed_len(),
-            Self::Odd(_, columns, _) => columns.packed_len(),
-        }
-    }
-
-    /// Numbers of a gradient's sum.
-    pub(super) fn sum_len(&self) -> usize {
-        match self {
-            Self::Even(halves) => halves.sum_len(),
             Self::Odd(_, columns, _) => columns.packed_len(),
         }
     }

@@ -173,7 +173,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     }
 
     fn sum_len(&self, lanes: usize) -> usize {
-        lanes.div_ceil(self.lanes) * self.lines.sum_len()
+        self.packed_len(lanes)
     }
 
     fn forward(
@@ -220,7 +220,7 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
     ) {
         let lanes = grad_weight.len_of(Axis(1));
         let whole = lanes.next_multiple_of(self.lanes);
-        let grad_sum = &grad_sum[..whole / self.lanes * self.lines.sum_len()];
+        let grad_sum = &grad_sum[..whole / self.lanes * self.lines.packed_len()];
         if lanes < whole {
             let mut padded = self.bins(self.scratch(team.scratch()).bins, whole);
             self.lines.unpack(grad_sum, padded.view_mut());
