@@ -128,6 +128,7 @@ pub(crate) fn filter_tensors(
 ) -> PyResult<()> {
     let (x, weight) = (Tensor::new("x", x)?, Tensor::new("weight", weight)?);
     let y = Tensor::new("out", y)?;
+    // before dtypes: what is refused for its dtype alone is converted by the caller
     y.check_apart(&[&x, &weight][usize::from(y.is(&x))..])?;
     with_types_of!(x, weight, forward(py, &x, &weight, y, layout, num_threads.0))
 }
@@ -142,16 +143,14 @@ fn forward<X: TensorElement, W: TensorElement<Real = X::Real>>(
 ) -> PyResult<()> {
     let pool = TorchPool::new(threads);
     if y.is(x) {
-        // SAFETY: `filter_tensors` has checked that the weight is elsewhere, and `x` is not looked at.
-        let images = unsafe { y.view_mut::<X>()? };
+        let images = y.view_mut::<X>(&[weight])?;
         let weight = weight.view::<W>()?;
         return enter_sized(py, images.len(), || {
             let filter = planned(layout, images.shape())?;
             with_scratch(|scratch| filter.forward_in_place(images, weight, &pool, scratch))
         });
     }
-    // SAFETY: `filter_tensors` has checked that the inputs are elsewhere.
-    let y = unsafe { y.view_mut::<X>()? };
+    let y = y.view_mut::<X>(&[x, weight])?;
     let (x, weight) = (x.view::<X>()?, weight.view::<W>()?);
     enter_sized(py, x.len(), || {
         let filter = planned(layout, x.shape())?;
@@ -175,14 +174,7 @@ pub(crate) fn filter_tensors_backward(
     let inputs = [Tensor::new("grad", grad)?, Tensor::new("x", x)?, Tensor::new("weight", weight)?];
     let grad_x = grad_x.map(|g| Tensor::new("grad_x", g)).transpose()?;
     let grad_weight = grad_weight.map(|g| Tensor::new("grad_weight", g)).transpose()?;
-    let [grad, x, weight] = &inputs;
-    if let Some(grad_x) = &grad_x {
-        let others = [grad, x, weight].into_iter().chain(&grad_weight);
-        grad_x.check_apart(&others.collect::<Vec<_>>())?;
-    }
-    if let Some(grad_weight) = &grad_weight {
-        grad_weight.check_apart(&[grad, x, weight])?;
-    }
+    let [_, x, weight] = &inputs;
     with_types_of!(x, weight, backward(py, &inputs, grad_x, grad_weight, layout, num_threads.0))
 }
 
@@ -194,14 +186,11 @@ fn backward<X: TensorElement, W: TensorElement<Real = X::Real>>(
     layout: &str,
     threads: usize,
 ) -> PyResult<()> {
-    // SAFETY: `filter_tensors_backward` has checked that all are elsewhere.
-    let gradients = unsafe {
-        Gradients {
-            x: grad_x.map(|g| g.view_mut()).transpose()?,
-            weight: grad_weight.map(|g| g.view_mut()).transpose()?,
-        }
-    };
     let [grad, x, weight] = inputs;
+    let others: Vec<_> = inputs.iter().chain(&grad_weight).collect();
+    let grad_x = grad_x.map(|g| g.view_mut(&others)).transpose()?;
+    let grad_weight = grad_weight.map(|g| g.view_mut(&[grad, x, weight])).transpose()?;
+    let gradients = Gradients { x: grad_x, weight: grad_weight };
     let (grad, x, weight) = (grad.view::<X>()?, x.view::<X>()?, weight.view::<W>()?);
     enter_sized(py, x.len(), || {
         let filter = planned(layout, x.shape())?;

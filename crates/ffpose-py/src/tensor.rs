@@ -148,13 +148,14 @@ impl<'a> Tensor<'a> {
         Err(PyValueError::new_err(text))
     }
 
-    /// The elements, to write.
-    ///
-    /// # Safety
-    /// No other view reaches there ([`check_apart`](Self::check_apart)).
-    pub(crate) unsafe fn view_mut<T: TensorElement>(self) -> PyResult<ArrayViewMutD<'a, T>> {
+    /// The elements, to write, of a tensor that shares no memory with `others`.
+    pub(crate) fn view_mut<T: TensorElement>(
+        self,
+        others: &[&Tensor<'_>],
+    ) -> PyResult<ArrayViewMutD<'a, T>> {
+        self.check_apart(others)?;
         let start = self.elements::<T>()?;
-        // SAFETY: as in `view`; the caller promises the rest.
+        // SAFETY: as in `view`; no other view of this call reaches there.
         Ok(unsafe { ArrayViewMutD::from_shape_ptr(self.dim, start.as_ptr()) })
     }
 
