@@ -144,7 +144,7 @@ impl Tuning {
     }
 
     /// Whether one image alone comes to the L2 cache by itself; with its result and its weight it is `bytes`. On Zen 5 it does up
-    /// to ten L2 caches, which is as far as was measured: to ask took up to 1.5 times as long.
+    /// to ten L2 caches, which is as far as was measured: to ask took up to 1.4 times as long.
     pub(crate) fn comes_unasked(&self, bytes: usize) -> bool {
         !self.fetches_ahead || bytes <= self.unasked * self.l2_cache
     }

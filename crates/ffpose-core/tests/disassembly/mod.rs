@@ -14,8 +14,8 @@ const ENTRIES: [(&str, bool, bool); 2] = [
     ("7Entries6avx512", cfg!(feature = "avx512"), false),
 ];
 
-/// Parts of the names of what a kernel may call: it ends the call, or it fills memory.
-const ALLOWED: [&str; 7] = [
+/// Parts of the names of what a kernel may call: it ends the call, fills memory, or asks for a row of it.
+const ALLOWED: [&str; 8] = [
     "4core9panicking",
     "4core6option",
     "4core6result",
@@ -23,6 +23,7 @@ const ALLOWED: [&str; 7] = [
     "len_mismatch_fail",
     "out_of_bounds",
     "memset",
+    "prefetch_share",
 ];
 
 /// Parts of the names of what moves numbers, which a kernel may do at one place, for a whole column. Calls at several places
