@@ -131,12 +131,24 @@ impl<'a, T: Stored> Tile<'a, T> {
 
     /// Asks for the cache lines of one of `shares` equal shares of `count` points from `first` on, which may lie behind the
     /// last point.
-    #[inline(never)] // the rows' kernels are a sixth slower with it inside, wanted or not
+    #[inline(always)]
     pub(crate) fn prefetch_share(&self, first: usize, count: usize, share: usize, shares: usize) {
         let each = count.div_ceil(shares);
         for point in first + (share * each).min(count)..first + (share * each + each).min(count) {
             prefetch_lines(self.start.wrapping_add(point * self.stride), self.lanes);
         }
+    }
+
+    /// As [`prefetch_share`](Self::prefetch_share), by a call: kernels of long rows are a sixth slower with it inside, wanted or not.
+    #[inline(never)]
+    pub(crate) fn call_prefetch_share(
+        &self,
+        first: usize,
+        count: usize,
+        share: usize,
+        shares: usize,
+    ) {
+        self.prefetch_share(first, count, share, shares);
     }
 
     /// Asks for all cache lines of the points, which are without gaps.

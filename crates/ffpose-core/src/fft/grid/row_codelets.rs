@@ -88,7 +88,7 @@ where
             let first = row * P * Q;
             for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
                 if far {
-                    self.image.prefetch_share(first + GRID_AHEAD.max(P * Q), P * Q, i, vectors);
+                    prefetch::<_, P, Q>(self.image, first, i, vectors);
                 }
                 let image = self.image.skip_lanes(i * V::LANES);
                 CompositeRow::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
@@ -121,12 +121,27 @@ where
             let first = row * P * Q;
             for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
                 if far {
-                    let image = self.image.reader();
-                    image.prefetch_share(first + GRID_AHEAD.max(P * Q), P * Q, i, vectors);
+                    prefetch::<_, P, Q>(self.image.reader(), first, i, vectors);
                 }
                 let image = &mut self.image.skip_lanes(i * V::LANES);
                 CompositeRow::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
             }
         }
+    }
+}
+
+/// Asks for a share of the row behind that from point `first` on.
+#[inline(always)]
+fn prefetch<X: Stored, const P: usize, const Q: usize>(
+    image: Tile<'_, X>,
+    first: usize,
+    share: usize,
+    shares: usize,
+) {
+    let ahead = first + GRID_AHEAD.max(P * Q);
+    if P * Q < GRID_AHEAD {
+        image.prefetch_share(ahead, P * Q, share, shares);
+    } else {
+        image.call_prefetch_share(ahead, P * Q, share, shares);
     }
 }
