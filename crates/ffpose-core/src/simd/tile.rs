@@ -139,7 +139,8 @@ impl<'a, T: Stored> Tile<'a, T> {
         }
     }
 
-    /// As [`prefetch_share`](Self::prefetch_share), by a call: kernels of long rows are a sixth slower with it inside, wanted or not.
+    /// As [`prefetch_share`](Self::prefetch_share), by a call: kernels of long rows are slower with it inside, by up to a sixth on
+    /// Zen 5, wanted or not.
     #[inline(never)]
     pub(crate) fn call_prefetch_share(
         &self,

@@ -20,7 +20,7 @@ impl<T: Element> Grid<T> {
         lanes <= self.alone::<X>() && lanes.is_multiple_of(self.lanes)
     }
 
-    /// For lanes of one image, with its result and its weight.
+    /// For lanes of one image: far are those that do not come to the cache by themselves, with their result and their weight.
     fn place_of_one<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
         self.place(!self.tuning.comes_unasked(3 * size_of::<X>() * x.len()))
     }

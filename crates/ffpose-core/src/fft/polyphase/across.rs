@@ -33,7 +33,7 @@ where
 {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        assert!(L <= V::LANES); // there is no code for more
+        assert!(L <= V::LANES); // as planned; the compiler then makes no code for more
         let Polyphase { transform, turns, twiddles, .. } = self.plan;
         let outputs = transform.outputs();
         let line = complex_vectors::<V>(self.line);
