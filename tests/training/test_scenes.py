@@ -1,5 +1,6 @@
 """A training on rendered scenes: from a name to weights, which a second run makes again."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from ffpose.models import CONFIGS, FilterformerPose, read_metadata
 from ffpose.preprocessing import Preprocessing
 from ffpose.render import label, views
 from ffpose.render.dataset import writer
+from ffpose.render.renderer import situation
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, data
 from ffpose.training.config import TEST_SEEDS
 from ffpose.training.engine import train
@@ -131,6 +133,7 @@ def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path):
     ).camera.resized(128, 96)
     assert metadata.preprocessing.mean == (0.0, 0.0, 0.0)
     assert (metadata.data["kind"], metadata.data["count"]) == ("scenes", 12)
+    assert metadata.data["sets"] == [{"scene": "soyuz_easy", "seed": 3, "count": 12}]
     assert metadata.recipe["data"]["scene"] == "soyuz_easy"
     assert not any("dense" in name for name in load_file(folder.last))
     pose = FilterformerPose.from_pretrained(folder.last)(torch.zeros(2, 3, 96, 128))
@@ -176,7 +179,52 @@ def test_no_training_renders_a_tests_scenes(monkeypatch, seed):
     data.open_training_data(config, model, Preprocessing(model.image_size), coordinates=True)
     assert [content for _, content in asked] == ["object", "object", "empty", "decoy"]
     assert all(0 <= given < TEST_SEEDS for given, _ in asked)
-    assert all((given == seed) == (content == "object") for given, content in asked)
+    assert [given for given, _ in asked[:2]] == [seed, (seed + 1) % TEST_SEEDS]
+    assert not {given for given, _ in asked[:2]} & {given for given, _ in asked[2:]}
+
+
+def test_sets_that_are_joined_show_different_scenes(monkeypatch):
+    """Image i of one set has another attitude, light and Earth than image i of any other."""
+    asked = []
+
+    def open_views(root, scene, seed, count, spec, *, content="object", workers):
+        asked.append((scene, seed, count, content))
+        return {"labels": np.zeros((count, 13))}
+
+    monkeypatch.setattr(data, "open_views", open_views)
+    for name in ("open_validation", "open_empty_images"):
+        monkeypatch.setattr(data, name, lambda *_, **__: None)
+    config = DataConfig(
+        *("scenes", Path("none")),
+        scene="soyuz_hard+soyuz_easy+soyuz_hard",
+        count=[3, 2, 4],
+        cut=1,
+        randomized=1,
+        seed=101,
+    )
+    model = CONFIGS["compact"]
+    data.open_training_data(config, model, Preprocessing(model.image_size), coordinates=True)
+    shown = [part for part in asked if part[3] == "object"]
+    assert [(scene.name, seed, count) for scene, seed, count, _ in shown[:3]] == [
+        ("soyuz_hard", 101, 3),
+        ("soyuz_easy", 102, 2),
+        ("soyuz_hard", 103, 4),
+    ]
+    assert len(shown) == 9
+    for index in range(2):
+        seen = [situation(scene, seed, index) for scene, seed, _, _ in shown]
+        for one, other in itertools.combinations(seen, 2):
+            assert np.abs(one.pose.rotation - other.pose.rotation).max() > 1e-3
+            for name in ("sun", "nadir", "ground"):
+                differ = getattr(one.around, name) - getattr(other.around, name)
+                assert np.abs(differ).max() > 1e-3
+
+
+def test_a_number_of_images_for_each_set_is_expected():
+    with pytest.raises(ValueError, match=r"data\.count: expected a number for 2 sets, got \[1\]"):
+        DataConfig("scenes", Path("none"), scene="soyuz_hard+soyuz_easy", count=[1])
+    with pytest.raises(ValueError, match=r"data\.count: expected 1 or more, got \[1, 0\]"):
+        DataConfig("scenes", Path("none"), scene="soyuz_hard+soyuz_easy", count=[1, 0])
 
 
 def test_seeds_of_tests_are_refused():

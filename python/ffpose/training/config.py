@@ -51,8 +51,9 @@ class DataConfig:
             12 bits, or the percentile of each image's own levels, such as "p99.5"; None for images
             of 8 bits.
         scene: For kind "scenes": name of the rendered set, or several joined by a plus; validation
-            uses the first.
-        count: For kind "scenes": number of training images of each set.
+            uses the first. A name that stands twice is two sets, of other seeds.
+        count: For kind "scenes": number of training images of each set, or a list of one number
+            for each.
         validation: For kind "scenes": number of whole images that select the best epoch.
         empty: For kind "scenes": number of images without the spacecraft, negatives for a network
             with a second look.
@@ -60,7 +61,8 @@ class DataConfig:
         cut: For kind "scenes": number of images of each set whose spacecraft the border cuts.
         randomized: For kind "scenes": number of images of each set with domain randomization of
             light, materials and backgrounds.
-        seed: For kind "scenes": seed of the images, below `TEST_SEEDS`.
+        seed: For kind "scenes": seed of the first set, below `TEST_SEEDS`; those of the others
+            count on from it (`seeds`), so that no two sets show one scene.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
     """
 
@@ -78,7 +80,7 @@ class DataConfig:
     undistort: bool = False
     white: float | str | None = None
     scene: str = "soyuz_hard"
-    count: int = 10000
+    count: int | list[int] = 10000
     validation: int = 200
     empty: int = 1000
     decoys: int = 1000
@@ -92,12 +94,30 @@ class DataConfig:
         _expect(self.holdout == 0 or self.holdout > 1, "data.holdout", "0, 2 or more", self.holdout)
         if self.white is not None:
             check_white("data.white", self.white)
-        _expect(self.count >= 1, "data.count", "1 or more", self.count)
+        _expect(min(self.counts, default=0) >= 1, "data.count", "1 or more", self.count)
+        if self.kind == "scenes":
+            sets = len(self.scenes)
+            _expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
         _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
         for name in ("empty", "decoys", "cut", "randomized"):
             _expect(getattr(self, name) >= 0, f"data.{name}", "0 or more", getattr(self, name))
         expected = f"0 to {TEST_SEEDS - 1}, as later seeds are for tests"
         _expect(0 <= self.seed < TEST_SEEDS, "data.seed", expected, self.seed)
+
+    @property
+    def scenes(self) -> list[str]:
+        """Names of the rendered sets, in order."""
+        return self.scene.split("+")
+
+    @property
+    def counts(self) -> list[int]:
+        """Number of training images of each of `scenes`."""
+        return self.count if isinstance(self.count, list) else [self.count] * len(self.scenes)
+
+    @property
+    def seeds(self) -> list[int]:
+        """Seed of each of `scenes`: ``seed``, ``seed + 1``, … and 0 after `TEST_SEEDS` - 1."""
+        return [(self.seed + number) % TEST_SEEDS for number in range(len(self.scenes))]
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from ffpose.transforms import Augmentation
 from ffpose.views import Arrays, Bytes, Content, ViewSpec
 
 EMPTY_SEEDS, CUT_SEEDS, RANDOMIZED_SEEDS = 500_000, 300_000, 400_000
-"""Added, among the seeds below `TEST_SEEDS`, to the seed: no two kinds show one scene."""
+"""Added, among the seeds below `TEST_SEEDS`, to a set's seed: no two kinds show one scene."""
 
 CUT_SHARE = (0.25, 0.9)
 """Least and greatest share of a spacecraft that the border cuts."""
@@ -145,22 +145,23 @@ def _open_splits(
 
 def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing) -> TrainingData:
     """Render what is not there yet."""
-    scenes = [find_scene(name, config.attitude_range_deg) for name in config.scene.split("+")]
+    scenes = [find_scene(name, config.attitude_range_deg) for name in config.scenes]
     camera = preprocessing.camera(scenes[0].camera)
     workers = config.workers
     val_set = open_validation(
         config.root, scenes[0], config.seed, config.validation, preprocessing, workers=workers
     )
+    seeded = list(zip(scenes, config.seeds, strict=True))
+    counted = zip(seeded, config.counts, strict=True)
     kinds = [
-        *((scene, 0, config.count) for scene in scenes),
-        *((scene.cut(*CUT_SHARE), CUT_SEEDS, config.cut) for scene in scenes),
-        *((s.randomized(RANDOMIZATION), RANDOMIZED_SEEDS, config.randomized) for s in scenes),
+        *((scene, seed, count) for (scene, seed), count in counted),
+        *((scene.cut(*CUT_SHARE), seed + CUT_SEEDS, config.cut) for scene, seed in seeded),
+        *(
+            (scene.randomized(RANDOMIZATION), seed + RANDOMIZED_SEEDS, config.randomized)
+            for scene, seed in seeded
+        ),
     ]
-    parts = [
-        (scene, (config.seed + other) % TEST_SEEDS, count)
-        for scene, other, count in kinds
-        if count > 0
-    ]
+    parts = [(scene, seed % TEST_SEEDS, count) for scene, seed, count in kinds if count > 0]
     if not looks_twice(model):
         frames = [open_frames(config.root, *part, preprocessing, workers=workers) for part in parts]
         train_set = _joined(frames, config)

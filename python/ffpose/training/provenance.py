@@ -37,8 +37,16 @@ def set_name(config: DataConfig) -> str:
     return config.scene if config.kind == "scenes" else config.root.resolve().name
 
 
+def rendered_sets(config: DataConfig) -> dict[str, Any]:
+    """Return name, seed and number of images of each set of scenes; nothing of sets on disk."""
+    if config.kind != "scenes":
+        return {}
+    parts = zip(config.scenes, config.seeds, config.counts, strict=True)
+    return {"sets": [{"scene": scene, "seed": seed, "count": n} for scene, seed, n in parts]}
+
+
 def describe_data(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
-    """Describe the images of a run: name, what labels locate, number, size, mean pose, and digest.
+    """Describe the images of a run: name, sets, number, size, mean pose, digest of the labels.
 
     The digest is the SHA-256, in hexadecimal, of the concatenation over all images of the name, a
     newline, and the label ``[t, q]`` as little-endian float64.
@@ -49,6 +57,7 @@ def describe_data(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
     return {
         "kind": config.kind,
         "name": set_name(config),
+        **rendered_sets(config),
         "locates": dataset.target,
         "count": len(dataset),
         "image_size": None if dataset.image_size is None else list(dataset.image_size),

@@ -29,7 +29,7 @@ from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import DataConfig
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
-from ffpose.training.provenance import describe_data, set_name
+from ffpose.training.provenance import describe_data, rendered_sets, set_name
 from ffpose.training.views import ViewBatch, ViewBatches
 
 VALIDATION_BATCH = 20
@@ -273,7 +273,7 @@ class ObjectTask:
         )
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
-        """Return name, number, size, mean pose and digest of the labels of the training views."""
+        """Return name, sets, number, size, mean pose and digest of the training views' labels."""
         labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in self.views.sets]
         digest = hashlib.sha256()
         for part in labels:
@@ -282,6 +282,7 @@ class ObjectTask:
         return {
             "kind": config.kind,
             "name": set_name(config),
+            **rendered_sets(config),
             "count": len(self.views),
             "image_size": None if size is None else list(size),
             "mean_pose": mean_pose(np.concatenate(labels)[:, :7]).tolist(),
