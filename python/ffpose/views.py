@@ -192,20 +192,23 @@ def cut_pieces(
     pose: Pose,
     spec: ViewSpec,
     coordinates: Callable[[Pose, Camera], Bytes] | None = None,
+    halved: int = 0,
 ) -> Pieces:
     """Cut the stored pieces from an image of the network's camera.
 
     Args:
-        image: Image ``(H, W, 3)`` of ``spec.camera``, uint8.
+        image: Image ``(H, W, 3)`` of ``spec.level_camera(halved)``, uint8.
         pose: Pose of the object.
         spec: Geometry of the views.
         coordinates: Function that returns the object coordinates ``(h, w, 4)`` for a pose and a
             camera, as `ffpose.render.layers.object_coordinates`; None where unknown.
+        halved: Level of the image pyramid that the image is, at most `ViewSpec.level` of the pose.
 
     Raises:
         ValueError: The image's size differs from its camera's, or the object is not in front of it.
     """
-    expected = (spec.camera.height, spec.camera.width, 3)
+    given = spec.level_camera(halved)
+    expected = (given.height, given.width, 3)
     if image.shape != expected:
         raise ValueError(f"image: expected shape {expected}, got {image.shape}")
     level = spec.level(pose.t)
@@ -214,8 +217,8 @@ def cut_pieces(
     left, top = round(whole.cx - camera.cx), round(whole.cy - camera.cy)
     half = WINDOW // 2
     return Pieces(
-        averaged(image, spec.first_stride),
-        cut(averaged(image, 1 << level), left, top),
+        averaged(image, spec.first_stride >> halved),
+        cut(averaged(image, 1 << (level - halved)), left, top),
         np.zeros((half, half, 4), np.uint8)
         if coordinates is None
         else coordinates(pose, camera.resized(half, half)),

@@ -93,17 +93,15 @@ def render_empty(
 
 
 class Shot(NamedTuple):
-    """An image that a camera took of a scene, with its exposure.
+    """An image that a camera took of a scene.
 
     Attributes:
         image: (H, W, 3) uint8, RGB.
         pose: The spacecraft's exact pose.
-        gain: The exposure; a radiance of 1/gain is full scale.
     """
 
     image: NDArray[np.uint8]
     pose: Pose
-    gain: float
 
 
 def shoot(
@@ -113,8 +111,8 @@ def shoot(
     camera: Camera,
     sensor: Sensor,
     *,
-    gain: float | None = None,
     empty: bool = False,
+    side: int = 1,
 ) -> Shot:
     """Render scene `index` with any camera at the position of the scene's own.
 
@@ -124,13 +122,14 @@ def shoot(
         index: Number of the scene in the set, at least 0.
         camera: Camera to render; pose and lights are those of the scene's own camera.
         sensor: Sensor that turns radiance into pixel values.
-        gain: Exposure; None chooses it from what the camera sees.
         empty: Leave the spacecraft out.
+        side: Pixels of a finer image along each side of one of this, 1 or 2: sun, stars, glare,
+            noise and exposure are then those of that image, averaged.
 
     Raises:
         ValueError: `seed` or `index` is negative.
     """
-    return shoot_each(scene, seed, index, camera, (sensor,), gain=gain, empty=empty)[0]
+    return shoot_each(scene, seed, index, camera, (sensor,), empty=empty, side=side)[0]
 
 
 def shoot_each(
@@ -140,8 +139,8 @@ def shoot_each(
     camera: Camera,
     sensors: Sequence[Sensor],
     *,
-    gain: float | None = None,
     empty: bool = False,
+    side: int = 1,
 ) -> list[Shot]:
     """Render with each of several sensors; each image equals that of `shoot` with that sensor.
 
@@ -151,7 +150,7 @@ def shoot_each(
     craft = scene.build()
     pose = sample_pose(scene, craft, pose_rng)
     around = sample_surroundings(scene, light_rng)
-    radiance = _background(scene, camera, around, star_rng, odd_rng)
+    radiance = _background(scene, camera, around, star_rng, odd_rng, side)
     lit = np.zeros((3, 0), dtype=np.float32)
     if not empty:
         finish = prepared(craft)[1]
@@ -166,9 +165,8 @@ def shoot_each(
     for sensor in sensors:
         rng = copy.deepcopy(sensor_rng)
         spread = math.hypot(sensor.exposure_spread, scene.randomization.exposure)
-        chosen = choose_gain(radiance, lit, spread, rng)
-        exposure = chosen if gain is None else gain
-        shots.append(Shot(expose(radiance, exposure, sensor, rng), pose, exposure))
+        gain = choose_gain(radiance, lit, spread, rng, side)
+        shots.append(Shot(expose(radiance, gain, sensor, rng, side), pose))
     return shots
 
 
@@ -235,12 +233,13 @@ def _background(
     around: Surroundings,
     star_rng: np.random.Generator,
     odd_rng: np.random.Generator,
+    side: int,
 ) -> Floats:
     """Compute the radiance (H, W, 3) of everything behind the spacecraft."""
     if odd_rng.random() < scene.randomization.background:
         return _draw_backdrop(camera, odd_rng)
-    radiance = draw_stars(camera, star_rng)
-    _draw_background(radiance, camera, around)
+    radiance = draw_stars(camera, star_rng, side)
+    _draw_background(radiance, camera, around, side)
     return radiance
 
 
@@ -250,7 +249,7 @@ def _draw_backdrop(camera: Camera, rng: np.random.Generator) -> Floats:
     return np.ascontiguousarray(wall.T).reshape(camera.height, camera.width, 3)
 
 
-def _draw_background(radiance: Floats, camera: Camera, around: Surroundings) -> None:
+def _draw_background(radiance: Floats, camera: Camera, around: Surroundings, side: int) -> None:
     """Composite sun, Earth and atmosphere over the stars in `radiance` (H, W, 3)."""
     rays = pixel_rays(camera)
     pixel_angle = 1.0 / camera.fx
@@ -259,7 +258,7 @@ def _draw_background(radiance: Floats, camera: Camera, around: Surroundings) -> 
     flat = radiance.reshape(-1, 3)
     for start in range(0, len(flat), BLOCK):
         pixels, through = flat[start : start + BLOCK], rays[:, start : start + BLOCK]
-        pixels += sun_disk(around.sun, through, pixel_angle)[:, None]
+        pixels += sun_disk(around.sun, through, pixel_angle, side)[:, None]
         glow, behind = earth.shade(through, pixel_angle)
         pixels *= behind[:, None]
         pixels += glow.T

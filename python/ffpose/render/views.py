@@ -1,9 +1,11 @@
-"""Rendering training views directly: the small frame and the window, not the whole image.
+"""Rendering training views: the pieces that `ffpose.views` would cut out of the whole image.
 
-A network with a second look reads two pieces of an image (`ffpose.views`). Rendering the image and
-cutting them out would spend most of the time on pixels that are averaged away. Instead each piece
-is rendered at its own resolution, with the same scene, light and exposure, and with a sensor whose
-blur and noise are those of averaged pixels: a tenth of the time of a 1280 x 960 image.
+A network with a second look reads two pieces of an image (`ffpose.views`). A window of the finest
+pyramid level is cut out of the whole image, bit for bit. Of the coarser windows and of the frame,
+which average at least two pixels each way, the pixels are averaged anyway: they are cut out of the
+whole image rendered at half its resolution, in a third of the time. Sun, stars, glare, vignette,
+exposure and the noise of averaged pixels are those of the whole image there too; what differs is
+what a pixel of twice the width does to edges and highlights.
 """
 
 from __future__ import annotations
@@ -15,17 +17,18 @@ from dataclasses import asdict, replace
 from functools import partial
 from typing import get_args
 
-import numpy as np
-
+from ffpose.geometry import Camera, Pose
 from ffpose.render.layers import object_coordinates
-from ffpose.render.renderer import prepared, shoot
+from ffpose.render.renderer import label, prepared, shoot
 from ffpose.render.scene import Scene
-from ffpose.render.shading.sensor import Sensor
 from ffpose.render.spacecraft.decoys import build_decoy
-from ffpose.views import WINDOW, Content, Pieces, ViewSpec, in_frame
+from ffpose.views import Bytes, Content, Pieces, ViewSpec, cut_pieces, in_frame
 
 CHUNK = 8
 """Views per task of a worker process."""
+
+RENDERING = 2
+"""Version of how views are rendered; those that were rendered otherwise are rendered again."""
 
 
 def render_view(
@@ -49,47 +52,32 @@ def render_view(
     if content == "decoy":
         scene = replace(scene, craft=build_decoy(seed, index))
     empty = content == "empty"
-    height, width = spec.frame_size
-    small = spec.camera.resized(width, height)
-    frame = shoot(
-        scene, seed, index, small, averaging(scene.sensor, spec.first_stride), empty=empty
-    )
-    level = spec.level(frame.pose.t)
-    camera = spec.window_camera(frame.pose.t, level)
-    whole = spec.level_camera(level)
-    sensor = in_window(averaging(scene.sensor, 2**level), whole.width)
-    window = shoot(scene, seed, index, camera, sensor, gain=frame.gain, empty=empty).image
-    coordinates = np.zeros((WINDOW // 2, WINDOW // 2, 4), np.uint8)
-    if content == "object":
-        half = camera.resized(WINDOW // 2, WINDOW // 2)
-        coordinates = object_coordinates(scene.build(), frame.pose, half)
-    inside = in_frame(camera, whole)
-    window = window * inside[..., None]
-    coordinates = coordinates * (inside[::2, ::2] & inside[1::2, 1::2])[..., None]
-    return Pieces(frame.image, window, coordinates, frame.pose, camera, level, content == "object")
+    pose = label(scene, seed, index)
+    level = spec.level(pose.t)
+    halved = int(level > 0 and spec.first_stride % 2 == 0)
+    camera = spec.level_camera(halved)
+    shot = shoot(scene, seed, index, camera, scene.sensor, empty=empty, side=2**halved)
 
+    def coordinates(pose: Pose, half: Camera) -> Bytes:
+        window = spec.window_camera(pose.t, level)
+        inside = in_frame(window, spec.level_camera(level))
+        seen = object_coordinates(scene.build(), pose, half)
+        return seen * (inside[::2, ::2] & inside[1::2, 1::2])[..., None]
 
-def averaging(sensor: Sensor, side: int) -> Sensor:
-    """Return the sensor whose pixels are means of ``side`` x ``side`` pixels of this one."""
-    return replace(
-        sensor, full_well=sensor.full_well * side**2, read_noise=sensor.read_noise * side
-    )
-
-
-def in_window(sensor: Sensor, width: int) -> Sensor:
-    """Return the sensor for a window of an image ``width`` pixels wide, without vignetting.
-
-    Blur and motion are relative to the image's width, of which the window covers a part.
-    """
-    scale = width / WINDOW
-    return replace(
-        sensor, blur_px=sensor.blur_px * scale, motion_px=sensor.motion_px * scale, vignette=0.0
-    )
+    known = coordinates if content == "object" else None
+    pieces = cut_pieces(shot.image, pose, spec, known, halved)
+    return pieces._replace(present=content == "object")
 
 
 def describe(scene: Scene, seed: int, spec: ViewSpec, content: Content) -> dict[str, object]:
     """Return all parameters that views depend on, except their indices, as plain values."""
-    return {"scene": scene.parameters(), "seed": seed, "spec": asdict(spec), "content": content}
+    return {
+        "rendering": RENDERING,
+        "scene": scene.parameters(),
+        "seed": seed,
+        "spec": asdict(spec),
+        "content": content,
+    }
 
 
 def render_views(

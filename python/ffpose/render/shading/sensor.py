@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -24,6 +24,8 @@ FRAME_LEVEL = 0.9
 BLOOM_LIMIT = 200.0
 BLOOM_CELL = 4
 """Pixels per cell of the coarse grid on which glare is computed."""
+GAIN_STEP = 4
+"""Of so many rows and columns one is looked at to choose the exposure."""
 BLUR_LIMIT = 20.0
 """Largest `Sensor.blur_px`: no camera in use is farther out of focus."""
 MOTION_LIMIT = 200.0
@@ -70,7 +72,16 @@ class Sensor:
             raise ValueError(f"jpeg_quality: expected 0…100, got {self.jpeg_quality}")
 
 
-def choose_gain(radiance: Floats, craft: Floats, spread: float, rng: np.random.Generator) -> float:
+def averaging(sensor: Sensor, side: int) -> Sensor:
+    """Return the sensor whose pixels are means of ``side`` x ``side`` pixels of this one."""
+    return replace(
+        sensor, full_well=sensor.full_well * side**2, read_noise=sensor.read_noise * side
+    )
+
+
+def choose_gain(
+    radiance: Floats, craft: Floats, spread: float, rng: np.random.Generator, side: int = 1
+) -> float:
     """Choose an exposure as a camera operator would, with a random error.
 
     The spacecraft's brighter parts come near full scale, unless much of the frame would saturate.
@@ -80,8 +91,10 @@ def choose_gain(radiance: Floats, craft: Floats, spread: float, rng: np.random.G
         craft: (3, N) radiance of samples on the spacecraft; N may be 0.
         spread: Standard deviation of the error, in stops.
         rng: Generator of the error.
+        side: Pixels of the frame along each side of one of `radiance`, 1 or 2.
     """
-    frame = _luminance(np.moveaxis(radiance[::4, ::4], -1, 0).reshape(3, -1))
+    step = GAIN_STEP // side
+    frame = _luminance(np.moveaxis(radiance[::step, ::step], -1, 0).reshape(3, -1))
     gain = FRAME_LEVEL / max(_quantile(frame, 0.85), 1e-6)
     if craft.shape[1]:
         gain = min(gain, CRAFT_LEVEL / max(_quantile(_luminance(craft), 0.9), 1e-6))
@@ -89,22 +102,25 @@ def choose_gain(radiance: Floats, craft: Floats, spread: float, rng: np.random.G
 
 
 def expose(
-    radiance: Floats, gain: float, sensor: Sensor, rng: np.random.Generator
+    radiance: Floats, gain: float, sensor: Sensor, rng: np.random.Generator, side: int = 1
 ) -> NDArray[np.uint8]:
     """Turn radiance into 8-bit pixel values.
 
     Args:
-        radiance: (H, W, 3) linear; sunlit white paint is about 1.
+        radiance: (H, W, 3) linear, of the whole frame; sunlit white paint is about 1.
         gain: Exposure; a radiance of 1/gain is full scale.
         sensor: Parameters of the sensor.
         rng: Generator of the noise.
+        side: Pixels of the sensor along each side of one of `radiance`, 1 or 2. Noise is that of
+            their mean, and the cells on which glare is computed stay those of the sensor.
 
     Returns:
         (H, W, 3) uint8; the response is sRGB with a soft shoulder.
     """
+    sensor = averaging(sensor, side)
     signal = radiance * np.float32(gain)
     if sensor.bloom > 0:
-        _add_bloom(signal, sensor.bloom)
+        _add_bloom(signal, sensor.bloom, BLOOM_CELL // side)
     if sensor.blur_px > 0:
         signal = _blur(signal, sensor.blur_px * signal.shape[1] / 1280)
     if sensor.motion_px > 0:
@@ -200,26 +216,26 @@ def _through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
         return np.asarray(read.convert("RGB"))
 
 
-def _add_bloom(signal: Floats, share: float) -> None:
-    """Spread the light beyond full scale over a wide halo, in place."""
+def _add_bloom(signal: Floats, share: float, cell: int) -> None:
+    """Spread the light beyond full scale over a wide halo, by cells of `cell` pixels; in place."""
     if signal.max() <= 1:
         return
-    height, width = (side // BLOOM_CELL for side in signal.shape[:2])
-    whole = signal[: height * BLOOM_CELL, : width * BLOOM_CELL]
+    height, width = (side // cell for side in signal.shape[:2])
+    whole = signal[: height * cell, : width * cell]
     excess = np.clip(whole - 1, 0, BLOOM_LIMIT)
-    excess = excess.reshape(height, BLOOM_CELL, width, BLOOM_CELL, 3).mean(axis=(1, 3))
+    excess = excess.reshape(height, cell, width, cell, 3).mean(axis=(1, 3))
     if not excess.any():
         return
     spectrum = np.fft.rfft2(excess, (2 * height, 2 * width), axes=(0, 1))
     spectrum *= _halo_spectrum(height, width)[..., None]
     halo = np.fft.irfft2(spectrum, axes=(0, 1))[:height, :width]
     glare: Floats = np.maximum(halo * share, 0).astype(np.float32)
-    signal += _stretch(_stretch(glare, signal.shape[0], 0), signal.shape[1], 1)
+    signal += _stretch(_stretch(glare, signal.shape[0], 0, cell), signal.shape[1], 1, cell)
 
 
-def _stretch(coarse: Floats, size: int, axis: int) -> Floats:
-    """Interpolate one axis of (h, w, 3) linearly, `BLOOM_CELL` pixels for each cell."""
-    place = (np.arange(size) + 0.5) / BLOOM_CELL - 0.5
+def _stretch(coarse: Floats, size: int, axis: int, cell: int) -> Floats:
+    """Interpolate one axis of (h, w, 3) linearly, `cell` pixels for each cell."""
+    place = (np.arange(size) + 0.5) / cell - 0.5
     place = np.clip(place, 0, coarse.shape[axis] - 1.001).astype(np.float32)
     low = place.astype(np.intp)
     part = (place - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))

@@ -22,8 +22,14 @@ STAR_FLUX = 0.25
 """Radiance of a star of magnitude zero, collected in one pixel at 640 pixels of focal length."""
 
 
-def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
-    """Draw stars uniformly over the sky with the true count per magnitude: radiance (H, W, 3)."""
+def draw_stars(camera: Camera, rng: np.random.Generator, side: int = 1) -> Floats:
+    """Draw stars uniformly over the sky with the true count per magnitude: radiance (H, W, 3).
+
+    Args:
+        camera: Camera of the image.
+        rng: Generator of the stars.
+        side: Pixels of a finer image along each side of one of this, which is its mean.
+    """
     total = rng.poisson(STARS_TO_MAGNITUDE_ZERO * 10 ** (0.5 * FAINTEST))
     rays = rng.standard_normal((total, 3))
     # Counts grow as 10^(0.5 m), so a uniform share of them gives a magnitude.
@@ -31,7 +37,8 @@ def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
     warmth = rng.normal(0.0, 0.18, total)
     ahead = rays[:, 2] > 0
     pixel = camera.project(rays[ahead])
-    flux = STAR_FLUX * 10 ** (-0.4 * magnitude[ahead]) * (camera.fx / 640.0) ** 0.5
+    flux = STAR_FLUX * 10 ** (-0.4 * magnitude[ahead]) * (camera.fx * side / 640.0) ** 0.5
+    flux /= side**2
     tint = np.stack([1 + warmth, np.ones_like(warmth), 1 - warmth], axis=1)[ahead]
     light = flux[:, None] * np.clip(tint, 0.4, 1.6)
     # A star is splatted on four pixels with bilinear weights.
@@ -48,14 +55,31 @@ def draw_stars(camera: Camera, rng: np.random.Generator) -> Floats:
     return image.reshape(camera.height, camera.width, 3)
 
 
-def sun_disk(sun: NDArray[np.float64], rays: Floats, pixel_angle: float) -> Floats:
-    """Compute the sun's radiance (N,) along unit rays (3, N), its rim smoothed over a pixel."""
+def sun_disk(sun: NDArray[np.float64], rays: Floats, pixel_angle: float, side: int = 1) -> Floats:
+    """Compute the sun's radiance (N,) along unit rays (3, N), its rim smoothed over a pixel.
+
+    Args:
+        sun: (3,) unit vector to the sun.
+        rays: Unit vectors through the pixels.
+        pixel_angle: Angle that one pixel covers, radians; the disk is at least as wide.
+        side: Pixels of a finer image along each side of one of this, whose disk has as much light.
+    """
     toward = np.asarray(sun, dtype=np.float32)[:, None]
     offset = np.sqrt(((rays - toward) ** 2).sum(axis=0))
-    radius = max(SUN_RADIUS_RAD, 0.5 * pixel_angle)
+    radius = _disk_radius(pixel_angle)
     inside = np.clip(0.5 - (offset - radius) / pixel_angle, 0, 1)
-    result: Floats = (inside * np.float32(SUN_RADIANCE)).astype(np.float32)
+    light = SUN_RADIANCE * _disk_area(pixel_angle / side) / _disk_area(pixel_angle)
+    result: Floats = (inside * np.float32(light)).astype(np.float32)
     return result
+
+
+def _disk_radius(pixel_angle: float) -> float:
+    return max(SUN_RADIUS_RAD, 0.5 * pixel_angle)
+
+
+def _disk_area(pixel_angle: float) -> float:
+    """Integrate the smoothed disk; its rim falls linearly over a pixel."""
+    return float(np.pi * (_disk_radius(pixel_angle) ** 2 + pixel_angle**2 / 12))
 
 
 class Earth(NamedTuple):
