@@ -19,6 +19,7 @@ from ffpose.models import FilterformerPose, zoo
 from ffpose.preprocessing import Preprocessing
 from ffpose.render.renderer import label
 from ffpose.training.config import TEST_SEEDS
+from ffpose.views import LABELS
 
 pytestmark = pytest.mark.slow
 
@@ -128,6 +129,19 @@ def test_images_are_of_seeds_that_no_training_uses():
     assert config.training(Path("x")).data.seed < TEST_SEEDS <= config.seed
 
 
+def test_the_views_rendered_are_those_that_the_settings_name(trained):
+    """32 of the Soyuz, three without any spacecraft and three of other spacecraft."""
+    labels = [np.load(path) for path in (trained / "views").glob("views-*/labels.npy")]
+    shows_soyuz = np.concatenate([each[:, LABELS.index("object")] for each in labels])
+    assert sorted(map(len, labels)) == [3, 3, 32]
+    assert shows_soyuz.sum() == TRAIN.views == 32
+    assert len(shows_soyuz) == TRAIN.rendered_views
+    assert (
+        "on 38 views of other scenes, 6 of them without a Soyuz"
+        in (trained / "report.html").read_text()
+    )
+
+
 def test_every_file_named_is_there(folder):
     files = read(folder)["files"]
     assert {"report.html", "report.json", "evaluation/results.json"} <= set(files)
@@ -173,7 +187,7 @@ def test_a_demo_run_again_reports_the_work_that_was_done(trained, capsys):
     page = (trained / "report.html").read_text()
     rows = dict(re.findall(r"<td>(seconds to [^<]+)</td><td>([^<]+)</td>", page))
     assert rows["seconds to render 12 images"] == f"{before['seconds_per_step']['render']:.1f}"
-    assert rows["seconds to render 32 views"] == f"{before['seconds_per_step']['views']:.1f}"
+    assert rows["seconds to render 38 views"] == f"{before['seconds_per_step']['views']:.1f}"
     with (trained / "training/results.csv").open() as file:
         seconds = sum(float(row["seconds"]) for row in csv.DictReader(file))
     assert rows["seconds to train"] == f"{seconds:.1f}"

@@ -26,7 +26,7 @@ class DemoConfig:
         workers: Number of processes that render, and that train together.
         train: Use a network trained here from scratch, in less than six minutes on two cores after
             three minutes of rendering.
-        views: Number of rendered training views; a tenth as many more show no spacecraft.
+        views: Number of rendered training views of the spacecraft (`rendered_views` counts all).
         validation: Number of whole validation images, which select the best epoch.
         epochs: Number of passes over the views.
         model_fields: Overrides of fields of the model configuration "compact".
@@ -48,6 +48,19 @@ class DemoConfig:
         """Set that the images are rendered from."""
         return find_scene(SCENE, self.attitude_range_deg)
 
+    @property
+    def negatives(self) -> int:
+        """Number of training views without any spacecraft, and as many of other spacecraft.
+
+        The threshold that flags images is chosen on images of both kinds, so both are learned.
+        """
+        return self.views // 10
+
+    @property
+    def rendered_views(self) -> int:
+        """Number of all training views."""
+        return self.views + 2 * self.negatives
+
     def training(self, out: Path) -> TrainConfig:
         """Return a training configuration that learns from 57,000 samples.
 
@@ -62,7 +75,8 @@ class DemoConfig:
                 out / "views",
                 scene=SCENE,
                 count=self.views,
-                empty=self.views // 10,
+                empty=self.negatives,
+                decoys=self.negatives,
                 validation=self.validation,
                 workers=self.workers,
                 attitude_range_deg=self.attitude_range_deg,

@@ -131,8 +131,9 @@ def page(outcome: Outcome) -> Report:
     subject = f"{config.images} rendered images of a Soyuz at {near:g} to {far:g} m ({ranges})"
     if config.train:
         how = (
-            f"after a training of {weights.seconds:.0f} s from random weights on {config.views} "
-            "views of other scenes"
+            f"after a training of {weights.seconds:.0f} s from random weights on "
+            f"{config.rendered_views} views of other scenes, {2 * config.negatives} of them "
+            "without a Soyuz"
         )
     else:
         how = f"with the shipped weights {SHIPPED}, which were trained on other scenes"
@@ -157,7 +158,7 @@ def page(outcome: Outcome) -> Report:
 def _training_facts(outcome: Outcome) -> dict[str, str]:
     weights = outcome.weights
     return {
-        f"seconds to render {outcome.config.views} views": _seconds(outcome, "views"),
+        f"seconds to render {outcome.config.rendered_views} views": _seconds(outcome, "views"),
         "seconds to train": _seconds(outcome, "train"),
         "epochs": f"{len(weights.history)}, the best is {weights.best_epoch}",
     }

@@ -108,7 +108,7 @@ def _train(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) ->
     """Train the remaining epochs, on views that are rendered where they are missing."""
     training = config.training(out)
     if record.views_seconds == 0:
-        _say(f"views: rendering {config.views} training views", quiet=quiet)
+        _say(f"views: rendering {config.rendered_views} training views", quiet=quiet)
         began = time.perf_counter()
         build_run(training)
         record.views_seconds = time.perf_counter() - began
