@@ -95,7 +95,7 @@ def render_arguments(parser: ArgumentParser) -> None:
         "--labels", nargs="+", choices=list(LABELS), default=[], help="write these layers too"
     )
     parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
-    parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply or .glb")
+    parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply, .glb, .gltf")
     parser.add_argument("--mesh-scale", type=float, default=1.0, help="meters per unit of the mesh")
     parser.add_argument(
         "--eclipse-rate", type=float, help="share in the Earth's shadow; as in orbit by default"

@@ -1,0 +1,282 @@
+"""Meshes with materials and textures: their colors, what identifies them, and what is refused."""
+
+import base64
+import io
+import json
+import struct
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ffpose.datasets.view_cache import digest
+from ffpose.errors import DataError
+from ffpose.render import SCENES, Scene, load_craft, render, render_layers, write_dataset
+from ffpose.render.views import describe
+from ffpose.views import ViewSpec
+
+RED, BLUE = (200, 0, 0), (0, 40, 240)
+CODES = 5
+"""Half a step of quantization, and rounding."""
+
+CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]] * 2, np.float32)
+CORNERS[4:, 2] = 0.5
+QUADS = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.uint32)
+LEFT = np.array([[0.05, 0.1], [0.45, 0.1], [0.45, 0.9], [0.05, 0.9]], np.float32)
+PLACES = np.concatenate([LEFT, LEFT + np.float32([0.5, 0])])
+"""Texture coordinates of two quads: the left half of the texture, and the right one."""
+
+
+def png(pixels):
+    file = io.BytesIO()
+    Image.fromarray(np.asarray(pixels, np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+HALVES = png(np.repeat([[RED, BLUE]], 4, axis=0).repeat(4, axis=1))
+
+
+def gltf_parts(colors=None, factor=None, textured=True):
+    """Header without buffers and images, and the buffer's bytes: positions, faces, places."""
+    blobs = [CORNERS.tobytes(), QUADS.tobytes(), PLACES.tobytes()]
+    attributes = {"POSITION": 0, "TEXCOORD_0": 2}
+    accessors = [
+        {"componentType": 5126, "count": 8, "type": "VEC3"},
+        {"componentType": 5125, "count": 12, "type": "SCALAR"},
+        {"componentType": 5126, "count": 8, "type": "VEC2"},
+    ]
+    if colors is not None:
+        blobs.append(np.tile(np.array(colors, np.float32), (8, 1)).tobytes())
+        attributes["COLOR_0"] = 3
+        accessors.append({"componentType": 5126, "count": 8, "type": "VEC3"})
+    starts = np.cumsum([0, *map(len, blobs)])
+    paint = {} if factor is None else {"baseColorFactor": [*factor, 1.0]}
+    if textured:
+        paint["baseColorTexture"] = {"index": 0}
+    header = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": paint}],
+        "textures": [{"source": 0}],
+        "accessors": [{**each, "bufferView": n} for n, each in enumerate(accessors)],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": int(start), "byteLength": len(blob)}
+            for start, blob in zip(starts, blobs, strict=False)
+        ],
+    }
+    return header, b"".join(blobs)
+
+
+def data_uri(content, kind):
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def write_gltf(folder, texture=HALVES, **parts):
+    """Write ``quads.gltf`` with its buffer and its texture beside it."""
+    header, blob = gltf_parts(**parts)
+    header["buffers"] = [{"uri": "quads.bin", "byteLength": len(blob)}]
+    header["images"] = [{"uri": "two%20halves.png"}]
+    (folder / "quads.bin").write_bytes(blob)
+    (folder / "two halves.png").write_bytes(texture)
+    path = folder / "quads.gltf"
+    path.write_text(json.dumps(header))
+    return path
+
+
+def write_embedded(folder, texture=HALVES, **parts):
+    """Write ``quads.gltf`` as one file."""
+    header, blob = gltf_parts(**parts)
+    header["buffers"] = [
+        {"uri": data_uri(blob, "application/octet-stream"), "byteLength": len(blob)}
+    ]
+    header["images"] = [{"uri": data_uri(texture, "image/png")}]
+    path = folder / "quads.gltf"
+    path.write_text(json.dumps(header))
+    return path
+
+
+def write_glb(folder, texture=HALVES, **parts):
+    """Write ``quads.glb``, with its texture inside."""
+    header, blob = gltf_parts(**parts)
+    header["images"] = [{"bufferView": len(header["bufferViews"]), "mimeType": "image/png"}]
+    header["bufferViews"].append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(texture)})
+    chunk = blob + texture
+    chunk += bytes(-len(chunk) % 4)
+    header["buffers"] = [{"byteLength": len(chunk)}]
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    path = folder / "quads.glb"
+    path.write_bytes(
+        struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(chunk))
+        + struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(chunk), b"BIN\0")
+        + chunk
+    )
+    return path
+
+
+def write_obj(folder, texture=HALVES, paint="map_Kd -s 1 1 1 two.png"):
+    """Write ``quads.obj`` with its materials and its texture beside it."""
+    lines = ["# café", "mtllib quads.mtl"]
+    lines += [f"v {x} {y} {z}" for x, y, z in CORNERS]
+    lines += [f"vt {u} {1 - v}" for u, v in PLACES]
+    lines += ["usemtl paint"]
+    lines += ["f " + " ".join(f"{n + 1}/{n + 1}" for n in face) for face in QUADS]
+    path = folder / "quads.obj"
+    path.write_bytes("\n".join(lines).encode("latin-1"))
+    (folder / "quads.mtl").write_bytes(f"# é\nnewmtl paint\n{paint}\n".encode("latin-1"))
+    (folder / "two.png").write_bytes(texture)
+    return path
+
+
+def linear(codes):
+    value = np.asarray(codes) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def codes(light):
+    value = np.asarray(light)
+    return 255 * np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+
+
+def face_codes(craft):
+    """The sRGB color of each face."""
+    return codes([craft.materials[number].color for number in craft.mesh.material])
+
+
+WRITERS = {"gltf": write_gltf, "embedded": write_embedded, "glb": write_glb, "obj": write_obj}
+
+
+@pytest.mark.parametrize("writer", WRITERS.values(), ids=WRITERS)
+def test_a_face_has_the_color_of_its_texture(tmp_path, writer):
+    craft = load_craft(writer(tmp_path), scale=2.0)
+    np.testing.assert_allclose(craft.mesh.vertices[:4], 2 * CORNERS[:4])
+    assert len(craft.mesh.faces) == 4
+    np.testing.assert_allclose(face_codes(craft), [RED, RED, BLUE, BLUE], atol=CODES)
+
+
+@pytest.mark.parametrize("writer", WRITERS.values(), ids=WRITERS)
+def test_a_faces_color_is_the_mean_of_the_light_over_it(tmp_path, writer):
+    """Half of the light of white is code 188, not 128; palettes and gray images are read too."""
+    board = Image.open(io.BytesIO(png(np.indices((64, 64)).sum(axis=0) % 2 * 255))).convert("P")
+    file = io.BytesIO()
+    board.save(file, "PNG")
+    shown = face_codes(load_craft(writer(tmp_path, texture=file.getvalue())))
+    np.testing.assert_allclose(shown, 188, atol=CODES + 3)
+
+
+def test_gltfs_factor_and_vertex_color_multiply_its_texture(tmp_path):
+    factor, tint = (0.5, 1.0, 0.25), (1.0, 0.5, 0.5)
+    craft = load_craft(write_glb(tmp_path, factor=factor, colors=tint))
+    light = linear([RED, RED, BLUE, BLUE]) * factor * tint
+    np.testing.assert_allclose(face_codes(craft), codes(light), atol=CODES)
+    plain = load_craft(write_glb(tmp_path, factor=factor, textured=False))
+    np.testing.assert_allclose(face_codes(plain), codes([factor] * 4), atol=CODES)
+
+
+@pytest.mark.parametrize(
+    ("paint", "light"),
+    [
+        ("Kd 0.8 0.2 0.4", linear([[204, 51, 102]] * 4)),  # as an sRGB color
+        ("Kd 0.5 0.5 0.5\nmap_Kd two.png", linear([RED, RED, BLUE, BLUE]) * linear(127.5)),
+        ("Kd 0 0 0\nmap_Kd two.png", linear([RED, RED, BLUE, BLUE])),
+        ("map_Kd C:\\work\\two.png", linear([RED, RED, BLUE, BLUE])),
+    ],
+)
+def test_an_mtl_files_color_and_texture(tmp_path, paint, light):
+    craft = load_craft(write_obj(tmp_path, paint=paint))
+    np.testing.assert_allclose(face_codes(craft), codes(light), atol=CODES)
+
+
+def test_a_texture_is_seen_in_the_image(tmp_path):
+    craft = load_craft(write_glb(tmp_path, texture=png(np.full((4, 4, 3), (20, 220, 20)))))
+    scene = Scene("quads", craft, (4.0, 4.0), 0.5, eclipse_rate=0.0)
+    frame, layers = render(scene, 0, 1, (64, 48)), render_layers(scene, 0, 1, (64, 48))
+    red, green, blue = frame.image[layers.mask].mean(axis=0)
+    assert green > 1.5 * max(red, blue)
+
+
+@pytest.mark.parametrize(
+    ("writer", "name"),
+    [
+        (write_gltf, "quads.bin"),
+        (write_gltf, "two halves.png"),
+        (write_obj, "quads.mtl"),
+        (write_obj, "two.png"),
+    ],
+)
+def test_every_file_that_a_mesh_refers_to_identifies_it(tmp_path, writer, name):
+    """In the manifest and in the key of cached views."""
+    path = writer(tmp_path)
+    (tmp_path / "notes.txt").write_text("of no importance")
+    spec = ViewSpec(SCENES["soyuz_easy"].camera.resized(64, 48), 4, 32, 6.6)
+
+    def identity():
+        scene = Scene("quads", load_craft(path), (4.0, 9.0), 5.0)
+        return scene, digest(describe(scene, 0, spec, "object"))
+
+    scene, key = identity()
+    write_dataset(scene, tmp_path / "set", 1, size=(32, 24))
+    (tmp_path / "notes.txt").write_text("of none either")
+    assert identity()[1] == key
+    file = tmp_path / name
+    changes = {
+        ".png": lambda: file.write_bytes(png(np.full((2, 2, 3), 90))),
+        ".bin": lambda: file.write_bytes((CORNERS * 2).tobytes() + file.read_bytes()[96:]),
+        ".mtl": lambda: file.write_text("newmtl paint\nKd 0.1 0.2 0.3\n"),
+    }
+    changes[file.suffix]()
+    other, changed = identity()
+    assert changed != key
+    with pytest.raises(ValueError, match=r"expected the same set as before, got scene\.craft"):
+        write_dataset(other, tmp_path / "set", 1, size=(32, 24))
+
+
+def refused(path, text):
+    """Expect one line that names the file and says what was wrong."""
+    with pytest.raises(DataError, match=text) as met:
+        load_craft(path)
+    assert "\n" not in str(met.value)
+
+
+@pytest.mark.parametrize(
+    ("writer", "name"),
+    [
+        (write_gltf, "quads.bin"),
+        (write_gltf, "two halves.png"),
+        (write_obj, "quads.mtl"),
+        (write_obj, "two.png"),
+    ],
+)
+def test_a_file_that_is_missing_is_named(tmp_path, writer, name):
+    path = writer(tmp_path)
+    (tmp_path / name).unlink()
+    named = name.replace(" ", "(%20| )")
+    refused(path, rf"quads\.\w+: expected '.*{named}', which it refers to, got no such file")
+
+
+@pytest.mark.parametrize("writer", WRITERS.values(), ids=WRITERS)
+@pytest.mark.parametrize("damage", [b"no image", HALVES[:-30]], ids=["text", "cut"])
+def test_a_texture_that_cannot_be_decoded_is_refused(tmp_path, writer, damage):
+    refused(writer(tmp_path, texture=damage), "expected .*texture.* that can be decoded, got ")
+
+
+def test_gltf_that_trimesh_would_read_wrong_is_refused(tmp_path):
+    path = write_gltf(tmp_path)
+    header = json.loads(path.read_text())
+    needed = ["KHR_materials_unlit", "KHR_draco_mesh_compression"]
+    path.write_text(json.dumps({**header, "extensionsRequired": needed}))
+    refused(path, "expected glTF without extensions, got one that needs KHR_draco_mesh_compression")
+    for text in ("{", "[]", '{"images": [{}]}', '{"images": 3}'):
+        path.write_text(text)
+        refused(path, r"quads\.gltf: expected a glTF document, got \w+Error")
+
+
+@pytest.mark.parametrize("writer", [write_gltf, write_glb])
+def test_texture_coordinates_that_are_no_numbers_are_refused(tmp_path, writer, monkeypatch):
+    monkeypatch.setitem(globals(), "PLACES", np.full_like(PLACES, np.nan))
+    refused(writer(tmp_path), "expected finite texture coordinates")
