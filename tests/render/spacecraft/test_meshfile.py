@@ -92,6 +92,7 @@ def test_huge_meshes_are_refused(brick, tmp_path, monkeypatch):
         ("empty.obj", ""),
         ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
         ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
+        ("flat.obj", "v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n"),
         ("cut.ply", "ply\nformat ascii 1.0\nelement vertex 3\n"),
         ("noise.glb", "not a mesh"),
         ("noise.stl", "solid nothing"),

@@ -115,6 +115,9 @@ def _check(
     if total > MAX_FACES:
         raise DataError(f"expected at most {MAX_FACES} triangles, got {total}", source)
     for points, part in zip(vertices, faces, strict=True):
+        if points.shape[1:] != (3,) or part.shape[1:] != (3,):
+            got = f"{points.shape[1]} and {part.shape[1]}"
+            raise DataError(f"expected 3 coordinates and 3 corners, got {got}", source)
         if not np.isfinite(points).all():
             raise DataError("expected finite vertices, got NaN or infinity", source)
         if part.min() < 0 or part.max() >= len(points):
