@@ -58,14 +58,36 @@ def test_points_stand_where_the_view_projects_them(view):
     np.testing.assert_allclose(centers_of_mass(seen), view.project(POINTS), atol=0.05)
 
 
+FILTERS = {"bilinear": Image.Resampling.BILINEAR, "bicubic": Image.Resampling.BICUBIC}
+
+
+@pytest.mark.parametrize("interpolation", FILTERS)
 @settings(max_examples=40, deadline=None)
 @given(st.integers(1, 300), st.integers(1, 300), st.integers(1, 90), st.integers(1, 90))
-def test_of_the_same_camera_it_is_the_plain_resize(width, height, new_width, new_height):
+def test_of_the_same_camera_it_is_the_plain_resize(
+    interpolation, width, height, new_width, new_height
+):
     image = noise_image(width, height)
     source = URSO_CAMERA.resized(width, height)
-    seen = reproject(image, source, URSO_CAMERA.resized(new_width, new_height))
-    expected = image.resize((new_width, new_height), Image.Resampling.BILINEAR)
+    view = URSO_CAMERA.resized(new_width, new_height)
+    seen = reproject(image, source, view, interpolation)
+    expected = image.resize((new_width, new_height), FILTERS[interpolation])
     assert seen.tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize("interpolation", FILTERS)
+@pytest.mark.parametrize("focal", [3.0, 8.0, 11.0, 20.0, 47.0])
+def test_beyond_the_image_everything_is_black(interpolation, focal):
+    """As if the image lay on a black canvas, wider than the view sees."""
+    image, source = noise_image(20, 20), Camera(20, 20, 20.0, 20.0, 10.0, 10.0)
+    view = Camera(120, 120, focal, focal, 60.0, 60.0)
+    canvas = Image.new("RGB", (2020, 2020))
+    canvas.paste(image, (1000, 1000))
+    corners = [1010 + 20 * (edge - 60) / focal for edge in (0, 120)]
+    box = (corners[0], corners[0], corners[1], corners[1])
+    expected = canvas.resize((120, 120), FILTERS[interpolation], box=box)
+    got = reproject(image, source, view, interpolation)
+    np.testing.assert_allclose(np.asarray(got, int), np.asarray(expected, int), atol=1)
 
 
 @settings(max_examples=40, deadline=None)
@@ -140,6 +162,16 @@ def test_the_network_gets_the_view_standardized():
     np.testing.assert_allclose(got, expected, atol=1e-6)
     assert way.camera(SOURCE) == VIEW
     assert way.image_camera(VIEW, 640, 480) == SOURCE.resized(640, 480)
+
+
+def test_a_network_trained_with_another_filter_gets_that_one():
+    """Of its own camera, reprojection is the network's resize, in all that this consists of."""
+    bicubic = replace(PLAIN, mode="resize", interpolation="bicubic")
+    image = noise_image(640, 480)
+    way = Reprojection.of(bicubic, SOURCE, SOURCE.resized(64, 48))
+    np.testing.assert_array_equal(way.array(image), bicubic.array(image))
+    bilinear = replace(bicubic, interpolation="bilinear")
+    assert np.abs(way.array(image) - bilinear.array(image)).max() > 0.01
 
 
 def test_an_image_of_another_shape_is_refused():

@@ -7,7 +7,7 @@ each axis: an antialiased resize of a crop. The pose in the camera frame does no
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ffpose.geometry import Camera, DistortedCamera
-from ffpose.preprocessing import Preprocessing
+from ffpose.preprocessing import Interpolation, Preprocessing
 from ffpose.undistortion import undistort
+
+SUPPORT: dict[Interpolation, int] = {"bilinear": 1, "bicubic": 2}
+"""Reach of each of Pillow's filters, in pixels of the coarser of image and view."""
 
 SNAP = 1e-6
 """Rounding tolerance: an edge this close to a pixel border, in pixels, is taken to be on it."""
@@ -35,17 +38,20 @@ class Axis(NamedTuple):
     end: float
 
 
-def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
+def reproject(
+    image: Image.Image, source: Camera, view: Camera, interpolation: Interpolation = "bilinear"
+) -> Image.Image:
     """Reproject an image taken by ``source`` to the camera ``view``.
 
     Args:
         image: RGB image of the source's size.
         source: Camera of the image, without distortion.
         view: Camera with the same position and orientation.
+        interpolation: ``"bilinear"`` or ``"bicubic"``, antialiased.
 
     Returns:
         An image of the view's size, black where it lies outside the source's field of view. If the
-        view is the source resized, this is Pillow's bilinear resize.
+        view is the source resized, this is Pillow's resize.
 
     Raises:
         ValueError: The image's size differs from the source's, or it covers less than a pixel of
@@ -58,8 +64,9 @@ def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
             f"image: expected {source.width}x{source.height}, the size of its camera, "
             f"got {image.size[0]}x{image.size[1]}"
         )
-    across = _axis(source.width, source.fx, source.cx, view.width, view.fx, view.cx)
-    down = _axis(source.height, source.fy, source.cy, view.height, view.fy, view.cy)
+    support = SUPPORT[interpolation]
+    across = _axis(source.width, source.fx, source.cx, view.width, view.fx, view.cx, support)
+    down = _axis(source.height, source.fy, source.cy, view.height, view.fy, view.cy, support)
     if across is None or down is None:
         raise ValueError(f"view: expected one that {source} covers in part, got {view}")
     left, right = math.floor(min(across.start, 0)), math.ceil(max(across.end, source.width))
@@ -70,7 +77,7 @@ def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
         canvas.paste(image, (-left, -top))
     seen = canvas.resize(
         (across.last - across.first, down.last - down.first),
-        Image.Resampling.BILINEAR,
+        Image.Resampling[interpolation.upper()],
         box=(across.start - left, down.start - top, across.end - left, down.end - top),
     )
     result = Image.new("RGB", (view.width, view.height))
@@ -79,16 +86,23 @@ def reproject(image: Image.Image, source: Camera, view: Camera) -> Image.Image:
 
 
 def _axis(
-    size: int, focal: float, center: float, view_size: int, view_focal: float, view_center: float
+    size: int,
+    focal: float,
+    center: float,
+    view_size: int,
+    view_focal: float,
+    view_center: float,
+    support: int,
 ) -> Axis | None:
     """Return the pixels of the view's axis that can show the image; None where none can.
 
-    Pixels beyond the reach of the filter are excluded, so that the canvas is at most a few times as
-    large as the image, however wide the view.
+    Pixels beyond twice the reach of the filter are excluded, so that the canvas is at most a few
+    times as large as the image, however wide the view. Within once the reach a pixel may show the
+    image, and has the black on its other side whole.
     """
     scale = focal / view_focal  # pixels of the image per pixel of the view
     origin = center - view_center * scale
-    reach = math.ceil(max(1.0, 1 / scale)) + 1
+    reach = math.ceil(2 * support * max(1.0, 1 / scale))
     first = max(0, math.floor(-origin / scale) - reach)
     last = min(view_size, math.ceil((size - origin) / scale) + reach)
     if _snap(scale) > size or origin + view_size * scale <= 0 or origin >= size:
@@ -124,8 +138,8 @@ class Reprojection(Preprocessing):
     @classmethod
     def of(cls, preprocessing: Preprocessing, source: Camera, view: Camera) -> Reprojection:
         """Build the reprojection of images of ``source`` to the input of ``preprocessing``."""
-        size, mean, std = preprocessing.size, preprocessing.mean, preprocessing.std
-        return cls(size=size, mean=mean, std=std, source=source, view=view)
+        kept = {each.name: getattr(preprocessing, each.name) for each in fields(Preprocessing)}
+        return cls(**kept, source=source, view=view)
 
     def frame_size(self, width: int, height: int) -> tuple[int, int]:
         """Return ``(height, width)`` of the network's input, for any image."""
@@ -145,7 +159,7 @@ class Reprojection(Preprocessing):
         source = self.source.resized(*image.size)
         if isinstance(source, DistortedCamera):
             image, source = undistort(image, source), source.pinhole
-        return np.asarray(reproject(image, source, self.view))
+        return np.asarray(reproject(image, source, self.view, self.interpolation))
 
     def camera(self, camera: Camera) -> Camera:
         """Return the camera of the view."""
