@@ -64,7 +64,7 @@ def test_pretrained_weights_that_cannot_be_had_are_one_line(
     from huggingface_hub import constants
 
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
-    monkeypatch.setattr(huggingface_hub, "try_to_load_from_cache", lambda *_: None)
+    monkeypatch.setattr(huggingface_hub, "try_to_load_from_cache", lambda *_, **__: None)
     assert main(train_words(image_set, tmp_path / "run", "--backbone-weights", "auto")) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "--backbone-weights none starts from random weights" in line

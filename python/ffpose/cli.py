@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from ffpose.errors import DataError, MissingExtraError, hint, require, without_traceback
+from ffpose.errors import DataError, MissingExtraError, explain, hint, require
 from ffpose.files import expect_folder
 from ffpose.recipes import Kind, recipe_file, recipe_names
 
@@ -339,8 +339,8 @@ def predict(options: Namespace) -> None:
             if len(options.images) == 1:
                 raise
             failed += 1
-            documents.append({"image": str(path), "error": describe(error)})
-            say(f"ffpose: {describe(error)}")
+            documents.append({"image": str(path), "error": explain(error)})
+            say(f"ffpose: {explain(error)}")
             continue
         documents.append(prediction.to_dict())
         if not options.json:
@@ -693,18 +693,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         if isinstance(error, ModuleNotFoundError) and error.name:  # imported without `require`
             error = MissingExtraError.of(error.name.partition(".")[0], COMMANDS[name].extra)
-        say(f"ffpose: {describe(error)}")
+        say(f"ffpose: {explain(error)}")
     else:
         return 0
     return 1
-
-
-def describe(error: Exception) -> str:
-    """Return an error as one line, with its type in front if it is not meant for users."""
-    text = " ".join(without_traceback(str(error)).split())
-    if isinstance(error, ValueError | OSError | ImportError | RuntimeError) and text:
-        return text
-    return f"{type(error).__name__}: {text}"
 
 
 if __name__ == "__main__":

@@ -82,6 +82,21 @@ def without_traceback(text: str) -> str:
     return "\n".join(lines[frames[-1] + 1 :]).partition(": ")[2] if frames else text
 
 
+def explain(error: BaseException) -> str:
+    r"""Return an error as one line, with its type in front if it is not meant for users.
+
+    Examples:
+        >>> explain(ValueError("count: expected at least 1,\n got 0"))
+        'count: expected at least 1, got 0'
+        >>> explain(KeyError("fx"))
+        "KeyError: 'fx'"
+    """
+    text = " ".join(without_traceback(str(error)).split())
+    if isinstance(error, ValueError | OSError | ImportError | RuntimeError) and text:
+        return text
+    return f"{type(error).__name__}: {text}"
+
+
 def require(module: str, extra: str) -> ModuleType:
     """Import an optional dependency.
 

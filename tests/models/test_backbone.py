@@ -1,8 +1,6 @@
 """The backbone's maps, and where its weights come from."""
 
 import hashlib
-import logging
-import time
 
 import pytest
 import safetensors.torch
@@ -10,7 +8,7 @@ import timm
 import torch
 
 from ffpose import DataError
-from ffpose.models import backbone_preprocessing, build_backbone, pretrained
+from ffpose.models import backbone_preprocessing, build_backbone
 from ffpose.preprocessing import Preprocessing
 
 NAME = "test_efficientnet"
@@ -134,91 +132,9 @@ def test_pickle_of_something_else(tmp_path):
             build_backbone(NAME, (16, 8), tmp_path / "list.pth")
 
 
-# "auto": the hub stands in as two functions
-
-
-@pytest.fixture
-def hub(monkeypatch):
-    import huggingface_hub
-
-    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", False)
-    monkeypatch.setattr(huggingface_hub, "try_to_load_from_cache", lambda *_: None)
-    monkeypatch.setattr(huggingface_hub, "get_hf_file_metadata", refuse)
-    monkeypatch.setattr(huggingface_hub, "hf_hub_download", refuse)
-    return huggingface_hub
-
-
-def refuse(*_args, **_kwargs):
-    raise ConnectionError("no route")
-
-
-def test_auto_takes_what_the_cache_has(hub, monkeypatch, file):
-    monkeypatch.setattr(hub.constants, "HF_HUB_OFFLINE", True)
-    monkeypatch.setattr(hub, "try_to_load_from_cache", lambda *_: str(file))
-    assert same_as(build_backbone(NAME, (16, 8), "auto"), file)
-
-
-def test_auto_downloads(hub, monkeypatch, file):
-    monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: "there")
-    monkeypatch.setattr(hub, "hf_hub_download", lambda *_: str(file))
-    assert same_as(build_backbone(NAME, (16, 8), "auto"), file)
-
-
-def test_what_was_used_is_told(hub, monkeypatch, file):
+def test_what_was_used_is_told(file):
     """The digest is that of ``sha256sum``; of a file no more than the name, not where it lay."""
     digest = hashlib.sha256(file.read_bytes()).hexdigest()
     random, of_file = (build_backbone(NAME, (16, 8), weights) for weights in ("none", file))
     assert random.source == "none"
     assert of_file.source == {"name": NAME, "source": "classifier.safetensors", "sha256": digest}
-    monkeypatch.setattr(hub, "try_to_load_from_cache", lambda *_: str(file))
-    source = {"name": NAME, "source": "timm/test_efficientnet.r160_in1k", "sha256": digest}
-    assert build_backbone(NAME, (16, 8), "auto").source == source
-
-
-def test_auto_without_a_hub_is_refused_and_says_what_to_type(hub):
-    with pytest.raises(FileNotFoundError) as refused:
-        build_backbone(NAME, (16, 8), "auto")
-    for words in (
-        "expected the pretrained ones of test_efficientnet, got none (https://",
-        "does not answer",
-        "--backbone-weights none",
-        "--backbone-weights FILE",
-    ):
-        assert words in str(refused.value)
-
-
-def test_auto_asks_no_one_when_offline(hub, monkeypatch):
-    monkeypatch.setattr(hub.constants, "HF_HUB_OFFLINE", True)
-    monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: pytest.fail("asked"))
-    with pytest.raises(FileNotFoundError, match="HF_HUB_OFFLINE is set"):
-        build_backbone(NAME, (16, 8), "auto")
-
-
-def test_auto_where_timm_has_none():
-    with pytest.raises(FileNotFoundError, match=r"\(timm has none\)"):
-        build_backbone("mobilenetv4_conv_small_035", (16, 8), "auto")
-
-
-def test_auto_never_hangs(hub, monkeypatch):
-    monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: time.sleep(60))
-    monkeypatch.setattr(pretrained, "ANSWER_SECONDS", 0.05)
-    started = time.monotonic()
-    with pytest.raises(FileNotFoundError, match="does not answer"):
-        pretrained.find_pretrained(NAME)
-    monkeypatch.setattr(hub, "get_hf_file_metadata", lambda *_: "there")
-    monkeypatch.setattr(hub, "hf_hub_download", lambda *_: time.sleep(60))
-    monkeypatch.setattr(pretrained, "DOWNLOAD_SECONDS", 0.05)
-    with pytest.raises(FileNotFoundError, match="the download took over"):
-        pretrained.find_pretrained(NAME)
-    assert time.monotonic() - started < 30
-
-
-@pytest.mark.parametrize(("call", "answer"), [(lambda: 3, 3), (refuse, None)])
-def test_within(call, answer):
-    assert pretrained.within(10, call) == answer
-
-
-def test_what_the_hub_said_is_in_the_debug_log(caplog):
-    caplog.set_level(logging.DEBUG, logger="ffpose")
-    pretrained.within(10, refuse)
-    assert "no route" in caplog.text

@@ -1,16 +1,12 @@
 """Pretrained backbone weights: from timm's hub, from a file, or none.
 
 Requested weights that are not available raise an error; they are never replaced by random ones, as
-the same seed would then give another network. The cache is checked first, then the hub is asked for
-the file's header with a timeout of seconds; a download has a timeout as well.
-``HF_HUB_OFFLINE=1`` uses the cache alone.
+the same seed would then give another network. `ffpose.models.hub` finds those of timm's hub.
 """
 
 from __future__ import annotations
 
-import logging
-import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,16 +15,13 @@ from torch import Tensor, nn
 
 from ffpose.errors import DataError, require
 from ffpose.files import sha256
-
-logger = logging.getLogger(__name__)
-
-ANSWER_SECONDS = 4.0
-DOWNLOAD_SECONDS = 180.0
-HUB_FILE = "model.safetensors"
-
+from ffpose.models.hub import find_pretrained
 
 BackboneSource = Mapping[str, str] | Literal["none"]
-"""Source of weights: ``name``, ``source`` and ``sha256`` of pretrained ones, or ``"none"``."""
+"""Source of weights: ``name``, ``source`` and ``sha256`` of pretrained ones, or ``"none"``.
+
+The ``source`` is the name of a file or of a repository, whose commit is then the ``revision``.
+"""
 
 
 def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -> BackboneSource:
@@ -40,15 +33,19 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
         weights: ``"auto"``, ``"none"`` or a file; see `ffpose.models.build_backbone`.
 
     Returns:
-        The source of the weights; its ``source`` is the file's name or the hub's repository.
+        The source of the weights.
 
     Raises:
-        FileNotFoundError: The file does not exist, or the pretrained weights are not available.
-        ffpose.DataError: The file does not hold this model's weights.
+        FileNotFoundError: The file does not exist, or the pretrained weights cannot be had.
+        ffpose.DataError: The file does not hold this model's weights, or is not the one that is
+            known (`ffpose.models.hub.PINNED`).
     """
     if weights == "none":
         return "none"
-    hub_id, path = find_pretrained(name) if weights == "auto" else ("", Path(weights))
+    path, origin = Path(weights), {"source": Path(weights).name}
+    if weights == "auto":
+        found = find_pretrained(name)
+        path, origin = found.path, {"source": found.repository, "revision": found.revision}
     state = read_state(path)
     wanted = features.state_dict()
     wrong = [
@@ -61,7 +58,7 @@ def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -
             path,
         )
     features.load_state_dict({key: state[key] for key in wanted})
-    return {"name": name, "source": hub_id or path.name, "sha256": sha256(path)}
+    return {"name": name, **origin, "sha256": sha256(path)}
 
 
 def read_state(path: Path) -> Mapping[str, Tensor]:
@@ -84,55 +81,3 @@ def read_state(path: Path) -> Mapping[str, Tensor]:
     if not isinstance(state, Mapping) or not all(isinstance(v, Tensor) for v in state.values()):
         raise DataError("expected a mapping from names to tensors", path)
     return state
-
-
-def find_pretrained(name: str) -> tuple[str, Path]:
-    """Return the hub's name of timm's pretrained weights and their file, downloaded if necessary.
-
-    Raises:
-        FileNotFoundError: They are not available; the message has the reason and alternatives.
-    """
-    config = require("timm", "pose").models.get_pretrained_cfg(name)
-    if config is None or not config.hf_hub_id:
-        raise _missing(name, "timm has none")
-    hub = require("huggingface_hub", "pose")
-    cached = hub.try_to_load_from_cache(config.hf_hub_id, HUB_FILE)
-    if isinstance(cached, str):
-        return config.hf_hub_id, Path(cached)
-    if hub.constants.HF_HUB_OFFLINE:
-        raise _missing(name, "HF_HUB_OFFLINE is set and the cache has none")
-    url = hub.hf_hub_url(config.hf_hub_id, HUB_FILE)
-    if within(ANSWER_SECONDS, lambda: hub.get_hf_file_metadata(url)) is None:
-        raise _missing(name, f"{hub.constants.ENDPOINT} does not answer")
-    logger.info("downloading the weights of %s from %s", name, url)
-    path = within(DOWNLOAD_SECONDS, lambda: hub.hf_hub_download(config.hf_hub_id, HUB_FILE))
-    if path is None:
-        raise _missing(name, f"the download took over {DOWNLOAD_SECONDS:.0f} s or failed")
-    return config.hf_hub_id, Path(path)
-
-
-def _missing(name: str, reason: str) -> FileNotFoundError:
-    return FileNotFoundError(
-        f"backbone weights: expected the pretrained ones of {name}, got none ({reason}):"
-        " --backbone-weights none starts from random weights,"
-        " --backbone-weights FILE from a local file"
-    )
-
-
-def within(seconds: float, call: Callable[[], Any]) -> Any:
-    """Return the result of ``call``, or None if it fails or takes longer than ``seconds``.
-
-    It runs in a daemon thread, because a DNS lookup has no timeout.
-    """
-    answers: list[Any] = []
-
-    def attempt() -> None:
-        try:
-            answers.append(call())
-        except Exception as error:  # whatever keeps the hub from answering, the answer is "not now"
-            logger.debug("the hub said: %s", error)
-
-    thread = threading.Thread(target=attempt, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    return answers[0] if answers else None

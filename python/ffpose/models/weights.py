@@ -51,7 +51,7 @@ class WeightsMetadata:
         config: Configuration of the network; its ``camera`` is that of the network's input.
         preprocessing: Conversion from image to network input.
         backbone_source: Initial weights of the backbone: ``name``, ``source`` and ``sha256`` of
-            pretrained ones, or ``"none"`` for random ones.
+            pretrained ones, with the ``revision`` of those of a hub, or ``"none"`` for random ones.
         recipe: Training configuration as a JSON document: loss, optimizer, augmentation, stages,
             seed, steps.
         data: Training data as a JSON document: ``kind``, ``name``, ``count``, ``digest``, and

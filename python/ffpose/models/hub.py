@@ -1,0 +1,161 @@
+"""Pretrained weights from timm's hub: which revision, which bytes, and what happened if none.
+
+The cache is checked first, then the hub is asked for the file's header with a timeout of seconds; a
+download has a timeout as well. ``HF_HUB_OFFLINE=1`` uses the cache alone. Repositories in `PINNED`
+give the bytes that are known, whatever their owner uploads; of others, the newest revision is
+taken, and `Pretrained.revision` says which that was.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from ffpose.errors import DataError, explain, require
+from ffpose.files import sha256
+
+logger = logging.getLogger(__name__)
+
+Answer = TypeVar("Answer")
+
+ANSWER_SECONDS = 4.0
+DOWNLOAD_SECONDS = 180.0
+HUB_FILE = "model.safetensors"
+NEWEST = "main"
+
+
+class Pin(NamedTuple):
+    """A known revision: the commit of the repository, and the SHA-256 of its `HUB_FILE`."""
+
+    commit: str
+    sha256: str
+
+
+PINNED = {
+    "timm/efficientnet_b0.ra_in1k": Pin(
+        "1b5383e5f79cc0f7fc067e372f8f26a5fa73f26a",
+        "d569899762ea9b1384ee07f4af64805cf8caa1c55f9253ebb1080dc40e87a2cd",
+    ),
+    "timm/resnet18.a1_in1k": Pin(
+        "491b427b45c94c7fb0e78b5474cc919aff584bbf",
+        "80c49dee3da4822c009c5a7fe591e9223c5a2cfcf95a4067ca4dfb5a7b89c612",
+    ),
+    "timm/resnet50.a1_in1k": Pin(
+        "767268603ca0cb0bfe326fa87277f19c419566ef",
+        "773525d5821de224f8f30c33377b7a795d7863e08522698200d3217d3f2a41bb",
+    ),
+}
+"""Repositories whose weights are known: the backbones of the paper's networks and tables.
+
+Both numbers are those that several public projects recorded of their own downloads, each
+independently, with the digest that the hub has of the file.
+"""
+
+
+class Pretrained(NamedTuple):
+    """Weights in the cache.
+
+    Attributes:
+        repository: The hub's name, ``timm/…``.
+        revision: Commit of the repository.
+        path: The file.
+    """
+
+    repository: str
+    revision: str
+    path: Path
+
+
+def find_pretrained(name: str) -> Pretrained:
+    """Find timm's pretrained weights of a model in the cache, or download them.
+
+    Raises:
+        FileNotFoundError: They cannot be had. The message says what happened and names the
+            alternatives; what the hub's client raised is the cause.
+        ffpose.DataError: The file is not the one that is known (`PINNED`).
+    """
+    config = require("timm", "pose").models.get_pretrained_cfg(name)
+    if config is None or not config.hf_hub_id:
+        raise _missing(name, "timm has none")
+    repository, pin = config.hf_hub_id, PINNED.get(config.hf_hub_id)
+    hub = require("huggingface_hub", "pose")
+    revision = NEWEST if pin is None else pin.commit
+    path = hub.try_to_load_from_cache(repository, HUB_FILE, revision=revision)
+    if not isinstance(path, str):
+        path = _download(name, repository, revision)
+    if pin is not None and (got := sha256(path)) != pin.sha256:
+        raise DataError(
+            f"expected {repository} at {pin.commit}, SHA-256 {pin.sha256}, got {got}", path
+        )
+    return Pretrained(repository, Path(path).parent.name, Path(path))
+
+
+def _download(name: str, repository: str, revision: str) -> str:
+    """Download the file of a repository and return its path, in the folder of its commit."""
+    hub = require("huggingface_hub", "pose")
+    place = hub.constants.ENDPOINT
+    if hub.constants.HF_HUB_OFFLINE:
+        raise _missing(name, f"HF_HUB_OFFLINE is set and the cache has no {repository}@{revision}")
+    url = hub.hf_hub_url(repository, HUB_FILE, revision=revision)
+    try:
+        within(ANSWER_SECONDS, lambda: hub.get_hf_file_metadata(url))
+    except TimeoutError as error:
+        raise _missing(name, f"{place} does not answer within {ANSWER_SECONDS:g} s") from error
+    except Exception as error:  # of the hub's client, whose errors share no base
+        raise _missing(name, f"asking {place} failed: {_told(error)}") from error
+    logger.info("downloading the weights of %s from %s", name, url)
+    try:
+        path: str = within(
+            DOWNLOAD_SECONDS,
+            lambda: hub.hf_hub_download(repository, HUB_FILE, revision=revision),
+        )
+    except TimeoutError as error:
+        raise _missing(name, f"the download took over {DOWNLOAD_SECONDS:g} s") from error
+    except Exception as error:  # as above, or of the disk
+        raise _missing(name, f"the download failed: {_told(error)}") from error
+    return path
+
+
+def _told(error: BaseException) -> str:
+    """Return what happened: the cause at the end of the chain, where the client reports another."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return explain(error)
+
+
+def _missing(name: str, reason: str) -> FileNotFoundError:
+    return FileNotFoundError(
+        f"backbone weights: expected the pretrained ones of {name}, got none ({reason}):"
+        " --backbone-weights none starts from random weights,"
+        " --backbone-weights FILE from a local file"
+    )
+
+
+def within(seconds: float, call: Callable[[], Answer]) -> Answer:
+    """Return the result of ``call``; what it raises is raised here.
+
+    It runs in a daemon thread, because a DNS lookup has no timeout.
+
+    Raises:
+        TimeoutError: It takes longer than ``seconds``.
+    """
+    answers: list[Answer] = []
+    errors: list[Exception] = []
+
+    def attempt() -> None:
+        try:
+            answers.append(call())
+        except Exception as error:  # for the thread that waits
+            errors.append(error)
+
+    thread = threading.Thread(target=attempt, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    if errors:
+        raise errors[0]
+    if not answers:
+        raise TimeoutError(f"no answer within {seconds:g} s")
+    return answers[0]
