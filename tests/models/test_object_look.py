@@ -19,9 +19,11 @@ from ffpose.models.object_look import (
     offset_jacobian,
     offset_of,
     points_at,
+    rotation_between,
     rotation_vector,
     sigma_loss,
     split_numbers,
+    total_covariance,
 )
 from ffpose.models.virtual_camera import turn_to
 
@@ -105,23 +107,21 @@ def numbers_for(offset, log_sigma):
 
 def test_covariances_are_symmetric_and_positive(generator, view):
     log_sigma = torch.from_numpy(generator.uniform(-3, 1, (COUNT, 6)))
-    scales = torch.tensor([2.0, 3.0], dtype=torch.float64)
     # Out of the view as well: an uncertainty of zero would be a lie.
     for offset in (offsets(generator), offsets(generator, 40)):
-        for matrix in covariances(numbers_for(offset, log_sigma), view, scales):
+        for matrix in covariances(numbers_for(offset, log_sigma), view):
             torch.testing.assert_close(matrix, matrix.mT, rtol=1e-12, atol=1e-15)
             assert (torch.linalg.eigvalsh(matrix) > 0).all()
 
 
 def test_translation_covariance_is_carried_by_the_jacobian(generator, view):
     offset, log_sigma = offsets(generator), torch.from_numpy(generator.uniform(-3, 1, (COUNT, 6)))
-    scales = torch.tensor([2.0, 3.0], dtype=torch.float64)
-    got, _ = covariances(numbers_for(offset, log_sigma), view, scales)
+    got, _ = covariances(numbers_for(offset, log_sigma), view)
     for i in range(COUNT):
         seen = partial(point_seen, one_view(view, i))
         back = view.rotation[i].numpy().T
         jacobian = back @ torch.autograd.functional.jacobian(seen, offset[i]).numpy()
-        expected = 2 * jacobian @ np.diag(np.exp(2 * log_sigma[i, :3].numpy())) @ jacobian.T
+        expected = jacobian @ np.diag(np.exp(2 * log_sigma[i, :3].numpy())) @ jacobian.T
         np.testing.assert_allclose(got[i], expected, rtol=1e-9, atol=1e-12)
 
 
@@ -130,8 +130,7 @@ def test_rotation_covariance_is_that_of_sampled_attitudes(generator, view):
     sigma = np.array([0.002, 0.01, 0.03])
     log_sigma = torch.zeros(COUNT, 6, dtype=torch.float64)
     log_sigma[:, 3:] = torch.from_numpy(np.log(sigma))
-    ones = torch.ones(2, dtype=torch.float64)
-    _, got = covariances(numbers_for(offsets(generator), log_sigma), view, ones)
+    _, got = covariances(numbers_for(offsets(generator), log_sigma), view)
     for i in range(3):
         back = Rotation.from_matrix(view.rotation[i].numpy()).inv()
         seen = Rotation.random(rng=generator)
@@ -151,6 +150,28 @@ def test_rotation_vectors_are_scipys(generator, sign):
     np.testing.assert_allclose(
         rotation_vector(q).numpy(), rotations.as_rotvec(), rtol=1e-10, atol=1e-15
     )
+
+
+def test_the_rotation_between_two_is_scipys(generator):
+    q_from, q_to = (Rotation.random(20, rng=generator) for _ in range(2))
+    pair = (torch.from_numpy(each.as_quat(scalar_first=True)) for each in (q_from, q_to))
+    got = Rotation.from_quat(rotation_between(*pair).numpy(), scalar_first=True)
+    assert (got.inv() * (q_to * q_from.inv())).magnitude().max() < 1e-7
+
+
+def test_the_total_covariance_is_that_of_what_the_views_draw(generator):
+    """The law of total variance, on samples: each view draws about its own mean."""
+    factors = generator.normal(size=(4, 3, 3))
+    said = factors @ factors.mT
+    means = generator.normal(size=(4, 3)) * (1, 2, 3)
+    draws = [
+        generator.multivariate_normal(mean, covariance, 100_000)
+        for mean, covariance in zip(means, said, strict=True)
+    ]
+    deviation = torch.from_numpy(means - means.mean(0))[None]
+    (got,) = total_covariance(torch.from_numpy(said)[None], deviation)
+    drawn = np.cov(np.concatenate(draws), rowvar=False)
+    np.testing.assert_allclose(got, drawn, atol=0.02 * np.abs(drawn).max())
 
 
 def test_a_half_turn_is_pi_about_its_axis_either_way():

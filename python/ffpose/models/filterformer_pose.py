@@ -31,7 +31,10 @@ from ffpose.models.object_look import (
     covariances,
     hidden_share,
     points_at,
+    rotation_between,
+    rotation_vector,
     split_numbers,
+    total_covariance,
 )
 from ffpose.models.virtual_camera import Pyramid, look_into, pyramid, turn_to
 from ffpose.nn import Filterformer, HyperHead, PositionCode
@@ -284,7 +287,11 @@ class FilterformerPose(PoseNetwork):
         return hidden_share(points, radius, self.intrinsics, self.config.image_size)
 
     def _look_around(self, levels: Pyramid, points: Tensor, turns: int) -> UncertainPose:
-        """Look at points ``(B, 3)`` in views rotated about the ray, and average the predictions."""
+        """Look at points ``(B, 3)`` in views rotated about the ray, and average the predictions.
+
+        The covariances are those of `total_covariance`, about the averages, times
+        ``variance_scales``.
+        """
         twist = torch.arange(turns, dtype=points.dtype, device=points.device) * 2 * math.pi / turns
         count = points.shape[0]
         twist = twist.repeat(count)  # of all views of the first image, then the second's
@@ -294,16 +301,19 @@ class FilterformerPose(PoseNetwork):
         t = view.points_back(points_at(numbers.offset, view))
         matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
         q = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
-        variances = covariances(numbers, view, self.variance_scales)
         t, q, translation_covariance, rotation_covariance, in_view = (
             torch.unflatten(values, 0, (count, turns))
-            for values in (t, q, *variances, numbers.in_view)
+            for values in (t, q, *covariances(numbers, view), numbers.in_view)
         )  # (B, turns, ...)
+        t_mean = self.in_front(t.mean(1))
+        q_mean = mean_quaternion((q[..., None] * q[..., None, :]).sum(1), q[:, 0])
+        turned = rotation_between(q_mean.repeat_interleave(turns, 0), q.flatten(0, 1))
+        deviation = rotation_vector(turned).unflatten(0, (count, turns))
         return UncertainPose(
-            self.in_front(t.mean(1)),
-            mean_quaternion((q[..., None] * q[..., None, :]).sum(1), q[:, 0]),
-            translation_covariance.mean(1),
-            rotation_covariance.mean(1),
+            t_mean,
+            q_mean,
+            total_covariance(translation_covariance, t - t_mean[:, None]) * self.variance_scales[0],
+            total_covariance(rotation_covariance, deviation) * self.variance_scales[1],
             in_view.mean(1).sigmoid(),
         )
 

@@ -140,20 +140,40 @@ def rotation_vector(difference: Tensor) -> Tensor:
     return q[:, 1:] * torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), 2.0)
 
 
-def covariances(numbers: LookNumbers, view: VirtualCamera, scales: Tensor) -> tuple[Tensor, Tensor]:
+def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
+    """Return the rotations ``q_to conj(q_from)`` of unit quaternions ``(B, 4)``."""
+    a, v = q_to[:, :1], q_to[:, 1:]
+    b, u = q_from[:, :1], -q_from[:, 1:]
+    scalar = a * b - (v * u).sum(-1, keepdim=True)
+    return torch.cat((scalar, a * u + b * v + torch.linalg.cross(v, u)), dim=1)
+
+
+def covariances(numbers: LookNumbers, view: VirtualCamera) -> tuple[Tensor, Tensor]:
     """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame.
 
     Args:
         numbers: Outputs of the second look.
         view: The virtual camera.
-        scales: Factors ``(2,)`` on the two variances, found by calibration.
     """
     variance = (2 * numbers.log_sigma).exp()  # (B, 6)
     back = view.rotation.transpose(1, 2)
     to_camera = back @ offset_jacobian(numbers.offset, view)
     translation = (to_camera * variance[:, None, :3]) @ to_camera.transpose(1, 2)
     rotation = (back * variance[:, None, 3:]) @ view.rotation
-    return translation * scales[0], rotation * scales[1]
+    return translation, rotation
+
+
+def total_covariance(covariance: Tensor, deviation: Tensor) -> Tensor:
+    """Return the covariance ``(B, 3, 3)`` of a mean over V views, by the law of total variance.
+
+    It is the mean of the views' covariances plus the covariance of what they predict: views that
+    disagree are as uncertain as their disagreement, whatever each says of itself.
+
+    Args:
+        covariance: ``(B, V, 3, 3)``, what each view predicts.
+        deviation: ``(B, V, 3)``, deviation of each view's prediction from the mean.
+    """
+    return covariance.mean(1) + deviation.transpose(1, 2) @ deviation / deviation.shape[1]
 
 
 def hidden_share(

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from ffpose.losses import LossTerms
 from ffpose.models import FilterformerPose
-from ffpose.models.object_look import LookNumbers, rotation_vector, sigma_loss
+from ffpose.models.object_look import LookNumbers, rotation_between, rotation_vector, sigma_loss
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.views import ViewBatch
 
@@ -83,7 +83,7 @@ class ObjectObjective(nn.Module):
         q_hat = self._decoded(model, numbers)
         angle = half_angle(q_hat[present], batch.orientation[present]).mean()
         with torch.no_grad():
-            turned = rotation_vector(_between(q_hat, batch.orientation))
+            turned = rotation_vector(rotation_between(q_hat, batch.orientation))
             residual = torch.cat((numbers.offset - batch.offset, turned), dim=1)
         sigma = sigma_loss(numbers.log_sigma, residual)[present].mean()
         in_view = F.binary_cross_entropy_with_logits(numbers.in_view, present.float())
@@ -153,11 +153,3 @@ def heatmap_loss(logits: Tensor, places: Tensor) -> Tensor:
 def half_angle(q_hat: Tensor, q: Tensor) -> Tensor:
     """Return the sine of half the angle between attitudes ``(B, 4)``, which pulls evenly."""
     return (1 - (q_hat * q).sum(-1).square() + 1e-6).clamp_min(1e-6).sqrt()
-
-
-def _between(q_from: Tensor, q_to: Tensor) -> Tensor:
-    """Return the rotations ``q_to conj(q_from)`` ``(B, 4)``."""
-    a, v = q_to[:, :1], q_to[:, 1:]
-    b, u = q_from[:, :1], -q_from[:, 1:]
-    scalar = a * b - (v * u).sum(-1, keepdim=True)
-    return torch.cat((scalar, a * u + b * v + torch.linalg.cross(v, u)), dim=1)
