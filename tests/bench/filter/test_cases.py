@@ -2,7 +2,7 @@ import pytest
 
 from ffpose.arrays import instruction_set
 from ffpose.bench.filter import cases as bench
-from ffpose.bench.filter.cases import COMPILED, COPY, HALF, SCIPY, Case
+from ffpose.bench.filter.cases import CHANNELS_FIRST, COMPILED, COPY, HALF, SCIPY, Case
 
 
 def test_the_whole_table(monkeypatch):
@@ -39,6 +39,18 @@ def test_who_takes_part():
     assert {HALF, COPY} <= set(largest.contenders)
     assert SCIPY not in largest.contenders
     assert {SCIPY, COMPILED} <= set(other.contenders)
+
+
+def test_every_grid_and_sequence_has_a_rival_with_its_channels_first():
+    made = bench.make_plan(quick=False)
+    with_channels = [
+        case
+        for cases in made.cases.values()
+        for case in cases
+        if case.kind != "tokens" and case.size != bench.OVERHEAD_SIZE
+    ]
+    assert with_channels
+    assert all(CHANNELS_FIRST in case.contenders for case in with_channels)
 
 
 def test_without_a_compiler_or_scipy_it_says_so(monkeypatch):

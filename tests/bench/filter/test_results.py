@@ -1,7 +1,8 @@
 import pytest
 
-from ffpose.bench.filter.cases import COPY, HALF, TORCH, Case
-from ffpose.bench.filter.children import Setting
+from ffpose.bench.filter.cases import CHANNELS_FIRST, COMPILED, COPY, HALF, MATRICES, TORCH, Case
+from ffpose.bench.filter.children import Opening, Setting
+from ffpose.bench.filter.report import print_tables
 from ffpose.bench.filter.results import (
     bring_together,
     gains_of_threads,
@@ -14,6 +15,7 @@ from ffpose.bench.filter.results import (
     traffic,
 )
 from ffpose.bench.filter.worker import Measurement
+from ffpose.bench.machine import Peak, environment
 from ffpose.bench.timing import OURS, Timing
 
 GRID = (14, 14, 256)
@@ -61,6 +63,33 @@ def test_means_of_groups_and_the_worst_of_each():
         "grid, batch 8 and 32": (pytest.approx(5.0), 5.0, GRID),
         "other sizes": (pytest.approx(1.5), 1.5, (10, 10, 96)),
     }
+
+
+def test_means_over_the_layout_that_suits_torch_best():
+    names = (OURS, TORCH, CHANNELS_FIRST)
+    cases = [
+        Case("grid", GRID, 1, contenders=names),
+        Case("grid", (7, 7, 512), 1, contenders=names),
+    ]
+    (mean,) = group_means(
+        bring_together(
+            [
+                measured(cases[0], **{OURS: 1.0, TORCH: 8.0, CHANNELS_FIRST: 2.0}),
+                measured(cases[1], **{OURS: 1.0, TORCH: 8.0, CHANNELS_FIRST: 9.0}),
+            ]
+        )
+    )
+    assert (mean.mean, mean.best_layout_mean) == (pytest.approx(8.0), pytest.approx(4.0))
+    assert mean.best_layout_worst.case == cases[0]
+
+
+def test_the_column_of_a_rival_that_is_left_out_says_so(capsys):
+    with_matrices = Case("grid", GRID, 1, contenders=(OURS, TORCH, MATRICES))
+    together = bring_together([measured(with_matrices, **{OURS: 1.0, TORCH: 2.0, MATRICES: 3.0})])
+    opening = Opening(Setting("avx2", "default"), environment(), (Peak(1, 1e9, 1e9),))
+    print_tables([opening], together, [f"{COMPILED} is not measured: no compiler"])
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if "3.00" in line]
+    assert "not measured" in row
 
 
 def test_what_is_near_the_limit():

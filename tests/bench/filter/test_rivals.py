@@ -3,8 +3,8 @@ import pytest
 import torch
 from scipy import fft
 
-from ffpose.bench.filter.cases import HALF, MATRICES, SCIPY, TORCH, Case
-from ffpose.bench.filter.rivals import DIMS, Inputs, contenders
+from ffpose.bench.filter.cases import CHANNELS_FIRST, HALF, MATRICES, SCIPY, TORCH, Case, sweep
+from ffpose.bench.filter.rivals import DIMS, Inputs, contenders, in_our_layout
 from ffpose.bench.filter.worker import measure
 from ffpose.bench.timing import OURS
 
@@ -20,7 +20,7 @@ CASES = [
 
 @pytest.mark.parametrize(("kind", "size"), CASES)
 def test_each_contender_is_the_filter_of_its_definition(kind, size):
-    case = Case(kind, size, 2, contenders=(OURS, TORCH, SCIPY, MATRICES))
+    case = Case(kind, size, 2, contenders=(OURS, TORCH, CHANNELS_FIRST, SCIPY, MATRICES))
     inputs = Inputs.of(case)
     weight = inputs.weight.double().numpy()
     axes = DIMS[kind]
@@ -29,17 +29,35 @@ def test_each_contender_is_the_filter_of_its_definition(kind, size):
     )
     expected = fft.irfftn(spectrum, s=[inputs.x.shape[d] for d in axes], axes=axes)
     for name, contender in contenders(case).items():
-        np.testing.assert_allclose(contender.call(), expected, atol=2e-5, err_msg=name)
+        (result,) = in_our_layout(name, case, (torch.as_tensor(contender.call()),))
+        np.testing.assert_allclose(result, expected, atol=2e-5, err_msg=name)
 
 
 @pytest.mark.parametrize(("kind", "size"), CASES)
 def test_gradients_are_compared_before_they_are_timed(kind, size):
-    case = Case(kind, size, 2, "forward+backward", contenders=(OURS, TORCH, MATRICES))
+    names = (OURS, TORCH, CHANNELS_FIRST, MATRICES)
+    case = Case(kind, size, 2, "forward+backward", contenders=names)
     threads = torch.get_num_threads()
     measured = measure(case, seconds=0.001)
     assert measured.largest_difference < 1e-5
     assert set(measured.timings) == set(case.contenders)
     assert torch.get_num_threads() == threads
+
+
+@pytest.mark.parametrize("size", [(4, 6, 3), (6, 3)])
+def test_torch_is_measured_on_contiguous_planes_too(monkeypatch, size):
+    """In its better case: torch.fft transforms the last axes of contiguous grids and sequences."""
+    kind = "grid" if len(size) == 3 else "sequence"
+    case = sweep(((kind, size),), (2,), 1)[0]
+    seen = []
+
+    def look(dim):
+        return lambda x, weight: (seen.append((dim, tuple(x.shape), x.is_contiguous())), x)[1]
+
+    monkeypatch.setattr("ffpose.bench.filter.rivals.torch_filter", look)
+    contenders(case)[CHANNELS_FIRST].call()
+    *plane, channels = size
+    assert seen == [(tuple(range(-len(plane), 0)), (2, channels, *plane), True)]
 
 
 def test_the_weight_changes_before_every_call_of_a_backward():
@@ -57,6 +75,6 @@ def test_half_precision_takes_part_beside_single():
 
 
 def test_a_rival_that_computes_something_else_is_not_timed(monkeypatch):
-    monkeypatch.setattr("ffpose.bench.filter.rivals.torch_filter", lambda kind: lambda x, weight: x)
+    monkeypatch.setattr("ffpose.bench.filter.rivals.torch_filter", lambda dim: lambda x, weight: x)
     with pytest.raises(RuntimeError, match=r"tokens 4×6, batch 1, forward: torch.fft differs"):
         measure(Case("tokens", (4, 6), 1), seconds=0.001)

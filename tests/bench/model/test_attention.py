@@ -14,9 +14,11 @@ from ffpose.bench.model.networks import (
     BEFORE,
     FFT,
     PRECISIONS,
+    SDPA,
     TASKS,
     BuiltInAttention,
     NetworkCase,
+    PlainAttention,
     TorchFftFilter,
     contender,
     networks,
@@ -54,7 +56,7 @@ def test_run_prints_tables_and_writes_a_document(tmp_path, monkeypatch, capsys):
     assert [NetworkCase(**each["case"]) for each in document["results"]] == cases
     for each in document["results"]:
         medians = {name: timing["median"] for name, timing in each["timings"].items()}
-        for name in (BEFORE, FFT):
+        for name in (BEFORE, SDPA, FFT):
             assert each["ratio"][name] == pytest.approx(medians[name] / medians[OURS])
         assert each["images_per_second"] == pytest.approx(each["case"]["batch"] / medians[OURS])
         assert each["largest_difference"] < 1e-5
@@ -65,26 +67,46 @@ def test_run_prints_tables_and_writes_a_document(tmp_path, monkeypatch, capsys):
 
 def test_a_ratio_by_hand():
     timings = {OURS: Timing(0.5, 0.4, 0.6, 5, 1), BEFORE: Timing(2.0, 1.0, 3.0, 5, 1)}
+    timings[SDPA] = Timing(1.5, 1.0, 2.0, 5, 1)
     timings[FFT] = Timing(1.0, 1.0, 1.0, 5, 1)
     result = NetworkResult(NetworkCase("speck", 8), timings, 0.0)
-    assert (result.ratios, result.images_per_second) == ({BEFORE: 4.0, FFT: 2.0}, 16.0)
+    assert (result.ratios, result.images_per_second) == ({BEFORE: 4.0, SDPA: 3.0, FFT: 2.0}, 16.0)
 
 
 @pytest.mark.parametrize("filter", ["tokens", "grid"])
 def test_contenders_differ_in_attention_or_filter_alone(filter):
     models = networks("speck", filter)
-    layers = {SelfAttention, BuiltInAttention, SpectralFilter, TorchFftFilter}
+    layers = {SelfAttention, BuiltInAttention, PlainAttention, SpectralFilter, TorchFftFilter}
     assert {
         name: {type(each) for each in model.modules()} & layers for name, model in models.items()
     } == {
         OURS: {SelfAttention, SpectralFilter},
         BEFORE: {BuiltInAttention, SpectralFilter},
+        SDPA: {PlainAttention, SpectralFilter},
         FFT: {SelfAttention, TorchFftFilter},
     }
     ours, *others = (model.state_dict() for model in models.values())
     for theirs in others:
         assert ours.keys() == theirs.keys()
         assert all(torch.equal(value, theirs[name]) for name, value in ours.items())
+
+
+def test_plain_attention_drops_as_torch_does(monkeypatch):
+    """In training its dropout is torch's, of the rate of the layer whose place it takes."""
+    rates = []
+    torchs = nn.functional.scaled_dot_product_attention
+
+    def attend(*args, dropout_p):
+        rates.append(dropout_p)
+        return torchs(*args, dropout_p=dropout_p)
+
+    monkeypatch.setattr("ffpose.bench.model.networks.scaled_dot_product_attention", attend)
+    plain = PlainAttention(nn.MultiheadAttention(8, 2, dropout=0.25, batch_first=True), 1)
+    x = torch.randn(2, 5, 8)
+    assert plain.train()(x).shape == (2, 1, 8)
+    expected = plain.attention.eval()(x[:, :1], x, x, need_weights=False)[0]
+    torch.testing.assert_close(plain.eval()(x), expected)
+    assert rates == [0.25, 0.0]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -17,6 +17,7 @@ from ffpose.bench.model import deployment
 from ffpose.bench.model import plan as deployment_plan
 from ffpose.bench.model.contenders import (
     COMPILED,
+    COMPILED_ALONE,
     CUSTOM,
     DFT,
     GRAPH_KINDS,
@@ -25,9 +26,9 @@ from ffpose.bench.model.contenders import (
     OPENVINO,
     PLAIN,
     TORCH,
+    TORCH_ALONE,
     TORCH_BEFORE,
     TORCH_BFLOAT16,
-    TORCH_FFT,
     WITHOUT,
     with_torch_fft,
     write_graphs,
@@ -58,7 +59,7 @@ runtime = pytest.importorskip("onnxruntime")
 FOLDER = Path(library.__file__).parent
 HAS_LIBRARY = any((FOLDER / name).is_file() for name in (ELF_NAME, *NAMES.values()))
 NAMES_HERE = [
-    *(TORCH_BEFORE, TORCH),
+    *(TORCH_ALONE, TORCH, TORCH_BEFORE),
     *([CUSTOM] if HAS_LIBRARY else []),
     *(MATMUL, WITHOUT),
     *([INT8] if HAS_LIBRARY else []),
@@ -87,13 +88,13 @@ def test_run_prints_tables_and_writes_document_and_picture(tmp_path, monkeypatch
     assert main(["bench", "model", "speck", *words, "--debug"]) == 0
     assert torch.get_num_threads() == begun
     document = json.loads((tmp_path / "d.json").read_text())
-    assert (document["network"], document["baseline"]) == ("speck", TORCH_BEFORE)
+    assert (document["network"], document["baseline"]) == ("speck", TORCH_ALONE)
     assert document["environment"]["onnxruntime"] == runtime.__version__
     assert [(each["batch"], each["threads"]) for each in document["results"]] == [(1, 1), (2, 1)]
     for each in document["results"]:
         assert list(each["latencies"]) == NAMES_HERE
         medians = {name: latency["p50"] for name, latency in each["latencies"].items()}
-        assert each["ratio"][MATMUL] == pytest.approx(medians[MATMUL] / medians[TORCH_BEFORE])
+        assert each["ratio"][MATMUL] == pytest.approx(medians[MATMUL] / medians[TORCH_ALONE])
         apart = each["largest_difference"]
         assert apart.pop(WITHOUT) is None
         assert apart.pop(INT8, 1.0) > 1e-4  # 8 bits
@@ -197,12 +198,12 @@ def test_the_plan_of_a_pose_network_and_of_gfnet(tmp_path, monkeypatch):
     whole, quick = make_plan(pose, quick=False), make_plan(pose, quick=True)
     assert (whole.batches, whole.threads) == ((1, 8), (1, 2, 4))
     assert (quick.batches, quick.threads) == ((1,), (1,))
-    assert whole.names[:2] == [TORCH_BEFORE, TORCH]
-    assert {COMPILED, CUSTOM, MATMUL, DFT, WITHOUT, INT8} <= set(whole.names)
-    assert set(whole.names) - set(quick.names) == {COMPILED, DFT}
+    assert whole.names[:3] == [TORCH_ALONE, TORCH, TORCH_BEFORE]
+    assert {COMPILED, COMPILED_ALONE, CUSTOM, MATMUL, DFT, WITHOUT, INT8} <= set(whole.names)
+    assert set(whole.names) - set(quick.names) == {COMPILED, COMPILED_ALONE, DFT}
     assert any(DFT in note for note in quick.notes)
     assert INT8 not in make_plan(gfnet, quick=True).names
-    assert {TORCH_FFT, TORCH_BFLOAT16, CUSTOM} <= set(make_plan(gfnet, quick=True).names)
+    assert {TORCH_ALONE, TORCH_BFLOAT16, CUSTOM} <= set(make_plan(gfnet, quick=True).names)
     chosen = make_plan(pose, quick=False, batches=[3], threads=[2])
     assert (chosen.batches, chosen.threads) == ([3], [2])
 
@@ -213,12 +214,12 @@ def test_what_is_missing_is_a_note(tmp_path, monkeypatch):
     monkeypatch.setattr("ffpose.onnx.library.ELF_NAME", "nowhere.so")
     monkeypatch.setattr("ffpose.onnx.library.NAMES", {})
     plan = make_plan(measured, quick=False)
-    assert not {CUSTOM, COMPILED} & set(plan.names)
+    assert not {CUSTOM, COMPILED, COMPILED_ALONE} & set(plan.names)
     assert {MATMUL, WITHOUT} <= set(plan.names)
     assert any("nowhere.so" in note for note in plan.notes)
     monkeypatch.setattr(deployment_plan.importlib.util, "find_spec", lambda _: None)
     plan = make_plan(measured, quick=False)
-    assert plan.names == [TORCH_BEFORE, TORCH]
+    assert plan.names == [TORCH_ALONE, TORCH, TORCH_BEFORE]
     for name in ("ONNX Runtime", OPENVINO, COMPILED):
         assert any(note.startswith(f"{name} is not measured") for note in plan.notes)
 
@@ -227,16 +228,16 @@ def test_a_network_without_filters_has_one_graph(tmp_path, monkeypatch):
     monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["speck"], filter="none"))
     monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
     names = make_plan(subject("speck", tmp_path), quick=True).names
-    assert PLAIN in names
+    assert (PLAIN in names, names[0]) == (True, TORCH)
     assert not {CUSTOM, MATMUL, WITHOUT} & set(names)
 
 
 def test_a_contender_that_computes_something_else_is_refused(tmp_path, monkeypatch):
     measured = subject(GFNET, tmp_path)
     monkeypatch.setattr(GlobalFilter, "forward", lambda self, x: 2 * x)
-    calls = serving.contenders(measured, {}, [TORCH_FFT, TORCH], 1, 1)
-    with pytest.raises(RuntimeError, match=r"outputs by torch differ from torch, torch\.fft's by"):
-        serving.differences(calls, TORCH_FFT)
+    calls = serving.contenders(measured, {}, [TORCH_ALONE, TORCH], 1, 1)
+    with pytest.raises(RuntimeError, match=r"outputs by torch differ from torch alone's by"):
+        serving.differences(calls, TORCH_ALONE)
 
 
 def test_a_process_that_fails_is_named(tmp_path):

@@ -22,6 +22,8 @@ Sizes = tuple[tuple[Kind, tuple[int, ...]], ...]
 
 HALF = "ffpose bfloat16"
 TORCH = "torch.fft"
+CHANNELS_FIRST = "torch.fft, channels first"
+"""torch.fft where it is quicker: ``(..., C, H, W)``, contiguous along the transformed axes."""
 COMPILED = "torch.compile"
 SCIPY = "scipy.fft"
 MATRICES = "matrices"
@@ -131,10 +133,14 @@ class Case:
 
 
 def sweep(sizes: Sizes, batches: Sequence[int], threads: int) -> list[Case]:
-    """Return cases of all sizes and batches, forward and forward+backward, against torch.fft."""
+    """Return cases of all sizes and batches, forward and forward+backward, against torch.fft.
+
+    Channels come first too, where there are channels: tokens have one layout.
+    """
     works: tuple[Work, ...] = ("forward", "forward+backward")
+    layouts = dict.fromkeys(("grid", "sequence"), (OURS, TORCH, CHANNELS_FIRST))
     return [
-        Case(kind, size, batch, work, threads)
+        Case(kind, size, batch, work, threads, layouts.get(kind, (OURS, TORCH)))
         for kind, size in sizes
         for batch in batches
         for work in works
@@ -205,7 +211,10 @@ def available_rivals(quick: bool) -> tuple[frozenset[str], tuple[str, ...]]:
         notes.append(f"{COMPILED} is not measured: it takes too long to compile")
     elif shutil.which(os.environ.get("CXX", "g++")) is not None:
         found.add(COMPILED)
-        notes.append(f"{COMPILED}: batch 1 alone, as each size is compiled anew")
+        notes.append(
+            f"{COMPILED}: channels first where there are channels; batch 1 alone, as each size is"
+            " compiled anew"
+        )
     else:
         notes.append(f"{COMPILED} is not measured: it needs a C++ compiler, and g++ is not found")
     return frozenset(found), tuple(notes)

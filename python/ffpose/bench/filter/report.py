@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
-from ffpose.bench.filter.cases import BATCHES, COMPILED, COPY, MATRICES, SCIPY, TORCH
+from ffpose.bench.filter.cases import (
+    BATCHES,
+    CHANNELS_FIRST,
+    COMPILED,
+    COPY,
+    MATRICES,
+    SCIPY,
+    TORCH,
+)
 from ffpose.bench.filter.children import Opening
 from ffpose.bench.filter.results import (
     Comparison,
@@ -41,6 +49,8 @@ Worst = Callable[..., Pair]
 LEGEND = (
     "ratio: torch.fft's time over ours, by medians [quartiles] of interleaved runs, float32; each"
     " side with the allocator that suits it better",
+    "best layout: over torch.fft on grids and sequences with channels last, as ours, or first"
+    " (C, H, W), where it transforms contiguous axes: whichever is faster in a case",
     "forward+backward: both gradients of a weight that changes before every call",
     "GFLOP/s: nominal, 2.5 N log2 N for a real transform of N points; GB/s: inputs and results"
     " once each; peaks: of a matrix product, and of a copy of 64 MiB",
@@ -55,7 +65,7 @@ def print_tables(
     for isa, threads in dict.fromkeys((each.isa, each.case.threads) for each in comparisons):
         chosen = [one for one in comparisons if (one.isa, one.case.threads) == (isa, threads)]
         console.print(_cases(chosen, _heading(openings, isa, threads)))
-    for table in (_rivals(comparisons), _limits(comparisons), _overheads(comparisons)):
+    for table in (_rivals(comparisons, notes), _limits(comparisons), _overheads(comparisons)):
         if table.row_count:
             console.print(table)
     console.print(_means(group_means(comparisons)))
@@ -92,15 +102,21 @@ def _cases(comparisons: Sequence[Comparison], heading: str) -> Table:
     return table
 
 
-def _rivals(comparisons: Sequence[Comparison]) -> Table:
-    """Return the table of every rival's time over ours."""
-    rivals = (TORCH, COMPILED, SCIPY, MATRICES)
+def _rivals(comparisons: Sequence[Comparison], notes: Sequence[str]) -> Table:
+    """Return the table of every rival's time over ours; a rival left out is said to be."""
+    rivals = (TORCH, CHANNELS_FIRST, COMPILED, SCIPY, MATRICES)
+    left_out = {name for name in rivals if any(note.startswith(f"{name} is not") for note in notes)}
     table = make_table("all rivals: their time over ours", "case")
     for name in rivals:
         table.add_column(name, justify="right")
     for one in comparisons:
         if {COMPILED, SCIPY, MATRICES} & set(one.names):
-            cells = [f"{one.ratio(name):.2f}" if name in one.names else "" for name in rivals]
+            cells = [
+                f"{one.ratio(name):.2f}"
+                if name in one.names
+                else ("not measured" if name in left_out else "")
+                for name in rivals
+            ]
             table.add_row(one.case.label, *cells)
     return table
 
@@ -140,11 +156,14 @@ def _means(means: Sequence[GroupMean]) -> Table:
     for name in ("geometric mean", "worst"):
         table.add_column(name, justify="right")
     table.add_column("of")
+    for name in ("best layout, mean", "worst"):
+        table.add_column(name, justify="right")
     for each in means:
         setting = f"{each.isa}, {in_threads(each.threads)}"
         worst = f"{each.worst.case.size_label}, batch {each.worst.case.batch}"
         figures = f"{each.mean:.2f}", f"{each.worst.ratio():.2f}"
-        table.add_row(setting, each.group, each.work, *figures, worst)
+        layout = f"{each.best_layout_mean:.2f}", f"{each.best_layout_worst.best_layout_ratio():.2f}"
+        table.add_row(setting, each.group, each.work, *figures, worst, *layout)
     return table
 
 
@@ -179,6 +198,8 @@ def _mean(mean: GroupMean) -> dict[str, Any]:
         "geometric_mean_ratio": mean.mean,
         "worst_ratio": mean.worst.ratio(),
         "worst_case": mean.worst.case.label,
+        "best_layout_geometric_mean_ratio": mean.best_layout_mean,
+        "best_layout_worst_ratio": mean.best_layout_worst.best_layout_ratio(),
     }
 
 

@@ -1,19 +1,28 @@
 """The contenders: our filter, and its rivals written as their users would write them.
 
-All contenders of a case get the same data.
+All contenders of a case get the same data, those of `FIRST` with the channels first.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ffpose.bench.filter.cases import COMPILED, COPY, HALF, MATRICES, SCIPY, Case, Kind
+from ffpose.bench.filter.cases import (
+    CHANNELS_FIRST,
+    COMPILED,
+    COPY,
+    HALF,
+    MATRICES,
+    SCIPY,
+    Case,
+    Kind,
+)
 from ffpose.bench.timing import OURS, Contender
 from ffpose.ops import spectral_filter
 
@@ -21,6 +30,12 @@ Filter = Callable[[Tensor, Tensor], Tensor]
 
 DIMS: dict[Kind, tuple[int, ...]] = {"grid": (-3, -2), "tokens": (-2, -1), "sequence": (-2,)}
 """Transformed dimensions of each kind."""
+
+DIMS_FIRST: dict[Kind, tuple[int, ...]] = {**DIMS, "grid": (-2, -1), "sequence": (-1,)}
+"""The same where channels come first."""
+
+FIRST = (CHANNELS_FIRST, COMPILED)
+"""Contenders whose grids and sequences have their channels first."""
 
 
 @dataclass(frozen=True)
@@ -49,16 +64,37 @@ def contenders(case: Case) -> dict[str, Contender]:
 
 
 def _contender(name: str, case: Case, inputs: Inputs) -> Contender:
-    x, weight = inputs.x, inputs.weight.clone()
+    x, weight, grad = inputs.x, inputs.weight.clone(), inputs.grad
+    if _is_first(name, case.kind):
+        x, grad = (each.movedim(-1, 1).contiguous() for each in (x, grad))
+        weight = weight.movedim(-2, 0).contiguous()
     if name == COPY:
         y = torch.empty_like(x)
         return Contender(lambda: y.copy_(x))
     if name == SCIPY:
         return Contender(_scipy_call(case, x, weight))
     if name == HALF:
-        x, grad = x.bfloat16(), inputs.grad.bfloat16()
+        x, grad = x.bfloat16(), grad.bfloat16()
         return _contender_of(our_filter(case.kind), x, weight, grad, case)
-    return _contender_of(_filter(name, case), x, weight, inputs.grad, case)
+    return _contender_of(_filter(name, case), x, weight, grad, case)
+
+
+def _is_first(name: str, kind: Kind) -> bool:
+    return name in FIRST and kind != "tokens"
+
+
+def in_our_layout(name: str, case: Case, results: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Return a contender's results with the channels last: ``x``-like first, then ``weight``-like.
+
+    Args:
+        name: The contender.
+        case: Its case.
+        results: The filtered images, or the gradients of images and weight.
+    """
+    if not _is_first(name, case.kind):
+        return tuple(results)
+    places = ((1, -1), (0, -2))
+    return tuple(each.movedim(*place) for each, place in zip(results, places, strict=False))
 
 
 def _filter(name: str, case: Case) -> Filter:
@@ -66,7 +102,7 @@ def _filter(name: str, case: Case) -> Filter:
         return our_filter(case.kind)
     if name == MATRICES:
         return MatrixFilter(case.kind, *case.plane)
-    plain = torch_filter(case.kind)
+    plain = torch_filter(DIMS_FIRST[case.kind] if name in FIRST else DIMS[case.kind])
     return torch.compile(plain, dynamic=False) if name == COMPILED else plain
 
 
@@ -96,9 +132,8 @@ def our_filter(kind: Kind) -> Filter:
     return lambda x, weight: spectral_filter(x, weight, kind)
 
 
-def torch_filter(kind: Kind) -> Filter:
-    """Return the filter in torch.fft: ``irfft2(rfft2(x) * W)``, or its 1-D form."""
-    dim = DIMS[kind]
+def torch_filter(dim: tuple[int, ...]) -> Filter:
+    """Return the filter in torch.fft over these dimensions: ``irfft2(rfft2(x) * W)``, or 1-D."""
 
     def plain(x: Tensor, weight: Tensor) -> Tensor:
         spectrum = torch.fft.rfftn(x, dim=dim) * torch.view_as_complex(weight)

@@ -17,7 +17,7 @@ from typing import Any, Self
 import torch
 
 from ffpose.bench.filter.cases import COPY, HALF, Case
-from ffpose.bench.filter.rivals import contenders
+from ffpose.bench.filter.rivals import contenders, in_our_layout
 from ffpose.bench.machine import environment, measure_peak
 from ffpose.bench.timing import OURS, Contender, Timing, interleave, torch_threads
 
@@ -56,7 +56,8 @@ def _largest_difference(case: Case, taking_part: Mapping[str, Contender]) -> flo
     ours = _results(taking_part[OURS])
     largest = 0.0
     for name in set(taking_part) - {OURS, COPY, HALF}:
-        for mine, theirs in zip(ours, _results(taking_part[name]), strict=True):
+        results = in_our_layout(name, case, _results(taking_part[name]))
+        for mine, theirs in zip(ours, results, strict=True):
             difference = float((mine - theirs).abs().max() / theirs.abs().max())
             if not difference < APART:
                 raise RuntimeError(f"{case.label}: {name} differs from ffpose by {difference:.1e}")

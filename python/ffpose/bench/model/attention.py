@@ -1,10 +1,10 @@
 """`ffpose bench model attention`: inference and training with ours and torch's attention and FFT.
 
-One baseline runs the forward of `torch.nn.MultiheadAttention`, one filters by ``torch.fft``; in all
-else they are ours (`ffpose.bench.model.networks`). The contenders of a case
-are timed in turn in this process (`ffpose.bench.timing`), so that other load on the machine affects
-them alike: the ratio is more reliable than the milliseconds. A ratio above 1 means that ffpose is
-faster than the baseline.
+One baseline runs the forward of `torch.nn.MultiheadAttention`, one plain
+`scaled_dot_product_attention`, one filters by ``torch.fft``; in all else they are ours
+(`ffpose.bench.model.networks`). The contenders of a case are timed in turn in this process
+(`ffpose.bench.timing`), so that other load on the machine affects them alike: the ratio is more
+reliable than the milliseconds. A ratio above 1 means that ffpose is faster than the baseline.
 """
 
 from __future__ import annotations
@@ -43,8 +43,10 @@ from ffpose.machine import bfloat16_instructions, cores
 MODELS = ("base", "small", "tiny")
 THREADS = (1, 2)
 LEGEND = (
-    "nn.MultiheadAttention, torch.fft: the same network and weights with the forward of the one, or"
-    " filters by the other; ratio: its time over ours, by medians [quartiles] of interleaved runs",
+    "nn.MultiheadAttention, plain SDPA, torch.fft: the same network and weights with the forward of"
+    " the first, attention by torch's scaled_dot_product_attention (ours too but in training with"
+    " dropout), or filters by torch.fft; ratio: its time over ours, by medians [quartiles] of"
+    " interleaved runs",
     "training step: forward, backward and AdamW; bfloat16: autocast; torch eager, random images",
 )
 

@@ -16,7 +16,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ffpose.bench.model.networks import BEFORE, with_built_in_attention, with_torch_fft
+from ffpose.bench.model.networks import (
+    BEFORE,
+    BuiltInAttention,
+    PlainAttention,
+    with_attention,
+    with_torch_fft,
+)
 from ffpose.bench.model.subjects import Subject
 from ffpose.errors import require
 from ffpose.onnx.backends import open_session
@@ -28,10 +34,12 @@ from ffpose.onnx.pose_graph import pose_differences
 
 TORCH = "torch"
 TORCH_BEFORE = f"torch, {BEFORE}"
-TORCH_FFT = "torch, torch.fft"
+TORCH_ALONE = "torch alone"
+"""Filters by ``torch.fft``, attention by `scaled_dot_product_attention`: nothing is ffpose's."""
 TORCH_AUTOCAST = "torch, bfloat16 autocast"
 TORCH_BFLOAT16 = "torch, bfloat16"
 COMPILED = "torch.compile"
+COMPILED_ALONE = "torch.compile, torch alone"
 CUSTOM = "ONNX Runtime, custom operator"
 MATMUL = "ONNX Runtime, matmul"
 DFT = "ONNX Runtime, torch's DFT export"
@@ -112,15 +120,22 @@ def _in_torch(name: str, subject: Subject, images: Tensor) -> Call:
 def _module(name: str, model: nn.Module) -> Any:
     match name:
         case _ if name == TORCH_BEFORE:
-            return with_built_in_attention(model)
-        case _ if name == TORCH_FFT:
-            return with_torch_fft(model)
+            return with_attention(model, BuiltInAttention)
+        case _ if name == TORCH_ALONE:
+            return torch_alone(model)
         case _ if name == TORCH_BFLOAT16:
             return copy.deepcopy(model).bfloat16()
         case _ if name == COMPILED:
             return torch.compile(copy.deepcopy(model), dynamic=False)
+        case _ if name == COMPILED_ALONE:
+            return torch.compile(torch_alone(model), dynamic=False)
         case _:
             return model
+
+
+def torch_alone(model: nn.Module) -> nn.Module:
+    """Return a copy of ``model`` as a user of torch would write it."""
+    return with_attention(with_torch_fft(model), PlainAttention)
 
 
 def differences(calls: Mapping[str, Call], baseline: str) -> dict[str, float | None]:

@@ -1,7 +1,8 @@
 """The contenders of `ffpose bench model attention`: ours, and with torch's attention or FFT.
 
 The baselines differ in one layer each: one runs the forward of `torch.nn.MultiheadAttention`, which
-in evaluation on CPUs writes the scores of all pairs of tokens to memory; the other filters by
+in evaluation on CPUs writes the scores of all pairs of tokens to memory; one calls torch's
+`scaled_dot_product_attention` and nothing else, as ours does without dropout; one filters by
 ``torch.fft``.
 """
 
@@ -14,8 +15,9 @@ from typing import Literal, TypeVar, get_args
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import linear, scaled_dot_product_attention
 
-from ffpose.bench.filter.rivals import torch_filter
+from ffpose.bench.filter.rivals import DIMS, torch_filter
 from ffpose.bench.timing import OURS, Contender
 from ffpose.choices import FilterKind
 from ffpose.models import FilterformerPose
@@ -31,8 +33,9 @@ PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 Network = TypeVar("Network", bound=nn.Module)
 
 BEFORE = "nn.MultiheadAttention"
+SDPA = "plain SDPA"
 FFT = "torch.fft"
-BASELINES = (BEFORE, FFT)
+BASELINES = (BEFORE, SDPA, FFT)
 APART = 1e-4
 """Largest difference of float32 poses, relative to the largest value, that counts as equal."""
 
@@ -83,13 +86,34 @@ class BuiltInAttention(nn.Module):
         return result
 
 
-def with_built_in_attention(model: Network) -> Network:
-    """Return a copy of ``model`` whose attention is torch's."""
+class PlainAttention(BuiltInAttention):
+    """Self-attention by torch's `scaled_dot_product_attention`, with torch's own dropout."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return ``(B, queries, dim)`` for ``x (B, N, dim)``, or ``(B, N, dim)`` for all."""
+        attention = self.attention
+        weights, biases = attention.in_proj_weight.chunk(3), attention.in_proj_bias.chunk(3)
+        query, key, value = (
+            linear(tokens, weight, bias)
+            .unflatten(-1, (attention.num_heads, attention.head_dim))
+            .transpose(1, 2)
+            for tokens, weight, bias in zip(
+                (x[:, : self.queries], x, x), weights, biases, strict=True
+            )
+        )  # each (B, heads, N, dim / heads)
+        rate = attention.dropout if self.training else 0.0
+        mixed = scaled_dot_product_attention(query, key, value, dropout_p=rate)
+        result: Tensor = attention.out_proj(mixed.transpose(1, 2).flatten(2))
+        return result
+
+
+def with_attention(model: Network, kind: type[BuiltInAttention]) -> Network:
+    """Return a copy of ``model`` whose attention is of a kind that runs torch alone."""
     model = copy.deepcopy(model)
     for parent in list(model.modules()):
         for name, child in parent.named_children():
             if isinstance(child, SelfAttention):
-                setattr(parent, name, BuiltInAttention(child.attention, child.queries))
+                setattr(parent, name, kind(child.attention, child.queries))
     return model
 
 
@@ -108,7 +132,7 @@ class TorchFftFilter(nn.Module):
         else:
             self.weight = filter.weight
         layout = "grid" if isinstance(filter, GlobalFilter) else filter.layout
-        self.compute = torch_filter(layout)
+        self.compute = torch_filter(DIMS[layout])
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the filtered ``x``, of its shape and type; bfloat16 torch.fft cannot compute."""
@@ -139,7 +163,12 @@ def network(name: str, filter: FilterKind | None = None) -> FilterformerPose:
 def networks(name: str, filter: FilterKind | None = None) -> dict[str, FilterformerPose]:
     """Return each contender's network of that name, with the same random weights."""
     ours = network(name, filter)
-    return {OURS: ours, BEFORE: with_built_in_attention(ours), FFT: with_torch_fft(ours)}
+    return {
+        OURS: ours,
+        BEFORE: with_attention(ours, BuiltInAttention),
+        SDPA: with_attention(ours, PlainAttention),
+        FFT: with_torch_fft(ours),
+    }
 
 
 def random_images(model: FilterformerPose, batch: int) -> Tensor:

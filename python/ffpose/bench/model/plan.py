@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from ffpose.bench.model.contenders import (
     COMPILED,
+    COMPILED_ALONE,
     CUSTOM,
     DFT,
     INT8,
@@ -18,10 +19,10 @@ from ffpose.bench.model.contenders import (
     OPENVINO_BFLOAT16,
     PLAIN,
     TORCH,
+    TORCH_ALONE,
     TORCH_AUTOCAST,
     TORCH_BEFORE,
     TORCH_BFLOAT16,
-    TORCH_FFT,
     WITHOUT,
 )
 from ffpose.bench.model.subjects import Subject
@@ -68,7 +69,11 @@ def make_plan(
         threads: In place of 1, 2 and all cores.
     """
     names, notes = _in_torch(measured)
-    for found, remarks in (_compiled(quick), _in_runtimes(measured, quick), _in_openvino()):
+    for found, remarks in (
+        _compiled(measured, quick),
+        _in_runtimes(measured, quick),
+        _in_openvino(),
+    ):
         names += found
         notes += remarks
     if quick:
@@ -92,21 +97,22 @@ def _threads() -> tuple[int, ...]:
 
 
 def _in_torch(measured: Subject) -> tuple[list[str], list[str]]:
-    """Return the baseline, then our module; half precision for networks that give no pose."""
+    """Return the baseline first, then others; half precision for networks that give no pose."""
     if measured.weights is not None:
-        return [*([TORCH_BEFORE] if measured.has_attention else []), TORCH], []
+        alone = [TORCH_ALONE] if measured.has_filters else []
+        return [*alone, TORCH, *([TORCH_BEFORE] if measured.has_attention else [])], []
     notes = []
     if not bfloat16_instructions():
         notes.append("torch, bfloat16: this processor has no instructions for it, torch emulates")
-    return [TORCH_FFT, TORCH, TORCH_AUTOCAST, TORCH_BFLOAT16], notes
+    return [TORCH_ALONE, TORCH, TORCH_AUTOCAST, TORCH_BFLOAT16], notes
 
 
-def _compiled(quick: bool) -> tuple[list[str], list[str]]:
+def _compiled(measured: Subject, quick: bool) -> tuple[list[str], list[str]]:
     if quick:
         return [], [f"{COMPILED} is not measured: it takes too long to compile"]
     if shutil.which(os.environ.get("CXX", "g++")) is None:
         return [], [f"{COMPILED} is not measured: it needs a C++ compiler, and g++ is not found"]
-    return [COMPILED], []
+    return [COMPILED, *([COMPILED_ALONE] if measured.has_filters else [])], []
 
 
 def _in_runtimes(measured: Subject, quick: bool) -> tuple[list[str], list[str]]:
