@@ -7,13 +7,15 @@ import shlex
 def commands(block):
     r"""Split a block into commands, each a list of words.
 
-    Comments are left out, continued lines joined, and arithmetic expansions taken for a number.
+    Comments and redirections are left out, continued lines joined, and arithmetic expansions taken
+    for a number.
 
     Examples:
-        >>> commands("a 'b c' \\\n  --d  # e\nF=1 g | h $((2 * I))")
+        >>> commands("a 'b c' \\\n  --d  # e\nF=1 g | h $((2 * I)) > i")
         [['a', 'b c', '--d'], ['F=1', 'g'], ['h', '0']]
     """
     text = re.sub(r"(?m)(^|\s)#.*$", r"\1", block).replace("\\\n", " ")
+    text = re.sub(r"\s>\s*\S+", "", text)
     lexer = shlex.shlex(re.sub(r"\$\(\(.*?\)\)", "0", text), posix=True, punctuation_chars="\n;|&")
     lexer.whitespace, lexer.whitespace_split, lexer.commenters = " \t", True, ""
     found = [[]]

@@ -548,7 +548,7 @@ def bench_arguments(parser: ArgumentParser) -> None:
         help="of a model: base, small, tiny, compact, weights, gfnet, or attention: their"
         " inference and training with and without torch's attention (default: base; quick: tiny)",
     )
-    parser.add_argument("--json", type=Path, help="file for every timing")
+    parser.add_argument("--json", action="store_true", help="print every timing as JSON")
     parser.add_argument("--plot", type=Path, help="picture to draw")
     parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
     parser.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")

@@ -1,10 +1,10 @@
-"""Shared output of the benchmarks: tables, progress bars, files."""
+"""Shared output of the benchmarks: tables, progress bars, documents, plots."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ffpose.figures import save_figure
-from ffpose.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,21 +20,19 @@ if TYPE_CHECKING:
 WIDTH = 132
 
 
-def expect_places(*paths: Path | None) -> None:
-    """Check, before anything is measured, that the folder of each output file exists.
+def expect_place(path: Path | None) -> None:
+    """Check, before anything is measured, that the folder of an output file exists.
 
     Raises:
-        FileNotFoundError: A folder does not exist.
+        FileNotFoundError: The folder does not exist.
     """
-    for path in paths:
-        if path is not None and not path.parent.is_dir():
-            raise FileNotFoundError(f"expected an existing folder for {path}, got {path.parent}")
+    if path is not None and not path.parent.is_dir():
+        raise FileNotFoundError(f"expected an existing folder for {path}, got {path.parent}")
 
 
-def write_document(document: dict[str, Any], path: Path) -> None:
-    """Write a JSON document atomically."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=2) + "\n")
+def print_document(document: Mapping[str, Any]) -> None:
+    """Print a JSON document on standard output."""
+    print(json.dumps(document, indent=2))
 
 
 def save_plot(figure: Figure, path: Path) -> None:

@@ -18,6 +18,7 @@ from ffpose.bench.filter import run as bench
 from ffpose.bench.filter.cases import MATRICES, SCIPY, TORCH, Case, Plan, overhead_cases
 from ffpose.bench.filter.worker import Request
 from ffpose.bench.timing import OURS
+from ffpose.cli import main
 
 
 def tiny_plan():
@@ -30,10 +31,11 @@ def tiny_plan():
 
 
 @pytest.mark.slow
-def test_run_writes_a_document_and_a_picture(tmp_path, monkeypatch, capsys):
+def test_run_prints_a_document_or_tables_and_draws(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench, "make_plan", lambda quick: tiny_plan())
-    bench.run(tmp_path / "filter.json", tmp_path / "filter.png", quick=True)
-    document = json.loads((tmp_path / "filter.json").read_text())
+    words = ["bench", "filter", "--quick", "--json", "--plot", str(tmp_path / "filter.png")]
+    assert main(words) == 0
+    document = json.loads(capsys.readouterr().out)
     assert document["notes"] == ["a note"]
     assert [each["setting"]["allocator"] for each in document["processes"]] == ["default", "kept"]
     assert all(each["environment"]["torch"] == torch.__version__ for each in document["processes"])
@@ -45,6 +47,7 @@ def test_run_writes_a_document_and_a_picture(tmp_path, monkeypatch, capsys):
     assert {mean["group"] for mean in document["geometric_means"]} == {"other sizes"}
     assert [each["work"] for each in document["overheads"]] == ["forward", "recorded"]
     assert (tmp_path / "filter.png").read_bytes().startswith(b"\x89PNG")
+    bench.run(quick=True)
     printed = capsys.readouterr().out
     assert "geometric mean" in printed
     assert "a note" in printed
@@ -53,7 +56,7 @@ def test_run_writes_a_document_and_a_picture(tmp_path, monkeypatch, capsys):
 def test_a_missing_folder_is_found_before_the_work(tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "run_child", lambda *_: pytest.fail("measured first"))
     with pytest.raises(FileNotFoundError, match="expected an existing folder"):
-        bench.run(json_path=tmp_path / "absent" / "filter.json")
+        bench.run(plot=tmp_path / "absent" / "filter.png")
 
 
 def test_a_child_is_held_to_what_was_chosen(tmp_path):
@@ -80,7 +83,7 @@ def test_a_child_that_fails_is_quoted(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="sees in /proc that the measuring has begun")
 def test_an_interrupted_benchmark_leaves_nothing(tmp_path):
-    words = ["bench", "filter", "--quick", "--json", "filter.json", "--plot", "filter.png"]
+    words = ["bench", "filter", "--quick", "--json", "--plot", "filter.png"]
     child = subprocess.Popen(
         [sys.executable, "-m", "ffpose.cli", *words],
         cwd=tmp_path,

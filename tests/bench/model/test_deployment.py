@@ -78,16 +78,16 @@ def _speck(monkeypatch):
     monkeypatch.setattr("ffpose.bench.model.subjects.GlobalFilterNetwork", lambda: small)
 
 
-def test_run_prints_tables_and_writes_document_and_picture(tmp_path, monkeypatch, capsys):
+def test_run_prints_tables_or_a_document_and_draws(tmp_path, monkeypatch, capsys):
     plan = DeploymentPlan(NAMES_HERE, (1, 2), (1,), 0.001, 1, ["a note"])
     monkeypatch.setattr(deployment, "make_plan", lambda *_: plan)
     cold = {TORCH: ColdStart(4.0, 8e8, 1), MATMUL: ColdStart(1.0, 2e8, 1)}
     monkeypatch.setattr(deployment, "measure_starts", lambda *_: cold)
     begun = torch.get_num_threads()
-    words = ["--json", str(tmp_path / "d.json"), "--plot", str(tmp_path / "d.png")]
+    words = ["--json", "--plot", str(tmp_path / "d.png")]
     assert main(["bench", "model", "speck", *words, "--debug"]) == 0
     assert torch.get_num_threads() == begun
-    document = json.loads((tmp_path / "d.json").read_text())
+    document = json.loads(capsys.readouterr().out)
     assert (document["network"], document["baseline"]) == ("speck", TORCH_ALONE)
     assert document["environment"]["onnxruntime"] == runtime.__version__
     assert [(each["batch"], each["threads"]) for each in document["results"]] == [(1, 1), (2, 1)]
@@ -108,6 +108,7 @@ def test_run_prints_tables_and_writes_document_and_picture(tmp_path, monkeypatch
         assert set(latencies) == {*STAGES, TOTAL}
         assert latencies[TOTAL]["p99"] >= max(latencies[stage]["p50"] for stage in STAGES)
     assert document["cold_starts"][MATMUL] == {"seconds": 1.0, "peak_bytes": 2e8, "runs": 1}
+    assert main(["bench", "model", "speck", "--debug"]) == 0
     printed = capsys.readouterr().out
     for text in ("batch 2, 1 thread", "image file to pose", "first pose", "0.25", "a note"):
         assert text in printed
@@ -268,7 +269,7 @@ def test_the_process_of_a_graph_imports_no_torch():
         (["filter", "--batch", "1"], "--batch: expected with a network"),
         (["model", "attention", "--threads", "1"], "--threads: expected with a network"),
         (["model", "speck", "--threads", "0"], r"threads: expected numbers of at least 1, got [0]"),
-        (["model", "speck", "--json", "absent/a.json"], "expected an existing folder"),
+        (["model", "speck", "--plot", "absent/a.png"], "expected an existing folder"),
         (["model", "nowhere"], "weights: expected a file or a name"),
     ],
 )

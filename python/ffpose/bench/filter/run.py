@@ -15,33 +15,44 @@ from pathlib import Path
 from ffpose.bench.filter.cases import Plan, make_plan
 from ffpose.bench.filter.children import ALLOCATORS, Opening, Setting, run_child
 from ffpose.bench.filter.report import draw, make_document, print_tables
-from ffpose.bench.filter.results import bring_together
+from ffpose.bench.filter.results import Comparison, bring_together
 from ffpose.bench.filter.worker import Measurement, Request
-from ffpose.bench.output import expect_places, make_progress, write_document
+from ffpose.bench.output import expect_place, make_progress, print_document
 
 
-def run(json_path: Path | None = None, plot: Path | None = None, quick: bool = False) -> None:
-    """Measure all cases, print the tables on standard output, and write the requested files.
+def run(as_json: bool = False, plot: Path | None = None, quick: bool = False) -> None:
+    """Measure all cases, and print the tables, or all timings as JSON, on standard output.
 
     Args:
-        json_path: File for all timings, JSON.
+        as_json: Print one JSON document in place of the tables.
         plot: File for a plot of the ratios, PNG.
         quick: Few sizes and short timings, in under a minute.
 
     Raises:
-        OSError: A file cannot be written; its folder is checked before anything is measured.
+        OSError: The plot cannot be written; its folder is checked before anything is measured.
         RuntimeError: A child process failed, or a rival's results differ.
     """
-    expect_places(json_path, plot)
+    expect_place(plot)
     plan = make_plan(quick)
-    openings: list[Opening] = []
-    comparisons = bring_together(_measured(plan, openings))
-    print_tables(openings, comparisons, plan.notes)
-    if json_path is not None:
-        write_document(make_document(openings, comparisons, plan.notes), json_path)
+    openings, comparisons = measure(plan)
+    if as_json:
+        print_document(make_document(openings, comparisons, plan.notes))
+    else:
+        print_tables(openings, comparisons, plan.notes)
     if plot is not None:
         about = openings[0].environment
         draw(comparisons, f"{about['processor']}, {openings[0].setting.isa}", plot)
+
+
+def measure(plan: Plan) -> tuple[list[Opening], list[Comparison]]:
+    """Measure all cases of a plan, with progress on standard error.
+
+    Raises:
+        RuntimeError: A child process failed, or a rival's results differ.
+    """
+    openings: list[Opening] = []
+    comparisons = bring_together(_measured(plan, openings))
+    return openings, comparisons
 
 
 def _measured(plan: Plan, openings: list[Opening]) -> Iterator[tuple[Setting, Measurement]]:

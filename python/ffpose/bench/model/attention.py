@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 from rich.table import Table
@@ -29,13 +28,12 @@ from ffpose.bench.model.networks import (
     random_images,
 )
 from ffpose.bench.output import (
-    expect_places,
     in_threads,
     make_console,
     make_progress,
     make_table,
+    print_document,
     print_notes,
-    write_document,
 )
 from ffpose.bench.timing import OURS, Timing, interleave, torch_threads
 from ffpose.machine import bfloat16_instructions, cores
@@ -86,23 +84,22 @@ class NetworkResult:
         return self.case.batch / self.timings[OURS].median
 
 
-def run(json_path: Path | None = None, quick: bool = False) -> None:
-    """Measure all cases, print the tables on standard output, and write the requested file.
+def run(as_json: bool = False, quick: bool = False) -> None:
+    """Measure all cases, and print the tables, or all timings as JSON, on standard output.
 
     Args:
-        json_path: File for all timings, JSON.
+        as_json: Print one JSON document in place of the tables.
         quick: Only batch 1, one thread and float32, with short timings.
 
     Raises:
-        OSError: The file cannot be written; its folder is checked before anything is measured.
         RuntimeError: The contenders of a case compute different poses.
     """
-    expect_places(json_path)
     plan = make_plan(quick)
-    results = list(_measured(plan))
-    print_results(results, plan.notes)
-    if json_path is not None:
-        write_document(make_document(results, plan.notes), json_path)
+    results = list(measure_all(plan))
+    if as_json:
+        print_document(make_document(results, plan.notes))
+    else:
+        print_results(results, plan.notes)
 
 
 def make_plan(quick: bool) -> NetworkPlan:
@@ -142,7 +139,7 @@ def measure(case: NetworkCase, seconds: float) -> NetworkResult:
         return NetworkResult(case, interleave(taking_part, seconds), difference)
 
 
-def _measured(plan: NetworkPlan) -> Iterator[NetworkResult]:
+def measure_all(plan: NetworkPlan) -> Iterator[NetworkResult]:
     """Measure the cases in sequence, with progress on standard error."""
     with make_progress() as progress:
         task = progress.add_task("starting", total=len(plan.cases))

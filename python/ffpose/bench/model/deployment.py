@@ -39,7 +39,7 @@ from ffpose.bench.model.pipeline import (
 from ffpose.bench.model.plan import DeploymentPlan, make_plan
 from ffpose.bench.model.report import draw, make_document, print_results
 from ffpose.bench.model.subjects import Subject, subject
-from ffpose.bench.output import expect_places, in_threads, make_progress, write_document
+from ffpose.bench.output import expect_place, in_threads, make_progress, print_document
 from ffpose.bench.timing import Latency, percentiles, take_turns, timed, torch_threads
 
 
@@ -79,7 +79,7 @@ class DeploymentResults:
 
 def run(
     network: str,
-    json_path: Path | None = None,
+    as_json: bool = False,
     plot: Path | None = None,
     quick: bool = False,
     *,
@@ -87,11 +87,11 @@ def run(
     threads: Sequence[int] | None = None,
     **fields: int,
 ) -> None:
-    """Measure a network, print the tables on standard output, and write the requested files.
+    """Measure a network, and print the tables, or all latencies as JSON, on standard output.
 
     Args:
         network: ``"gfnet"``, a preset, or weights (`ffpose.bench.model.subjects.subject`).
-        json_path: File for all latencies, JSON.
+        as_json: Print one JSON document in place of the tables.
         plot: File for a plot of the latencies, PNG.
         quick: Batch 1, one thread, the contenders that start fast, and short timings.
         batches: Images a batch; None for 1 and 8.
@@ -99,20 +99,21 @@ def run(
         **fields: Fields of the network to change: ``looks`` and ``turns``.
 
     Raises:
-        FileNotFoundError: No such network, or no folder for a file.
+        FileNotFoundError: No such network, or no folder for the plot.
         MissingExtraError: What the export needs is not installed.
         ValueError: A batch or a number of threads is below one, or a field cannot be changed.
         RuntimeError: A contender computes something else.
     """
-    expect_places(json_path, plot)
+    expect_place(plot)
     for name, values in (("batch", batches), ("threads", threads)):
         if values is not None and min(values, default=0) < 1:
             raise ValueError(f"{name}: expected numbers of at least 1, got {list(values)}")
     with tempfile.TemporaryDirectory(prefix="ffpose-bench-") as folder:
         results = measure(network, Path(folder), quick, batches, threads, **fields)
-    print_results(results)
-    if json_path is not None:
-        write_document(make_document(results), json_path)
+    if as_json:
+        print_document(make_document(results))
+    else:
+        print_results(results)
     if plot is not None:
         draw(results, plot)
 

@@ -95,7 +95,7 @@ class PlainAttention(BuiltInAttention):
         weights, biases = attention.in_proj_weight.chunk(3), attention.in_proj_bias.chunk(3)
         query, key, value = (
             linear(tokens, weight, bias)
-            .unflatten(-1, (attention.num_heads, attention.head_dim))
+            .view(*tokens.shape[:2], attention.num_heads, attention.head_dim)
             .transpose(1, 2)
             for tokens, weight, bias in zip(
                 (x[:, : self.queries], x, x), weights, biases, strict=True
