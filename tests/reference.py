@@ -76,11 +76,11 @@ def rotation(q):
     return Rotation.from_quat(np.asarray(q, dtype=np.float64), scalar_first=True)
 
 
-def rotation_error(q, q_hat):
+def rotation_error(q_hat, q):
     """Angle between orientations in degrees."""
     return np.degrees((rotation(q).inv() * rotation(q_hat)).magnitude())
 
 
-def translation_error(t, t_hat):
+def translation_error(t_hat, t):
     """Distance between translations."""
-    return np.linalg.norm(np.asarray(t, np.float64) - np.asarray(t_hat, np.float64), axis=-1)
+    return np.linalg.norm(np.asarray(t_hat, np.float64) - np.asarray(t, np.float64), axis=-1)

@@ -223,11 +223,11 @@ def test_errors_agree_with_scipy(seed, dtype):
     q, q_hat = rng.normal(size=(2, 10, 4)).astype(dtype)
     t, t_hat = rng.normal(size=(2, 10, 3)).astype(dtype)
     rtol = 4 * np.finfo(dtype).eps
-    rotation, translation = arrays.rotation_error(q, q_hat), arrays.translation_error(t, t_hat)
+    rotation, translation = arrays.rotation_error(q_hat, q), arrays.translation_error(t_hat, t)
     assert rotation.dtype == translation.dtype == dtype
-    expected = reference.rotation_error(q, q_hat)
+    expected = reference.rotation_error(q_hat, q)
     np.testing.assert_allclose(rotation, expected, rtol=rtol, atol=1e-13 if rtol < 1e-9 else 0)
-    np.testing.assert_allclose(translation, reference.translation_error(t, t_hat), rtol=rtol)
+    np.testing.assert_allclose(translation, reference.translation_error(t_hat, t), rtol=rtol)
 
 
 def test_small_angles_keep_their_digits_in_single_precision():
@@ -235,7 +235,7 @@ def test_small_angles_keep_their_digits_in_single_precision():
     q_hat = np.zeros((2, 4), np.float32)
     q_hat[:, 0], q_hat[:, 1] = np.cos(half), np.sin(half)
     q = np.array([[1, 0, 0, 0]] * 2, np.float32)
-    np.testing.assert_allclose(arrays.rotation_error(q, q_hat), [1e-3, 1e-5], rtol=1e-6)
+    np.testing.assert_allclose(arrays.rotation_error(q_hat, q), [1e-3, 1e-5], rtol=1e-6)
 
 
 def test_scores_by_hand():
@@ -246,9 +246,9 @@ def test_scores_by_hand():
     q_hat = arrays.euler_to_quaternion(np.stack([0 * degrees, 0 * degrees, degrees], axis=-1))
     radians = np.radians(degrees)
     esa = np.array([0.5, 0.002, 0.003, 0.002]) + radians
-    np.testing.assert_allclose(arrays.esa_score(t, q, t_hat, q_hat), esa, rtol=1e-12)
+    np.testing.assert_allclose(arrays.esa_score(t_hat, q_hat, t, q), esa, rtol=1e-12)
     speed_plus = [0.5 + radians[0], radians[1], 0.003, 0.0]
-    np.testing.assert_allclose(arrays.speed_plus_score(t, q, t_hat, q_hat), speed_plus, rtol=1e-12)
+    np.testing.assert_allclose(arrays.speed_plus_score(t_hat, q_hat, t, q), speed_plus, rtol=1e-12)
 
 
 def test_gradient_of_a_normalization_by_differences():

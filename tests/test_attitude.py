@@ -33,7 +33,7 @@ def across(t):
 
 
 def parts(t, true, predicted):
-    return rotation_parts(t, quaternion(true), quaternion(predicted))
+    return rotation_parts(quaternion(predicted), t, quaternion(true))
 
 
 def angle_between(a, b):
@@ -76,7 +76,7 @@ def test_a_turn_across_the_ray_is_all_out_of_plane(degrees):
 
 def test_seen_from_behind_there_is_no_twist():
     """By hand: half a turn about y is across the ray along z."""
-    found = rotation_parts([[0.0, 0, 9]], [[1.0, 0, 0, 0]], [[0.0, 0, 1, 0]])
+    found = rotation_parts([[0.0, 0, 1, 0]], [[0.0, 0, 9]], [[1.0, 0, 0, 0]])
     assert found.out_of_plane_deg[0] == pytest.approx(180)
     assert found.in_plane_deg[0] == 0
 
@@ -99,13 +99,13 @@ def test_a_turn_of_the_camera_changes_neither_part():
 def test_signs_and_lengths_of_the_arguments_do_not_matter():
     t, true, predicted = random_case()
     q, q_hat = quaternion(true), quaternion(predicted)
-    other = rotation_parts(3 * t, -q, 2 * q_hat)
-    np.testing.assert_allclose(other, rotation_parts(t, q, q_hat), atol=1e-9)
+    other = rotation_parts(2 * q_hat, 3 * t, -q)
+    np.testing.assert_allclose(other, rotation_parts(q_hat, t, q), atol=1e-9)
 
 
 def test_an_oracle_of_the_in_plane_part_keeps_the_viewing_direction_alone():
     t, true, predicted = random_case()
-    answer = remove_in_plane_error(t, quaternion(true), quaternion(predicted))
+    answer = remove_in_plane_error(quaternion(predicted), t, quaternion(true))
     rotation = Rotation.from_quat(answer, scalar_first=True)
     np.testing.assert_allclose(
         rotation.inv().apply(rays(t)), predicted.inv().apply(rays(t)), atol=1e-12
@@ -117,7 +117,7 @@ def test_an_oracle_of_the_in_plane_part_keeps_the_viewing_direction_alone():
 
 def test_an_oracle_of_the_out_of_plane_part_keeps_the_twist_alone():
     t, true, predicted = random_case()
-    answer = remove_out_of_plane_error(t, quaternion(true), quaternion(predicted))
+    answer = remove_out_of_plane_error(quaternion(predicted), t, quaternion(true))
     rotation = Rotation.from_quat(answer, scalar_first=True)
     np.testing.assert_allclose(rotation.inv().apply(rays(t)), true.inv().apply(rays(t)), atol=1e-12)
     found, before = parts(t, true, rotation), parts(t, true, predicted)
@@ -131,22 +131,22 @@ def test_the_rotation_vector_takes_the_prediction_to_the_truth(degrees):
     vector = rays(t) * np.radians(degrees)
     true = Rotation.from_rotvec(vector) * predicted
     for sign in (1, -1):
-        found = rotation_vector(quaternion(true), sign * quaternion(predicted))
+        found = rotation_vector(sign * quaternion(predicted), quaternion(true))
         np.testing.assert_allclose(found, vector, rtol=1e-5, atol=1e-14)
 
 
 @pytest.mark.parametrize(
     ("place", "wrong", "error", "message"),
     [
-        (0, np.zeros((3, 3)), ValueError, "t: expected finite numbers, not all zero, .* in row 0"),
-        (1, np.full((3, 4), np.nan), ValueError, "q: expected finite"),
-        (2, np.zeros((3, 4)), ValueError, "q_hat: expected finite"),
-        (2, np.ones((2, 4)), ValueError, r"q_hat: expected shape \(3, 4\), got \(2, 4\)"),
-        (0, np.ones((3, 3), int), TypeError, "t: expected a floating dtype, got int64"),
+        (1, np.zeros((3, 3)), ValueError, "t: expected finite numbers, not all zero, .* in row 0"),
+        (2, np.full((3, 4), np.nan), ValueError, "q: expected finite"),
+        (0, np.zeros((3, 4)), ValueError, "q_hat: expected finite"),
+        (2, np.ones((2, 4)), ValueError, r"q: expected shape \(3, 4\), got \(2, 4\)"),
+        (1, np.ones((3, 3), int), TypeError, "t: expected a floating dtype, got int64"),
     ],
 )
 def test_what_has_no_angle_is_refused(place, wrong, error, message):
-    arguments = [np.ones((3, 3)), np.ones((3, 4)), np.ones((3, 4))]
+    arguments = [np.ones((3, 4)), np.ones((3, 3)), np.ones((3, 4))]
     arguments[place] = wrong
     with pytest.raises(error, match=message):
         rotation_parts(*arguments)

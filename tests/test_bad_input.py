@@ -123,9 +123,9 @@ def test_the_wrong_number_of_arguments_is_refused():
         (lambda: ffpose.normalize_quaternion(Q * [[1], [0]]), ValueError, "q.*norm.*row 1"),
         (lambda: ffpose.normalize_quaternion(T), ValueError, r"q.*\(\.\.\., 4\).*\(2, 3\)"),
         (lambda: ffpose.normalize_quaternion(np.ma.array(Q)), TypeError, "q.*mask"),
-        (lambda: ffpose.rotation_error(Q, Q * np.nan), ValueError, "q_hat.*finite.*NaN.*row 0"),
-        (lambda: ffpose.rotation_error(Q, Q[:1]), ValueError, r"q_hat.*\(2, 4\).*\(1, 4\)"),
-        (lambda: ffpose.translation_error(T[0], T[0]), ValueError, r"t.*\(N, 3\).*\(3,\)"),
+        (lambda: ffpose.rotation_error(Q * np.nan, Q), ValueError, "q_hat.*finite.*NaN.*row 0"),
+        (lambda: ffpose.rotation_error(Q, Q[:1]), ValueError, r"q must.*\(2, 4\).*\(1, 4\)"),
+        (lambda: ffpose.translation_error(T[0], T[0]), ValueError, r"t_hat.*\(N, 3\).*\(3,\)"),
         (
             lambda: shade_earth(nadir=np.zeros(3, "c8")),
             TypeError,

@@ -143,7 +143,7 @@ def test_oracles_know_one_part_and_answer_the_constant_for_the_other(evaluation)
     truth, constant = evaluation.dataset.poses, evaluation.baseline
     ray = truth[:, :3] / np.linalg.norm(truth[:, :3], axis=1, keepdims=True)
     mean = rotations(np.broadcast_to(constant, truth.shape))
-    answers = oracles(truth, constant)
+    answers = oracles(constant, truth)
     assert (answers["in_plane_known"][:, :3] == truth[:, :3]).all()
     shown = rotations(answers["in_plane_known"]).inv().apply(ray)
     np.testing.assert_allclose(shown, mean.inv().apply(ray), atol=1e-12)

@@ -109,9 +109,9 @@ def quaternions(seed, count=8):
 @given(SEEDS)
 def test_a_quaternion_and_its_negative_are_one_rotation(seed):
     q, q_hat = quaternions(seed), quaternions(seed + 1)
-    expected = arrays.rotation_error(q, q_hat)
-    np.testing.assert_array_equal(arrays.rotation_error(-q, q_hat), expected)
-    np.testing.assert_array_equal(arrays.rotation_error(q, -q_hat), expected)
+    expected = arrays.rotation_error(q_hat, q)
+    np.testing.assert_array_equal(arrays.rotation_error(q_hat, -q), expected)
+    np.testing.assert_array_equal(arrays.rotation_error(-q_hat, q), expected)
     np.testing.assert_array_equal(arrays.canonical_quaternion(-q), arrays.canonical_quaternion(q))
     np.testing.assert_allclose(arrays.quaternion_to_euler(-q), arrays.quaternion_to_euler(q))
 
@@ -132,7 +132,7 @@ def test_the_norm_of_a_quaternion_does_not_matter(seed, scale):
     np.testing.assert_allclose(np.linalg.norm(unit, axis=-1), 1.0, rtol=1e-15)
     np.testing.assert_allclose(arrays.normalize_quaternion(scale * q), unit, atol=1e-15)
     np.testing.assert_allclose(
-        arrays.rotation_error(scale * q, q_hat), arrays.rotation_error(q, q_hat), atol=1e-6
+        arrays.rotation_error(q_hat, scale * q), arrays.rotation_error(q_hat, q), atol=1e-6
     )
 
 

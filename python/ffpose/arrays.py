@@ -166,12 +166,12 @@ def euler_to_quaternion(rpy: ArrayLike) -> RealArray:
     return _rust.euler_to_quaternion(_array(rpy, "rpy"))
 
 
-def translation_error(t: ArrayLike, t_hat: ArrayLike) -> RealArray:
-    """Compute the distances between true and estimated translations.
+def translation_error(t_hat: ArrayLike, t: ArrayLike) -> RealArray:
+    """Compute the distances of estimated translations from the true ones.
 
     Args:
-        t: True translations ``(N, 3)`` in meters.
         t_hat: Estimated translations ``(N, 3)`` in meters.
+        t: True translations ``(N, 3)`` in meters.
 
     Returns:
         Euclidean distances ``(N,)`` in meters.
@@ -181,21 +181,21 @@ def translation_error(t: ArrayLike, t_hat: ArrayLike) -> RealArray:
         ValueError: A shape is not ``(N, 3)``, or a value is not finite; the message names its row.
 
     Examples:
-        >>> translation_error([[0.0, 0.0, 10.0]], [[3.0, 0.0, 14.0]])
+        >>> translation_error([[3.0, 0.0, 14.0]], [[0.0, 0.0, 10.0]])
         array([5.])
     """
-    return _rust.translation_error(_array(t, "t"), _array(t_hat, "t_hat"))
+    return _rust.translation_error(_array(t_hat, "t_hat"), _array(t, "t"))
 
 
-def rotation_error(q: ArrayLike, q_hat: ArrayLike) -> RealArray:
-    """Compute the rotation angles between true and estimated orientations.
+def rotation_error(q_hat: ArrayLike, q: ArrayLike) -> RealArray:
+    """Compute the rotation angles between estimated and true orientations.
 
-    Equal to ``2 acos(min(1, |<q, q_hat>|))`` of unit quaternions, but computed by the arctangent of
+    Equal to ``2 acos(min(1, |<q_hat, q>|))`` of unit quaternions, but computed by the arctangent of
     the parts of ``q^-1 q_hat``, which is accurate for small angles. ``q`` and ``-q`` are the same.
 
     Args:
-        q: True orientations ``(N, 4)``, of any nonzero norm.
         q_hat: Estimated orientations ``(N, 4)``, of any nonzero norm.
+        q: True orientations ``(N, 4)``, of any nonzero norm.
 
     Returns:
         Angles ``(N,)`` in degrees, from 0 to 180.
@@ -206,66 +206,66 @@ def rotation_error(q: ArrayLike, q_hat: ArrayLike) -> RealArray:
             message names its row.
 
     Examples:
-        >>> rotation_error([[1.0, 0.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0, -1.0]]).round(9)
+        >>> rotation_error([[-1.0, 0.0, 0.0, -1.0]], [[1.0, 0.0, 0.0, 0.0]]).round(9)
         array([90.])
     """
-    return _rust.rotation_error(_array(q, "q"), _array(q_hat, "q_hat"))
+    return _rust.rotation_error(_array(q_hat, "q_hat"), _array(q, "q"))
 
 
-def esa_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) -> RealArray:
+def esa_score(t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> RealArray:
     """Compute the score of ESA's Kelvins Pose Estimation Challenge 2019 for each sample.
 
     The translation error divided by the true distance, plus the rotation error in radians; the
     challenge ranks by the mean.
 
     Args:
-        t: True translations ``(N, 3)`` in meters.
-        q: True orientations ``(N, 4)``.
         t_hat: Estimated translations ``(N, 3)`` in meters.
         q_hat: Estimated orientations ``(N, 4)``.
+        t: True translations ``(N, 3)`` in meters.
+        q: True orientations ``(N, 4)``.
 
     Returns:
         Scores ``(N,)``; zero is best.
 
     Raises:
         TypeError: An argument is not of float32 or float64, or two differ.
-        ValueError: A shape is not as above, a vector of ``t``, ``q`` or ``q_hat`` is zero, or a
+        ValueError: A shape is not as above, a vector of ``q_hat``, ``t`` or ``q`` is zero, or a
             value is not finite; the message names its row.
 
     Examples:
         >>> q = [[1.0, 0.0, 0.0, 0.0]]
-        >>> esa_score([[0.0, 0.0, 10.0]], q, [[3.0, 0.0, 14.0]], q)
+        >>> esa_score([[3.0, 0.0, 14.0]], q, [[0.0, 0.0, 10.0]], q)
         array([0.5])
     """
-    return _rust.esa_score(*_pose_arrays(t, q, t_hat, q_hat))
+    return _rust.esa_score(*_pose_arrays(t_hat, q_hat, t, q))
 
 
-def speed_plus_score(t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike) -> RealArray:
+def speed_plus_score(t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> RealArray:
     """Compute the score of the SPEED+ challenge (SPEC2021) for each sample.
 
     As `esa_score`, but a relative translation error below 0.002173 and a rotation error below
     0.169 degrees, the accuracy of the labels, each count as zero.
 
     Args:
-        t: True translations ``(N, 3)`` in meters.
-        q: True orientations ``(N, 4)``.
         t_hat: Estimated translations ``(N, 3)`` in meters.
         q_hat: Estimated orientations ``(N, 4)``.
+        t: True translations ``(N, 3)`` in meters.
+        q: True orientations ``(N, 4)``.
 
     Returns:
         Scores ``(N,)``; zero is best.
 
     Raises:
         TypeError: An argument is not of float32 or float64, or two differ.
-        ValueError: A shape is not as above, a vector of ``t``, ``q`` or ``q_hat`` is zero, or a
+        ValueError: A shape is not as above, a vector of ``q_hat``, ``t`` or ``q`` is zero, or a
             value is not finite; the message names its row.
 
     Examples:
         >>> q = [[1.0, 0.0, 0.0, 0.0]]
-        >>> speed_plus_score([[0.0, 0.0, 10.0]], q, [[0.0, 0.0, 10.01]], q)
+        >>> speed_plus_score([[0.0, 0.0, 10.01]], q, [[0.0, 0.0, 10.0]], q)
         array([0.])
     """
-    return _rust.speed_plus_score(*_pose_arrays(t, q, t_hat, q_hat))
+    return _rust.speed_plus_score(*_pose_arrays(t_hat, q_hat, t, q))
 
 
 def fractal_noise(points: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
@@ -352,9 +352,9 @@ def instruction_set() -> str:
 
 
 def _pose_arrays(
-    t: ArrayLike, q: ArrayLike, t_hat: ArrayLike, q_hat: ArrayLike
+    t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayLike
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    return _array(t, "t"), _array(q, "q"), _array(t_hat, "t_hat"), _array(q_hat, "q_hat")
+    return _array(t_hat, "t_hat"), _array(q_hat, "q_hat"), _array(t, "t"), _array(q, "q")
 
 
 def _array(values: ArrayLike, name: str) -> NDArray[Any]:

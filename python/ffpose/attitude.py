@@ -37,16 +37,16 @@ class RotationParts(NamedTuple):
     out_of_plane_deg: FloatArray
 
 
-def rotation_parts(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> RotationParts:
+def rotation_parts(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> RotationParts:
     """Decompose rotation errors into in-plane and out-of-plane parts.
 
     Half angles are computed by arctangents of the quaternion's parts, which is accurate for tiny
     angles and for those near 180 degrees.
 
     Args:
+        q_hat: Predicted orientations ``(N, 4)``.
         t: True translations ``(N, 3)``; their length does not matter.
         q: True orientations ``(N, 4)``.
-        q_hat: Predicted orientations ``(N, 4)``.
 
     Raises:
         TypeError: An argument is not of floating dtype.
@@ -54,11 +54,11 @@ def rotation_parts(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> RotationPart
 
     Examples:
         >>> half = np.sqrt(0.5)
-        >>> parts = rotation_parts([[0.0, 0, 9]], [[1.0, 0, 0, 0]], [[half, 0, 0, half]])
+        >>> parts = rotation_parts([[half, 0, 0, half]], [[0.0, 0, 9]], [[1.0, 0, 0, 0]])
         >>> float(parts.in_plane_deg[0].round(6)), float(parts.out_of_plane_deg[0].round(6))
         (90.0, 0.0)
     """
-    ray, q, q_hat = _checked(t, q, q_hat)
+    q_hat, ray, q = _checked(q_hat, t, q)
     w, v = _error(q_hat, q)
     along = (v * ray).sum(axis=1)
     across = np.linalg.norm(np.cross(v, ray), axis=1)
@@ -67,16 +67,16 @@ def rotation_parts(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> RotationPart
     return RotationParts(np.degrees(in_plane), np.degrees(out_of_plane))
 
 
-def remove_in_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
+def remove_in_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> FloatArray:
     """Rotate the predictions about the true viewing ray so that their in-plane error vanishes.
 
     The result ``T⁻¹ R_hat`` keeps the prediction's viewing direction and thus its out-of-plane
     error, which is its whole rotation error.
 
     Args:
+        q_hat: Predicted orientations ``(N, 4)``.
         t: True translations ``(N, 3)``.
         q: True orientations ``(N, 4)``.
-        q_hat: Predicted orientations ``(N, 4)``.
 
     Returns:
         Unit quaternions ``(N, 4)``.
@@ -85,20 +85,20 @@ def remove_in_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> Float
         TypeError: An argument is not of floating dtype.
         ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
     """
-    ray, q, q_hat = _checked(t, q, q_hat)
-    return _multiply(_conjugate(_twist(ray, q, q_hat)), q_hat)
+    q_hat, ray, q = _checked(q_hat, t, q)
+    return _multiply(_conjugate(_twist(q_hat, ray, q)), q_hat)
 
 
-def remove_out_of_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
+def remove_out_of_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> FloatArray:
     """Rotate the ground truth about its viewing ray by the in-plane error of the predictions.
 
     The result ``T R`` has the true viewing direction; its rotation error is the prediction's
     in-plane error.
 
     Args:
+        q_hat: Predicted orientations ``(N, 4)``.
         t: True translations ``(N, 3)``.
         q: True orientations ``(N, 4)``.
-        q_hat: Predicted orientations ``(N, 4)``.
 
     Returns:
         Unit quaternions ``(N, 4)``.
@@ -107,16 +107,16 @@ def remove_out_of_plane_error(t: ArrayLike, q: ArrayLike, q_hat: ArrayLike) -> F
         TypeError: An argument is not of floating dtype.
         ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
     """
-    ray, q, q_hat = _checked(t, q, q_hat)
-    return _multiply(_twist(ray, q, q_hat), q)
+    q_hat, ray, q = _checked(q_hat, t, q)
+    return _multiply(_twist(q_hat, ray, q), q)
 
 
-def rotation_vector(q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
+def rotation_vector(q_hat: ArrayLike, q: ArrayLike) -> FloatArray:
     """Return the rotation vectors ``r`` with ``R = exp([r]x) R_hat``, in the camera frame.
 
     Args:
-        q: True orientations ``(N, 4)``.
         q_hat: Predicted orientations ``(N, 4)``.
+        q: True orientations ``(N, 4)``.
 
     Returns:
         ``(N, 3)`` radians, of length 0 to pi.
@@ -125,8 +125,8 @@ def rotation_vector(q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
         TypeError: An argument is not of floating dtype.
         ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
     """
-    ahead = np.tile([0.0, 0.0, 1.0], (len(np.asarray(q)), 1))
-    _, q, q_hat = _checked(ahead, q, q_hat)
+    ahead = np.tile([0.0, 0.0, 1.0], (len(np.asarray(q_hat)), 1))
+    q_hat, _, q = _checked(q_hat, ahead, q)
     w, v = _error(q, q_hat)
     length = np.linalg.norm(v, axis=1)
     angle = 2 * np.arctan2(length, np.abs(w))
@@ -135,15 +135,15 @@ def rotation_vector(q: ArrayLike, q_hat: ArrayLike) -> FloatArray:
 
 
 def _checked(
-    t: ArrayLike, q: ArrayLike, q_hat: ArrayLike
+    q_hat: ArrayLike, t: ArrayLike, q: ArrayLike
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Check the arguments, and return rays and quaternions in float64 with unit norm."""
-    rows = len(np.asarray(t)) if np.ndim(t) else 0
-    named = (("t", t, 3), ("q", q, 4), ("q_hat", q_hat, 4))
-    ray, truth, prediction = (
+    """Check the arguments, and return quaternions and rays in float64 with unit norm."""
+    rows = len(np.asarray(q_hat)) if np.ndim(q_hat) else 0
+    named = (("q_hat", q_hat, 4), ("t", t, 3), ("q", q, 4))
+    prediction, ray, truth = (
         _unit_rows(name, values, (rows, size)) for name, values, size in named
     )
-    return ray, truth, prediction
+    return prediction, ray, truth
 
 
 def _unit_rows(name: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
@@ -168,7 +168,7 @@ def _error(q: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
     return product[:, 0], product[:, 1:]
 
 
-def _twist(ray: FloatArray, q: FloatArray, q_hat: FloatArray) -> FloatArray:
+def _twist(q_hat: FloatArray, ray: FloatArray, q: FloatArray) -> FloatArray:
     """Return the twists ``(N, 4)`` of the errors about the rays; the identity where undefined."""
     w, v = _error(q_hat, q)
     along = (v * ray).sum(axis=1)

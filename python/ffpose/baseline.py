@@ -33,12 +33,12 @@ def mean_pose(poses: FloatArray) -> FloatArray:
     return np.concatenate([poses[:, :3].mean(axis=0), orientation])
 
 
-def oracles(truth: FloatArray, constant: FloatArray) -> dict[str, FloatArray]:
+def oracles(constant: FloatArray, truth: FloatArray) -> dict[str, FloatArray]:
     """Return the poses of two oracles: a constant attitude corrected by one part of the truth.
 
     Args:
-        truth: True poses ``(N, 7)``.
         constant: The constant pose ``(7,)``.
+        truth: True poses ``(N, 7)``.
 
     Returns:
         Poses ``(N, 7)`` with the true translations, by name. ``in_plane_known``: the constant
@@ -50,7 +50,7 @@ def oracles(truth: FloatArray, constant: FloatArray) -> dict[str, FloatArray]:
     t, q = truth[:, :3], truth[:, 3:]
     attitude = np.broadcast_to(constant[3:], q.shape)
     answers = {
-        "in_plane_known": remove_in_plane_error(t, q, attitude),
-        "out_of_plane_known": remove_out_of_plane_error(t, q, attitude),
+        "in_plane_known": remove_in_plane_error(attitude, t, q),
+        "out_of_plane_known": remove_out_of_plane_error(attitude, t, q),
     }
     return {name: np.concatenate([t, answer], axis=1) for name, answer in answers.items()}

@@ -128,12 +128,12 @@ class Evaluation:
 
     @cached_property
     def angles(self) -> tuple[FloatArray, FloatArray]:
-        """True and predicted roll, pitch and yaw ``(N, 3)`` each, degrees."""
-        truth, predicted = (
+        """Predicted and true roll, pitch and yaw ``(N, 3)`` each, degrees."""
+        predicted, truth = (
             np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])), np.float64)
-            for poses in (self.dataset.poses, self.predicted)
+            for poses in (self.predicted, self.dataset.poses)
         )
-        return truth, predicted
+        return predicted, truth
 
     @cached_property
     def region_probabilities(self) -> dict[str, FloatArray]:
@@ -144,7 +144,7 @@ class Evaluation:
         truth, predicted = self.dataset.poses, self.predicted
         pairs = {
             "translation": (truth[:, :3] - predicted[:, :3], self.translation_covariance),
-            "rotation": (rotation_vector(truth[:, 3:], predicted[:, 3:]), self.rotation_covariance),
+            "rotation": (rotation_vector(predicted[:, 3:], truth[:, 3:]), self.rotation_covariance),
         }
         return {
             name: region_probability(squared_mahalanobis(error, covariance))
@@ -180,8 +180,8 @@ class Evaluation:
 
         Metrics are named as in `PoseError`. ``median_intervals_95`` holds bootstrap intervals of
         the medians; ``mean_pose_baseline`` the metrics of the constant pose; ``oracles`` the
-        rotation errors of `ffpose.baseline.oracles`; ``correlation`` the correlation of true and
-        predicted roll, pitch and yaw (circular for roll and yaw; None where one is constant);
+        rotation errors of `ffpose.baseline.oracles`; ``correlation`` the correlation of predicted
+        and true roll, pitch and yaw (circular for roll and yaw; None where one is constant);
         ``groups`` the medians by condition (`ffpose.breakdown`); ``uncertainty``, for a network
         that predicts it, its calibration (`ffpose.calibration`).
         """
@@ -213,15 +213,15 @@ class Evaluation:
             name: {
                 key: value for key, value in figures(answer, truth).items() if key.endswith("_deg")
             }
-            for name, answer in oracles(truth, self.baseline).items()
+            for name, answer in oracles(self.baseline, truth).items()
         }
 
     def _correlations(self) -> dict[str, float | None]:
-        (roll, pitch, yaw), (roll_hat, pitch_hat, yaw_hat) = (angles.T for angles in self.angles)
+        (roll_hat, pitch_hat, yaw_hat), (roll, pitch, yaw) = (angles.T for angles in self.angles)
         return {
-            "roll": circular_correlation(roll, roll_hat),
-            "pitch": correlation(pitch, pitch_hat),
-            "yaw": circular_correlation(yaw, yaw_hat),
+            "roll": circular_correlation(roll_hat, roll),
+            "pitch": correlation(pitch_hat, pitch),
+            "yaw": circular_correlation(yaw_hat, yaw),
         }
 
     def _uncertainty(self) -> dict[str, Any]:

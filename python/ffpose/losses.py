@@ -47,7 +47,7 @@ class JointLoss(nn.Module):
         """Return the loss for two given terms, scalars."""
         raise NotImplementedError
 
-    def quaternion_distance(self, q: Tensor, q_hat: Tensor) -> Tensor:
+    def quaternion_distance(self, q_hat: Tensor, q: Tensor) -> Tensor:
         """Return the distance ``(B,)`` of unit quaternions ``(B, 4)``."""
         distance: Tensor = torch.linalg.vector_norm(q - q_hat, dim=-1)
         if not self.antipodal:
@@ -114,7 +114,7 @@ class PoseLoss(JointLoss):
                 )
         return self.joined(
             torch.linalg.vector_norm(t - t_hat, dim=-1).mean(),
-            self.quaternion_distance(q, normalize_quaternion(q_hat)).mean(),
+            self.quaternion_distance(normalize_quaternion(q_hat), q).mean(),
         )
 
     def joined(self, translation: Tensor, orientation: Tensor) -> LossTerms:

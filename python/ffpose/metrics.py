@@ -125,12 +125,12 @@ def _update(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
     pairs = {
         name: tensor.detach().cpu().double().contiguous().numpy() for name, tensor in named.items()
     }
-    translation = torch.from_numpy(arrays.translation_error(pairs["t"], pairs["t_hat"]))
-    rotation = torch.from_numpy(arrays.rotation_error(pairs["q"], pairs["q_hat"]))
+    translation = torch.from_numpy(arrays.translation_error(pairs["t_hat"], pairs["t"]))
+    rotation = torch.from_numpy(arrays.rotation_error(pairs["q_hat"], pairs["q"]))
     esa_score = torch.from_numpy(arrays.esa_score(**pairs))
     speed_plus_score = torch.from_numpy(arrays.speed_plus_score(**pairs))
     distance = torch.linalg.vector_norm(torch.from_numpy(pairs["t"]), dim=1)
-    parts = map(torch.from_numpy, rotation_parts(pairs["t"], pairs["q"], pairs["q_hat"]))
+    parts = map(torch.from_numpy, rotation_parts(pairs["q_hat"], pairs["t"], pairs["q"]))
     return PoseErrors(
         translation, rotation, esa_score, speed_plus_score, translation / distance, *parts
     )

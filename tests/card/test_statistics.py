@@ -26,7 +26,7 @@ def gaussian_answers(count, said=1.0):
         uncertainty = PoseUncertainty(said * TRANSLATION, said * ROTATION, 0.9)
         found.append(Pose(t, wxyz(attitude), uncertainty))
         truth.append(Pose(t + error, wxyz(turn * attitude)))
-    return Answers(truth, found)
+    return Answers(found, truth)
 
 
 def test_regions_of_the_right_covariance_hold_their_share():
@@ -62,7 +62,7 @@ AHEAD = Pose([0.0, 0.0, 10.0], [1.0, 0, 0, 0])
 def test_errors_by_hand():
     """Turns about the viewing ray are in-plane, across it out-of-plane."""
     found = [turned("z", 10), turned("z", 20, (0, 3.0, 14.0)), turned("x", 40), turned("y", 50)]
-    figures = summarize(Answers([AHEAD] * 4, found), 0.5)
+    figures = summarize(Answers(found, [AHEAD] * 4), 0.5)
     assert figures["images"] == 4
     assert figures["median_rotation_error_deg"] == pytest.approx(30)
     assert figures["mean_rotation_error_deg"] == pytest.approx(30)
@@ -79,10 +79,10 @@ def test_errors_by_hand():
 
 def test_flags_are_counted_below_the_threshold():
     found = [turned("z", 1, in_view=p) for p in (0.1, 0.2, 0.5, 0.9)]
-    figures = summarize(Answers([AHEAD] * 4, found), 0.5)
+    figures = summarize(Answers(found, [AHEAD] * 4), 0.5)
     assert figures["flagged"] == 0.5
     assert figures["median_in_view"] == pytest.approx(0.35)
-    assert "flagged" not in summarize(Answers([AHEAD] * 4, found), None)
+    assert "flagged" not in summarize(Answers(found, [AHEAD] * 4), None)
 
 
 def test_refusals_by_hand():
@@ -99,8 +99,8 @@ def test_refusals_by_hand():
 def test_answers_of_some_rows_stay_paired():
     found = [turned("z", angle) for angle in (1, 2, 3)]
     truth = [turned("x", angle) for angle in (1, 2, 3)]
-    part = Answers(truth, found).of(np.array([True, False, True]))
-    assert part == ([truth[0], truth[2]], [found[0], found[2]])
+    part = Answers(found, truth).of(np.array([True, False, True]))
+    assert part == ([found[0], found[2]], [truth[0], truth[2]])
 
 
 def test_no_answers_are_an_error():

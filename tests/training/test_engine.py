@@ -397,7 +397,7 @@ def test_autocast_computes_in_half_and_keeps_whole_weights(image_set, tmp_path):
 
 def test_a_loss_that_is_no_number_names_the_images(image_set, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        PoseLoss, "quaternion_distance", lambda _, q, q_hat: (q * q_hat).sum(1) * torch.nan
+        PoseLoss, "quaternion_distance", lambda _, q_hat, q: (q_hat * q).sum(1) * torch.nan
     )
     config = train_config(image_set, tmp_path / "run", batch_size=10)
     with pytest.raises(NonFiniteLossError, match=r"the loss became nan in epoch 1; images: ") as e:

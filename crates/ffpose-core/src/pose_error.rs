@@ -1,4 +1,4 @@
-//! Errors and scores of estimated poses, sample by sample.
+//! Errors and scores of estimated poses, sample by sample: the estimate before the truth, everywhere.
 //!
 //! Translations are `(N, 3)` in meters, orientations `(N, 4)` as in [`crate::quaternion`], of any norm above zero; `q`
 //! and `-q` are one orientation. Results are `(N,)`. NaN and infinity are errors: a mean must not hide them.
@@ -16,31 +16,31 @@ const SPEED_PLUS_TRANSLATION: f64 = 0.002_173;
 /// Rotation error, in radians, below which SPEED+ counts none.
 const SPEED_PLUS_ROTATION: f64 = 0.169 * PI / 180.0;
 
-/// A true row and its estimate.
+/// An estimated row and the true one.
 type Pair<const M: usize> = ([f64; M], [f64; M]);
 
-/// True and estimated translations and orientations of N samples.
+/// Estimated and true translations and orientations of N samples.
 #[derive(Clone, Debug)]
 pub struct PosePairs<'a, T> {
-    /// True translations `(N, 3)`.
-    pub t: ArrayViewD<'a, T>,
-    /// True orientations `(N, 4)`.
-    pub q: ArrayViewD<'a, T>,
     /// Estimated translations `(N, 3)`.
     pub t_hat: ArrayViewD<'a, T>,
     /// Estimated orientations `(N, 4)`.
     pub q_hat: ArrayViewD<'a, T>,
+    /// True translations `(N, 3)`.
+    pub t: ArrayViewD<'a, T>,
+    /// True orientations `(N, 4)`.
+    pub q: ArrayViewD<'a, T>,
 }
 
-/// `‖t - t_hat‖` in meters.
+/// `‖t_hat - t‖` in meters.
 ///
 /// # Errors
 /// [`Error::Shape`]; [`Error::NotFinite`] with the row.
 pub fn translation_error<T: Real>(
-    t: ArrayViewD<'_, T>,
     t_hat: ArrayViewD<'_, T>,
+    t: ArrayViewD<'_, T>,
 ) -> Result<ArrayD<T>, Error> {
-    each_pair(["t", "t_hat"], &t, &t_hat, |_, t, t_hat| Ok(distance(t, t_hat)))
+    each_pair(["t_hat", "t"], &t_hat, &t, |_, t_hat, t| Ok(distance(t_hat, t)))
 }
 
 /// The angle of the rotation that takes `q` to `q_hat`, in radians from 0 to π.
@@ -50,13 +50,13 @@ pub fn translation_error<T: Real>(
 /// # Errors
 /// [`Error::Shape`]; [`Error::NotFinite`] and [`Error::ZeroNorm`] with the row.
 pub fn rotation_error<T: Real>(
-    q: ArrayViewD<'_, T>,
     q_hat: ArrayViewD<'_, T>,
+    q: ArrayViewD<'_, T>,
 ) -> Result<ArrayD<T>, Error> {
-    each_pair(["q", "q_hat"], &q, &q_hat, angle)
+    each_pair(["q_hat", "q"], &q_hat, &q, angle)
 }
 
-/// The score of ESA's Kelvins pose estimation challenge, 2019: `‖t - t_hat‖ / ‖t‖` plus the rotation error in radians.
+/// The score of ESA's Kelvins pose estimation challenge, 2019: `‖t_hat - t‖ / ‖t‖` plus the rotation error in radians.
 ///
 /// # Errors
 /// [`Error::Shape`]; [`Error::NotFinite`] and [`Error::ZeroNorm`] with the row.
@@ -81,44 +81,44 @@ fn score<T: Real>(
     pairs: &PosePairs<'_, T>,
     combine: impl Fn(f64, f64) -> f64,
 ) -> Result<ArrayD<T>, Error> {
-    let PosePairs { t, q, t_hat, q_hat } = pairs;
-    let translations = finite_pairs(["t", "t_hat"], t, t_hat, None)?;
-    let rotations = finite_pairs(["q", "q_hat"], q, q_hat, Some(t.shape()[0]))?;
+    let PosePairs { t_hat, q_hat, t, q } = pairs;
+    let translations = finite_pairs(["t_hat", "t"], t_hat, t, None)?;
+    let rotations = finite_pairs(["q_hat", "q"], q_hat, q, Some(t.shape()[0]))?;
     let scores = translations.zip(rotations).enumerate().map(|(row, (translation, rotation))| {
-        let ((t, t_hat), (q, q_hat)) = (translation?, rotation?);
+        let ((t_hat, t), (q_hat, q)) = (translation?, rotation?);
         let range = distance(t, [0.0; 3]);
         if range == 0.0 {
             return Err(Error::ZeroNorm { name: "t", row });
         }
-        Ok([combine(distance(t, t_hat) / range, angle(row, q, q_hat)?)])
+        Ok([combine(distance(t_hat, t) / range, angle(row, q_hat, q)?)])
     });
     Ok(array_of(t.shape(), scores)?.remove_axis(Axis(1)))
 }
 
-/// `error(row, truth, estimate)` for each row of two arrays `(N, M)`.
+/// `error(row, estimate, truth)` for each row of two arrays `(N, M)`.
 fn each_pair<T: Real, const M: usize>(
     names: [&'static str; 2],
-    truth: &ArrayViewD<'_, T>,
-    estimate: &ArrayViewD<'_, T>,
+    estimates: &ArrayViewD<'_, T>,
+    truths: &ArrayViewD<'_, T>,
     error: impl Fn(usize, [f64; M], [f64; M]) -> Result<f64, Error>,
 ) -> Result<ArrayD<T>, Error> {
-    let errors = finite_pairs(names, truth, estimate, None)?.enumerate().map(|(row, pair)| {
-        let (truth, estimate) = pair?;
-        Ok([error(row, truth, estimate)?])
+    let errors = finite_pairs(names, estimates, truths, None)?.enumerate().map(|(row, pair)| {
+        let (estimate, truth) = pair?;
+        Ok([error(row, estimate, truth)?])
     });
-    Ok(array_of(truth.shape(), errors)?.remove_axis(Axis(1)))
+    Ok(array_of(truths.shape(), errors)?.remove_axis(Axis(1)))
 }
 
 /// The rows of two arrays `(count, M)`, all finite; `count` is that of the first where it is not given.
 fn finite_pairs<'a, T: Real, const M: usize>(
-    [truth, estimate]: [&'static str; 2],
-    rows: &'a ArrayViewD<'_, T>,
-    others: &'a ArrayViewD<'_, T>,
+    [estimate, truth]: [&'static str; 2],
+    estimates: &'a ArrayViewD<'_, T>,
+    truths: &'a ArrayViewD<'_, T>,
     count: Option<usize>,
 ) -> Result<impl Iterator<Item = Result<Pair<M>, Error>> + use<'a, T, M>, Error> {
-    let rows = finite_rows_of(truth, rows, count)?;
-    let others = finite_rows_of(estimate, others, Some(rows.len()))?;
-    Ok(rows.zip(others).map(|(row, other)| Ok((row?, other?))))
+    let estimates = finite_rows_of(estimate, estimates, count)?;
+    let truths = finite_rows_of(truth, truths, Some(estimates.len()))?;
+    Ok(estimates.zip(truths).map(|(row, other)| Ok((row?, other?))))
 }
 
 /// `‖a - b‖`, without overflow or underflow on the way.
@@ -127,9 +127,9 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// The angle between two orientations of any norm above zero, in radians.
-fn angle(row: usize, q: [f64; 4], q_hat: [f64; 4]) -> Result<f64, Error> {
-    let [w, x, y, z] = scaled("q", row, q)?;
+fn angle(row: usize, q_hat: [f64; 4], q: [f64; 4]) -> Result<f64, Error> {
     let [a, b, c, d] = scaled("q_hat", row, q_hat)?;
+    let [w, x, y, z] = scaled("q", row, q)?;
     let scalar = w * a + x * b + y * c + z * d;
     let vector = [
         w * b - x * a - (y * d - z * c),

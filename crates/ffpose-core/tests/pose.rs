@@ -97,14 +97,14 @@ fn a_locked_gimbal_keeps_the_rotation() {
     let angles = quaternion::to_euler(q.view()).unwrap();
     assert!(angles.rows().into_iter().all(|angles| angles[0] == 0.0));
     let back = quaternion::from_euler(angles.view()).unwrap();
-    assert_close(&rotation_error(q.view(), back.view()).unwrap(), &[0.0; 3], 1e-7);
+    assert_close(&rotation_error(back.view(), q.view()).unwrap(), &[0.0; 3], 1e-7);
 }
 
 #[test]
 fn translation_errors_are_distances() {
     let t = rows::<f32, 3>(&[[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]);
     let t_hat = rows::<f32, 3>(&[[1.0, 5.0, 7.0], [2.0, 3.0, 6.0]]);
-    assert_close(&translation_error(t.view(), t_hat.view()).unwrap(), &[5.0, 7.0], 0.0);
+    assert_close(&translation_error(t_hat.view(), t.view()).unwrap(), &[5.0, 7.0], 0.0);
 }
 
 #[test]
@@ -117,7 +117,7 @@ fn rotation_errors_ignore_sign_and_norm() {
         [3.0 * w, 0.0, 0.0, 3.0 * z],
         [0.0, 0.0, 9e200, 0.0],
     ]);
-    let errors = rotation_error(q.view(), q_hat.view()).unwrap();
+    let errors = rotation_error(q_hat.view(), q.view()).unwrap();
     assert_close(&errors, &[1.0, 1.0, 1.0, PI], 1e-15);
 }
 
@@ -126,7 +126,7 @@ fn rotation_errors_ignore_sign_and_norm() {
 fn rotation_errors_keep_small_angles_in_single_precision() {
     let q = rows::<f32, 4>(&[[1.0, 0.0, 0.0, 0.0]; 2]);
     let q_hat = rows::<f32, 4>(&[about_z(1e-5), about_z(1e-9)]);
-    let errors = rotation_error(q.view(), q_hat.view()).unwrap();
+    let errors = rotation_error(q_hat.view(), q.view()).unwrap();
     assert_close(&errors, &[1e-5, 1e-9], 1e-12);
 }
 
@@ -137,7 +137,7 @@ fn scores_add_relative_distance_and_angle() {
     let t_hat = rows(&[[0.0, 3.0, 14.0], [0.0, 0.0, 10.02], [0.0, 0.0, 10.03], [0.0, 0.0, 10.02]]);
     let small = 0.16_f64.to_radians();
     let q_hat = rows(&[about_z(0.25), about_z(0.25), about_z(small), about_z(small)]);
-    let pairs = PosePairs { t: t.view(), q: q.view(), t_hat: t_hat.view(), q_hat: q_hat.view() };
+    let pairs = PosePairs { t_hat: t_hat.view(), q_hat: q_hat.view(), t: t.view(), q: q.view() };
     let esa = [0.75, 0.252, 0.003 + small, 0.002 + small];
     assert_close(&esa_score(&pairs).unwrap(), &esa, 1e-14);
     assert_close(&speed_plus_score(&pairs).unwrap(), &[0.75, 0.25, 0.003, 0.0], 1e-14);
@@ -152,9 +152,9 @@ fn zero_vectors_are_named() {
     assert_eq!(quaternion::normalize_backward(ones.view(), q.view()), Err(zero("q", 1)));
     assert_eq!(quaternion::canonical(q.view()), Err(zero("q", 1)));
     assert_eq!(quaternion::to_euler(q.view()), Err(zero("q", 1)));
-    assert_eq!(rotation_error(ones.view(), q.view()), Err(zero("q_hat", 1)));
+    assert_eq!(rotation_error(q.view(), ones.view()), Err(zero("q_hat", 1)));
     let t = rows::<f64, 3>(&[[0.0; 3]; 2]);
-    let pairs = PosePairs { t: t.view(), q: ones.view(), t_hat: t.view(), q_hat: ones.view() };
+    let pairs = PosePairs { t_hat: t.view(), q_hat: ones.view(), t: t.view(), q: ones.view() };
     assert_eq!(esa_score(&pairs), Err(zero("t", 0)));
 }
 
@@ -163,10 +163,10 @@ fn measurements_do_not_hide_what_is_not_finite() {
     let good = rows::<f64, 3>(&[[1.0; 3]; 2]);
     let bad = rows::<f64, 3>(&[[1.0; 3], [0.0, f64::INFINITY, 0.0]]);
     let error = Error::NotFinite { name: "t_hat", row: 1, got: f64::INFINITY };
-    assert_eq!(translation_error(good.view(), bad.view()), Err(error));
+    assert_eq!(translation_error(bad.view(), good.view()), Err(error));
     let nan = rows::<f64, 4>(&[[f64::NAN, 0.0, 0.0, 0.0]]);
     let error = rotation_error(nan.view(), nan.view()).unwrap_err();
-    assert!(matches!(error, Error::NotFinite { name: "q", row: 0, got } if got.is_nan()));
+    assert!(matches!(error, Error::NotFinite { name: "q_hat", row: 0, got } if got.is_nan()));
 }
 
 #[test]
@@ -180,8 +180,8 @@ fn shapes_that_do_not_fit_are_refused() {
     assert_eq!(normalize(&[]), wrong("q", "(..., 4)", &[]));
     assert_eq!(normalize(&[3, 0, 4]).unwrap().shape(), [3, 0, 4]);
     let compare = |a: &[usize], b: &[usize]| translation_error(zeros(a).view(), zeros(b).view());
-    assert_eq!(compare(&[3], &[3]), wrong("t", "(N, 3)", &[3]));
-    assert_eq!(compare(&[2, 3], &[1, 3]), wrong("t_hat", "(2, 3)", &[1, 3]));
+    assert_eq!(compare(&[3], &[3]), wrong("t_hat", "(N, 3)", &[3]));
+    assert_eq!(compare(&[2, 3], &[1, 3]), wrong("t", "(2, 3)", &[1, 3]));
     assert_eq!(compare(&[0, 3], &[0, 3]).unwrap().shape(), [0]);
 }
 

@@ -55,48 +55,48 @@ pub(crate) fn euler_to_quaternion<'py>(rpy: &Bound<'py, PyAny>) -> PyResult<Boun
     on_arrays!([rpy], T => quaternion::from_euler(rpy.mapv(T::to_radians).view()))
 }
 
-/// Distances (N,) of translations `t` and `t_hat` (N, 3).
+/// Distances (N,) of translations `t_hat` and `t` (N, 3).
 #[pyfunction]
 pub(crate) fn translation_error<'py>(
-    t: &Bound<'py, PyAny>,
     t_hat: &Bound<'py, PyAny>,
+    t: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    on_arrays!([t, t_hat], T => pose_error::translation_error(t, t_hat))
+    on_arrays!([t_hat, t], T => pose_error::translation_error(t_hat, t))
 }
 
-/// Angles (N,) in degrees between orientations `q` and `q_hat` (N, 4).
+/// Angles (N,) in degrees between orientations `q_hat` and `q` (N, 4).
 #[pyfunction]
 pub(crate) fn rotation_error<'py>(
-    q: &Bound<'py, PyAny>,
     q_hat: &Bound<'py, PyAny>,
+    q: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    on_arrays!([q, q_hat], T => {
-        Ok(pose_error::rotation_error(q, q_hat)?.mapv_into(T::to_degrees))
+    on_arrays!([q_hat, q], T => {
+        Ok(pose_error::rotation_error(q_hat, q)?.mapv_into(T::to_degrees))
     })
 }
 
 /// Scores (N,) of ESA's pose estimation challenge of 2019.
 #[pyfunction]
 pub(crate) fn esa_score<'py>(
-    t: &Bound<'py, PyAny>,
-    q: &Bound<'py, PyAny>,
     t_hat: &Bound<'py, PyAny>,
     q_hat: &Bound<'py, PyAny>,
+    t: &Bound<'py, PyAny>,
+    q: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    on_arrays!([t, q, t_hat, q_hat], T => {
-        pose_error::esa_score(&PosePairs { t, q, t_hat, q_hat })
+    on_arrays!([t_hat, q_hat, t, q], T => {
+        pose_error::esa_score(&PosePairs { t_hat, q_hat, t, q })
     })
 }
 
 /// Scores (N,) of the SPEED+ challenge of 2021.
 #[pyfunction]
 pub(crate) fn speed_plus_score<'py>(
-    t: &Bound<'py, PyAny>,
-    q: &Bound<'py, PyAny>,
     t_hat: &Bound<'py, PyAny>,
     q_hat: &Bound<'py, PyAny>,
+    t: &Bound<'py, PyAny>,
+    q: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    on_arrays!([t, q, t_hat, q_hat], T => {
-        pose_error::speed_plus_score(&PosePairs { t, q, t_hat, q_hat })
+    on_arrays!([t_hat, q_hat, t, q], T => {
+        pose_error::speed_plus_score(&PosePairs { t_hat, q_hat, t, q })
     })
 }

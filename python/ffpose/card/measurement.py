@@ -243,7 +243,7 @@ def _results(
     trained = answers[plan.trained.name]
     groups = [(plan.trained.name, plan.trained.about, trained), *_by_light(plan, trained)]
     groups += [(v.name, v.about, answers[v.name]) for v in plan.with_object[1:]]
-    constant = Answers(trained.truth, [_mean_pose(plan.trained.scene)] * len(trained.truth))
+    constant = Answers([_mean_pose(plan.trained.scene)] * len(trained.truth), trained.truth)
     others = {name: found.found for name, found in answers.items() if not found.truth}
     if others:
         others["all of them"] = [pose for found in others.values() for pose in found]

@@ -33,17 +33,17 @@ class Answers(NamedTuple):
     """A network's predictions for the images of one condition.
 
     Attributes:
-        truth: True poses; empty where the images do not show the object.
         found: Predicted poses.
+        truth: True poses; empty where the images do not show the object.
     """
 
-    truth: list[Pose]
     found: list[Pose]
+    truth: list[Pose]
 
     def of(self, rows: NDArray[np.bool_]) -> Answers:
         """Select the images of a mask ``rows (N,)``."""
         places = np.flatnonzero(rows).tolist()
-        return Answers([self.truth[i] for i in places], [self.found[i] for i in places])
+        return Answers([self.found[i] for i in places], [self.truth[i] for i in places])
 
     @property
     def uncertainties(self) -> list[PoseUncertainty]:
@@ -88,11 +88,11 @@ def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
 
 def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
     """Return the statistics of the uncertainties."""
-    truth, found = _vectors(answers.truth), _vectors(answers.found)
+    found, truth = _vectors(answers.found), _vectors(answers.truth)
     said = answers.uncertainties
     residuals = {
         "translation": truth[:, :3] - found[:, :3],
-        "rotation": rotation_vector(truth[:, 3:], found[:, 3:]),
+        "rotation": rotation_vector(found[:, 3:], truth[:, 3:]),
     }
     result: dict[str, Any] = {}
     for name, residual in residuals.items():
@@ -148,7 +148,7 @@ def refuse(
 def _errors(answers: Answers) -> PoseErrors:
     if not answers.truth:
         raise ValueError("answers: expected at least one with the truth, got none")
-    truth, found = (torch.from_numpy(_vectors(poses)) for poses in answers)
+    found, truth = (torch.from_numpy(_vectors(poses)) for poses in answers)
     return pose_error(found[:, :3], found[:, 3:], truth[:, :3], truth[:, 3:])
 
 

@@ -101,5 +101,5 @@ def quantize_graph(
         np.array(values) for values in zip(*((a.t, b.t, a.q, b.q) for a, b in pairs), strict=True)
     )
     return Quantized(
-        Path(path), len(data), len(nodes), translation_error(t, t_hat), rotation_error(q, q_hat)
+        Path(path), len(data), len(nodes), translation_error(t_hat, t), rotation_error(q_hat, q)
     )

@@ -108,7 +108,7 @@ def predicted_angles(evaluation: Evaluation) -> Figure:
     panels = zip(
         figure.subplots(1, 3), limits.items(), *(a.T for a in evaluation.angles), strict=True
     )
-    for axes, (name, limit), truth, predicted in panels:
+    for axes, (name, limit), predicted, truth in panels:
         axes.plot([-limit, limit], [-limit, limit], color=BASELINE_COLOR, linewidth=0.8)
         axes.scatter(truth, predicted, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")

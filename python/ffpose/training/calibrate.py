@@ -203,7 +203,7 @@ def _distances(
     growths = [(1 + growth * hidden) ** 2 for growth in model.config.hidden_sigma]
     return Distances(
         squared_mahalanobis(truths[0] - t * factor, translation_covariance) * growths[0],
-        squared_mahalanobis(rotation_vector(truths[1], q), rotation_covariance) * growths[1],
+        squared_mahalanobis(rotation_vector(q, truths[1]), rotation_covariance) * growths[1],
         hidden,
     )
 

@@ -170,7 +170,7 @@ class FrameTask:
             t_hat, raw = (part.float() for part in found)
             translation, head = model.translation_loss(t_hat, t), model.orientation
             orientation = (
-                self.loss.quaternion_distance(q, head.decode(raw))  # as Eq. 10, antipodal or not
+                self.loss.quaternion_distance(head.decode(raw), q)  # as Eq. 10, antipodal or not
                 if isinstance(head, QuaternionHead)
                 else head.loss(raw, q)
             )
