@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from ffpose import __version__
-from ffpose.cli import COMMANDS, image_size, main
+from ffpose.cli import COMMANDS, main, width_and_height
 from ffpose.models import FilterformerPose
 from ffpose.training.checkpoint import read_results
 from tiny_runs import MODEL_FIELDS, write_set
@@ -465,5 +465,5 @@ def test_an_interrupted_training_says_how_to_continue(image_set, monkeypatch, ca
     assert f"finished epochs are saved in {tmp_path / 'run'}; continue with --resume" in said
 
 
-def test_image_size():
-    assert image_size("640x480") == (640, 480)
+def test_width_and_height():
+    assert width_and_height("640x480") == (640, 480)

@@ -48,7 +48,7 @@ def sighted(tmp_path_factory):
     camera = (VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
     model = FilterformerPose.from_config("tiny", backbone_weights="none", camera=camera, **FIELDS)
     model.save_pretrained(
-        path, preprocessing=PLAIN, data={"image_size": [128, 96]}, in_view_threshold=0.5
+        path, preprocessing=PLAIN, data={"image_size": [96, 128]}, in_view_threshold=0.5
     )
     return path
 
@@ -323,7 +323,7 @@ def trained_undistorted(tmp_path):
     fields = FIELDS | {"camera": (50.0, 60.0, 30.0, 33.0)}
     model = FilterformerPose.from_config("tiny", backbone_weights="none", **fields)
     recipe = {"data": {"undistort": True, "white": None}}
-    data = {"image_size": [128, 96]}
+    data = {"image_size": [96, 128]}
     model.save_pretrained(path, preprocessing=PLAIN, recipe=recipe, data=data)
     return path
 

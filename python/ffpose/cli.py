@@ -34,14 +34,14 @@ class Command(NamedTuple):
     extra: str = "pose"
 
 
-def image_size(text: str) -> tuple[int, int]:
+def width_and_height(text: str) -> tuple[int, int]:
     """Return the width and height that ``640x480`` stands for."""
     width, height = map(int, text.split("x"))
     return width, height
 
 
 def size_type() -> Any:
-    """Return the type of a ``WIDTHxHEIGHT`` argument, parsed by `image_size`."""
+    """Return the type of a ``WIDTHxHEIGHT`` argument, parsed by `width_and_height`."""
     return require("jsonargparse.typing", "render").restricted_string_type("Size", r"^\d+x\d+$")
 
 
@@ -147,7 +147,7 @@ def render(options: Namespace) -> None:
         options.count,
         options.seed,
         start=options.start,
-        size=None if options.size is None else image_size(options.size),
+        size=None if options.size is None else width_and_height(options.size),
         workers=options.workers,
         labels=[*options.labels, *(LAYERS if options.layers else ())],
         progress=True,
@@ -478,7 +478,7 @@ def card(options: Namespace) -> None:
         options.weights,
         options.scene,
         count=options.count,
-        size=image_size(options.size),
+        size=width_and_height(options.size),
         seed=options.seed,
         workers=options.workers,
         second_renderer=options.mitsuba,

@@ -58,7 +58,7 @@ def test_each_image_may_have_a_camera_of_its_own(root):
     (root / "train.csv").write_text(text.replace(",5\n", ",5,lens.json\n"))
     dataset = read(root)
     assert dataset.camera is None
-    assert dataset.image_size == (64, 48)
+    assert dataset.image_size == (48, 64)
     plain, lens = (record.camera for record in dataset.records)
     np.testing.assert_allclose(plain.project([2.0, 0.0, 2.0]), [80.5, 25])
     np.testing.assert_allclose(lens.project([2.0, 0.0, 2.0]), [30.5 + 50 * 0.9, 25])

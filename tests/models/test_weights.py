@@ -19,6 +19,7 @@ from ffpose.models import (
     WeightsMetadata,
     load_network,
     read_metadata,
+    zoo,
 )
 from ffpose.models.weights import checksum_path, load_weights
 from ffpose.preprocessing import Preprocessing
@@ -88,7 +89,7 @@ def test_metadata(model, path):
 ORIGIN = {
     "backbone_source": {"name": "test_efficientnet", "source": "file.pt", "sha256": "ab" * 32},
     "recipe": {"loss": {"s_t": -3.0}, "stages": [{"name": "joint", "epochs": 2}], "seed": 7},
-    "data": {"kind": "urso", "count": 10, "digest": "cd" * 32, "image_size": [640, 480]},
+    "data": {"kind": "urso", "count": 10, "digest": "cd" * 32, "image_size": [480, 640]},
     "in_view_threshold": 0.25,
 }
 
@@ -100,7 +101,7 @@ def test_the_header_tells_where_the_weights_come_from(model, tmp_path):
     assert {name: getattr(metadata, name) for name in ORIGIN} == ORIGIN
     assert metadata.config.architecture == "FilterformerPose"
     with safe_open(path, framework="numpy") as file:
-        assert file.metadata()["format"] == "2"
+        assert file.metadata()["format"] == "3"
         assert file.metadata()["architecture"] == "FilterformerPose"
         assert json.loads(file.metadata()["recipe"]) == ORIGIN["recipe"]
 
@@ -116,7 +117,7 @@ def test_what_is_not_told_is_not_known(path):
     [
         ({"in_view_threshold": 1.5}, ValueError, "in_view_threshold: expected a probability"),
         ({"in_view_threshold": float("nan")}, ValueError, "expected a probability, got nan"),
-        ({"data": {"image_size": [640]}}, ValueError, r"image_size \[width, height\], got \[640\]"),
+        ({"data": {"image_size": [640]}}, ValueError, r"image_size \[height, width\], got \[640\]"),
         ({"data": {"image_size": [0, 480]}}, ValueError, r"got \[0, 480\]"),
         ({"recipe": {"rate": float("inf")}}, ValueError, "not JSON compliant"),
         ({"recipe": {"seed": torch.ones(1)}}, TypeError, "not JSON serializable"),
@@ -136,7 +137,7 @@ def test_the_camera_is_that_of_the_images_trained_on(model, tmp_path, mode):
     seen = (96 / 1280 if mode == "resize" else 96 * 256 / 224 / 1280) * 640
     assert view.fx == pytest.approx(seen, rel=0.01)
     config = replace(model.config, camera=(view.fx, view.fy, view.cx, view.cy))
-    data = {"image_size": [640, 480]}
+    data = {"image_size": [480, 640]}
     got = WeightsMetadata(config, preprocessing, data=data).camera
     assert (got.width, got.height) == (640, 480)
     np.testing.assert_allclose(
@@ -234,8 +235,8 @@ def test_missing_checksum_is_said(path, caplog):
 
 
 def test_newer_format(path):
-    rewrite_header(path, lambda header: header.update(format="3", ffpose_version="9.0"))
-    with pytest.raises(DataError, match=r"format 1 to 2.*got format 3.*ffpose 9\.0"):
+    rewrite_header(path, lambda header: header.update(format="4", ffpose_version="9.0"))
+    with pytest.raises(DataError, match=r"format 1 to 3.*got format 4.*ffpose 9\.0"):
         FilterformerPose.from_pretrained(path)
 
 
@@ -258,6 +259,24 @@ def test_format_1_still_loads(model, path):
         FilterformerPose.from_pretrained(path)(images), model(images), strict=True
     ):
         assert torch.equal(got, expected)
+
+
+def test_the_size_of_images_in_format_2_is_turned(model, tmp_path):
+    path = tmp_path / "w.safetensors"
+    model.save_pretrained(path, data={"image_size": [480, 640], "count": 3})
+    assert read_metadata(path).data == {"image_size": [480, 640], "count": 3}
+    rewrite_header(path, lambda header: header.update(format="2"))
+    assert read_metadata(path).data == {"image_size": [640, 480], "count": 3}
+    rewrite_header(path, lambda header: header.update(data="null"))
+    assert read_metadata(path).data is None
+
+
+@pytest.mark.parametrize("name", zoo.names())
+def test_shipped_weights_know_images_of_landscape_format(name):
+    """They were trained on images of 512 x 384 pixels."""
+    metadata = read_metadata(name)
+    assert metadata.data["image_size"] == [384, 512]
+    assert (metadata.camera.width, metadata.camera.height) == (512, 384)
 
 
 def test_weights_of_another_network(path):

@@ -78,7 +78,7 @@ def files(request, folder):
         model.save_pretrained(
             weights,
             preprocessing=Preprocessing((64, 64)),
-            data={"image_size": [128, 96]},
+            data={"image_size": [96, 128]},
             in_view_threshold=0.5,
         )
         arguments = [str(weights), "--out", str(graph), "--filter", "matmul"]

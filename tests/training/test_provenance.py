@@ -36,7 +36,7 @@ def test_the_weights_of_a_run_tell_how_they_were_made(image_set, tmp_path):
         assert metadata.recipe["loss"] == {"s_t": -3.0, "s_q": -6.5, "antipodal": False}
         assert metadata.recipe["stages"][0]["name"] == "joint"
         assert metadata.data["count"] == 10
-        assert metadata.data["image_size"] == [64, 48]
+        assert metadata.data["image_size"] == [48, 64]
 
 
 def test_the_weights_of_a_run_know_its_camera(image_set, tmp_path):

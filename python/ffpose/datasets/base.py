@@ -122,8 +122,8 @@ class PoseDataset(Dataset[Sample]):
 
     @property
     def image_size(self) -> tuple[int, int] | None:
-        """``(width, height)`` of the images; None where they have several."""
-        sizes = {(record.camera.width, record.camera.height) for record in self.records}
+        """``(height, width)`` of the images; None where they have several."""
+        sizes = {(record.camera.height, record.camera.width) for record in self.records}
         return sizes.pop() if len(sizes) == 1 else None
 
     def to_pose(self, vector: ArrayLike) -> Pose:

@@ -3,8 +3,8 @@
 The header holds what is needed to build the network (architecture, config with the camera,
 preprocessing), its provenance (backbone, recipe, training data), the version of ffpose that wrote
 it and the version of the format. Reading checks everything: a file that is truncated, altered,
-newer than this code or of another architecture is rejected with the reason. Format 1 has no
-provenance, and still loads.
+newer than this code or of another architecture is rejected with the reason. Older formats still
+load: format 1 has no provenance, and format 2 the size of the images as ``[width, height]``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from ffpose.preprocessing import Preprocessing
 
 logger = logging.getLogger(__name__)
 
-FORMAT = 2
+FORMAT = 3
 """Version of the header, incremented whenever older code could not read it correctly."""
 
 NAMES_SHOWN = 4
@@ -55,7 +55,7 @@ class WeightsMetadata:
         recipe: Training configuration as a JSON document: loss, optimizer, augmentation, stages,
             seed, steps.
         data: Training data as a JSON document: ``kind``, ``name``, ``count``, ``digest``, and
-            ``image_size``, the ``[width, height]`` of the images before preprocessing; ``locates``
+            ``image_size``, the ``[height, width]`` of the images before preprocessing; ``locates``
             is `locates` and ``mean_pose`` `mean_pose`.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
         version: Version of ffpose that wrote the file.
@@ -78,10 +78,10 @@ class WeightsMetadata:
         if threshold is not None and not 0 <= threshold <= 1:
             raise ValueError(f"in_view_threshold: expected a probability, got {threshold}")
         match (self.data or {}).get("image_size", (1, 1)):
-            case [int(width), int(height)] if min(width, height) >= 1:
+            case [int(height), int(width)] if min(height, width) >= 1:
                 pass
             case other:
-                raise ValueError(f"data: expected image_size [width, height], got {other!r}")
+                raise ValueError(f"data: expected image_size [height, width], got {other!r}")
         if self.locates not in get_args(Target):
             raise ValueError(f"data: expected locates object or camera, got {self.locates!r}")
 
@@ -122,7 +122,7 @@ class WeightsMetadata:
         view = self.config.view_camera
         if view is None:
             return None
-        width, height = (self.data or {}).get("image_size", (view.width, view.height))
+        height, width = (self.data or {}).get("image_size", (view.height, view.width))
         return self.preprocessing.image_camera(view, width, height)
 
 
@@ -170,7 +170,7 @@ def read_metadata(path: str | Path) -> WeightsMetadata:
     if "format" not in header:
         raise DataError("expected weights written by ffpose, got a safetensors file without", path)
     version = header.get("ffpose_version", "unknown")
-    if header["format"] not in ("1", str(FORMAT)):
+    if header["format"] not in map(str, range(1, FORMAT + 1)):
         raise DataError(
             f"expected weights of format 1 to {FORMAT}, which ffpose {__version__} reads;"
             f" got format {header['format']}, written by ffpose {version}",
@@ -204,6 +204,8 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
             value = origin[name]
             if not isinstance(value, dict | None) and (name, value) != ("backbone_source", "none"):
                 raise ValueError(f"{name}: expected a JSON object, got {value!r}")
+    if header["format"] == "2":
+        origin["data"] = _height_first(origin["data"])
     architecture = header.get("architecture", FilterformerPoseConfig.architecture)
     return WeightsMetadata(
         config_type(architecture).from_json(header["config"]),
@@ -211,6 +213,14 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
         **origin,
         version=version,
     )
+
+
+def _height_first(data: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return ``data`` of format 2, with its ``image_size``, ``[width, height]``, turned."""
+    match data:
+        case {"image_size": [width, height]}:
+            return {**data, "image_size": [height, width]}
+    return data
 
 
 def load_weights(path: str | Path, model: nn.Module, *, grow: bool = False) -> None:
