@@ -2,11 +2,14 @@
 
 import io
 import json
+import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import zlib
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +35,8 @@ CRATE = ROOT / "crates" / "ffpose-onboard"
 TARGET = ROOT / "target" / "onboard"
 CAMERA = Camera(128, 96, 100.0, 100.0, 64.0, 48.0)
 SIZE = (48, 64)
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's account of memory")
 
 
 @pytest.fixture(scope="session")
@@ -292,7 +297,7 @@ def test_bad_images_are_told_and_the_loop_goes_on(run, folder, model):
         assert document["image"] == str(images / name)
         assert (message is None) == ("error" not in document)
         assert message is None or re.search(message, document["error"]), document
-    assert "got something else" in documents[-1]["error"]
+    assert documents[-1]["error"] == "expected a regular file, got a folder"
 
     lines = [images / "h_good.png", "/nowhere/a.png", "", images / "h_good.png"]
     code, (first, missing, empty, last), _ = run(model, "--stdin", lines=[*lines, ""])
@@ -301,20 +306,63 @@ def test_bad_images_are_told_and_the_loop_goes_on(run, folder, model):
     assert (empty["image"], "error" in empty) == ("", True)
 
 
+def png_of_chunks(**chunks):
+    """The bytes of a PNG file of the given chunks."""
+    parts = [b"\x89PNG\r\n\x1a\n"]
+    for name, data in chunks.items():
+        body = name.encode() + data
+        parts += [len(data).to_bytes(4), body, zlib.crc32(body).to_bytes(4)]
+    return b"".join(parts)
+
+
+def test_a_panic_of_a_decoder_is_the_error_of_its_image(run, folder, model):
+    header = (4).to_bytes(4) + (3).to_bytes(4) + bytes([8, 3, 0, 0, 0])
+    rows = zlib.compress(bytes(5 * 3))
+    # Four bytes are no palette: png 0.18.1 takes three of the one that is left, and panics.
+    torn = png_of_chunks(IHDR=header, PLTE=b"\x07" * 4, IDAT=rows, IEND=b"")
+    images = folder({"a.png": png(picture()), "b.png": torn, "c.png": png(picture())})
+    code, (first, second, third), errors = run(model, "--images", images, "--any-camera")
+    assert (code, errors[-1]) == (3, "ffpose-onboard: 1 of 3 images have no pose")
+    assert first | {"image": ""} == third | {"image": ""}
+    assert "got a panic, a bug of this program: range end index 3" in second["error"]
+
+
 @pytest.fixture
-def flying(program, runtime, model):
-    """The program in its loop; asked for one image, it answers with one line."""
-    command = [program, "--model", model, "--runtime", runtime, "--threads", "1", "--stdin"]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
-    ) as process:
-        yield process
-        process.kill()
+def fly(program, runtime):
+    """Starts the program in its loop; asked for one image, it answers with one line."""
+    with ExitStack() as stack:
+
+        def fly(model, *arguments):
+            command = [program, "--model", model, "--runtime", runtime, "--threads", "1", "--stdin"]
+            process = stack.enter_context(
+                subprocess.Popen(
+                    [*command, *arguments],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    bufsize=1,
+                )
+            )
+            stack.callback(process.kill)
+            return process
+
+        yield fly
+
+
+@pytest.fixture
+def flying(fly, model):
+    return fly(model)
 
 
 def ask(process, path):
     process.stdin.write(f"{path}\n")
     return json.loads(process.stdout.readline())
+
+
+def kilobytes(process, name):
+    """An entry of Linux's account of a process's memory: VmRSS now, VmHWM at most."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(re.search(rf"{name}:\s+(\d+) kB", status)[1])
 
 
 def test_each_answer_comes_before_the_next_question(flying, folder, model):
@@ -327,21 +375,65 @@ def test_each_answer_comes_before_the_next_question(flying, folder, model):
     assert flying.stdout.read() == ""  # what was answered is out, whole
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads Linux's account of a process's memory")
+@linux
 def test_memory_does_not_grow(flying, folder):
     good, bad = png(picture(320, 240)), png(picture(320, 240))[:-5000]
     images = folder({"a.png": good, "b.jpg": jpeg(picture(320, 240)), "c.png": bad})
     names = sorted(images.iterdir())
 
-    def resident_kilobytes():
-        status = Path(f"/proc/{flying.pid}/status").read_text()
-        return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1])
-
     for step in range(1, 901):
         ask(flying, names[step % 3])
         if step == 300:
-            early = resident_kilobytes()
-    assert resident_kilobytes() - early < 3000  # a leaked image a frame would be 130,000
+            early = kilobytes(flying, "VmRSS")
+    assert kilobytes(flying, "VmRSS") - early < 3000  # a leaked image a frame would be 130,000
+
+
+@linux
+def test_of_a_thin_image_only_the_window_is_computed(fly, folder, tmp_path):
+    graph = tmp_path / "model.onnx"
+    graph.write_bytes(sealed(projections(Preprocessing(SIZE, "center_crop"))))
+    sizes = [(1, 60_000), (60_000, 1), (1, 1000), (1500, 1)]
+    images = folder({f"{w}x{h}.png": png(picture(w, h)) for w, h in sizes})
+    flying = fly(graph, "--any-camera")
+    estimator = PoseEstimator(graph, any_camera=True, threads=1)
+    for w, h in sizes[2:]:
+        image = images / f"{w}x{h}.png"
+        assert_same(ask(flying, image), expected(estimator, image), 0)
+    early = kilobytes(flying, "VmHWM")
+    for w, h in sizes[:2]:
+        assert "translation_m" in ask(flying, images / f"{w}x{h}.png")
+    assert kilobytes(flying, "VmHWM") - early < 20_000  # its frame would be 960,000
+
+
+def test_a_large_image_is_refused_by_its_header(run, folder, model):
+    files = {"long.png": png(picture(65_536, 1)), "wide.png": bytearray(png(picture(4, 4)))}
+    files["wide.png"][16:24] = (60_000).to_bytes(4) * 2
+    files["wide.png"][29:33] = zlib.crc32(files["wide.png"][12:29]).to_bytes(4)
+    code, (long, wide), _ = run(model, "--images", folder(files), "--any-camera")
+    assert code == 3
+    limits = "expected an image of 1 to 65535 pixels a side and at most 89478485 in all"
+    assert long["error"] == f"{limits}, got 65536x1"
+    assert wide["error"] == f"{limits}, got 60000x60000"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_is_no_image_and_keeps_nobody_waiting(flying, folder):
+    images = folder({"b.png": png(picture())})
+    os.mkfifo(images / "a.png")
+    pipe = ask(flying, images / "a.png")
+    assert pipe["error"] == "expected a regular file, got a named pipe"
+    assert "translation_m" in ask(flying, images / "b.png")
+
+
+def test_an_endless_line_is_told_and_passed_over(flying, folder):
+    image = folder({"a.png": png(picture())}) / "a.png"
+    flying.stdin.write("a" * 5000)  # and no end
+    flying.stdin.flush()
+    beginning = json.loads(flying.stdout.readline())
+    assert beginning["image"] == "a" * 4096
+    assert beginning["error"] == "expected a line of at most 4096 bytes, got a longer one"
+    flying.stdin.write("a" * 100_000 + "\n")
+    assert "translation_m" in ask(flying, image)
 
 
 NEWER = {"ffpose_format": "2", "ffpose_version": "9.9"}

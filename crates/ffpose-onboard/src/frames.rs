@@ -1,11 +1,14 @@
 //! The images to pose: those of a folder, or of lines that come in.
 
-use std::io::{self, BufRead};
+use std::io::{self, BufRead, Read};
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
 const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// Largest number of bytes of a line: Linux's for a path.
+const MAX_LINE: usize = 4096;
 
 /// Returns the image files of a folder, by name.
 ///
@@ -32,32 +35,94 @@ fn is_image(path: &Path) -> bool {
     ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str()))
 }
 
-/// Returns the path in the next line, in UTF-8; `None` at the end.
-///
-/// # Errors
-/// The input cannot be read.
-pub fn next_line(input: &mut impl BufRead) -> Result<Option<PathBuf>> {
-    let mut line = Vec::new();
-    let read = input.read_until(b'\n', &mut line);
-    if read.map_err(|error| Error::new(format!("standard input cannot be read: {error}")))? == 0 {
-        return Ok(None);
+/// The lines of an input, each a path in UTF-8.
+pub struct Lines<R> {
+    input: R,
+    /// Whether the end of the last line has yet to come.
+    is_within: bool,
+}
+
+/// A line, or the beginning of one that is too long.
+#[derive(Debug, PartialEq)]
+pub struct Line {
+    /// What it names.
+    pub path: PathBuf,
+    is_whole: bool,
+}
+
+impl<R: BufRead> Lines<R> {
+    /// The lines of `input`.
+    pub fn new(input: R) -> Self {
+        Self { input, is_within: false }
     }
-    let text = String::from_utf8_lossy(&line);
-    Ok(Some(text.trim_end_matches(['\r', '\n']).into()))
+
+    /// Returns the next line; `None` at the end. Of one that is too long it returns the beginning at once, and passes over the
+    /// rest when it is called again.
+    ///
+    /// # Errors
+    /// The input cannot be read.
+    pub fn next(&mut self) -> Result<Option<Line>> {
+        self.read_next()
+            .map_err(|error| Error::new(format!("standard input cannot be read: {error}")))
+    }
+
+    fn read_next(&mut self) -> io::Result<Option<Line>> {
+        if self.is_within {
+            self.input.skip_until(b'\n')?;
+        }
+        let mut bytes = Vec::new();
+        self.input.by_ref().take(MAX_LINE as u64 + 1).read_until(b'\n', &mut bytes)?;
+        if bytes.is_empty() {
+            return Ok(None);
+        }
+        self.is_within = bytes.len() > MAX_LINE && !bytes.ends_with(b"\n");
+        bytes.truncate(MAX_LINE);
+        let text = String::from_utf8_lossy(&bytes);
+        let path = text.trim_end_matches(['\r', '\n']).into();
+        Ok(Some(Line { path, is_whole: !self.is_within }))
+    }
+}
+
+impl Line {
+    /// Refuses a line that is too long.
+    ///
+    /// # Errors
+    /// It is.
+    pub fn expect_whole(&self) -> Result<()> {
+        if self.is_whole {
+            return Ok(());
+        }
+        Err(Error::new(format!("expected a line of at most {MAX_LINE} bytes, got a longer one")))
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn lines(mut input: &[u8]) -> Vec<Line> {
+        let mut lines = Lines::new(&mut input);
+        std::iter::from_fn(|| lines.next().unwrap()).collect()
+    }
+
     #[test]
     fn each_line_is_a_path() {
-        let mut input = &b"a b.png\nc.png\r\n\nlast"[..];
-        let mut paths = Vec::new();
-        while let Some(path) = next_line(&mut input).unwrap() {
-            paths.push(path);
-        }
-        assert_eq!(paths, ["a b.png", "c.png", "", "last"].map(PathBuf::from));
+        let paths = ["a b.png", "c.png", "", "last"];
+        let expected = paths.map(|path| Line { path: path.into(), is_whole: true });
+        assert_eq!(lines(b"a b.png\nc.png\r\n\nlast"), expected);
+    }
+
+    #[test]
+    fn a_line_has_an_end() {
+        let longest = "a".repeat(MAX_LINE);
+        let input = format!("{longest}\n{longest}b\nb.png\n{}", longest.repeat(50));
+        let whole: Vec<bool> = lines(input.as_bytes()).iter().map(|line| line.is_whole).collect();
+        assert_eq!(whole, [true, false, true, false]);
+        assert_eq!(lines(input.as_bytes())[2].path, Path::new("b.png"));
+        let error = lines(input.as_bytes())[1].expect_whole().unwrap_err().to_string();
+        assert_eq!(error, "expected a line of at most 4096 bytes, got a longer one");
+        let mut endless = Lines::new(io::BufReader::new(io::repeat(b'a')));
+        assert_eq!(endless.next().unwrap().unwrap().path, Path::new(&longest));
     }
 
     #[test]

@@ -1,9 +1,11 @@
 //! Poses from images without Python: a model of `ffpose export` in ONNX Runtime, one JSON line per image.
 //!
-//! `frames → picture → preprocessing (resize) → estimator (metadata, runtime) → pose → a line`.
+//! `frames → picture → preprocessing (resize) → estimator (metadata, runtime) → pose → answers`.
 
+mod answers;
 mod error;
 mod estimator;
+mod files;
 mod frames;
 mod metadata;
 mod options;
@@ -15,14 +17,13 @@ mod resize;
 mod runtime;
 
 use std::env;
-use std::io::{self, Write};
-use std::path::Path;
+use std::io;
 use std::process::ExitCode;
 
-use serde_json::{Map, Value};
-
-use error::{Error, Result};
+use answers::Answers;
+use error::Result;
 use estimator::Estimator;
+use frames::Lines;
 use options::{Command, Options, Source};
 
 const FAILED: u8 = 1;
@@ -42,9 +43,9 @@ fn main() -> ExitCode {
         }
     };
     match run(&options) {
-        Ok(Count { failed: 0, .. }) => ExitCode::SUCCESS,
-        Ok(Count { frames, failed }) => {
-            eprintln!("ffpose-onboard: {failed} of {frames} images have no pose");
+        Ok(Outcome { failed: 0, .. }) => ExitCode::SUCCESS,
+        Ok(Outcome { images, failed }) => {
+            eprintln!("ffpose-onboard: {failed} of {images} images have no pose");
             SOME_FAILED.into()
         }
         Err(error) => {
@@ -54,44 +55,30 @@ fn main() -> ExitCode {
     }
 }
 
-#[derive(Default)]
-struct Count {
-    frames: u64,
+struct Outcome {
+    images: u64,
     failed: u64,
 }
 
-fn run(options: &Options) -> Result<Count> {
+/// Poses the images one by one: the line of each is out before the next is looked at.
+fn run(options: &Options) -> Result<Outcome> {
     let mut estimator = Estimator::open(options)?;
-    let mut count = Count::default();
+    let mut answers = Answers::new(io::stdout().lock());
     match &options.source {
         Source::Folder(folder) => {
             for path in frames::of_folder(folder)? {
-                print_frame(&mut estimator, &path, &mut count)?;
+                answers.give(&path, || estimator.pose(&path))?;
             }
         }
         Source::Stdin => {
-            let mut input = io::stdin().lock();
-            while let Some(path) = frames::next_line(&mut input)? {
-                print_frame(&mut estimator, &path, &mut count)?;
+            let mut lines = Lines::new(io::stdin().lock());
+            while let Some(line) = lines.next()? {
+                answers.give(&line.path, || {
+                    line.expect_whole()?;
+                    estimator.pose(&line.path)
+                })?;
             }
         }
     }
-    Ok(count)
-}
-
-/// Prints the line of one image: all of it in one write, before the next image is looked at.
-fn print_frame(estimator: &mut Estimator, path: &Path, count: &mut Count) -> Result<()> {
-    let mut fields = Map::from_iter([("image".into(), Value::from(path.to_string_lossy()))]);
-    match estimator.pose(path) {
-        Ok(pose) => fields.extend(pose),
-        Err(error) => {
-            count.failed += 1;
-            fields.insert("error".into(), error.to_string().into());
-        }
-    }
-    count.frames += 1;
-    let line = format!("{}\n", Value::Object(fields));
-    let mut output = io::stdout().lock();
-    let written = output.write_all(line.as_bytes()).and_then(|()| output.flush());
-    written.map_err(|error| Error::new(format!("standard output cannot be written: {error}")))
+    Ok(Outcome { images: answers.images, failed: answers.failed })
 }

@@ -1,7 +1,6 @@
 //! Reading PNG and JPEG files as RGB, 8 bits a channel.
 
-use std::fs::File;
-use std::io::{Cursor, Read};
+use std::io::Cursor;
 use std::path::Path;
 
 use png::{BitDepth, Transformations};
@@ -11,9 +10,13 @@ use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
 
 use crate::error::{Error, Result};
+use crate::files;
 
 /// Largest number of pixels, Pillow's too: 256 MB of RGB.
-const MAX_PIXELS: usize = 89_478_485;
+pub const MAX_PIXELS: usize = 89_478_485;
+
+/// Largest width and height, which bounds what a resize weighs pixels with; JPEG's too.
+pub const MAX_SIDE: usize = u16::MAX as usize;
 
 /// Largest number of bytes of a file.
 const MAX_BYTES: u64 = 1 << 28;
@@ -40,7 +43,7 @@ impl Picture {
     /// # Errors
     /// It is no file that can be read, no PNG or JPEG, damaged or cut short, has not 8 bits a channel, or is too large.
     pub fn read(path: &Path) -> Result<Self> {
-        Self::decode(&read_bytes(path)?)
+        Self::decode(&files::read(path, MAX_BYTES)?)
     }
 
     fn decode(data: &[u8]) -> Result<Self> {
@@ -67,25 +70,11 @@ impl Picture {
     }
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    let failed = |error: std::io::Error| Error::new(format!("cannot be read: {error}"));
-    let file = File::open(path).map_err(failed)?;
-    let description = file.metadata().map_err(failed)?;
-    if !description.is_file() || description.len() > MAX_BYTES {
-        let kind = if description.is_file() { "a larger one" } else { "something else" };
-        return Err(Error::new(format!(
-            "expected a file of at most {MAX_BYTES} bytes, got {kind}"
-        )));
-    }
-    let mut data = Vec::new();
-    file.take(MAX_BYTES).read_to_end(&mut data).map_err(failed)?;
-    Ok(data)
-}
-
 fn expect_size(width: usize, height: usize) -> Result<()> {
-    if width.saturating_mul(height) > MAX_PIXELS {
+    let is_side = |side| (1..=MAX_SIDE).contains(&side);
+    if !is_side(width) || !is_side(height) || width * height > MAX_PIXELS {
         return Err(Error::new(format!(
-            "expected an image of at most {MAX_PIXELS} pixels, got {width}x{height}"
+            "expected an image of 1 to {MAX_SIDE} pixels a side and at most {MAX_PIXELS} in all, got {width}x{height}"
         )));
     }
     Ok(())
@@ -94,6 +83,8 @@ fn expect_size(width: usize, height: usize) -> Result<()> {
 fn decode_png(data: &[u8]) -> Result<Picture> {
     let failed = |error: png::DecodingError| Error::new(format!("damaged PNG file: {error}"));
     let mut decoder = png::Decoder::new(Cursor::new(data));
+    decoder.set_ignore_text_chunk(true); // which may say that they are large
+    decoder.set_ignore_iccp_chunk(true);
     decoder.set_transformations(Transformations::EXPAND); // palettes and fewer bits, to 8
     let mut reader = decoder.read_info().map_err(failed)?;
     let (width, height) = (reader.info().width as usize, reader.info().height as usize);
@@ -111,7 +102,10 @@ fn decode_jpeg(data: &[u8]) -> Result<Picture> {
     let failed =
         |error: zune_jpeg::errors::DecodeErrors| Error::new(format!("damaged JPEG file: {error}"));
     expect_end(data)?;
-    let options = DecoderOptions::new_safe().set_strict_mode(true);
+    let options = DecoderOptions::new_safe()
+        .set_strict_mode(true)
+        .set_max_width(MAX_SIDE)
+        .set_max_height(MAX_SIDE);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(data), options);
     decoder.decode_headers().map_err(failed)?;
     let (width, height) = decoder.dimensions().unwrap_or_default();

@@ -3,8 +3,8 @@
 use serde_json::Value;
 
 use crate::error::{Error, Result};
-use crate::picture::Picture;
-use crate::resize::{Filter, resize};
+use crate::picture::{MAX_PIXELS, MAX_SIDE, Picture};
+use crate::resize::{Axis, Filter, resize};
 
 /// Frame over crop.
 const CROP_MARGIN: f64 = 256.0 / 224.0;
@@ -72,19 +72,27 @@ impl Preprocessing {
 
     /// Returns the input of an image, of shape `(3, height, width)`.
     pub fn input(&self, picture: &Picture) -> Vec<f32> {
-        let (frame_height, frame_width) = self.frame_size(picture);
-        let frame = resize(picture, frame_width, frame_height, self.filter);
-        let (top, left) = ((frame_height - self.height) / 2, (frame_width - self.width) / 2);
-        let rows = || frame.pixels.chunks_exact(3 * frame_width).skip(top).take(self.height);
-        let mut input = Vec::with_capacity(3 * self.height * self.width);
+        let window = self.window(picture);
+        let mut input = Vec::with_capacity(window.pixels.len());
         for channel in 0..3 {
             let (mean, std) = (self.mean[channel], self.std[channel]);
-            for row in rows() {
-                let samples = row[3 * left + channel..].iter().step_by(3).take(self.width);
-                input.extend(samples.map(|&value| (f32::from(value) / 255.0 - mean) / std));
-            }
+            let samples = window.pixels[channel..].iter().step_by(3);
+            input.extend(samples.map(|&value| (f32::from(value) / 255.0 - mean) / std));
         }
         input
+    }
+
+    /// Returns the middle of the resized image, the only part of it that is computed: the whole of a thin image would not fit in
+    /// memory.
+    fn window(&self, picture: &Picture) -> Picture {
+        let (frame_height, frame_width) = self.frame_size(picture);
+        let middle = |size, frame, kept| {
+            let first = (frame - kept) / 2;
+            Axis { kept: first..first + kept, ..Axis::whole(size, frame) }
+        };
+        let across = middle(picture.width, frame_width, self.width);
+        let down = middle(picture.height, frame_height, self.height);
+        resize(picture, &across, &down, self.filter)
     }
 
     /// Returns height and width of the resized image that the input is cut from.
@@ -105,11 +113,18 @@ fn sizes(value: &Value) -> Result<[usize; 2]> {
     let sides = value.as_array().map(|sides| sides.iter().filter_map(read).collect::<Vec<_>>());
     match sides.as_deref() {
         Some(&[height, width])
-            if (1..=1 << 14).contains(&height) && (1..=1 << 14).contains(&width) =>
+            if height.min(width) > 0
+                && height.max(width) <= MAX_SIDE
+                && height * width <= MAX_PIXELS =>
         {
             Ok([height, width])
         }
-        _ => Err(unusable("size", "height and width, each at least 1", value)),
+        _ => {
+            let expected = format!(
+                "height and width, each from 1 to {MAX_SIDE}, and at most {MAX_PIXELS} pixels"
+            );
+            Err(unusable("size", &expected, value))
+        }
     }
 }
 
@@ -173,6 +188,7 @@ mod tests {
             ("size", json!([4])),
             ("size", json!([4, -4])),
             ("size", json!([1_u64 << 60, 4])),
+            ("size", json!([1 << 14, 1 << 14])),
             ("mode", json!("stretch")),
             ("mean", json!([0, 1])),
             ("std", json!([1, 1, 0])),

@@ -8,6 +8,8 @@
     clippy::cast_sign_loss // after a comparison with zero
 )]
 
+use std::ops::Range;
+
 use crate::picture::Picture;
 
 /// Fractional bits of a weight: 32 less the 8 of a pixel and 2 for sums beyond its range.
@@ -42,28 +44,63 @@ impl Filter {
     }
 }
 
+/// How an axis of an image is resized.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    /// Pixels of the image.
+    pub size: usize,
+    /// Pixels that the whole of the image becomes.
+    pub to: usize,
+    /// Those of them that are computed.
+    pub kept: Range<usize>,
+}
+
 /// The weights of the pixels from `first` on, for one pixel of the output.
 struct Taps {
     first: usize,
     weights: Vec<i32>,
 }
 
-/// Returns the taps of an axis of `from` pixels that becomes one of `to`.
-fn axis(from: usize, to: usize, filter: Filter) -> Vec<Taps> {
-    let scale = from as f64 / to as f64;
-    let stretch = scale.max(1.0);
-    let reach = filter.radius() * stretch;
-    let shrink = 1.0 / stretch;
-    let taps = (0..to).map(|place| {
+/// The taps of an axis, and the pixels of the image that they reach; `first` counts from the first of these.
+struct Weights {
+    reached: Range<usize>,
+    taps: Vec<Taps>,
+}
+
+impl Axis {
+    /// All of an axis of `size` pixels, which becomes one of `to`.
+    pub fn whole(size: usize, to: usize) -> Self {
+        Self { size, to, kept: 0..to }
+    }
+
+    /// Pixels that the axis loses.
+    fn lost(&self) -> usize {
+        self.size.saturating_sub(self.to)
+    }
+
+    fn weights(&self, filter: Filter) -> Weights {
+        let mut taps: Vec<Taps> = self.kept.clone().map(|place| self.taps(place, filter)).collect();
+        let first = taps.iter().map(|taps| taps.first).min().unwrap_or(0);
+        let last = taps.iter().map(|taps| taps.first + taps.weights.len()).max().unwrap_or(0);
+        for taps in &mut taps {
+            taps.first -= first;
+        }
+        Weights { reached: first..last, taps }
+    }
+
+    fn taps(&self, place: usize, filter: Filter) -> Taps {
+        let scale = self.size as f64 / self.to as f64;
+        let stretch = scale.max(1.0);
+        let reach = filter.radius() * stretch;
+        let shrink = 1.0 / stretch;
         let center = (place as f64 + 0.5) * scale;
         let first = (center - reach + 0.5).max(0.0) as usize;
-        let last = ((center + reach + 0.5) as usize).min(from);
+        let last = ((center + reach + 0.5) as usize).min(self.size);
         let at = |pixel: usize| filter.at((pixel as f64 - center + 0.5) * shrink);
         let weights: Vec<f64> = (first..last).map(at).collect();
         let sum: f64 = weights.iter().sum();
         Taps { first, weights: weights.iter().map(|weight| fixed(weight / sum)).collect() }
-    });
-    taps.collect()
+    }
 }
 
 /// Returns the nearest integer of a weight, halves away from zero.
@@ -72,30 +109,36 @@ fn fixed(weight: f64) -> i32 {
     (scaled + 0.5_f64.copysign(scaled)) as i32
 }
 
-/// Returns an image of `width` x `height` pixels, which covers what `picture` does.
-pub fn resize(picture: &Picture, width: usize, height: usize, filter: Filter) -> Picture {
-    let across = axis(picture.width, width, filter);
-    let down = axis(picture.height, height, filter);
-    let pixels = if is_column_first(picture, width, height) {
-        let low = resize_columns(&picture.pixels, 3 * picture.width, &down);
-        resize_rows(&low, picture.width, &across)
+/// Returns what is kept of a resized image; no more of the image is computed than that takes.
+pub fn resize(picture: &Picture, across: &Axis, down: &Axis, filter: Filter) -> Picture {
+    let (width, height) = (across.kept.len(), down.kept.len());
+    let is_column_first = is_column_first(across, down);
+    let (across, down) = (across.weights(filter), down.weights(filter));
+    let (rows, columns) = (down.reached, across.reached);
+    let reached: Vec<&[u8]> = picture.pixels.chunks_exact(3 * picture.width).collect();
+    let reached = reached[rows].iter().map(|row| &row[3 * columns.start..3 * columns.end]);
+    let reached: Vec<&[u8]> = reached.collect();
+    let pixels = if is_column_first {
+        let low = resize_columns(&reached, &down.taps);
+        let low: Vec<&[u8]> = low.chunks_exact(3 * columns.len()).collect();
+        resize_rows(&low, &across.taps)
     } else {
-        let narrow = resize_rows(&picture.pixels, picture.width, &across);
-        resize_columns(&narrow, 3 * width, &down)
+        let narrow = resize_rows(&reached, &across.taps);
+        let narrow: Vec<&[u8]> = narrow.chunks_exact(3 * width).collect();
+        resize_columns(&narrow, &down.taps)
     };
     Picture { width, height, pixels }
 }
 
 /// Whether to resize down first, as Pillow does since version 13 where that leaves less to do: where the height loses more
 /// than twice what the width does.
-fn is_column_first(picture: &Picture, width: usize, height: usize) -> bool {
-    let lost = picture.height.saturating_sub(height);
-    lost > 2 * picture.width.saturating_sub(width)
+fn is_column_first(across: &Axis, down: &Axis) -> bool {
+    down.lost() > 2 * across.lost()
 }
 
-fn resize_rows(pixels: &[u8], width: usize, taps: &[Taps]) -> Vec<u8> {
-    let mut result = Vec::with_capacity(pixels.len() / width * taps.len());
-    for row in pixels.chunks_exact(3 * width) {
+fn resize_rows(rows: &[&[u8]], taps: &[Taps]) -> Vec<u8> {
+    let mut result = Vec::with_capacity(3 * rows.len() * taps.len());
+    for row in rows {
         for Taps { first, weights } in taps {
             let mut sums = [1 << (BITS - 1); 3];
             for (weight, pixel) in weights.iter().zip(row[3 * first..].chunks_exact(3)) {
@@ -109,14 +152,15 @@ fn resize_rows(pixels: &[u8], width: usize, taps: &[Taps]) -> Vec<u8> {
     result
 }
 
-/// Resizes down, for rows of `length` samples.
-fn resize_columns(samples: &[u8], length: usize, taps: &[Taps]) -> Vec<u8> {
+/// Resizes down, for rows of one length.
+fn resize_columns(rows: &[&[u8]], taps: &[Taps]) -> Vec<u8> {
+    let length = rows.first().map_or(0, |row| row.len());
     let mut result = Vec::with_capacity(length * taps.len());
     let mut sums = vec![0; length];
     for Taps { first, weights } in taps {
         sums.fill(1 << (BITS - 1));
-        for (weight, row) in weights.iter().zip(samples[length * first..].chunks_exact(length)) {
-            for (sum, &value) in sums.iter_mut().zip(row) {
+        for (weight, row) in weights.iter().zip(&rows[*first..]) {
+            for (sum, &value) in sums.iter_mut().zip(*row) {
                 *sum += weight * i32::from(value);
             }
         }
@@ -144,6 +188,12 @@ mod tests {
         Picture { width: 1, height: row.width, ..row }
     }
 
+    fn whole(picture: &Picture, width: usize, height: usize, filter: Filter) -> Picture {
+        let (across, down) =
+            (Axis::whole(picture.width, width), Axis::whole(picture.height, height));
+        resize(picture, &across, &down, filter)
+    }
+
     fn red(picture: &Picture) -> Vec<u8> {
         picture.pixels.iter().step_by(3).copied().collect()
     }
@@ -153,36 +203,54 @@ mod tests {
         // The triangle of radius 2 about 1: 3/4 at 0.5 and 1.5, 1/4 at 2.5; the pixels beyond the edge do not count.
         let expected = [50, 70]; // (3 * 0 + 3 * 70 + 140) / 7 and (70 + 3 * 140 + 3 * 0) / 7
         let values = [0, 70, 140, 0];
-        assert_eq!(red(&resize(&row(&values), 2, 1, Filter::Bilinear)), expected);
-        assert_eq!(red(&resize(&column(&values), 1, 2, Filter::Bilinear)), expected);
+        assert_eq!(red(&whole(&row(&values), 2, 1, Filter::Bilinear)), expected);
+        assert_eq!(red(&whole(&column(&values), 1, 2, Filter::Bilinear)), expected);
     }
 
     #[test]
     fn twice_the_size_weighs_the_cubic_at_quarters() {
         // 0.8671875, 0.2265625, -0.0703125, -0.0234375 at distances 1/4, 3/4, 5/4, 7/4; sums are clamped to 8 bits.
-        let got = resize(&row(&[0, 0, 0, 128, 128, 128]), 12, 1, Filter::Bicubic);
+        let got = whole(&row(&[0, 0, 0, 128, 128, 128]), 12, 1, Filter::Bicubic);
         assert_eq!(red(&got)[4..8], [0, 26, 102, 137]);
-        let bright = resize(&row(&[0, 0, 0, 255, 255, 255]), 12, 1, Filter::Bicubic);
+        let bright = whole(&row(&[0, 0, 0, 255, 255, 255]), 12, 1, Filter::Bicubic);
         assert_eq!(red(&bright)[7], 255);
     }
 
     #[test]
     fn tall_images_are_resized_down_first() {
-        let picture = |height| Picture { width: 3, height, pixels: vec![0; 9 * height] };
-        assert!(!is_column_first(&picture(6), 1, 2)); // 4 rows of 6, 2 columns of 3
-        assert!(is_column_first(&picture(7), 1, 2));
-        assert!(is_column_first(&picture(3), 5, 2));
-        assert!(!is_column_first(&picture(2), 5, 2));
+        let is_first =
+            |height, to, narrow| is_column_first(&Axis::whole(3, narrow), &Axis::whole(height, to));
+        assert!(!is_first(6, 2, 1)); // 4 rows of 6, 2 columns of 3
+        assert!(is_first(7, 2, 1));
+        assert!(is_first(3, 2, 5));
+        assert!(!is_first(2, 2, 5));
+    }
+
+    #[test]
+    fn what_is_kept_is_cut_from_the_whole() {
+        let samples = (0..3 * 23 * 31_u32).map(|i| (i * i % 251) as u8).collect();
+        let picture = Picture { width: 23, height: 31, pixels: samples };
+        for (width, height) in [(7, 9), (40, 9), (7, 60), (50, 60)] {
+            for filter in [Filter::Bilinear, Filter::Bicubic] {
+                let all = whole(&picture, width, height, filter);
+                let across = Axis { kept: 2..6, ..Axis::whole(23, width) };
+                let down = Axis { kept: 5..8, ..Axis::whole(31, height) };
+                let expected = all.pixels.chunks_exact(3 * width).skip(5).take(3);
+                let expected: Vec<u8> = expected.flat_map(|row| row[6..18].to_vec()).collect();
+                let got = resize(&picture, &across, &down, filter);
+                assert_eq!((got.width, got.height, got.pixels), (4, 3, expected));
+            }
+        }
     }
 
     #[test]
     fn one_size_changes_nothing_and_channels_stay_apart() {
         for filter in [Filter::Bilinear, Filter::Bicubic] {
             let picture = row(&[0, 90, 255, 7]);
-            assert_eq!(resize(&picture, 4, 1, filter), picture);
+            assert_eq!(whole(&picture, 4, 1, filter), picture);
             let flat = Picture { width: 5, height: 3, pixels: [9, 80, 250].repeat(15) };
             let expected = Picture { width: 7, height: 2, pixels: [9, 80, 250].repeat(14) };
-            assert_eq!(resize(&flat, 7, 2, filter), expected);
+            assert_eq!(whole(&flat, 7, 2, filter), expected);
         }
     }
 }
