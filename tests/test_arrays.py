@@ -1,5 +1,6 @@
 """The NumPy face against float64 references, for random shapes of every kind."""
 
+import inspect
 import os
 import re
 import subprocess
@@ -215,6 +216,43 @@ def test_quaternions_of_euler_angles_are_canonical():
     for dtype in (np.float32, np.float64):
         q = arrays.euler_to_quaternion(angles.astype(dtype))
         np.testing.assert_array_equal(q, arrays.canonical_quaternion(q))
+
+
+def _poses(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Return float32 arguments by name; half of the angles are eighths of a turn."""
+    eighths = rng.integers(-8, 9, (200, 3)) * 45.0
+    rpy = np.where(rng.random((200, 3)) < 0.5, eighths, rng.uniform(-400, 400, (200, 3)))
+    q, q_hat, grad = rng.normal(size=(3, 200, 4))
+    q[:50], q_hat[:50] = rng.integers(-1, 2, (2, 50, 4)) + np.eye(4)[rng.integers(0, 4, 50)] / 2
+    q_hat[50:100] = q[50:100] + 1e-4 * grad[50:100]
+    t, t_hat = rng.normal(size=(2, 200, 3)) + [0, 0, 5]
+    poses = {"q": q, "q_hat": q_hat, "grad": grad, "t": t, "t_hat": t_hat, "rpy": rpy}
+    return {name: values.astype(np.float32) for name, values in poses.items()}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "normalize_quaternion",
+        "normalize_quaternion_backward",
+        "canonical_quaternion",
+        "quaternion_to_euler",
+        "euler_to_quaternion",
+        "translation_error",
+        "rotation_error",
+        "esa_score",
+        "speed_plus_score",
+    ],
+)
+@given(seed=st.integers(0, 2**32))
+def test_single_precision_is_double_precision_rounded_once(name, seed):
+    function = getattr(_rust, name)
+    poses = _poses(np.random.default_rng(seed))
+    single = [poses[argument] for argument in inspect.signature(function).parameters]
+    expected = function(*(argument.astype(np.float64) for argument in single)).astype(np.float32)
+    if name == "quaternion_to_euler":  # the open end of the range, where rounding came to it
+        expected[expected == -180] = 180
+    np.testing.assert_array_equal(function(*single), expected, strict=True)
 
 
 @given(st.integers(0, 2**32), st.sampled_from([np.float32, np.float64]))

@@ -10,7 +10,7 @@
 //!   plane inverse.
 //! - **Elements** are `f32` or `f64`; filters also take half precision, computed in `f32`.
 //! - **Threads** are the caller's: a [`Pool`] lends them.
-//! - **Quaternions** are Hamilton's, scalar first `(w, x, y, z)`. Angles are in radians, translations in meters.
+//! - **Quaternions** are Hamilton's, scalar first `(w, x, y, z)`. Angles are in degrees, translations in meters.
 
 #![deny(unsafe_code)]
 

@@ -43,7 +43,7 @@ pub fn translation_error<T: Real>(
     each_pair(["t_hat", "t"], &t_hat, &t, |_, t_hat, t| Ok(distance(t_hat, t)))
 }
 
-/// The angle of the rotation that takes `q` to `q_hat`, in radians from 0 to π.
+/// The angle of the rotation that takes `q` to `q_hat`, in degrees from 0 to 180.
 ///
 /// Twice the arctangent of vector over scalar part of `q⁻¹ · q_hat`, which, unlike an arccosine, keeps small angles.
 ///
@@ -53,7 +53,7 @@ pub fn rotation_error<T: Real>(
     q_hat: ArrayViewD<'_, T>,
     q: ArrayViewD<'_, T>,
 ) -> Result<ArrayD<T>, Error> {
-    each_pair(["q_hat", "q"], &q_hat, &q, angle)
+    each_pair(["q_hat", "q"], &q_hat, &q, |row, q_hat, q| Ok(angle(row, q_hat, q)?.to_degrees()))
 }
 
 /// The score of ESA's Kelvins pose estimation challenge, 2019: `‖t_hat - t‖ / ‖t‖` plus the rotation error in radians.

@@ -1,9 +1,7 @@
-//! Quaternions `(w, x, y, z)`: Hamilton, scalar first. Angles in radians.
+//! Quaternions `(w, x, y, z)`: Hamilton, scalar first. Angles in degrees.
 //!
-//! Arrays are `(..., 4)`, or `(..., 3)` for Euler angles. Rows are computed in `f64` and rounded once. NaN in a row goes
-//! through to its result; a zero vector is no rotation and an error.
-
-use std::f64::consts::PI;
+//! Arrays are `(..., 4)`, or `(..., 3)` for Euler angles. Rows are computed in `f64`, degrees too, and rounded once. NaN in a
+//! row goes through to its result; a zero vector is no rotation and an error.
 
 use ndarray::{ArrayD, ArrayViewD};
 
@@ -58,29 +56,30 @@ pub fn canonical<T: Real>(q: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
     array_of(q.shape(), rows)
 }
 
-/// Roll, pitch and yaw `(..., 3)` of `q (..., 4)`, which need not be normalized: turns about x, then y, then z of the
+/// Roll, pitch and yaw `(..., 3)`, degrees, of `q (..., 4)`, which need not be normalized: turns about x, then y, then z of the
 /// fixed frame (ZYX), as in Ye et al., Eq. 12, with the sign of the pitch that inverts [`from_euler`].
 ///
-/// Roll and yaw are in `(-π, π]`. Pitch is in `[-π/2, π/2]`, by an arctangent that equals the clamped arcsine and keeps its
+/// Roll and yaw are in `(-180, 180]`. Pitch is in `[-90, 90]`, by an arctangent that equals the clamped arcsine and keeps its
 /// digits near the ends; there, in gimbal lock, roll is zero and yaw takes the whole turn. `q` and `-q` give the same.
 ///
 /// # Errors
 /// [`Error::Shape`]; [`Error::ZeroNorm`] with the row.
 pub fn to_euler<T: Real>(q: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
-    let angles = rows_of("q", &q)?.enumerate().map(|(row, q)| Ok(euler(signed(unit(row, q)?.0))));
-    let half_turn = T::nearest(PI);
+    let angles = rows_of("q", &q)?
+        .enumerate()
+        .map(|(row, q)| Ok(euler(signed(unit(row, q)?.0)).map(f64::to_degrees)));
     let angles: ArrayD<T> = array_of(q.shape(), angles)?;
     // also where rounding has made half a turn of a little less
-    Ok(angles.mapv_into(|angle| if angle.into() <= -half_turn.into() { half_turn } else { angle }))
+    Ok(angles.mapv_into(|angle| if angle.into() <= -180.0 { T::nearest(180.0) } else { angle }))
 }
 
-/// The canonical unit quaternions `(..., 4)` of roll, pitch and yaw `(..., 3)`: the inverse of [`to_euler`].
+/// The canonical unit quaternions `(..., 4)` of roll, pitch and yaw `(..., 3)`, degrees: the inverse of [`to_euler`].
 ///
 /// # Errors
 /// [`Error::Shape`].
 pub fn from_euler<T: Real>(angles: ArrayViewD<'_, T>) -> Result<ArrayD<T>, Error> {
     let rows = rows_of("rpy", &angles)?.map(|row: [f64; 3]| {
-        let [(sr, cr), (sp, cp), (sy, cy)] = row.map(|angle| (0.5 * angle).sin_cos());
+        let [(sr, cr), (sp, cp), (sy, cy)] = row.map(|angle| (0.5 * angle.to_radians()).sin_cos());
         let q = [
             cr * cp * cy + sr * sp * sy,
             sr * cp * cy - cr * sp * sy,
@@ -109,7 +108,7 @@ fn unit(row: usize, q: [f64; 4]) -> Result<([f64; 4], f64), Error> {
     Ok((scaled.map(|value| value / norm), largest * norm))
 }
 
-/// Roll, pitch and yaw of a canonical unit quaternion.
+/// Roll, pitch and yaw of a canonical unit quaternion, radians.
 fn euler([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     let sin_pitch = 2.0 * (w * y - x * z);
     let (roll_sin, roll_cos) = (2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y));

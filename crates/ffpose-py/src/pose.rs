@@ -1,4 +1,4 @@
-//! Quaternions and pose errors for NumPy arrays. Angles are degrees here and radians in the core.
+//! Quaternions and pose errors for NumPy arrays.
 
 use ffpose_core::pose_error::{self, PosePairs};
 use ffpose_core::quaternion;
@@ -46,13 +46,13 @@ pub(crate) fn canonical_quaternion<'py>(q: &Bound<'py, PyAny>) -> PyResult<Bound
 /// Roll, pitch and yaw (..., 3) in degrees of q (..., 4).
 #[pyfunction]
 pub(crate) fn quaternion_to_euler<'py>(q: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    on_arrays!([q], T => Ok(quaternion::to_euler(q)?.mapv_into(T::to_degrees)))
+    on_arrays!([q], T => quaternion::to_euler(q))
 }
 
 /// Unit quaternions (..., 4) of roll, pitch and yaw (..., 3) in degrees.
 #[pyfunction]
 pub(crate) fn euler_to_quaternion<'py>(rpy: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    on_arrays!([rpy], T => quaternion::from_euler(rpy.mapv(T::to_radians).view()))
+    on_arrays!([rpy], T => quaternion::from_euler(rpy))
 }
 
 /// Distances (N,) of translations `t_hat` and `t` (N, 3).
@@ -70,9 +70,7 @@ pub(crate) fn rotation_error<'py>(
     q_hat: &Bound<'py, PyAny>,
     q: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    on_arrays!([q_hat, q], T => {
-        Ok(pose_error::rotation_error(q_hat, q)?.mapv_into(T::to_degrees))
-    })
+    on_arrays!([q_hat, q], T => pose_error::rotation_error(q_hat, q))
 }
 
 /// Scores (N,) of ESA's pose estimation challenge of 2019.
