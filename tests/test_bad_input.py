@@ -143,6 +143,17 @@ def test_the_wrong_number_of_arguments_is_refused():
             TypeError,
             "(?s)real numbers, got .*1j.*ground",
         ),
+        (
+            lambda: shade_earth(rays=np.where(np.eye(3, 5), np.nan, 1).astype(np.float32)),
+            ValueError,
+            r"rays must be finite, got \[NaN, 1.0, 1.0\] in column 0",
+        ),
+        (
+            lambda: shade_earth(sun=(0.0, np.inf, 0.0)),
+            ValueError,
+            r"sun.*finite.*\[0.0, inf, 0.0\]",
+        ),
+        (lambda: shade_earth(altitude=0.0), ValueError, r"altitude.*above zero, got \[0.0\]"),
         (lambda: _rust.spectral_filter(X.tolist(), W, "tokens"), TypeError, "x.*ndarray.*list"),
         (lambda: _rust.spectral_filter(X[..., ::2], W, "tokens"), ValueError, "x.*contiguous"),
     ],

@@ -314,7 +314,7 @@ def shade_earth(
     Args:
         rays: Unit vectors ``(3, N)``.
         nadir: Unit vector to the Earth's center.
-        altitude: Height of the camera above the ground.
+        altitude: Height of the camera above the ground, more than zero.
         sun: Unit vector to the sun.
         ground: Rotation ``(3, 3)`` into the frame of land and clouds.
         detail: Noise octaves of the clouds, 0…255; finer images need more.
@@ -327,7 +327,8 @@ def shade_earth(
     Raises:
         TypeError: ``rays`` is not of float32, or a number is not real.
         ValueError: ``rays`` is not ``(3, N)``, a vector or ``ground`` has another shape than above,
-            or ``detail`` is out of range.
+            a number is not finite, ``altitude`` or ``pixel_angle`` is not above zero, or ``detail``
+            is out of range; the message names the column of a ray.
 
     Examples:
         A ray away from the Earth passes unattenuated:

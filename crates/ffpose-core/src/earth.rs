@@ -8,7 +8,7 @@
 
 use std::iter::successors;
 
-use ndarray::{Array1, Array2, ArrayViewD, ArrayViewMut1, ArrayViewMut2, Axis};
+use ndarray::{Array1, Array2, ArrayView2, ArrayViewD, ArrayViewMut1, ArrayViewMut2, Axis};
 
 use crate::noise::{BLOCK, Block, Block3, block, octaves, rays};
 use crate::simd::{Algorithm, Vector};
@@ -65,6 +65,40 @@ pub struct Earth {
     pub pixel_angle: f32,
 }
 
+impl Earth {
+    fn check(&self) -> Result<(), Error> {
+        let vector = |name, got: &[f32]| finite(name, got, None);
+        vector("nadir", &self.nadir)?;
+        vector("sun", &self.sun)?;
+        vector("ground", self.ground.as_flattened())?;
+        for (name, got) in [("altitude", self.altitude), ("pixel_angle", self.pixel_angle)] {
+            if !(got > 0.0 && got.is_finite()) {
+                let expected = "finite and above zero";
+                return Err(Error::Vector { name, expected, got: vec![got], column: None });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Comparisons with NaN are false, so that a ray with one would pass beside the Earth, as black sky.
+fn check_rays(rays: ArrayView2<'_, f32>) -> Result<(), Error> {
+    if rays.iter().all(|x| x.is_finite()) {
+        return Ok(());
+    }
+    rays.columns()
+        .into_iter()
+        .enumerate()
+        .try_for_each(|(column, ray)| finite("rays", &ray.to_vec(), Some(column)))
+}
+
+fn finite(name: &'static str, got: &[f32], column: Option<usize>) -> Result<(), Error> {
+    if got.iter().all(|x| x.is_finite()) {
+        return Ok(());
+    }
+    Err(Error::Vector { name, expected: "finite", got: got.to_vec(), column })
+}
+
 /// What comes along rays: light `(3, N)`, and the part `(N,)` of what lies behind that still shows.
 #[derive(Debug)]
 pub struct Seen {
@@ -79,9 +113,12 @@ pub struct Seen {
 /// The result has the same bits on every machine.
 ///
 /// # Errors
-/// [`Error::Shape`]; [`Error::Isa`] as for [`Isa::current`].
+/// [`Error::Shape`]; [`Error::Vector`] with what is not finite, or not above zero, and the column of a ray; [`Error::Isa`] as for
+/// [`Isa::current`].
 pub fn shade(earth: &Earth, directions: ArrayViewD<'_, f32>) -> Result<Seen, Error> {
     let directions = rays("rays", directions)?;
+    earth.check()?;
+    check_rays(directions)?;
     let (isa, planet) = (Isa::current()?, Planet::new(earth));
     let count = directions.ncols();
     let mut seen = Seen { radiance: Array2::zeros((3, count)), behind: Array1::zeros(count) };

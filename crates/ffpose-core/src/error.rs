@@ -65,6 +65,17 @@ pub enum Error {
         /// The offending value.
         got: f64,
     },
+    /// A vector with NaN or infinity, or a number that is not above zero where a length is needed.
+    Vector {
+        /// The argument.
+        name: &'static str,
+        /// What it must be.
+        expected: &'static str,
+        /// Its numbers.
+        got: Vec<f32>,
+        /// Where it stands among others.
+        column: Option<usize>,
+    },
 }
 
 impl std::error::Error for Error {}
@@ -98,6 +109,10 @@ impl Display for Error {
             }
             Self::NotFinite { name, row, got } => {
                 write!(f, "{name} must be finite, got {got} in row {row}")
+            }
+            Self::Vector { name, expected, got, column } => {
+                write!(f, "{name} must be {expected}, got {got:?}")?;
+                column.map_or(Ok(()), |column| write!(f, " in column {column}"))
             }
         }
     }

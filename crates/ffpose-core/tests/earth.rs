@@ -2,7 +2,7 @@
 
 use ffpose_core::Error;
 use ffpose_core::earth::{Earth, Seen, shade};
-use ndarray::{Array, ArrayD};
+use ndarray::{Array, ArrayD, Axis};
 
 /// An Earth ahead whose horizon is asin(1 / 1.0628) = 70.21 degrees from the middle.
 fn earth(sun: [f32; 3]) -> Earth {
@@ -65,4 +65,37 @@ fn places_of_rays_do_not_matter() {
 fn rays_of_another_shape_are_named() {
     let result = shade(&earth(BEHIND), rays(&[0.0, 1.0]).t());
     assert!(matches!(result, Err(Error::Shape { name: "rays", .. })));
+}
+
+#[test]
+fn rays_and_earths_that_are_not_finite_are_named() {
+    let degrees = [0.0, 30.0, 60.0, 180.0];
+    for bad in [f32::NAN, f32::INFINITY] {
+        for axis in 0..3 {
+            let mut rays = rays(&degrees);
+            rays[[axis, 2]] = bad;
+            let got: Vec<f32> = rays.index_axis(Axis(1), 2).iter().copied().collect();
+            let error = shade(&earth(BEHIND), rays.view()).unwrap_err();
+            let expected = format!("rays must be finite, got {got:?} in column 2");
+            assert_eq!(error.to_string(), expected);
+        }
+        let good = earth(BEHIND);
+        let mut ground = good.ground;
+        ground[1][2] = bad;
+        for (name, earth) in [
+            ("nadir", Earth { nadir: [0.0, bad, 1.0], ..good }),
+            ("sun", Earth { sun: [bad, 0.0, 1.0], ..good }),
+            ("ground", Earth { ground, ..good }),
+            ("altitude", Earth { altitude: bad, ..good }),
+            ("pixel_angle", Earth { pixel_angle: bad, ..good }),
+        ] {
+            let error = shade(&earth, rays(&degrees).view()).unwrap_err();
+            assert!(matches!(error, Error::Vector { name: got, .. } if got == name), "{error}");
+        }
+    }
+    for altitude in [0.0, -0.1] {
+        let error = shade(&Earth { altitude, ..earth(BEHIND) }, rays(&degrees).view()).unwrap_err();
+        let expected = format!("altitude must be finite and above zero, got [{altitude:?}]");
+        assert_eq!(error.to_string(), expected);
+    }
 }
