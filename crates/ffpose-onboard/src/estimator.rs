@@ -8,6 +8,7 @@ use serde_json::{Map, Value};
 
 use crate::error::{Error, Result};
 use crate::metadata::Metadata;
+use crate::model::Model;
 use crate::options::Options;
 use crate::picture::Picture;
 use crate::pose::{Outputs, Uncertainty, document};
@@ -27,7 +28,8 @@ impl Estimator {
     /// # Errors
     /// The model, ONNX Runtime or the library of the operator cannot be used.
     pub fn open(options: &Options) -> Result<Self> {
-        let mut metadata = Metadata::read(&options.model)?;
+        let mut model = Model::read(&options.model, options.sha256.as_deref())?;
+        let metadata = &mut model.metadata;
         if options.any_camera {
             metadata.camera = None;
         } else if metadata.undistorted {
@@ -36,8 +38,8 @@ impl Estimator {
                  first, and say so by --any-camera",
             ));
         }
-        let session = open_session(options, metadata.needs_operators)?;
-        let mut estimator = Self { metadata, session };
+        let session = open_session(options, &model)?;
+        let mut estimator = Self { metadata: model.metadata, session };
         let size =
             3 * estimator.metadata.preprocessing.height * estimator.metadata.preprocessing.width;
         estimator.run(&vec![0.0; size]).map_err(|error| error.of("the model cannot be run"))?;

@@ -1,13 +1,15 @@
 //! Poses from images without Python: a model of `ffpose export` in ONNX Runtime, one JSON line per image.
 //!
-//! `frames → picture → preprocessing (resize) → estimator (metadata, runtime) → pose → answers`.
+//! `frames → picture → preprocessing (resize) → estimator (model, runtime) → pose → answers`.
 
 mod answers;
 mod error;
 mod estimator;
 mod files;
 mod frames;
+mod graph;
 mod metadata;
+mod model;
 mod options;
 mod picture;
 mod pose;

@@ -1,8 +1,6 @@
 //! What an exported model says of itself, as `ffpose.onnx.metadata` writes it; an altered file is refused.
 
 use std::collections::HashMap;
-use std::fs;
-use std::path::Path;
 
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -59,16 +57,11 @@ impl Camera {
 }
 
 impl Metadata {
-    /// Reads a model's metadata.
+    /// Reads the metadata of a model, given the bytes of its file.
     ///
     /// # Errors
-    /// It is no file that can be read, no ONNX file, not of `ffpose export`, altered, or newer than this program.
-    pub fn read(path: &Path) -> Result<Self> {
-        let data = fs::read(path).map_err(|error| Error::new(format!("cannot be read: {error}")));
-        data.and_then(|data| Self::of(&data)).map_err(|error| error.of(path.display()))
-    }
-
-    fn of(data: &[u8]) -> Result<Self> {
+    /// It is no ONNX file, not of `ffpose export`, altered, or newer than this program.
+    pub fn of(data: &[u8]) -> Result<Self> {
         let entries = entries(data).map_err(|error| {
             error.of("expected an ONNX file, got one that is cut short or none")
         })?;
@@ -134,7 +127,7 @@ fn check_bytes(data: &[u8], expected: Option<&String>) -> Result<()> {
         .ok_or_else(|| Error::new("the file was altered: expected its SHA-256 in it, got none"))?;
     let record = checksum_record(expected);
     let content = data.strip_suffix(&record[..]);
-    let got = hex(content.unwrap_or(data));
+    let got = sha256(content.unwrap_or(data));
     if content.is_none() || got != *expected {
         return Err(Error::new(format!(
             "the file was altered: expected SHA-256 {expected}, got {got}"
@@ -143,7 +136,8 @@ fn check_bytes(data: &[u8], expected: Option<&String>) -> Result<()> {
     Ok(())
 }
 
-fn hex(data: &[u8]) -> String {
+/// Returns the SHA-256 of bytes, hexadecimal.
+pub fn sha256(data: &[u8]) -> String {
     format!("{:x}", Sha256::digest(data))
 }
 
@@ -219,7 +213,7 @@ mod tests {
     }
 
     fn sealed(mut data: Vec<u8>) -> Vec<u8> {
-        let seal = checksum_record(&hex(&data));
+        let seal = checksum_record(&sha256(&data));
         data.extend(seal);
         data
     }
@@ -274,7 +268,7 @@ mod tests {
     #[test]
     fn the_digest_is_that_of_the_standard() {
         // FIPS 180-4's example, "abc"
-        assert!(hex(b"abc").starts_with("ba7816bf8f01cfea414140de5dae2223"));
+        assert!(sha256(b"abc").starts_with("ba7816bf8f01cfea414140de5dae2223"));
     }
 
     #[test]

@@ -16,6 +16,8 @@ usage: ffpose-onboard --model FILE (--images DIR | --stdin) [options]
   --threads N       threads that an image is computed with (default: ONNX Runtime's choice)
   --runtime PATH    ONNX Runtime's library (default: ORT_DYLIB_PATH, else libonnxruntime.so beside
                     this program or among the system's libraries)
+  --sha256 HEX      SHA-256 that the model's file must have, of what was signed for a mission; without,
+                    damage is told by the checksum in the file, but not what was changed on purpose
   --operators PATH  libffpose_ort.so, for models exported with --filter custom that have filters
   --any-camera      resize an image of any aspect ratio to the network's input, as if the model's
                     camera had taken it; without, another aspect ratio is an error of that image
@@ -33,6 +35,8 @@ pub struct Options {
     pub source: Source,
     /// That an image is computed with; `None`: as many as ONNX Runtime finds good.
     pub threads: Option<usize>,
+    /// The digest that the ONNX file must have, hexadecimal.
+    pub sha256: Option<String>,
     /// ONNX Runtime's library.
     pub runtime: PathBuf,
     /// The library of ffpose's operator.
@@ -84,6 +88,7 @@ struct Given {
     images: Option<PathBuf>,
     stdin: bool,
     threads: Option<usize>,
+    sha256: Option<String>,
     runtime: Option<PathBuf>,
     operators: Option<PathBuf>,
     any_camera: bool,
@@ -100,6 +105,7 @@ impl Given {
             "--stdin" => self.stdin = true,
             "--any-camera" => self.any_camera = true,
             "--threads" => self.threads = Some(count(&value()?)?),
+            "--sha256" => self.sha256 = Some(digest(&value()?)?),
             "--model" => self.model = Some(value()?.into()),
             "--images" => self.images = Some(value()?.into()),
             "--runtime" => self.runtime = Some(value()?.into()),
@@ -121,6 +127,7 @@ impl Given {
                 (None, false) => return Err("expected --images or --stdin, got neither".into()),
             },
             threads: self.threads,
+            sha256: self.sha256,
             runtime: self.runtime.unwrap_or_else(default_runtime),
             operators: self.operators,
             any_camera: self.any_camera,
@@ -132,6 +139,14 @@ fn count(value: &OsString) -> Result<usize, String> {
     let text = value.to_string_lossy();
     let number = text.parse().ok().filter(|number| (1..=1024).contains(number));
     number.ok_or_else(|| format!("--threads: expected a number from 1 to 1024, got {text}"))
+}
+
+fn digest(value: &OsString) -> Result<String, String> {
+    let text = value.to_string_lossy().to_lowercase();
+    if text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        return Ok(text);
+    }
+    Err(format!("--sha256: expected 64 hexadecimal digits, got {text}"))
 }
 
 fn default_runtime() -> PathBuf {
@@ -152,17 +167,20 @@ mod tests {
 
     #[test]
     fn options_are_read() {
-        let arguments =
-            "--stdin --model m.onnx --threads 2 --runtime /r.so --operators o.so --any-camera";
+        let digest = "0A".repeat(32);
+        let arguments = format!(
+            "--stdin --model m.onnx --threads 2 --sha256 {digest} --runtime /r.so --operators o.so --any-camera"
+        );
         let expected = Options {
             model: "m.onnx".into(),
             source: Source::Stdin,
             threads: Some(2),
+            sha256: Some("0a".repeat(32)),
             runtime: "/r.so".into(),
             operators: Some("o.so".into()),
             any_camera: true,
         };
-        assert_eq!(parse(arguments), Ok(Command::Run(expected)));
+        assert_eq!(parse(&arguments), Ok(Command::Run(expected)));
         assert_eq!(parse("--model x --help"), Ok(Command::Print(HELP)));
     }
 
@@ -175,6 +193,10 @@ mod tests {
             ("--model", "--model: expected a value"),
             ("--model m --stdin --threads 0", "--threads: expected a number from 1 to 1024, got 0"),
             ("--model m --stdin --threads two", "got two"),
+            (
+                "--model m --stdin --sha256 12ab",
+                "--sha256: expected 64 hexadecimal digits, got 12ab",
+            ),
             ("--camera c", "got --camera"),
             ("image.png", "got image.png"),
         ] {

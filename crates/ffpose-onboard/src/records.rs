@@ -22,8 +22,9 @@ pub fn records(message: &[u8]) -> Result<Vec<(u64, &[u8])>> {
             5 => reader.bytes(4).map(|_| None)?,
             _ => return Err(Error::new(format!("unknown wire type {kind} at byte {place}"))),
         };
-        if field == 0 {
-            return Err(Error::new(format!("a record of field 0 at byte {place}")));
+        // Other readers take the lower 32 bits of a key, and would find another field.
+        if field == 0 || key > u64::from(u32::MAX) {
+            return Err(Error::new(format!("a record of field {field} at byte {place}")));
         }
         found.extend(bytes.map(|bytes| (field, bytes)));
     }
@@ -78,7 +79,14 @@ mod tests {
 
     #[test]
     fn what_is_cut_short_or_no_message_is_refused() {
-        for message in [&b"\x12\x03ab"[..], b"\x08\xac", b"\x1d123", b"\x13", b"\x02\x00"] {
+        for message in [
+            &b"\x12\x03ab"[..],
+            b"\x08\xac",
+            b"\x1d123",
+            b"\x13",
+            b"\x02\x00",
+            b"\xea\x80\x80\x80\x10\x00", // field 13 and 2^32
+        ] {
             assert!(records(message).is_err(), "{message:?}");
         }
         assert!(records(&[0x08, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255, 255]).is_err());

@@ -10,14 +10,15 @@ use ort::session::Session;
 use ort::session::builder::SessionBuilder;
 
 use crate::error::{Error, Result};
+use crate::model::Model;
 use crate::options::Options;
 
-/// Opens a model, whose filters need the library of the operator or not.
+/// Opens the model of `options`, as it was read.
 ///
 /// # Errors
 /// ONNX Runtime, the operator's library or the model cannot be loaded, or the library is needed and not named.
-pub fn open_session(options: &Options, needs_operators: bool) -> Result<Session> {
-    if needs_operators && options.operators.is_none() {
+pub fn open_session(options: &Options, model: &Model) -> Result<Session> {
+    if model.metadata.needs_operators && options.operators.is_none() {
         return Err(Error::new(format!(
             "{}: expected --operators with the path of libffpose_ort.so, by which this model computes its filters, got none",
             options.model.display()
@@ -34,7 +35,7 @@ pub fn open_session(options: &Options, needs_operators: bool) -> Result<Session>
     if let Some(library) = &options.operators {
         builder = register(builder, library)?;
     }
-    let session = builder.commit_from_file(&options.model);
+    let session = builder.commit_from_memory(&model.bytes);
     session.map_err(|error| refused(&error).of(options.model.display()))
 }
 
