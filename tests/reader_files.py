@@ -87,6 +87,12 @@ def write_mesh(path):
     trimesh.creation.box((2000, 1500, 3000)).export(path)
 
 
+def write_stages(path):
+    """Write two of the paper's stages, of an epoch each."""
+    second = "{name: translation, epochs: 1, freeze: [backbone, orientation_branch]}"
+    path.write_text(f"stages: [{{name: joint, epochs: 1}}, {second}]\n")
+
+
 OF_PAGES = {
     "README.md": {"look.safetensors": write_looking},
     "docs/datasets.md": {"data/speedplus": partial(write_speedplus, count=4)},
@@ -109,6 +115,7 @@ OF_PAGES = {
         "URSO/soyuz_hard": write_set,
         "camera.json": write_camera,
         "satellite.glb": write_mesh,
+        "stages.yaml": write_stages,
     },
 }
 """For each page the files and folders that its reader has, and what writes them."""

@@ -13,6 +13,7 @@ from ffpose import __version__
 from ffpose.cli import COMMANDS, main, width_and_height
 from ffpose.models import FilterformerPose
 from ffpose.training.checkpoint import read_results
+from option_words import options_of
 from tiny_runs import MODEL_FIELDS, write_set
 
 
@@ -32,7 +33,7 @@ def train_words(image_set, out, *more):
     return [
         *("train", "--model", "tiny", "--data.kind", "urso", "--data.root", str(image_set)),
         *("--epochs", "1", "--seed", "3", "--out", str(out), "--backbone-weights", "none"),
-        *("--batch_size", "4", "--model_fields", json.dumps(MODEL_FIELDS), *more),
+        *("--batch-size", "4", *options_of(MODEL_FIELDS), *more),
     ]
 
 
@@ -337,7 +338,7 @@ def test_an_unknown_model_is_refused_before_anything_heavy_is_loaded(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("option", "meant"), [("--batch-size", "--batch_size"), ("--epoch", "--epochs")]
+    ("option", "meant"), [("--batch-sise", "--batch-size"), ("--epoch", "--epochs")]
 )
 def test_an_unknown_option_is_one_line_with_what_was_meant(option, meant, image_set, capsys):
     with pytest.raises(SystemExit) as leaving:

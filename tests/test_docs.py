@@ -9,11 +9,13 @@ import importlib
 import re
 import subprocess
 import tomllib
+from dataclasses import fields
 
 import pytest
 
-from ffpose.cli import COMMANDS, build_parser, with_recipe
+from ffpose.cli import COMMANDS, build_parser, words_of
 from ffpose.info import main as info
+from ffpose.transforms import Augmentation
 from pages import DOCS, ROOT, TEXTS, code_blocks
 from shell_lines import calls
 
@@ -67,7 +69,7 @@ def test_commands_of_ffpose_parse(block, monkeypatch, capsys):
         if name == "info":
             assert info(words) == 0
         else:
-            build_parser(name).parse_args(with_recipe(words))
+            build_parser(name).parse_args(words_of(name, words))
 
 
 def test_every_page_for_users_has_something_to_run():
@@ -94,6 +96,7 @@ def test_options_in_the_text_exist():
         for name in COMMANDS
         for option in re.findall(r"--[\w.-]+", build_parser(name).format_help())
     }
+    known |= {f"--data.augmentation.{f.name.replace('_', '-')}" for f in fields(Augmentation)}
     onboard = (ROOT / "crates/ffpose-onboard/src/options.rs").read_text()
     known |= set(re.findall(r"\"(--[\w-]+)\"", onboard))
     named = in_pages(lambda text: re.findall(r"`(--[a-z][\w.-]*)[^`]*`", prose(text)))

@@ -5,7 +5,6 @@ what a reader has before the first command. Every command is run or is among `NO
 other programs too, so that a page that gets a new one has to say what becomes of it.
 """
 
-import json
 import os
 import shlex
 from importlib.util import find_spec
@@ -17,30 +16,21 @@ from ffpose.arrays import instruction_set
 from ffpose.bench.filter import run as bench
 from ffpose.bench.filter.cases import Case, Plan
 from ffpose.cli import main
+from option_words import changes_of, options_of
 from pages import TEXTS, blocks_in_order, code_blocks
 from reader_files import FILTERFORMER, OF_PAGES, POSENET, write_files
 from shell_lines import commands
 
-
-def given(value):
-    """Return a value as a word of a command line."""
-    return shlex.quote(json.dumps(value))
-
-
 TRAINING = "--epochs 1 --backbone-weights none"
 VIEWS = (
     "--data.count 8 --data.empty 2 --data.decoys 2 --data.cut 2 --data.randomized 2 "
-    "--data.validation 2 --data.workers 0 --batch_size 4 --epochs 1"
+    "--data.validation 2 --data.workers 0 --batch-size 4 --epochs 1"
 )
-STAGES = [
-    {"name": "joint", "epochs": 1},
-    {"name": "translation", "epochs": 1, "freeze": ["backbone", "orientation_branch"]},
-]
 URSONET = {"backbone": "resnet18", "image_size": [240, 320]}
 SMALL_URSONET = {**POSENET, "bottleneck": 8, "hidden": 16, "bins_per_dim": 4}
 SCENES = {"count": 8, "empty": 2, "decoys": 2, "validation": 2, "workers": 0}
-RENDERED = {"data": SCENES, "batch_size": 4}
-ON_DISK = {"data": {"workers": 0}, "backbone_weights": "none"}
+RENDERED = f"--changes {shlex.join(changes_of({'data': SCENES, 'batch_size': 4}))}"
+ON_DISK = "--changes data.workers=0 backbone-weights=none "
 INPUT = {"image_size": [48, 64]}
 
 SMALL = {
@@ -53,9 +43,8 @@ SMALL = {
     "--epochs 100": TRAINING,
     "--model small": "--model tiny",
     "--model base": f"--model tiny {TRAINING}",
-    "--recipe paper": "--recipe paper --model tiny --backbone-weights none"
-    f" --stages {given(STAGES)}",
-    f"--model_fields {given(URSONET)}": f"--model_fields {given({**SMALL_URSONET, **INPUT})}",
+    "--config paper": "--config paper --config stages.yaml --model tiny --backbone-weights none",
+    shlex.join(options_of(URSONET)): shlex.join(options_of({**SMALL_URSONET, **INPUT})),
     "configs/paper/filterformerpose-n5.yaml": "configs/paper/filterformerpose-n5.yaml --model tiny",
     "configs/soyuz-shared.yaml": f"configs/soyuz-shared.yaml {VIEWS}",
     "configs/soyuz-easy-robust-begin.yaml": f"configs/soyuz-easy-robust-begin.yaml {VIEWS}",
@@ -64,16 +53,16 @@ SMALL = {
     "--count 60": "--count 2 --size 64x48",
     # studies: one run of a variant or two
     "--seeds 3 --minutes 3": "--seeds 1 --minutes 0.0001 --test-images 2"
-    f" --variants tokens posenet --changes {given(RENDERED)}",
+    f" --variants tokens posenet {RENDERED}",
     "--seeds 2 --minutes 10": "--seeds 1 --minutes 0.0001 --test-images 2"
-    f" --variants base --changes {given(RENDERED)}",
+    f" --variants base {RENDERED}",
     "--out runs/table3 --seeds 3": "--out runs/table3 --seeds 1 --epochs 3"
     " --variants soyuz_hard-tokens soyuz_hard-none"
-    f" --changes {given({**ON_DISK, 'model_fields': {**FILTERFORMER, **INPUT}})}",
+    f" {ON_DISK}{shlex.join(changes_of({'model': {**FILTERFORMER, **INPUT}}))}",
     "--out runs/table4": "--out runs/table4 --seeds 1 --epochs 3 --variants soyuz_hard-ursonet"
-    f" --changes {given({**ON_DISK, 'model_fields': SMALL_URSONET})}",
+    f" {ON_DISK}{shlex.join(changes_of({'model': SMALL_URSONET}))}",
     "--out runs/table5": "--out runs/table5 --seeds 1 --epochs 3 --variants KingsCollege-posenet"
-    f" --changes {given({**ON_DISK, 'model_fields': {**POSENET, **INPUT}})}",
+    f" {ON_DISK}{shlex.join(changes_of({'model': {**POSENET, **INPUT}}))}",
     # graphs: torch takes a minute to record those of the shipped networks
     "export soyuz-easy": "export look.safetensors",
     "model soyuz-easy": "model look.safetensors",

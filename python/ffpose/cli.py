@@ -17,9 +17,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from ffpose.errors import DataError, MissingExtraError, explain, hint, require
+from ffpose.errors import DataError, MissingExtraError, explain, require
 from ffpose.files import expect_folder
-from ffpose.recipes import Kind, recipe_file, recipe_names
+from ffpose.options import advice, check_spelling
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
@@ -160,62 +160,33 @@ def render(options: Namespace) -> None:
 
 def train_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `train`."""
-    from ffpose.training.config import TrainConfig
+    from ffpose.training import configs
+    from ffpose.training.options import add_fields
 
-    parser.add_argument("--config", action="config", help="YAML file, such as config.yaml of a run")
-    parser.add_argument(
-        "--recipe", metavar="NAME", help=f"in place of --config: one of {', '.join(recipe_names())}"
-    )
-    parser.add_argument(
-        "--transforms",
-        metavar="NAME",
-        help="data.mode and data.augmentation by name: resize (the whole frame) or paper (resized"
-        " and cropped)",
-    )
+    names = ", ".join(configs.names())
+    text = f"YAML file, such as config.yaml of a run, or the name of one that comes along: {names}"
+    parser.add_argument("--config", action="config", help=text)
     parser.add_argument("--resume", action="store_true", help="resume the run in --out")
-    parser.add_argument(
-        "--backbone-weights",
-        default="auto",
-        help='"auto" (pretrained, from huggingface.co), "none" (random) or a file (default: auto)',
-    )
-    parser.add_argument(
-        "--tensorboard",
-        action="store_true",
-        help="write the table of results as events for TensorBoard too, into OUT/tensorboard",
-    )
-    parser.add_class_arguments(TrainConfig, skip={"backbone_weights", "tensorboard"})
-
-
-def with_recipe(words: list[str]) -> list[str]:
-    """Return the arguments of `train` with ``--config FILE`` for --recipe and --transforms."""
-    found: list[str] = []
-    rest = iter(words)
-    kinds: dict[str, Kind] = {"--recipe": "recipe", "--transforms": "transforms"}
-    for word in rest:
-        option, has_value, value = word.partition("=")
-        if option in kinds and (name := value if has_value else next(rest, "")):
-            found += ["--config", str(recipe_file(name, kinds[option]))]
-        else:
-            found.append(word)
-    return found
+    add_fields(parser)
 
 
 def train(options: Namespace) -> None:
     """Train a model."""
     expect_folder(options.out)
-    from ffpose.figures import save_figure
-    from ffpose.report.plots import training_curves
-    from ffpose.training import TrainConfig
-    from ffpose.training.engine import train as run
+    from ffpose.training.options import to_config
 
     fields = vars(options)
     resume = fields.pop("resume")
-    for name in ("config", "recipe", "transforms"):  # they have become fields
-        fields.pop(name)
+    del fields["config"]  # it has become fields
+    config = to_config(fields)
+    from ffpose.figures import save_figure
+    from ffpose.report.plots import training_curves
+    from ffpose.training.engine import train as run
+
     try:
-        result = run(TrainConfig(**fields), resume=resume)
+        result = run(config, resume=resume)
     except KeyboardInterrupt:
-        say(f"ffpose: finished epochs are saved in {options.out}; continue with --resume")
+        say(f"ffpose: finished epochs are saved in {config.out}; continue with --resume")
         raise
     if result.leads:
         save_figure(training_curves(result.history), result.folder.curves)
@@ -507,8 +478,8 @@ def ablate_arguments(parser: ArgumentParser) -> None:
     text = "sets on disk, in URSO's layout, by name: DIR/soyuz_hard; without it scenes are rendered"
     parser.add_argument("--sets", type=Path, metavar="DIR", help=text)
     parser.add_argument("--test-images", type=int, default=500, help="of the rendered test set")
-    text = """fields of `ffpose train` to change in all runs, as '{"data": {"count": 1000}}'"""
-    parser.add_argument("--changes", type=dict, default={}, help=text)
+    text = "fields of `ffpose train` to change in all runs, as data.count=1000 model.depth=4"
+    parser.add_argument("--changes", nargs="+", metavar="FIELD=VALUE", default=[], help=text)
     parser.add_argument("--steal", action="store_true", help="take over the claims of other hosts")
 
 
@@ -520,6 +491,7 @@ def ablate(options: Namespace) -> None:
     """
     from ffpose.ablation import get_study
     from ffpose.ablation.run import ablate as run
+    from ffpose.training.options import read_changes
 
     expect_folder(options.out)
     outcome = run(
@@ -529,7 +501,7 @@ def ablate(options: Namespace) -> None:
         epochs=options.epochs,
         cpu_minutes=options.minutes,
         variants=options.variants,
-        changes=options.changes,
+        changes=read_changes(options.changes),
         sets=options.sets,
         test_images=options.test_images,
         steal=options.steal,
@@ -632,30 +604,25 @@ def build_parser(name: str) -> ArgumentParser:
         description=command.run.__doc__,
         allow_abbrev=False,
         exit_on_error=False,  # wrong usage is reported in one line
+        print_config="--print-config",
     )
     command.add_arguments(parser)
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return parser
 
 
-def advice(message: str, known: Sequence[str]) -> str:
-    """Return a usage error as one line, with the most similar option.
+def words_of(name: str, words: Sequence[str]) -> list[str]:
+    """Return the words of a command as its parser takes them.
 
-    Examples:
-        >>> advice("unrecognized arguments: --batch-size 4", ["--out", "--batch_size"])
-        'unrecognized arguments: --batch-size 4 (did you mean --batch_size?)'
-        >>> advice("Group 'data' does not accept option 'holdot'", ["--data.holdout"])
-        "Group 'data' does not accept option 'holdot' (did you mean data.holdout?)"
+    Raises:
+        argparse.ArgumentError: An option is spelled in another style.
     """
-    line = " ".join(message.split())
-    if unknown := re.search(r"(?i)unrecognized arguments: (--[^\s=]+)", line):
-        return line + hint(unknown[1], known)
-    fields = [name.removeprefix("--") for name in known]
-    if unknown := re.search(r"Group '(.+)' does not accept option '(.+)'", line):
-        return line + hint(f"{unknown[1]}.{unknown[2]}", fields)
-    if unknown := re.search(r"Option '(.+)' is not accepted", line):
-        return line + hint(unknown[1], fields)
-    return line
+    if name == "train":
+        from ffpose.training.options import read_words
+
+        return read_words(words)
+    check_spelling(words)
+    return list(words)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -678,7 +645,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return info(words[1:])
     try:
         parser = build_parser(name)
-        given = with_recipe(words[1:]) if name == "train" else words[1:]
+        given = words_of(name, words[1:])
         options = parser.instantiate(parser.parse_args(given))
         del options["debug"]
         COMMANDS[name].run(options)

@@ -253,7 +253,7 @@ def test_the_command_prints_the_table(tmp_path, sets, monkeypatch, capsys):
     study = tiny_study()
     monkeypatch.setattr("ffpose.ablation.STUDIES", {"tiny": study})
     words = ["ablate", "tiny", "--out", str(tmp_path / "study"), "--sets", str(sets)]
-    changes = ["--changes", '{"model_fields": {"dropout": 0.0}}']
+    changes = ["--changes", "model.dropout=0.0", "data.workers=0"]
     assert main([*words, *changes, "--seeds", "1", "--epochs", "1", "--variants", "none"]) == 0
     said = capsys.readouterr()
     assert said.out == (tmp_path / "study/ablation.md").read_text()

@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from jsonargparse import ArgumentParser
 
 from ffpose.errors import DataError
 from ffpose.models import PRESETS
 from ffpose.training import DataConfig, LossConfig, OptimizerConfig, Stage, TrainConfig
 from ffpose.training.config import ModelName
 from ffpose.training.config_file import dump_config, flatten, load_config
+from ffpose.training.options import field_parser, to_config
 
 
 def config(**fields):
@@ -49,7 +49,18 @@ def test_the_models_are_those_that_there_are():
     assert get_args(ModelName) == tuple(PRESETS)
 
 
-@pytest.mark.parametrize("text", ["sed: 3", "data: [", "seed: many"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sed: 3",
+        "data: [",
+        "seed: many",
+        "model: base",
+        "model_fields: {depth: 3}",
+        "{model: {name: huge}, data: {kind: urso, root: a}, out: b}",
+        "{model: {depht: 3}, data: {kind: urso, root: a}, out: b}",
+    ],
+)
 def test_a_file_that_is_no_configuration_is_named(tmp_path, text):
     path = tmp_path / "config.yaml"
     path.write_text(text)
@@ -99,11 +110,10 @@ def test_the_configuration_alone_does_not_load_torch():
 
 @pytest.mark.parametrize(("word", "white"), [("4095", 4095.0), ("p99.5", "p99.5")])
 def test_a_white_level_survives_the_command_line_and_yaml(tmp_path, word, white):
-    parser = ArgumentParser()
-    parser.add_class_arguments(TrainConfig)
+    parser = field_parser()
     words = ["--data.kind", "csv", "--data.root", "set", "--out", "run", "--data.white", word]
     given = parser.instantiate(parser.parse_args(words))
     assert given.data.white == white
     path = tmp_path / "config.yaml"
-    path.write_text(dump_config(TrainConfig(**vars(given))))
+    path.write_text(dump_config(to_config(vars(given))))
     assert load_config(path).data.white == white

@@ -3,15 +3,16 @@
 import re
 import subprocess
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import pytest
 import yaml
 
 from ffpose.ablation.paper import TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5
-from ffpose.cli import main, with_recipe
+from ffpose.cli import main
 from ffpose.config import PRESETS
-from ffpose.recipes import recipe_file, recipe_names
+from ffpose.training import configs
 from ffpose.training.config import DataConfig, TrainConfig
 from ffpose.training.config_file import load_config
 from ffpose.training.stages import PAPER_STAGES, check_stages
@@ -44,9 +45,9 @@ def test_make_trains_each_weights_after_those_that_they_begin_with(tmp_path):
 def parsed(words, folder, capsys):
     """Return the configuration that ``ffpose train`` reads from its arguments."""
     with pytest.raises(SystemExit):
-        main(["train", *words, "--print_config"])
+        main(["train", *words, "--print-config"])
     printed = folder / "config.yaml"
-    command_line = ("recipe:", "transforms:", "resume:", "debug:")
+    command_line = ("resume:", "debug:")
     lines = capsys.readouterr().out.splitlines(keepends=True)
     printed.write_text("".join(line for line in lines if not line.startswith(command_line)))
     return load_config(printed)
@@ -66,7 +67,7 @@ def test_each_number_of_the_paper_has_its_configuration(tmp_path, capsys):
     """Each variant of the five tables is made by one file, whose first line has its numbers."""
     configs = {}
     for path in PAPER:
-        words = ["--recipe", "paper", "--config", str(path)]
+        words = ["--config", "paper", "--config", str(path)]
         config = parsed(words, tmp_path, capsys)
         assert config.stages == PAPER_STAGES
         check_stages(PRESETS[config.model].parts, config.stages)
@@ -96,9 +97,9 @@ def plain(study, variant):
     return {"data": data, **changes}
 
 
-def test_the_papers_recipe_is_what_the_paper_says(capsys, tmp_path):
+def test_the_papers_training_is_what_the_paper_says(capsys, tmp_path):
     """Section 4.3, which the defaults of the configuration follow where it gives a figure."""
-    words = ["--recipe", "paper", "--data.root", str(tmp_path), "--out", "runs/paper"]
+    words = ["--config", "paper", "--data.root", str(tmp_path), "--out", "runs/paper"]
     config = parsed(words, tmp_path, capsys)
     crop = {"random_crop": True, "noise": 0.0, "blur": 0.0}
     data = DataConfig("urso", tmp_path, mode="center_crop", augmentation=crop)
@@ -106,25 +107,23 @@ def test_the_papers_recipe_is_what_the_paper_says(capsys, tmp_path):
     assert config == TrainConfig(data, out, stages=PAPER_STAGES)
 
 
-@pytest.mark.parametrize("words", [["--recipe", "papre"], ["--recipe=papre"]])
-def test_an_unknown_recipe_is_refused(words, capsys):
+def test_the_papers_training_is_in_the_package():
+    """So that an installation has it, without the sources."""
+    text = (resources.files("ffpose.training.configs") / "paper.yaml").read_text()
+    assert yaml.safe_load(text)["model"] == {"name": "base"}
+    assert configs.names() == ["paper"]
+
+
+def test_a_file_has_precedence_over_a_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shipped = configs.resolve("paper")
+    assert shipped.is_file()
+    Path("paper").write_text("seed: 3")
+    assert configs.resolve("paper") == Path("paper")
+
+
+@pytest.mark.parametrize("words", [["--config", "papre"], ["--config=papre"]])
+def test_an_unknown_configuration_is_refused(words, capsys):
     assert main(["train", *words]) == 1
-    assert "recipe: expected one of paper, got 'papre'" in capsys.readouterr().err
-
-
-def test_a_recipe_has_a_file():
-    assert recipe_file("paper").is_file()
-
-
-def test_transforms_by_name_are_fields_of_the_configuration():
-    assert recipe_names("transforms") == ["paper", "resize"]
-    paper = recipe_file("paper", "transforms")
-    assert with_recipe(["--transforms", "paper", "--out", "x"]) == [
-        *("--config", str(paper), "--out", "x")
-    ]
-    recipe = yaml.safe_load(recipe_file("paper").read_text())["data"]
-    assert yaml.safe_load(paper.read_text())["data"] == {
-        name: recipe[name] for name in ("mode", "augmentation")
-    }
-    with pytest.raises(ValueError, match="transforms: expected one of paper, resize, got 'paperr'"):
-        recipe_file("paperr", "transforms")
+    expected = "config: expected a YAML file or a name (one of paper), got papre"
+    assert expected in capsys.readouterr().err

@@ -207,7 +207,7 @@ def test_keypoints_and_their_weight_belong_together(own, tmp_path):
 def test_a_set_without_coordinates_says_what_does_without(own, tmp_path):
     data = DataConfig("csv", own, holdout=3)
     config = second_look_config(own, tmp_path / "run", data=data, object_loss=ObjectLossConfig())
-    with pytest.raises(DataError, match=r"train.csv:3: .*--object_loss.keypoints 1 --data.keyp"):
+    with pytest.raises(DataError, match=r"train.csv:3: .*--object-loss.keypoints 1 --data.keyp"):
         build_run(config)
 
 

@@ -58,8 +58,8 @@ def test_eight_images_are_learned_by_heart(tmp_path):
 def test_the_command_trains_on_64_images(tmp_path, capsys):
     root = rendered(tmp_path / "images", 80)
     words = ["train", "--model", "tiny", "--data.kind", "urso", "--data.root", str(root)]
-    words += ["--model_fields", str(FIELDS), "--backbone-weights", "none", "--device", "cpu"]
-    words += ["--normalize_translation", "true", "--optimizer.learning_rate", "2e-3"]
+    words += ["--model.image-size", "96,128", "--backbone-weights", "none", "--device", "cpu"]
+    words += ["--normalize-translation", "true", "--optimizer.learning-rate", "2e-3"]
     assert main([*words, "--epochs", "4", "--out", str(tmp_path / "run")]) == 0
     with (tmp_path / "run/results.csv").open() as file:
         rows = list(csv.DictReader(file))

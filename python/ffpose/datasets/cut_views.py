@@ -77,8 +77,8 @@ def coordinates_file(record: Record) -> Path:
     if path == record.image or not path.is_file():
         raise record.error(
             f"dense supervision expected {path.name}, which ffpose render --labels coordinates "
-            "writes, got none; --object_loss.coordinates 0 --object_loss.mask 0 does without, and "
-            "--object_loss.keypoints 1 --data.keypoints FILE learns the object's keypoints instead"
+            "writes, got none; --object-loss.coordinates 0 --object-loss.mask 0 does without, and "
+            "--object-loss.keypoints 1 --data.keypoints FILE learns the object's keypoints instead"
         )
     return path
 

@@ -217,10 +217,10 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
 
 def _height_first(data: dict[str, Any] | None) -> dict[str, Any] | None:
     """Return ``data`` of format 2, with its ``image_size``, ``[width, height]``, turned."""
-    match data:
-        case {"image_size": [width, height]}:
-            return {**data, "image_size": [height, width]}
-    return data
+    size = (data or {}).get("image_size")
+    if data is None or not isinstance(size, list):
+        return data
+    return data | {"image_size": size[::-1]}
 
 
 def load_weights(path: str | Path, model: nn.Module, *, grow: bool = False) -> None:

@@ -4,26 +4,17 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
-from ffpose.errors import DataError, require
+from ffpose.errors import DataError
 from ffpose.training.config import TrainConfig
-
-if TYPE_CHECKING:
-    from jsonargparse import ArgumentParser
-
-
-def _parser() -> ArgumentParser:
-    jsonargparse = require("jsonargparse", "pose")
-    parser = jsonargparse.ArgumentParser(exit_on_error=False)
-    parser.add_class_arguments(TrainConfig)
-    return cast("ArgumentParser", parser)
+from ffpose.training.options import check_document, field_parser, to_config, to_document
 
 
 def dump_config(config: TrainConfig) -> str:
     """Return ``config`` as YAML, with every field."""
-    parser = _parser()
-    return str(parser.dump(parser.parse_object(asdict(config))))
+    parser = field_parser()
+    return str(parser.dump(parser.parse_object(to_document(config))))
 
 
 def load_config(path: Path) -> TrainConfig:
@@ -35,12 +26,14 @@ def load_config(path: Path) -> TrainConfig:
     """
     from jsonargparse import ArgumentError
 
-    parser = _parser()
+    parser = field_parser()
+    text = path.read_text(encoding="utf-8")
     try:
-        values = parser.instantiate(parser.parse_string(path.read_text()))
+        check_document(text)
+        values = parser.instantiate(parser.parse_string(text))
+        return to_config(vars(values))
     except (ArgumentError, TypeError, ValueError) as error:
         raise DataError(f"not a training configuration: {error}", path) from error
-    return TrainConfig(**vars(values))
 
 
 def flatten(config: TrainConfig) -> dict[str, Any]:

@@ -1,0 +1,96 @@
+"""The style of options on every command line: hyphens, and a switch for what is true or false."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from ffpose.errors import hint
+
+if TYPE_CHECKING:
+    from jsonargparse import ArgumentParser
+
+
+def restyle(parser: ArgumentParser) -> None:
+    """Spell the options of a parser with hyphens, and make those of type bool switches.
+
+    A switch is true if it stands alone, and takes ``true`` or ``false`` too.
+    """
+    known = parser._option_string_actions
+    for action in parser._actions:
+        for option in action.option_strings:
+            del known[option]
+        action.option_strings = [option.replace("_", "-") for option in action.option_strings]
+        known.update(dict.fromkeys(action.option_strings, action))
+        if getattr(action, "_typehint", None) is bool:
+            action.nargs, action.const = "?", True
+
+
+def split(words: Sequence[str]) -> Iterator[tuple[str, str, str]]:
+    """Yield option, separator and value of each option among words.
+
+    The separator is ``"="``, ``" "`` where the value is the next word, or ``""`` without a value.
+    A word that neither is an option nor follows one comes as an option of its own.
+
+    Examples:
+        >>> list(split(["a", "--seed", "3", "--resume", "--out=b"]))
+        [('a', '', ''), ('--seed', ' ', '3'), ('--resume', '', ''), ('--out', '=', 'b')]
+    """
+    place = 0
+    while place < len(words):
+        option, separator, value = words[place].partition("=")
+        place += 1
+        if not option.startswith("--"):
+            option, separator, value = f"{option}{separator}{value}", "", ""
+        elif not separator and place < len(words) and not words[place].startswith("--"):
+            separator, value = " ", words[place]
+            place += 1
+        yield option, separator, value
+
+
+def join(option: str, separator: str, value: str) -> list[str]:
+    """Return the words of an option: the inverse of `split`."""
+    return [option, value] if separator == " " else [f"{option}{separator}{value}"]
+
+
+def check_spelling(words: Sequence[str]) -> None:
+    """Check that no option is spelled with underscores.
+
+    Raises:
+        argparse.ArgumentError: One is; the message has it with hyphens.
+
+    Examples:
+        >>> check_spelling(["--batch_size", "4"])
+        Traceback (most recent call last):
+        argparse.ArgumentError: expected --batch-size, got --batch_size
+    """
+    for option, _, _ in split(words):
+        if option.startswith("--") and "_" in option:
+            raise wrong(f"expected {option.replace('_', '-')}, got {option}")
+
+
+def wrong(message: str) -> argparse.ArgumentError:
+    """Return the error of wrong usage, for which the command line's exit code is 2."""
+    return argparse.ArgumentError(None, message)
+
+
+def advice(message: str, known: Sequence[str]) -> str:
+    """Return a usage error as one line, with the most similar option.
+
+    Examples:
+        >>> advice("unrecognized arguments: --batch-sise 4", ["--out", "--batch-size"])
+        'unrecognized arguments: --batch-sise 4 (did you mean --batch-size?)'
+        >>> advice("Group 'data' does not accept option 'val_splt'", ["--data.val-split"])
+        "Group 'data' does not accept option 'val_splt' (did you mean data.val_split?)"
+    """
+    line = " ".join(message.split())
+    if unknown := re.search(r"(?i)unrecognized arguments: (--[^\s=]+)", line):
+        return line + hint(unknown[1], known)
+    fields = [name.removeprefix("--").replace("-", "_") for name in known]
+    if unknown := re.search(r"Group '(.+)' does not accept option '(.+)'", line):
+        return line + hint(f"{unknown[1]}.{unknown[2]}", fields)
+    if unknown := re.search(r"Option '(.+)' is not accepted", line):
+        return line + hint(unknown[1], fields)
+    return line

@@ -1,0 +1,200 @@
+"""The options of ``ffpose train``: every field of `TrainConfig`, spelled as one option.
+
+``--batch-size 8`` and ``--data.train-split NAME`` are fields; ``--model NAME`` is the preset of the
+network, and ``--model.depth 4`` a field of it; lists are ``1,2``. In a file of YAML, fields have
+their names in Python, and the network is ``model: {name: base, depth: 4}``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, fields
+from typing import TYPE_CHECKING, Any, cast
+
+from ffpose.config import PRESETS
+from ffpose.errors import require
+from ffpose.options import check_spelling, join, restyle, split, wrong
+from ffpose.training import configs
+from ffpose.training.config import DataConfig, TrainConfig
+
+if TYPE_CHECKING:
+    from jsonargparse import ArgumentParser
+
+DEFAULT_MODEL = "base"
+
+OPEN = ("--model.", "--data.augmentation.")
+"""What options begin with whose names are the fields of a mapping."""
+
+GROUPS = ("--data", "--data.augmentation", "--optimizer", "--loss", "--object-loss", "--views")
+"""Options that stand for several fields, and take a file."""
+
+LISTS = tuple(
+    f"--data.{field.name.replace('_', '-')}"
+    for field in fields(DataConfig)
+    if "list" in str(field.type) or "tuple" in str(field.type)
+)
+"""Options whose values may be lists."""
+
+REPLACED = {
+    "--recipe": "--config NAME",
+    "--transforms": "--data.mode MODE and --data.augmentation.FIELD VALUE, as --data.mode "
+    "center_crop --data.augmentation.random-crop",
+    "--model-fields": "--model.FIELD VALUE, as --model.depth 4",
+    "--model.name": "--model NAME",
+}
+"""Options of former versions, and what took their place."""
+
+
+def add_fields(parser: ArgumentParser) -> None:
+    """Declare every field of `TrainConfig`."""
+    names = sorted({field.name for preset in PRESETS.values() for field in fields(preset)})
+    shown = ", ".join(f"--model.{name.replace('_', '-')}" for name in names)
+    parser.add_argument(
+        "--model",
+        type=dict[str, Any],
+        default={"name": DEFAULT_MODEL},
+        metavar="NAME",
+        help=f"preset of the network: {', '.join(PRESETS)}; its fields: {shown}",
+    )
+    parser.add_class_arguments(TrainConfig, skip={"model", "model_fields"})
+    restyle(parser)
+
+
+def field_parser() -> ArgumentParser:
+    """Return a parser of the fields alone."""
+    jsonargparse = require("jsonargparse", "pose")
+    parser = cast("ArgumentParser", jsonargparse.ArgumentParser(exit_on_error=False))
+    add_fields(parser)
+    return parser
+
+
+def read_words(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line as the parser of `add_fields` takes them.
+
+    Raises:
+        argparse.ArgumentError: An option is spelled as in a former version, or a value is a JSON
+            string; the message has the new spelling.
+        FileNotFoundError: A value of ``--config`` is neither a file nor a name.
+    """
+    found = []
+    for option, separator, value in split(words):
+        hyphens = option.replace("_", "-")
+        if hyphens in REPLACED:
+            raise wrong(f"expected {REPLACED[hyphens]}, got {option}")
+        check_spelling([option])
+        if option.startswith(OPEN) and not separator:
+            separator, value = "=", "true"
+        found += join(_dest(option), separator, _value(option, value) if separator else "")
+    return found
+
+
+def _dest(option: str) -> str:
+    """Return how jsonargparse knows an option, whose names of fields in mappings are Python's."""
+    if option == "--model":
+        return "--model.name"
+    for start in OPEN:
+        if option.startswith(start):
+            return start + option.removeprefix(start).replace("-", "_")
+    return option
+
+
+def _value(option: str, value: str) -> str:
+    """Return a value as jsonargparse reads it, with brackets about a list."""
+    if option == "--config":
+        path = configs.resolve(value)
+        check_document(path.read_text(encoding="utf-8"))
+        return str(path)
+    nested, listed = option.startswith(OPEN), option in LISTS
+    if value.startswith(("{", "[")):
+        if option == "--stages":
+            raise wrong(f"expected stages in a file, --config FILE, got {option} {value}")
+        if nested or listed:
+            raise wrong(f"expected a list as {option} 1,2, got {value}")
+        if option in ("--model", *GROUPS):
+            raise wrong(f"expected an option for each field, {option}.FIELD VALUE, got {value}")
+    return f"[{value}]" if (nested or listed) and "," in value else value
+
+
+def check_document(text: str) -> None:
+    """Check that a configuration in YAML has not the fields of former versions.
+
+    Raises:
+        argparse.ArgumentError: It has, and the message has what took their place; or the text is
+            not YAML.
+    """
+    try:
+        document = require("jsonargparse", "pose").get_loader("yaml")(text)
+    except Exception as error:  # that of the YAML package, which jsonargparse chooses
+        raise wrong(f"expected YAML: {error}") from error
+    if isinstance(document, dict):
+        for name, former in (("model", str), ("model_fields", dict)):
+            if isinstance(document.get(name), former):
+                expected = f"model: {{name: {DEFAULT_MODEL}, FIELD: VALUE}}"
+                raise wrong(f"expected {expected}, got {name}: {document[name]}")
+
+
+def read_changes(changes: Iterable[str]) -> dict[str, Any]:
+    """Read changes of some fields, ``data.count=8`` or ``model.depth=4``.
+
+    Args:
+        changes: Each the option of a field without its hyphens in front, an equals sign and a
+            value.
+
+    Returns:
+        The fields of `TrainConfig` that are changed, nested.
+
+    Raises:
+        argparse.ArgumentError: A field is unknown or a value invalid.
+
+    Examples:
+        >>> read_changes(["data.count=3,2", "model=tiny", "model.depth=2", "batch-size=4"])
+        {'data': {'count': [3, 2]}, 'batch_size': 4, 'model': 'tiny', 'model_fields': {'depth': 2}}
+    """
+    words = [f"--{change}" for change in changes]
+    for option, separator, _ in split(words):
+        if separator != "=" or not option[2:3].isalpha():
+            raise wrong(f"changes: expected FIELD=VALUE, as data.count=8, got {option[2:]}")
+    required = {"--data.kind": "urso", "--data.root": ".", "--out": "."}
+    given = {option for option, _, _ in split(words)}
+    missing = [join(o, "=", value)[0] for o, value in required.items() if o not in given]
+    parser = field_parser()
+    values = parser.parse_args(read_words([*words, *missing]), defaults=False)
+    for word in missing:
+        del values[word.partition("=")[0].removeprefix("--")]
+    return {name: value for name, value in _python(values.as_dict()).items() if value != {}}
+
+
+def to_config(values: Mapping[str, Any]) -> TrainConfig:
+    """Return the configuration of the fields that a parser of `add_fields` read.
+
+    Raises:
+        argparse.ArgumentError: There is no network of the name, or it has no field of a name.
+        ValueError: A value is invalid.
+    """
+    named = _python({"model": {}, **values})
+    model = named.setdefault("model", DEFAULT_MODEL)
+    if model not in PRESETS:
+        raise wrong(f"model: expected one of {', '.join(PRESETS)}, got {model!r}")
+    try:
+        PRESETS[model].check_names(named["model_fields"])
+    except ValueError as error:
+        raise wrong(f"model: {error}") from error
+    return TrainConfig(**named)
+
+
+def _python(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with ``model`` as `TrainConfig` has it: a name, and fields to change."""
+    named = dict(values)
+    if "model" in named:
+        network = dict(named.pop("model"))
+        if "name" in network:
+            named["model"] = network.pop("name")
+        named["model_fields"] = network
+    return named
+
+
+def to_document(config: TrainConfig) -> dict[str, Any]:
+    """Return the fields of a configuration as a file has them: the inverse of `to_config`."""
+    values = asdict(config)
+    network = values.pop("model_fields")
+    return {**values, "model": {"name": values["model"], **network}}

@@ -1,0 +1,145 @@
+"""One style of options: what a field is, it is called by, and what it was called is refused."""
+
+import pytest
+
+from ffpose.cli import build_parser, main
+from ffpose.training.options import read_changes, read_words, to_config
+from option_words import changes_of, options_of
+
+REQUIRED = ["--data.kind", "urso", "--data.root", "set", "--out", "run"]
+
+
+def parsed(*words):
+    """Return the configuration of a command line."""
+    parser = build_parser("train")
+    values = vars(parser.instantiate(parser.parse_args(read_words([*REQUIRED, *words]))))
+    return to_config({k: v for k, v in values.items() if k not in ("config", "resume", "debug")})
+
+
+def test_options_have_hyphens():
+    config = parsed("--batch-size", "4", "--data.train-split", "all", "--optimizer.clip-norm=1")
+    assert (config.batch_size, config.data.train_split) == (4, "all")
+    assert config.optimizer.clip_norm == 1
+
+
+def test_a_model_is_a_preset_and_its_fields_are_options():
+    config = parsed("--model", "tiny", "--model.depth", "4", "--model.image-size", "96,128")
+    assert config.model == "tiny"
+    assert config.model_fields == {"depth": 4, "image_size": [96, 128]}
+    assert parsed("--model.depth", "4").model == "base"
+    fields = {"image_size": [48, 64], "filter": "none", "dropout": 0.25}
+    assert parsed(*options_of(fields)).model_fields == fields
+
+
+def test_options_change_the_fields_of_a_file(tmp_path):
+    path = tmp_path / "run.yaml"
+    path.write_text("model: {name: small, depth: 3, dim: 64}\ndata: {augmentation: {roll: 9}}\n")
+    given = ["--model.depth", "2", "--data.augmentation.pan", "5"]
+    config = parsed("--config", str(path), *given)
+    assert (config.model, config.model_fields) == ("small", {"depth": 2, "dim": 64})
+    assert config.data.augmentation == {"roll": 9, "pan": 5}
+    again = parsed("--config", str(path), "--model", "tiny")
+    assert (again.model, again.model_fields) == ("tiny", {"depth": 3, "dim": 64})
+
+
+def test_the_papers_images_are_two_fields_of_data():
+    given = ["--data.mode", "center_crop", "--data.augmentation.random-crop", "--seed", "3"]
+    config = parsed(*given)
+    assert (config.data.mode, config.data.augmentation) == ("center_crop", {"random_crop": True})
+
+
+def test_lists_have_commas():
+    config = parsed("--data.kind", "scenes", "--data.scene", "a+b", "--data.count", "3000,2000")
+    assert config.data.counts == [3000, 2000]
+    assert parsed("--data.attitude-range-deg=1,2,3").data.attitude_range_deg == (1, 2, 3)
+    assert parsed("--data.root", "a,b").data.root.name == "a,b"
+
+
+def test_what_is_true_is_a_switch():
+    assert parsed("--data.cache", "--seed", "1").data.cache
+    assert parsed("--tensorboard").tensorboard
+    assert not parsed("--data.augment", "false").data.augment
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--batch_size", "4"], "expected --batch-size, got --batch_size"),
+        (["--data.train_split=a"], "expected --data.train-split, got --data.train_split"),
+        (["--model.image_size", "8,8"], "expected --model.image-size, got --model.image_size"),
+        (["--recipe", "paper"], "expected --config NAME, got --recipe"),
+        (["--recipe=paper"], "expected --config NAME, got --recipe"),
+        (["--transforms", "paper"], "expected --data.mode MODE and --data.augmentation.FIELD"),
+        (["--model_fields", '{"depth": 4}'], "expected --model.FIELD VALUE, as --model.depth 4"),
+        (["--model.name", "tiny"], "expected --model NAME, got --model.name"),
+        (["--model", '{"name": "tiny"}'], "an option for each field, --model.FIELD VALUE, got"),
+        (["--data.augmentation", "{roll: 9}"], "--data.augmentation.FIELD VALUE, got {roll: 9}"),
+        (["--optimizer", '{"eps": 1}'], "an option for each field, --optimizer.FIELD VALUE, got"),
+        (["--data.count", "[3,2]"], "expected a list as --data.count 1,2, got [3,2]"),
+        (["--model.image-size=[8,8]"], "expected a list as --model.image-size 1,2, got [8,8]"),
+        (["--stages", "[]"], "expected stages in a file, --config FILE, got --stages []"),
+        (["--model", "tyni"], "model: expected one of base, small, tiny, "),
+        (["--model.depht", "4"], "got depht (did you mean depth?)"),
+        (["--batch-sise", "4"], "(did you mean --batch-size?)"),
+    ],
+)
+def test_other_spellings_are_refused_with_the_right_one(words, expected, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main(["train", *REQUIRED, *words])
+    assert leaving.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert expected in line
+
+
+@pytest.mark.parametrize("text", ["model: tiny", "model_fields: {depth: 3}"])
+def test_files_of_former_versions_are_refused_with_what_is_new(text, tmp_path, capsys):
+    (tmp_path / "old.yaml").write_text(text)
+    with pytest.raises(SystemExit):
+        main(["train", *REQUIRED, "--config", str(tmp_path / "old.yaml")])
+    assert "expected model: {name: base, FIELD: VALUE}, got model" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        (["render", "soyuz_easy", "--eclipse_rate", "0"], "--eclipse-rate, got --eclipse_rate"),
+        (["evaluate", "w", "--any_camera"], "expected --any-camera, got --any_camera"),
+    ],
+)
+def test_all_commands_have_hyphens(command, expected, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main(command)
+    assert leaving.value.code == 2
+    assert expected in capsys.readouterr().err
+
+
+def test_changes_of_a_study_are_fields_with_their_values():
+    changes = ["data.count=3,2", "data.augment=false", "model=tiny", "optimizer.learning-rate=1e-3"]
+    assert read_changes([*changes, "model.image-size=8,16"]) == {
+        "data": {"count": [3, 2], "augment": False},
+        "model": "tiny",
+        "model_fields": {"image_size": [8, 16]},
+        "optimizer": {"learning_rate": 1e-3},
+    }
+    assert read_changes([]) == {}
+    fields = {"data": {"workers": 0, "root": "b"}, "batch_size": 4}
+    changed = read_changes(changes_of(fields))
+    assert changed["batch_size"] == 4
+    assert (changed["data"]["workers"], str(changed["data"]["root"])) == (0, "b")
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (['{"data": {"count": 8}}'], "FIELD=VALUE, as data.count=8, got"),
+        (["data.count", "8"], "FIELD=VALUE, as data.count=8, got"),
+        (["batch_size=8"], "expected --batch-size, got --batch_size"),
+        (["batch-size=many"], "batch_size"),
+        (["data.cuont=8"], "cuont"),
+    ],
+)
+def test_changes_in_another_style_are_refused(changes, expected, tmp_path, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main(["ablate", "filters", "--out", str(tmp_path / "a"), "--changes", *changes])
+    assert leaving.value.code == 2
+    assert expected in capsys.readouterr().err
