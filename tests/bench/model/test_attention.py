@@ -23,6 +23,7 @@ from ffpose.bench.model.networks import (
     contender,
     networks,
     random_images,
+    with_attention,
 )
 from ffpose.bench.timing import OURS, Timing
 from ffpose.cli import main
@@ -105,6 +106,13 @@ def test_plain_attention_drops_as_torch_does(monkeypatch):
     expected = plain.attention.eval()(x[:, :1], x, x, need_weights=False)[0]
     torch.testing.assert_close(plain.eval()(x), expected)
     assert rates == [0.25, 0.0]
+
+
+@pytest.mark.parametrize("kind", [BuiltInAttention, PlainAttention])
+def test_attention_that_takes_the_place_of_ours_is_in_its_mode(kind):
+    """In evaluation nothing is dropped: a call gives what the call before it gave."""
+    model = with_attention(networks("speck")[OURS].eval(), kind)
+    assert not any(module.training for module in model.modules())
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

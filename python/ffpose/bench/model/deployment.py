@@ -9,7 +9,7 @@ reliable than milliseconds. A runtime that is not installed is a note.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -108,8 +108,7 @@ def run(
     for name, values in (("batch", batches), ("threads", threads)):
         if values is not None and min(values, default=0) < 1:
             raise ValueError(f"{name}: expected numbers of at least 1, got {list(values)}")
-    with tempfile.TemporaryDirectory(prefix="ffpose-bench-") as folder:
-        results = measure(network, Path(folder), quick, batches, threads, **fields)
+    results = measure(network, lambda one: make_plan(one, quick, batches, threads), **fields)
     if as_json:
         print_document(make_document(results))
     else:
@@ -119,25 +118,23 @@ def run(
 
 
 def measure(
-    network: str,
-    folder: Path,
-    quick: bool,
-    batches: Sequence[int] | None = None,
-    threads: Sequence[int] | None = None,
-    **fields: int,
+    network: str, plan_of: Callable[[Subject], DeploymentPlan], **fields: int
 ) -> DeploymentResults:
-    """Measure a network, with progress on standard error; arguments as `run`.
+    """Measure a network, with progress on standard error; errors as `run`.
 
     Args:
         network: As `run`.
-        folder: For files that are needed meanwhile.
-        quick: As `run`.
-        batches: As `run`.
-        threads: As `run`.
+        plan_of: Gives the plan of the network.
         **fields: As `run`.
     """
-    measured = subject(network, folder, **fields)
-    plan = make_plan(measured, quick, batches, threads)
+    with tempfile.TemporaryDirectory(prefix="ffpose-bench-") as folder:
+        measured = subject(network, Path(folder), **fields)
+        return _measure(network, measured, plan_of(measured), Path(folder))
+
+
+def _measure(
+    network: str, measured: Subject, plan: DeploymentPlan, folder: Path
+) -> DeploymentResults:
     cases = list(product(plan.threads, plan.batches))
     with make_progress() as progress:
         task = progress.add_task("exporting", total=len(cases) + len(plan.threads) + 2)
@@ -205,7 +202,7 @@ def _measure_stages(
 def _measure_starts(
     measured: Subject, graphs: Mapping[GraphKind, Graph], plan: DeploymentPlan, folder: Path
 ) -> dict[str, ColdStart]:
-    if measured.weights is None:
+    if measured.weights is None or plan.starts == 0:
         return {}
     starts = {
         TORCH: Start("torch", measured.weights),

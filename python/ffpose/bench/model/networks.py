@@ -113,7 +113,8 @@ def with_attention(model: Network, kind: type[BuiltInAttention]) -> Network:
     for parent in list(model.modules()):
         for name, child in parent.named_children():
             if isinstance(child, SelfAttention):
-                setattr(parent, name, kind(child.attention, child.queries))
+                replacement = kind(child.attention, child.queries).train(child.training)
+                setattr(parent, name, replacement)
     return model
 
 
