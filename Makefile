@@ -10,7 +10,7 @@ ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml -
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-arm test-onboard docs bench ort onboard weights wheel clean tools
+.PHONY: help demo test all format lint typecheck test-rust test-python test-arm test-onboard docs bench figures ort onboard weights wheel clean tools
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -57,6 +57,9 @@ test-onboard: tools ## the Rust tests of the program without Python
 
 bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
+
+figures: $(VENV)/.dev ## measure the figures of the pages, NAME being this machine's: ten minutes
+	$(BIN)/python -m ffpose.bench.pages --all $(if $(NAME),--machine "$(NAME)") $(if $(NOTE),--note "$(NOTE)")
 
 ort: tools ## build the operator for ONNX Runtime into the package; installing ffpose does so too
 	$(PYTHON) build_library.py

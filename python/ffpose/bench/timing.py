@@ -23,6 +23,9 @@ OURS = "ffpose"
 FEWEST_ROUNDS = 5
 MOST_ROUNDS = 15
 
+WARM_UP = 0.05
+"""Seconds of a contender's calls before it is timed."""
+
 TURN = 4
 """Timed calls in a row; the call before them is not timed, as the threads of the contender before
 may still wait actively for work, and as caches hold that contender's data."""
@@ -53,7 +56,7 @@ class Timing:
 
 
 def interleave(
-    contenders: Mapping[str, Contender], seconds: float, warmup_seconds: float = 0.05
+    contenders: Mapping[str, Contender], seconds: float, warmup_seconds: float = WARM_UP
 ) -> dict[str, Timing]:
     """Time contenders in turn, A B A B ….
 

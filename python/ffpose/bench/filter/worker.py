@@ -19,7 +19,7 @@ import torch
 from ffpose.bench.filter.cases import COPY, HALF, Case
 from ffpose.bench.filter.rivals import contenders, in_our_layout
 from ffpose.bench.machine import environment, measure_peak
-from ffpose.bench.timing import OURS, Contender, Timing, interleave, torch_threads
+from ffpose.bench.timing import OURS, WARM_UP, Contender, Timing, interleave, torch_threads
 
 APART = 1e-3
 """Largest difference of float32 results, relative to the largest value, that counts as equal."""
@@ -49,7 +49,8 @@ def measure(case: Case, seconds: float) -> Measurement:
     with torch_threads(case.threads), torch.set_grad_enabled(case.work != "forward"):
         taking_part = contenders(case)
         difference = _largest_difference(case, taking_part)
-        return Measurement(case, interleave(taking_part, seconds), difference)
+        timings = interleave(taking_part, seconds, warmup_seconds=min(WARM_UP, seconds))
+        return Measurement(case, timings, difference)
 
 
 def _largest_difference(case: Case, taking_part: Mapping[str, Contender]) -> float:
