@@ -117,7 +117,7 @@ def starts(source: Source) -> str:
         [name, f"{start['seconds']:.2g}", f"{start['peak_bytes'] / 1e6:.0f}"]
         for name, start in figures.results["cold_starts"].items()
     ]
-    header = ["`soyuz-easy`: new process to its first pose", "seconds", "peak memory, MB"]
+    header = ["new process to the first pose of `soyuz-easy`", "seconds", "peak memory, MB"]
     return f"{table(header, rows)}\n\n{measured_on(figures, [max(figures.threads)])}"
 
 
@@ -149,7 +149,7 @@ def views(source: Source) -> str:
     shares = {name: each["p50"] / shipped for name, each in found.items()}
     looks, turns = (list(dict.fromkeys(part)) for part in zip(*map(str.split, found), strict=True))
     rows = [[look, *(f"{shares[f'{look} {turn}']:.2f}" for turn in turns)] for look in looks]
-    header = ["looks, and below turns its share of the time", *turns]
+    header = ["looks ↓ turns →", *turns]
     return f"{table(header, rows)}\n\n{measured_on(figures, [1])}"
 
 
