@@ -245,15 +245,15 @@ def test_images_of_another_camera_are_refused_with_both(image_set, tmp_path, pla
     camera = [FX, FY, 32.0, 32.0]
     camera[place] *= 1.0011
     sighted(tmp_path / "w.safetensors", camera)
-    with pytest.raises(ValueError, match="--any-camera") as refused:
+    with pytest.raises(ValueError, match="--reproject") as refused:
         evaluate(tmp_path / "w.safetensors", "urso", image_set)
     assert "a set of Camera(width=64, height=48, fx=32.0, fy=32.02315" in str(refused.value)
     assert f"fx={camera[0]}" in str(refused.value)
 
 
-def test_any_camera_turns_images_into_the_view(image_set, tmp_path):
+def test_images_of_another_camera_are_reprojected_to_the_view(image_set, tmp_path):
     model = sighted(tmp_path / "w.safetensors", (40.0, 30.0, 30.0, 35.0))
-    found = evaluate(tmp_path / "w.safetensors", "urso", image_set, any_camera=True)
+    found = evaluate(tmp_path / "w.safetensors", "urso", image_set, reproject=True)
     view = Camera(64, 64, 40.0, 30.0, 30.0, 35.0)
     preprocessing = read_metadata(tmp_path / "w.safetensors").preprocessing
     for index in range(len(found.dataset)):

@@ -14,7 +14,9 @@ from ffpose.geometry import (
     DistortedCamera,
     Pose,
     PoseUncertainty,
+    poses,
     rotation_matrix,
+    standard_deviations,
 )
 
 ROW = {"x": 2.0, "y": 1.0, "z": 10.0, "q1": 0.0, "q2": 0.0, "q3": 0.0, "q4": 1.0}
@@ -230,3 +232,39 @@ def test_a_bad_camera_is_refused(change):
 def test_a_camera_file_holds_the_camera(tmp_path, camera):
     camera.write(tmp_path / "camera.json")
     assert Camera.read(tmp_path / "camera.json") == camera
+
+
+def test_standard_deviations_against_samples():
+    generator = np.random.default_rng(0)
+    half = generator.standard_normal((2, 3, 3)) * np.array([0.3, 0.01])[:, None, None]
+    translation, rotation = half @ half.transpose(0, 2, 1)
+    t = np.array([1.0, -2.0, 9.0])
+    uncertainty = PoseUncertainty(translation, rotation, 1.0)
+    distance, in_plane, out_of_plane = standard_deviations(t, uncertainty)
+    moved = t + 1e-3 * generator.multivariate_normal(np.zeros(3), translation, 200_000)
+    lengths = np.linalg.norm(moved, axis=1)  # a small step, for which length is linear
+    assert distance == pytest.approx(lengths.std() / 1e-3, rel=0.01)
+    vectors = generator.multivariate_normal(np.zeros(3), rotation, 200_000)
+    turns = np.degrees(Rotation.from_rotvec(vectors).as_rotvec())
+    along = turns @ (t / np.linalg.norm(t))
+    assert in_plane == pytest.approx(np.sqrt((along**2).mean()), rel=0.01)
+    across = (turns**2).sum(axis=1) - along**2
+    assert out_of_plane == pytest.approx(np.sqrt(across.mean()), rel=0.01)
+
+
+def test_a_pose_is_flagged_below_the_networks_threshold():
+    def flagged(in_view, threshold):
+        said = PoseUncertainty(np.eye(3), np.eye(3), in_view, threshold)
+        return Pose([0, 0, 10], [1, 0, 0, 0], said).flagged
+
+    assert flagged(0.25, 0.3) is True
+    assert flagged(0.3, 0.3) is False  # below it, not at it
+    assert flagged(0.25, None) is None
+    assert Pose([0, 0, 10], [1, 0, 0, 0]).flagged is None
+    (pose,) = poses(
+        *([[0, 0, 10]], [[1, 0, 0, 0]], np.eye(3)[None], np.eye(3)[None], [0.1]),
+        in_view_threshold=0.2,
+    )
+    assert pose.flagged is True
+    with pytest.raises(ValueError, match=r"in_view_threshold: expected a probability, got 1\.5"):
+        flagged(0.25, 1.5)

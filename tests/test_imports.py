@@ -13,7 +13,7 @@ LEAVES = {
     "machine",
 }
 ALLOWED = {
-    "__init__": {"arrays", "geometry"},
+    "__init__": {"arrays", "geometry", "inference"},
     "errors": set(),
     "files": set(),
     "images": set(),
@@ -47,17 +47,17 @@ ALLOWED = {
         *("attitude", "baseline", "calibration", "config", "preprocessing"),
     },
     "evaluation": {
-        *("models", "metrics", "datasets", "geometry", "preprocessing", "reprojection", "arrays"),
-        *("attitude", "baseline", "breakdown", "calibration", "significance", "onnx", "prediction"),
+        *("models", "metrics", "datasets", "geometry", "arrays"),
+        *("attitude", "baseline", "breakdown", "calibration", "significance", "inference"),
     },
     "overlay": {"geometry"},
-    "prediction": {"models", "onnx", "predictor", "geometry", "arrays", "overlay"},
-    "predictor": {"models", "geometry", "preprocessing", "reprojection"},
+    "inference": {"models", "onnx", "geometry", "preprocessing", "reprojection"},
+    "prediction": {"inference", "geometry", "arrays", "overlay"},
     "onnx": {"ops", "models", "config", "geometry", "preprocessing", "reprojection", "arrays"},
     "inspection": {"datasets", "geometry", "arrays", "overlay", "preprocessing"},
     "card": {
-        *("geometry", "attitude", "calibration", "significance", "metrics", "prediction"),
-        *("predictor", "models", "baseline", "config", "evaluation", "render", "training"),
+        *("geometry", "attitude", "calibration", "significance", "metrics", "inference"),
+        *("models", "baseline", "config", "evaluation", "render", "training"),
         *("onnx", "preprocessing"),
     },
     "ablation": {
@@ -73,7 +73,7 @@ ALLOWED = {
     "render": {"geometry", "arrays", "views"},
     "bench": {
         *("ops", "arrays", "models", "nn", "config", "onnx", "geometry", "preprocessing"),
-        "predictor",
+        "inference",
     },
     "info": {"arrays"},
 }

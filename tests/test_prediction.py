@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -5,20 +6,15 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera, Pose, PoseUncertainty
 from ffpose.images import read_rgb
-from ffpose.models import FilterformerPose
-from ffpose.prediction import (
-    Prediction,
-    expect_axes,
-    predict,
-    standard_deviations,
-    write_overlay,
-)
-from ffpose.predictor import Predictor
+from ffpose.inference.estimator import PoseEstimator
+from ffpose.inference.in_torch import TorchSession
+from ffpose.inference.load import load
+from ffpose.models import FilterformerPose, FilterformerPoseConfig, PosePrediction, WeightsMetadata
+from ffpose.prediction import Failure, Prediction, expect_axes, predict, write_overlay
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import reproject
 from ffpose.undistortion import undistort
@@ -62,27 +58,64 @@ def picture(tmp_path):
 
 
 def test_a_pose_is_that_of_the_network(weights, picture):
-    predictor = Predictor.from_weights(weights)
-    pose = predictor(read_rgb(picture))
+    estimator = load(weights)
+    pose = estimator(read_rgb(picture))
     model = FilterformerPose.from_pretrained(weights)
     with torch.no_grad():
-        raw = model(predictor.preprocessing(read_rgb(picture))[None])
+        raw = model(estimator.preprocessing(read_rgb(picture))[None])
     np.testing.assert_allclose(pose.t, raw.translation[0], atol=1e-6)
     assert abs(np.dot(pose.q, raw.orientation[0].numpy())) == pytest.approx(1, abs=1e-6)
 
 
-def test_images_are_predicted_one_by_one(weights, picture, tmp_path):
-    found = predict(weights, [picture, tmp_path / "none.png"])
-    assert next(found).image == picture
-    with pytest.raises(FileNotFoundError, match=r"none\.png"):
-        next(found)
+@pytest.mark.parametrize("batch", [1, 2, 7])
+def test_an_image_that_cannot_be_used_is_among_the_answers(weights, picture, tmp_path, batch):
+    """In their order, with the poses of the images beside it as they are without it."""
+    deep = tmp_path / "deep.png"
+    Image.fromarray(np.full((96, 128), 40_000, np.uint16)).save(deep)
+    files = [picture, tmp_path / "none.png", deep, picture]
+    estimator = load(weights)
+    found = list(predict(estimator, files, batch=batch))
+    assert [answer.image for answer in found] == files
+    first, missing, refused, last = found
+    assert isinstance(missing.error, FileNotFoundError)
+    assert isinstance(refused.error, DataError)
+    assert re.search(r"deep\.png: expected pixels of mode .*, got I;16", str(refused))
+    assert missing.to_dict() == {"image": str(files[1]), "error": str(missing.error)}
+    for answer in (first, last):
+        np.testing.assert_allclose(answer.pose.vector, estimator(picture).vector, atol=1e-5)
 
 
-def test_pixels_of_more_than_eight_bits_are_refused(weights, tmp_path):
-    path = tmp_path / "deep.png"
-    Image.fromarray(np.full((96, 128), 40_000, np.uint16)).save(path)
-    with pytest.raises(DataError, match=r"deep\.png: expected pixels of mode .*, got I;16"):
-        next(predict(weights, [path]))
+def test_images_are_read_as_their_poses_are_asked_for(weights, picture):
+    def files():
+        yield picture
+        pytest.fail("read ahead")
+
+    assert next(predict(load(weights), files())).image == picture
+
+
+class Blind(torch.nn.Module):
+    """A network that has no answer for a black image."""
+
+    def forward(self, images):
+        seen = images.amax((1, 2, 3)) > -1.5
+        translation = torch.where(seen[:, None], images.mean((2, 3)), torch.nan)
+        return PosePrediction(translation, torch.tensor([[1.0, 0, 0, 0]]).repeat(len(images), 1))
+
+
+def test_an_answer_that_is_none_is_that_of_its_image_alone(tmp_path):
+    files = [tmp_path / name for name in ("gray.png", "black.png", "white.png")]
+    for path, level in zip(files, (90, 0, 255), strict=True):
+        Image.new("RGB", (8, 8), (level,) * 3).save(path)
+    estimator = PoseEstimator(TorchSession(Blind()), metadata_of(32))
+    gray, black, white = predict(estimator, files, batch=3)
+    assert isinstance(black, Failure)
+    assert re.search(r"black\.png: translation: expected finite numbers", str(black))
+    assert (gray.pose.t < white.pose.t).all()
+
+
+def test_a_batch_holds_an_image():
+    with pytest.raises(ValueError, match="batch: expected at least 1, got 0"):
+        predict(PoseEstimator(TorchSession(Judge()), metadata_of(32)), [], batch=0)
 
 
 def test_the_json_form_holds_meters_quaternion_and_degrees(tmp_path):
@@ -124,7 +157,7 @@ def test_an_overlay_is_drawn_with_the_images_camera(picture, tmp_path):
 
 
 def answer(weights, image, **options):
-    return Predictor.from_weights(weights, **options)(image).vector
+    return load(weights, **options)(image).vector
 
 
 def of_the_network(weights, image):
@@ -149,19 +182,19 @@ def test_an_image_of_the_weights_shape_is_their_cameras(sighted, size):
 
 def test_an_image_of_another_shape_is_refused_with_the_way_out(sighted, tmp_path):
     noise_image(96, 96).save(tmp_path / "square.png")
-    with pytest.raises(DataError) as refused:
-        next(predict(sighted, [tmp_path / "square.png"]))
-    said = str(refused.value)
+    (refused,) = predict(load(sighted), [tmp_path / "square.png"])
+    assert isinstance(refused.error, DataError)
+    said = str(refused)
     assert said.startswith(f"{tmp_path / 'square.png'}: ")
     assert "width=128, height=96, fx=100.0, fy=90.0, cx=60.0, cy=49.5" in said
-    for words in ("96x96", "--camera FILE", "--any-camera"):
+    for words in ("96x96", "--camera FILE", "--resize"):
         assert words in said
 
 
-def test_any_image_is_resized_where_any_camera_is_asked_for(sighted):
+def test_any_image_is_resized_where_that_is_asked_for(sighted):
     image = noise_image(96, 96)
     expected = of_the_network(sighted, image.resize((64, 64), Image.Resampling.BILINEAR))
-    np.testing.assert_allclose(answer(sighted, image, any_camera=True), expected, atol=1e-6)
+    np.testing.assert_allclose(answer(sighted, image, resize=True), expected, atol=1e-6)
 
 
 def test_weights_without_camera_take_any_image(weights):
@@ -185,18 +218,30 @@ def test_a_camera_of_another_shape_than_its_image_is_refused(sighted):
         answer(sighted, noise_image(96, 96), camera=Camera(1280, 960, 640, 640, 640, 480))
 
 
-def test_one_camera_or_any(sighted):
-    with pytest.raises(ValueError, match="expected --camera or --any-camera, got both"):
-        Predictor.from_weights(sighted, camera=VIEW, any_camera=True)
+def test_one_camera_or_a_resize(sighted):
+    with pytest.raises(ValueError, match=r"camera: expected one .*, or resize; got both"):
+        load(sighted, camera=VIEW, resize=True)
 
 
-def test_predictions_know_camera_and_threshold(sighted, weights, picture):
-    found = next(predict(sighted, [picture]))
+def test_to_name_the_camera_of_training_changes_nothing(tmp_path):
+    """Also where an image is cropped, whose reprojection differs by a fraction of a pixel."""
+    crop, path = Preprocessing((64, 64), "center_crop"), tmp_path / "cropped.safetensors"
+    fields = FIELDS | {"camera": (VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)}
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **fields)
+    model.save_pretrained(path, preprocessing=crop, data={"image_size": [128, 96]})
+    image = noise_image(128, 96)
+    named = answer(path, image, camera=load(path).camera)
+    np.testing.assert_array_equal(named, answer(path, image))
+    with pytest.raises(ValueError, match="aspect ratio"):
+        answer(path, noise_image(96, 96), camera=load(path).camera)
+
+
+def test_predictions_know_their_camera(sighted, weights, picture):
+    found = next(predict(load(sighted), [picture]))
     assert found.camera == Camera(128, 96, 100.0, 90.0, 60.0, 49.5)  # the view's, resized
-    assert found.in_view_threshold == 0.5
     given = Camera(128, 96, 70.0, 70.0, 64.0, 48.0)
-    assert next(predict(sighted, [picture], camera=given)).camera == given
-    assert next(predict(weights, [picture])).camera is None
+    assert next(predict(load(sighted, camera=given), [picture])).camera == given
+    assert next(predict(load(weights), [picture])).camera is None
 
 
 class UncertainPose(NamedTuple):
@@ -224,29 +269,37 @@ class Judge(torch.nn.Module):
         )
 
 
-def sure_pose(in_view=0.25, t=(0, 0, 10)):
-    uncertainty = PoseUncertainty(TRANSLATION_COVARIANCE, ROTATION_COVARIANCE, in_view)
-    return Pose(t, [1, 0, 0, 0], uncertainty)
+def metadata_of(size, threshold=None):
+    """What the weights of a network say of itself whose input are square images."""
+    config = FilterformerPoseConfig(image_size=(size, size))
+    return WeightsMetadata(config, Preprocessing((size, size)), in_view_threshold=threshold)
+
+
+def sure_pose(in_view=0.25, threshold=None):
+    uncertainty = PoseUncertainty(TRANSLATION_COVARIANCE, ROTATION_COVARIANCE, in_view, threshold)
+    return Pose([0, 0, 10], [1, 0, 0, 0], uncertainty)
 
 
 def test_a_pose_carries_what_the_network_says_of_itself():
-    uncertainty = Predictor(Judge(), Preprocessing((8, 8)))(noise_image(8, 8)).uncertainty
+    pose = PoseEstimator(TorchSession(Judge()), metadata_of(32, 0.3))(noise_image(8, 8))
+    assert pose.flagged is True  # 0.25 is below 0.3
+    uncertainty = pose.uncertainty
     np.testing.assert_allclose(uncertainty.translation_covariance, TRANSLATION_COVARIANCE, 1e-6)
     np.testing.assert_allclose(uncertainty.rotation_covariance, ROTATION_COVARIANCE, 1e-6)
     assert uncertainty.in_view == 0.25
 
 
 def test_a_network_that_says_nothing_of_itself(weights, picture):
-    found = next(predict(weights, [picture]))
+    found = next(predict(load(weights), [picture]))
     assert found.pose.uncertainty is None
-    assert found.flagged is None
+    assert found.pose.flagged is None
     assert set(found.to_dict()) == {
         *("image", "translation_m", "orientation_wxyz", "roll_pitch_yaw_deg"),
     }
 
 
 def test_the_json_form_holds_the_uncertainty(tmp_path):
-    document = Prediction(tmp_path / "a.png", sure_pose(), in_view_threshold=0.2).to_dict()
+    document = Prediction(tmp_path / "a.png", sure_pose(threshold=0.2)).to_dict()
     assert document["translation_covariance_m2"] == TRANSLATION_COVARIANCE.tolist()
     assert document["rotation_covariance_rad2"] == ROTATION_COVARIANCE.tolist()
     assert document["in_view"] == 0.25
@@ -255,26 +308,8 @@ def test_the_json_form_holds_the_uncertainty(tmp_path):
     assert unknown == {name: value for name, value in document.items() if name != "flagged"}
 
 
-def test_standard_deviations_against_samples():
-    generator = np.random.default_rng(0)
-    half = generator.standard_normal((2, 3, 3)) * np.array([0.3, 0.01])[:, None, None]
-    translation, rotation = half @ half.transpose(0, 2, 1)
-    t = np.array([1.0, -2.0, 9.0])
-    uncertainty = PoseUncertainty(translation, rotation, 1.0)
-    distance, in_plane, out_of_plane = standard_deviations(t, uncertainty)
-    moved = t + 1e-3 * generator.multivariate_normal(np.zeros(3), translation, 200_000)
-    lengths = np.linalg.norm(moved, axis=1)  # a small step, for which length is linear
-    assert distance == pytest.approx(lengths.std() / 1e-3, rel=0.01)
-    vectors = generator.multivariate_normal(np.zeros(3), rotation, 200_000)
-    turns = np.degrees(Rotation.from_rotvec(vectors).as_rotvec())
-    along = turns @ (t / np.linalg.norm(t))
-    assert in_plane == pytest.approx(np.sqrt((along**2).mean()), rel=0.01)
-    across = (turns**2).sum(axis=1) - along**2
-    assert out_of_plane == pytest.approx(np.sqrt(across.mean()), rel=0.01)
-
-
 def test_in_words_with_uncertainty():
-    words = str(Prediction("a.png", sure_pose(), in_view_threshold=0.2))
+    words = str(Prediction("a.png", sure_pose(threshold=0.2)))
     assert words == (
         "a.png: t = (0.00, 0.00, 10.00) m ± 0.50 m along the ray, "
         "roll 0.0°, pitch 0.0°, yaw 0.0° ± 2.0° in plane, ± 2.2° out of plane"
@@ -282,8 +317,8 @@ def test_in_words_with_uncertainty():
 
 
 def test_what_is_not_in_view_is_said_and_not_drawn(picture, tmp_path):
-    prediction = Prediction(picture, sure_pose(in_view=0.0312), URSO_CAMERA, 0.2)
-    assert prediction.flagged is True
+    prediction = Prediction(picture, sure_pose(0.0312, threshold=0.2), URSO_CAMERA)
+    assert prediction.pose.flagged is True
     assert str(prediction) == f"{picture}: no spacecraft in view (p = 0.031)"
     drawn = Image.open(write_overlay(prediction, tmp_path / "drawn"))
     np.testing.assert_array_equal(np.asarray(drawn), np.asarray(read_rgb(picture)))
@@ -300,7 +335,7 @@ def locator(tmp_path):
 
 def test_a_located_camera_is_said_to_be_one(locator, picture):
     """Center and rotation are the network's; the pose takes the center to the camera's origin."""
-    (found,) = predict(locator, [picture])
+    (found,) = predict(load(locator), [picture])
     with torch.no_grad():
         raw = FilterformerPose.from_pretrained(locator)(PLAIN(read_rgb(picture))[None])
     center = raw.translation[0].double().numpy()
@@ -329,13 +364,15 @@ def trained_undistorted(tmp_path):
 
 
 def test_images_are_undistorted_as_in_training(trained_undistorted, picture):
-    with pytest.raises(ValueError, match="--camera FILE, whose distortion is taken out"):
-        list(predict(trained_undistorted, [picture]))
-    (bent,) = predict(trained_undistorted, [picture], camera=LENS)
+    with pytest.raises(
+        ValueError, match=r"camera: expected one \(--camera FILE\), whose distortion is taken out"
+    ):
+        load(trained_undistorted)
+    (bent,) = predict(load(trained_undistorted, camera=LENS), [picture])
     flat = undistort(read_rgb(picture), LENS)
-    expected = Predictor.from_weights(trained_undistorted, camera=LENS.pinhole)(flat)
+    expected = load(trained_undistorted, camera=LENS.pinhole)(flat)
     np.testing.assert_array_equal(bent.pose.vector, expected.vector)
-    (as_it_is,) = predict(trained_undistorted, [picture], any_camera=True)
+    (as_it_is,) = predict(load(trained_undistorted, resize=True), [picture])
     assert as_it_is.pose != bent.pose
 
 
@@ -348,7 +385,7 @@ def test_levels_are_scaled_as_in_training(tmp_path):
     deep, plain = tmp_path / "deep.png", tmp_path / "plain.png"
     Image.fromarray(np.full((64, 64), 1000, np.uint16)).save(deep)
     Image.fromarray(np.full((64, 64), 62, np.uint8)).save(plain)
-    one, other = predict(weights, [deep, plain])
+    one, other = predict(load(weights), [deep, plain])
     assert one.pose == other.pose
     shown = replace(one, camera=URSO_CAMERA)
     drawn = np.asarray(Image.open(write_overlay(shown, tmp_path / "drawn")))
@@ -356,21 +393,21 @@ def test_levels_are_scaled_as_in_training(tmp_path):
 
 
 def test_an_object_is_described_as_ever(weights, picture):
-    (found,) = predict(weights, [picture])
+    (found,) = predict(load(weights), [picture])
     assert list(found.to_dict()) == [
         *("image", "translation_m", "orientation_wxyz", "roll_pitch_yaw_deg"),
     ]
 
 
 def test_axes_are_drawn_on_objects_alone(locator, weights):
-    expect_axes(weights, URSO_CAMERA)
+    expect_axes(load(weights, camera=URSO_CAMERA))
     with pytest.raises(ValueError, match="overlay: expected weights that locate an object"):
-        expect_axes(locator, URSO_CAMERA)
+        expect_axes(load(locator, camera=URSO_CAMERA))
 
 
 def test_axes_are_drawn_where_the_camera_is_known(weights, picture, tmp_path):
     with pytest.raises(ValueError, match="overlay: expected --camera FILE, as these weights"):
-        expect_axes(weights, None)
+        expect_axes(load(weights))
     with pytest.raises(ValueError, match="expected one with a camera, got camera None"):
         write_overlay(Prediction(picture, AHEAD), tmp_path)
 
@@ -390,5 +427,5 @@ def test_what_was_cropped_in_training_is_cropped_in_prediction(tmp_path, picture
     middle = resized.crop((17, 4, 81, 68))
     with torch.no_grad():
         raw = model.eval()(PLAIN(middle)[None])
-    (found,) = predict(path, [picture])
+    (found,) = predict(load(path), [picture])
     np.testing.assert_allclose(found.pose.t, raw.translation[0], atol=1e-6)

@@ -1,6 +1,7 @@
 """Fast spectral filters, and satellite pose from one image.
 
-This top-level module needs only NumPy; importing it does not import torch. Differentiable operators
+This top-level module needs only NumPy; importing it does not import torch. `load` opens a network,
+which then gives the pose of the spacecraft in an image. Differentiable operators
 are in `ffpose.ops`, layers in `ffpose.nn`, the network in `ffpose.models`, and the conventions of
 frames, quaternions and pixels in `ffpose.geometry`.
 """
@@ -15,12 +16,14 @@ from ffpose.arrays import (
 )
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
+from ffpose.inference.load import load
 
 __all__ = [
     "Camera",
     "DataError",
     "Pose",
     "__version__",
+    "load",
     "normalize_quaternion",
     "quaternion_to_euler",
     "rotation_error",

@@ -209,11 +209,11 @@ def data_arguments(parser: ArgumentParser) -> None:
 
 
 def weights_argument(parser: ArgumentParser) -> None:
-    """Declare the arguments that choose a command's weights, and allow images of any camera."""
-    text = "weights file, a name such as soyuz-easy, or an exported .onnx graph"
+    """Declare the arguments that choose a command's network, and where it is computed."""
+    text = "weights file, exported .onnx graph, folder with one, or a name such as soyuz-easy"
     parser.add_argument("weights", type=Path, help=text)
     parser.add_argument(
-        "--any-camera", action="store_true", help="accept images of a camera unlike the weights'"
+        "--device", default="auto", help="of weights; auto: a GPU if there is one, else the CPU"
     )
 
 
@@ -229,16 +229,15 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument(
-        "--device", default="auto", help="auto: a GPU if there is one, else the CPU"
+        "--reproject",
+        action="store_true",
+        help="reproject images of a camera other than the weights' to the network's view",
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def evaluate(options: Namespace) -> None:
-    """Measure a model against labels and against the mean pose.
-
-    With --any-camera, images of another camera are reprojected to the network's view.
-    """
+    """Measure a model against labels and against the mean pose."""
     from ffpose.datasets import Decoding
     from ffpose.evaluation import evaluate as run
     from ffpose.report.plots import write_evaluation_figures
@@ -251,7 +250,7 @@ def evaluate(options: Namespace) -> None:
         data.kind,
         data.root,
         data.split,
-        any_camera=options.any_camera,
+        reproject=options.reproject,
         decoding=Decoding(data.undistort, data.white) if data.undistort or data.white else None,
         device=options.device,
         empty=options.empty,
@@ -267,61 +266,62 @@ def evaluate(options: Namespace) -> None:
 def predict_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `predict`."""
     weights_argument(parser)
-    parser.add_argument("images", type=Path, nargs="+", help="image files")
-    parser.add_argument("--json", action="store_true", help="print the poses as JSON")
+    text = "image files, folders of PNG and JPEG files, and patterns such as 'set/*/*.png'"
+    parser.add_argument("images", nargs="+", help=text)
+    parser.add_argument("--json", action="store_true", help="print a line of JSON for each image")
+    parser.add_argument("--batch", type=int, default=1, help="images computed together")
     parser.add_argument("--overlay", type=Path, help="folder for images with the axes drawn")
     parser.add_argument(
         "--camera",
         type=Path,
-        help="camera of the images, as a set's camera.json; without it the weights'",
+        help="of the images, as a set's camera.json, to reproject them to the network's view",
+    )
+    parser.add_argument(
+        "--resize", action="store_true", help="resize images of any camera to the network's input"
     )
 
 
 def predict(options: Namespace) -> None:
-    """Print the pose seen in each image.
+    """Print the pose seen in each image, as soon as it is known.
 
     An image that cannot be used is told, the others are still predicted, and the exit code is 1.
-    Images of another camera than the weights' are reprojected to the network's view if --camera
-    names it, and resized to the network's input with --any-camera.
+    Images are those of the weights' camera, or --camera or --resize says what becomes of them.
     """
     from ffpose.geometry import Camera
-    from ffpose.prediction import describe as describe_weights
-    from ffpose.prediction import (
-        expect_axes,
-        expect_distinct_overlays,
-        open_predictions,
-        write_overlay,
-    )
+    from ffpose.images import find_images
+    from ffpose.inference.load import load
+    from ffpose.prediction import Failure, expect_axes, expect_distinct_overlays, write_overlay
+    from ffpose.prediction import predict as run
 
-    camera = None if options.camera is None else Camera.read(options.camera)
+    images = find_images(options.images)
     if options.overlay is not None:
         expect_folder(options.overlay)
-        expect_distinct_overlays(options.images, options.overlay)
-        expect_axes(options.weights, camera)
-    elif options.camera is not None and describe_weights(options.weights).camera is None:
-        raise ValueError("--camera: expected with --overlay, for these weights know no camera")
-    documents: list[dict[str, Any]] = []
-    failed = 0
-    predicted = open_predictions(options.weights, camera=camera, any_camera=options.any_camera)
-    for path in options.images:
-        try:
-            prediction = predicted(path)
-        except (OSError, DataError) as error:
-            if len(options.images) == 1:
-                raise
-            failed += 1
-            documents.append({"image": str(path), "error": explain(error)})
-            say(f"ffpose: {explain(error)}")
+        expect_distinct_overlays(images, options.overlay)
+    camera = None if options.camera is None else Camera.read(options.camera)
+    estimator = load(
+        options.weights, camera=camera, resize=options.resize, device=options.device, warm_up=0
+    )
+    if options.overlay is not None:
+        expect_axes(estimator)
+    elif camera is not None and estimator.metadata.camera is None:
+        raise ValueError("camera: expected with --overlay, for these weights know no camera")
+    failures = []
+    for answer in run(estimator, images, batch=options.batch):
+        if options.json:
+            print(json.dumps(answer.to_dict()), flush=True)
+        if isinstance(answer, Failure):
+            failures.append(answer)
+            if len(images) > 1:
+                say(f"ffpose: {answer}")
             continue
-        documents.append(prediction.to_dict())
         if not options.json:
-            print(prediction)
+            print(answer, flush=True)
         if options.overlay is not None:
-            say(str(write_overlay(prediction, options.overlay)))
-    if options.json:
-        show({"predictions": documents})
-    if failed:
-        raise DataError(f"{failed} of {len(documents)} images have no pose")
+            say(str(write_overlay(answer, options.overlay)))
+    if failures and len(images) == 1:
+        raise failures[0].error
+    if failures:
+        raise DataError(f"{len(failures)} of {len(images)} images have no pose")
 
 
 def view_arguments(parser: ArgumentParser) -> None:

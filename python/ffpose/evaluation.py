@@ -11,9 +11,7 @@ every image, and oracles that know one part of the truth.
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -45,30 +43,15 @@ from ffpose.datasets import (
     read_conditions,
 )
 from ffpose.datasets.targets import spread
-from ffpose.geometry import Camera, Pose
+from ffpose.geometry import Pose
 from ffpose.images import image_files, read_rgb
+from ffpose.inference.load import load
+from ffpose.inference.network import choose_preprocessing
 from ffpose.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
-from ffpose.models import (
-    PosePrediction,
-    WeightsMetadata,
-    find_device,
-    load_network,
-    read_metadata,
-)
-from ffpose.onnx.metadata import ModelMetadata
-from ffpose.onnx.runtime import PoseEstimator
-from ffpose.prediction import is_graph
-from ffpose.preprocessing import Preprocessing
-from ffpose.reprojection import Reprojection
+from ffpose.models import PosePrediction, WeightsMetadata
 from ffpose.significance import circular_correlation, correlation, median_interval
 
 FloatArray = NDArray[np.float64]
-
-Network = Callable[[torch.Tensor], dict[str, FloatArray]]
-"""From a batch of inputs to the outputs by name, as `ffpose.onnx.runtime.PoseEstimator.run`."""
-
-CAMERA_TOLERANCE = 1e-3
-"""Relative difference up to which intrinsics count as those of the same camera."""
 
 UNCERTAINTY = ("translation_covariance", "rotation_covariance", "in_view")
 """Uncertainty outputs that a network may have besides its poses."""
@@ -248,7 +231,7 @@ def evaluate(
     split: Part = "test",
     *,
     batch_size: int = 32,
-    any_camera: bool = False,
+    reproject: bool = False,
     decoding: Decoding | None = None,
     device: str = "auto",
     empty: Path | None = None,
@@ -256,13 +239,13 @@ def evaluate(
     """Evaluate weights on the images of a split.
 
     Args:
-        weights: Weights file, name of shipped weights, or exported ``.onnx`` graph (float32 or
-            int8); its header defines the preprocessing.
+        weights: Weights file, exported ``.onnx`` graph (float32 or int8), a folder that holds one,
+            or a name of shipped weights; its header defines the preprocessing.
         kind: Kind of the dataset.
         root: Folder of the dataset. Its training split gives the baseline, if the weights do not.
         split: The split to evaluate; ``"all"`` for every split.
         batch_size: Images per batch.
-        any_camera: Reproject images of a camera other than the weights' into the network's view
+        reproject: Reproject images of a camera other than the weights' into the network's view
             (`ffpose.reprojection`).
         decoding: Conversion from image files to images; None for that of the training.
         device: "auto" (a GPU if there is one) or a device that torch knows; graphs run on the CPU.
@@ -280,18 +263,22 @@ def evaluate(
         ffpose.DataError: An image or a label cannot be used.
     """
     empty_images = [] if empty is None else image_files(empty, "empty")
-    metadata, network = _open_network(weights, device)
+    estimator = load(weights, resize=True, device=device, warm_up=0)
+    metadata = estimator.metadata
     decoding = decoding or Decoding(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
-    dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, any_camera)
+    dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     if baseline is None:
         baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
     loader = DataLoader(dataset, batch_size=batch_size)
     began = time.perf_counter()
-    batches = [network(batch.image) for batch in loader]
+    batches = [estimator.run(batch.image.numpy()) for batch in loader]
     seconds = (time.perf_counter() - began) / len(dataset)
-    outputs = {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
+    outputs = {
+        name: np.concatenate([batch[name] for batch in batches]).astype(np.float64)
+        for name in batches[0]
+    }
     predicted = np.concatenate([outputs[name] for name in PosePrediction._fields], axis=1)
     conditions = read_conditions(root, dataset.names)
     told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
@@ -302,78 +289,11 @@ def evaluate(
             raise ValueError(
                 "empty: expected weights that predict whether the object is in view, got others"
             )
-        inputs = (dataset.preprocessing(read_rgb(i, decoding.white))[None] for i in empty_images)
-        told["in_view_empty"] = np.concatenate([network(each)["in_view"] for each in inputs])
+        pictures = (read_rgb(image, decoding.white) for image in empty_images)
+        inputs = (dataset.preprocessing.array(picture)[None] for picture in pictures)
+        empty_in_view = [estimator.run(each)["in_view"] for each in inputs]
+        told["in_view_empty"] = np.concatenate(empty_in_view).astype(np.float64)
     return Evaluation(dataset, predicted, baseline, seconds, conditions, **told)
-
-
-def _open_network(
-    weights: str | Path, device: str
-) -> tuple[WeightsMetadata | ModelMetadata, Network]:
-    """Open weights or an exported graph: what it says of itself, and its outputs in float64."""
-    if is_graph(weights):
-        if device not in ("auto", "cpu"):
-            raise ValueError(f"device: expected auto or cpu for an exported graph, got {device!r}")
-        estimator = PoseEstimator(weights, any_camera=True)
-
-        def run(images: torch.Tensor) -> dict[str, FloatArray]:
-            return {
-                k: value.astype(np.float64) for k, value in estimator.run(images.numpy()).items()
-            }
-
-        return estimator.metadata, run
-    where = find_device(device)
-    model = load_network(weights).to(where)
-
-    def forward(images: torch.Tensor) -> dict[str, FloatArray]:
-        with torch.inference_mode():
-            outputs = model(images.to(where))._asdict()
-        return {name: value.double().cpu().numpy() for name, value in outputs.items()}
-
-    return read_metadata(weights), forward
-
-
-def choose_preprocessing(
-    metadata: WeightsMetadata | ModelMetadata, camera: Camera | None, any_camera: bool
-) -> Preprocessing:
-    """Return the preprocessing from images of a camera to the network's input.
-
-    Args:
-        metadata: Header of the weights.
-        camera: Camera of the images, with their size; None for images of several.
-        any_camera: Reproject images of a camera other than the weights' into the network's view.
-
-    Raises:
-        ValueError: The camera differs from the weights', and ``any_camera`` is false, or it has
-            distortion; or the images are of several, and the weights of one.
-    """
-    plain, view = metadata.preprocessing, metadata.config.view_camera
-    if view is None:
-        return plain
-    if camera is None:
-        raise ValueError("expected images of the weights' camera, got a set of several cameras")
-    if _agree(plain.camera(camera), view):
-        return plain
-    if any_camera:
-        return Reprojection.of(plain, camera, view)
-    expected = plain.image_camera(view, camera.width, camera.height)
-    raise ValueError(
-        f"expected images of the weights' camera, {expected}, got a set of {camera}; "
-        "--any-camera turns them into the network's view"
-    )
-
-
-def _agree(camera: Camera, other: Camera) -> bool:
-    """Return whether size and intrinsics of two cameras agree.
-
-    Distortion is none of them: images are undistorted, or not, as in training.
-    """
-    pairs = zip(_pinhole(camera), _pinhole(other), strict=True)
-    return all(math.isclose(one, two, rel_tol=CAMERA_TOLERANCE) for one, two in pairs)
-
-
-def _pinhole(camera: Camera) -> tuple[float, ...]:
-    return (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
 
 
 def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:

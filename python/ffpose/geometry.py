@@ -21,6 +21,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Literal
 
@@ -246,11 +247,18 @@ class PoseUncertainty:
         rotation_covariance: ``(3, 3)`` square radians, covariance of the rotation vector ``r``,
             camera frame, with ``R_true = exp([r]x) @ R_predicted``; float64.
         in_view: Probability that the object is in the image at all.
+        in_view_threshold: Probability below which the object counts as not in view; None where the
+            network has none.
+
+    Raises:
+        TypeError: A covariance does not hold real numbers.
+        ValueError: A shape is wrong, a value not finite, or a probability outside 0…1.
     """
 
     translation_covariance: FloatArray
     rotation_covariance: FloatArray
     in_view: float
+    in_view_threshold: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("translation_covariance", "rotation_covariance"):
@@ -261,6 +269,9 @@ class PoseUncertainty:
             object.__setattr__(self, name, matrix)
         if not 0 <= self.in_view <= 1:
             raise ValueError(f"in_view: expected a probability, got {self.in_view}")
+        if self.in_view_threshold is not None and not 0 <= self.in_view_threshold <= 1:
+            got = self.in_view_threshold
+            raise ValueError(f"in_view_threshold: expected a probability, got {got}")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, PoseUncertainty):
@@ -270,9 +281,9 @@ class PoseUncertainty:
     def __hash__(self) -> int:
         return hash(self._values())
 
-    def _values(self) -> tuple[float, ...]:
+    def _values(self) -> tuple[float | None, ...]:
         covariances = (self.translation_covariance, self.rotation_covariance)
-        return (*np.ravel(covariances).tolist(), self.in_view)
+        return (*np.ravel(covariances).tolist(), self.in_view, self.in_view_threshold)
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -354,6 +365,14 @@ class Pose:
         return dict(zip(urso.COLUMNS, row, strict=True))
 
     @property
+    def flagged(self) -> bool | None:
+        """Whether the object counts as not in view; None where the network does not say."""
+        said = self.uncertainty
+        if said is None or said.in_view_threshold is None:
+            return None
+        return said.in_view < said.in_view_threshold
+
+    @property
     def vector(self) -> FloatArray:
         """Flat vector ``(7,)``, ``[tx, ty, tz, qw, qx, qy, qz]``."""
         return np.concatenate([self.t, self.q])
@@ -391,6 +410,20 @@ def camera_pose(center: ArrayLike, q: ArrayLike) -> Pose:
     return Pose(-rotation_matrix(still.q) @ still.t, still.q)
 
 
+def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[float, float, float]:
+    """Return the standard deviations of the distance and of the rotation's two parts.
+
+    Along the viewing ray ``u`` to ``t``: ``sqrt(uᵀ C u)`` of the translation, meters, and of the
+    rotation vector, which is the rotation in plane, degrees; and out of plane, the root mean square
+    length of the rotation vector across the ray, ``sqrt(trace C - uᵀ C u)``, degrees.
+    """
+    ray = t / np.linalg.norm(t)
+    distance = np.sqrt(ray @ uncertainty.translation_covariance @ ray)
+    along = ray @ uncertainty.rotation_covariance @ ray
+    across = np.trace(uncertainty.rotation_covariance) - along
+    return float(distance), *np.degrees(np.sqrt([along, across])).tolist()
+
+
 def poses(
     translation: ArrayLike,
     orientation: ArrayLike,
@@ -399,6 +432,7 @@ def poses(
     in_view: ArrayLike | None = None,
     *,
     locates: Target = "object",
+    in_view_threshold: float | None = None,
 ) -> list[Pose]:
     """Return the poses of a batch, as a network gives it.
 
@@ -411,6 +445,7 @@ def poses(
         in_view: ``(B,)``, as `PoseUncertainty`.
         locates: What the network locates. Where it is the camera, the poses are those of the world
             in the camera frame (`camera_pose`).
+        in_view_threshold: Of the network, as `PoseUncertainty`.
 
     Raises:
         TypeError: As `Pose`.
@@ -425,5 +460,6 @@ def poses(
         np.asarray(translation_covariance),
         np.asarray(rotation_covariance),
         np.asarray(in_view, np.float64).tolist(),
+        repeat(in_view_threshold),
     )
     return [Pose(t, q, u) for (t, q), u in zip(rows, uncertainties, strict=True)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +28,10 @@ DEEP_MODES = ("I;16", "I;16B", "I;16L", "I")
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 """Suffixes of the image files of a folder."""
+
+
+PATTERN = re.compile(r"[*?[]")
+"""What makes a path a pattern of paths."""
 
 
 MAX_PIXELS = 2**28 // 3
@@ -75,6 +79,40 @@ def image_files(folder: Path, name: str) -> list[Path]:
     if not images:
         raise FileNotFoundError(f"{name}: expected PNG or JPEG files in {folder}, got none")
     return images
+
+
+def find_images(names: Iterable[str | Path]) -> list[Path]:
+    """Return the files that a user names, in order.
+
+    Args:
+        names: Files, which need not exist; folders, whose PNG and JPEG files are taken; and
+            patterns, whose files are taken, such as ``"runs/*/images/**/*.png"`` (``**`` for
+            folders of any depth). Files of folders and patterns are sorted by name.
+
+    Raises:
+        FileNotFoundError: A folder has no such file, or no file matches a pattern.
+    """
+    found: list[Path] = []
+    for name in names:
+        path = Path(name)
+        if path.is_dir():
+            found += image_files(path, "images")
+        elif path.exists() or not PATTERN.search(str(name)):
+            found.append(path)
+        else:
+            found += _matches(path)
+    return found
+
+
+def _matches(pattern: Path) -> list[Path]:
+    """Return the sorted files that match a pattern."""
+    parts = pattern.parts
+    first = next(place for place, part in enumerate(parts) if PATTERN.search(part))
+    folder, rest = Path(*parts[:first]), Path(*parts[first:])
+    matches = sorted(path for path in folder.glob(str(rest)) if path.is_file())
+    if not matches:
+        raise FileNotFoundError(f"images: expected files that match {pattern}, got none")
+    return matches
 
 
 def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:

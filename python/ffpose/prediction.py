@@ -1,31 +1,23 @@
-"""Pose prediction for image files, as data and as text; imports torch only for weights."""
+"""Poses of image files, as data and as text, and drawn on the images."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
-from PIL import Image
+from numpy.typing import NDArray
 
 from ffpose.arrays import quaternion_to_euler
-from ffpose.errors import DataError
+from ffpose.errors import DataError, explain
 from ffpose.files import atomic_write
-from ffpose.geometry import (
-    Camera,
-    FloatArray,
-    Pose,
-    PoseUncertainty,
-    Target,
-)
+from ffpose.geometry import Camera, FloatArray, Pose, Target, standard_deviations
 from ffpose.images import read_rgb
+from ffpose.inference.estimator import PoseEstimator
 from ffpose.overlay import draw_axes
-
-if TYPE_CHECKING:
-    from ffpose.models import WeightsMetadata
-    from ffpose.onnx.metadata import ModelMetadata
 
 
 @dataclass(frozen=True)
@@ -37,8 +29,6 @@ class Prediction:
         pose: The predicted pose of the object or, from a network that locates the camera, of the
             world in the camera frame.
         camera: The camera of the image, possibly for another image size; None where unknown.
-        in_view_threshold: Probability below which the object counts as not in view; None where
-            the weights have no threshold.
         locates: What the network locates.
         white: Level of an image of more than 8 bits that becomes 255.
     """
@@ -46,7 +36,6 @@ class Prediction:
     image: Path
     pose: Pose
     camera: Camera | None = None
-    in_view_threshold: float | None = None
     locates: Target = "object"
     white: float | str | None = None
 
@@ -54,13 +43,6 @@ class Prediction:
     def center(self) -> FloatArray:
         """The camera's center in the frame of the object or world ``(3,)``, meters."""
         return np.asarray(-self.pose.rotation.T @ self.pose.t)
-
-    @property
-    def flagged(self) -> bool | None:
-        """Whether the object counts as not in view; None where the network does not predict it."""
-        if self.pose.uncertainty is None or self.in_view_threshold is None:
-            return None
-        return self.pose.uncertainty.in_view < self.in_view_threshold
 
     def to_dict(self) -> dict[str, Any]:
         """Return the prediction as a JSON document: meters, ``(w, x, y, z)``, degrees.
@@ -82,13 +64,13 @@ class Prediction:
             document["translation_covariance_m2"] = uncertainty.translation_covariance.tolist()
             document["rotation_covariance_rad2"] = uncertainty.rotation_covariance.tolist()
             document["in_view"] = uncertainty.in_view
-        if self.flagged is not None:
-            document["flagged"] = self.flagged
+        if self.pose.flagged is not None:
+            document["flagged"] = self.pose.flagged
         return document
 
     def __str__(self) -> str:
         uncertainty = self.pose.uncertainty
-        if uncertainty is not None and self.flagged:
+        if uncertainty is not None and self.pose.flagged:
             return f"{self.image}: no spacecraft in view (p = {uncertainty.in_view:.2g})"
         roll, pitch, yaw = quaternion_to_euler(self.pose.q)
         if self.locates == "camera":
@@ -109,118 +91,84 @@ class Prediction:
         )
 
 
-def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[float, float, float]:
-    """Return the standard deviations of the distance and of the rotation's two parts.
+@dataclass(frozen=True)
+class Failure:
+    """An image file that has no pose.
 
-    Along the viewing ray ``u`` to ``t``: ``sqrt(uᵀ C u)`` of the translation, meters, and of the
-    rotation vector, which is the rotation in plane, degrees; and out of plane, the root mean square
-    length of the rotation vector across the ray, ``sqrt(trace C - uᵀ C u)``, degrees.
+    Attributes:
+        image: Path of the image file.
+        error: Why.
     """
-    ray = t / np.linalg.norm(t)
-    distance = np.sqrt(ray @ uncertainty.translation_covariance @ ray)
-    along = ray @ uncertainty.rotation_covariance @ ray
-    across = np.trace(uncertainty.rotation_covariance) - along
-    return float(distance), *np.degrees(np.sqrt([along, across])).tolist()
 
+    image: Path
+    error: Exception
 
-class Network(Protocol):
-    """A network over images: by torch (`ffpose.predictor`) or without (`ffpose.onnx`)."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the failure as a JSON document."""
+        return {"image": str(self.image), "error": explain(self.error)}
 
-    def __call__(self, image: Image.Image) -> Pose:
-        """Return the pose of the spacecraft in an RGB image.
-
-        From a network that locates the camera, the pose of the world in the camera frame.
-        """
-
-
-def open_network(
-    weights: str | Path, *, camera: Camera | None = None, any_camera: bool = False
-) -> Network:
-    """Open weights or, by the suffix ``.onnx``, an exported graph; torch is only for the former.
-
-    Args:
-        weights: Of `ffpose.predictor.Predictor.from_weights`, or `ffpose.onnx.runtime`'s model.
-        camera: As there, and so is the next.
-        any_camera: Take images of any camera, resized.
-
-    Raises:
-        FileNotFoundError: There is no such file or name.
-        ValueError: It cannot be used, or both a camera and any are asked for.
-    """
-    if is_graph(weights):
-        from ffpose.onnx.runtime import PoseEstimator
-
-        return PoseEstimator(weights, camera=camera, any_camera=any_camera)
-    from ffpose.predictor import Predictor
-
-    return Predictor.from_weights(weights, camera=camera, any_camera=any_camera)
-
-
-def describe(weights: str | Path) -> WeightsMetadata | ModelMetadata:
-    """Read the header of weights or of an exported graph; raises as `open_network`."""
-    if is_graph(weights):
-        from ffpose.onnx.metadata import read_model_metadata
-
-        return read_model_metadata(weights)
-    from ffpose.models import read_metadata
-
-    return read_metadata(weights)
-
-
-def is_graph(weights: str | Path) -> bool:
-    """Whether a path is that of an exported graph."""
-    return Path(weights).suffix.lower() == ".onnx"
+    def __str__(self) -> str:
+        return explain(self.error)
 
 
 def predict(
-    weights: str | Path,
-    images: Sequence[Path],
-    *,
-    camera: Camera | None = None,
-    any_camera: bool = False,
-) -> Iterator[Prediction]:
-    """Predict the pose in each image file, lazily, up to the first that cannot be used.
+    estimator: PoseEstimator, images: Iterable[Path], *, batch: int = 1
+) -> Iterator[Prediction | Failure]:
+    """Predict the pose in each image file, in order, as soon as it is known.
+
+    A file that cannot be used, as it is missing, damaged or of another camera, is a `Failure`, and
+    those after it are still predicted.
 
     Args:
-        weights: Weights file, name of shipped weights, or exported ``.onnx`` graph.
+        estimator: The network.
         images: Image files.
-        camera: Camera of the images, if other than the weights'.
-        any_camera: Resize images of any camera to the network's input.
+        batch: Number of images that are computed together.
 
     Raises:
-        FileNotFoundError: A file does not exist.
-        ValueError: The weights cannot be used.
-        ffpose.DataError: An image cannot be read, or its aspect ratio differs from its camera's.
+        ValueError: ``batch`` is below one.
     """
-    yield from map(open_predictions(weights, camera=camera, any_camera=any_camera), images)
+    if batch < 1:
+        raise ValueError(f"batch: expected at least 1, got {batch}")
+    return _predictions(estimator, iter(images), batch)
 
 
-def open_predictions(
-    weights: str | Path, *, camera: Camera | None = None, any_camera: bool = False
-) -> Callable[[Path], Prediction]:
-    """Open weights and return the function from an image file to its prediction.
+def _predictions(
+    estimator: PoseEstimator, images: Iterator[Path], batch: int
+) -> Iterator[Prediction | Failure]:
+    metadata = estimator.metadata
+    while paths := list(islice(images, batch)):
+        for path, answer in zip(paths, _answers(estimator, paths), strict=True):
+            if isinstance(answer, Exception):
+                yield Failure(path, answer)
+            else:
+                yield Prediction(path, answer, estimator.camera, metadata.locates, metadata.white)
 
-    Arguments and errors are those of `predict`.
-    """
-    description = describe(weights)
-    network = open_network(weights, camera=camera, any_camera=any_camera)
 
-    def predicted(path: Path) -> Prediction:
-        image = read_rgb(path, description.white)
+def _answers(estimator: PoseEstimator, paths: Sequence[Path]) -> list[Pose | Exception]:
+    """Return for each file its pose, or why it has none."""
+    inputs: dict[int, NDArray[np.float32]] = {}
+    answers: dict[int, Pose | Exception] = {}
+    for place, path in enumerate(paths):
         try:
-            pose = network(image)
+            inputs[place] = estimator.preprocess(path)
+        except (OSError, DataError) as error:
+            answers[place] = error
         except ValueError as error:
-            raise DataError(str(error), path) from error
-        return Prediction(
-            path,
-            pose,
-            camera or description.camera,
-            description.in_view_threshold,
-            description.locates,
-            description.white,
-        )
+            answers[place] = DataError(str(error), path)
+    if inputs:
+        try:
+            found: Sequence[Pose | Exception] = estimator.estimate(np.stack([*inputs.values()]))
+        except ValueError:  # a number that is not finite, of one image or more
+            found = [_alone(estimator, inputs[place], paths[place]) for place in inputs]
+        answers.update(zip(inputs, found, strict=True))
+    return [answers[place] for place in range(len(paths))]
 
-    return predicted
+
+def _alone(estimator: PoseEstimator, inputs: NDArray[np.float32], path: Path) -> Pose | Exception:
+    try:
+        return estimator.estimate(inputs[None])[0]
+    except ValueError as error:
+        return DataError(str(error), path)
 
 
 def overlay_path(image: Path, folder: Path) -> Path:
@@ -228,19 +176,17 @@ def overlay_path(image: Path, folder: Path) -> Path:
     return folder / f"{image.stem}_pose.png"
 
 
-def expect_axes(weights: str | Path, camera: Camera | None) -> None:
+def expect_axes(estimator: PoseEstimator) -> None:
     """Check in advance that there is an object to draw axes on, and a camera to project them.
 
     Raises:
-        ValueError: The network locates the camera, or neither its weights nor ``camera`` say what
-            the images' camera is.
+        ValueError: The network locates the camera, or the images' camera is not known.
     """
-    metadata = describe(weights)
-    if metadata.locates == "camera":
+    if estimator.metadata.locates == "camera":
         raise ValueError(
             "overlay: expected weights that locate an object, got some that locate the camera"
         )
-    if metadata.camera is None and camera is None:
+    if estimator.camera is None:
         raise ValueError("overlay: expected --camera FILE, as these weights know no camera")
 
 
@@ -279,7 +225,7 @@ def write_overlay(prediction: Prediction, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = overlay_path(prediction.image, folder)
     drawn = read_rgb(prediction.image, prediction.white)
-    if not prediction.flagged:
+    if not prediction.pose.flagged:
         drawn = draw_axes(drawn, prediction.pose, prediction.camera)
     with atomic_write(path) as temporary:
         drawn.save(temporary)

@@ -21,6 +21,9 @@ from ffpose.undistortion import undistort
 SUPPORT: dict[Interpolation, int] = {"bilinear": 1, "bicubic": 2}
 """Reach of each of Pillow's filters, in pixels of the coarser of image and view."""
 
+TOLERANCE = 1e-3
+"""Relative difference up to which intrinsics count as those of the same camera."""
+
 SNAP = 1e-6
 """Rounding tolerance: an edge this close to a pixel border, in pixels, is taken to be on it."""
 
@@ -181,7 +184,7 @@ def for_images(
     expected: Camera | None,
     *,
     camera: Camera | None = None,
-    any_camera: bool = False,
+    resize: bool = False,
     undistorted: bool = False,
 ) -> tuple[Preprocessing, Camera | None]:
     """Return what brings the images to come to a network's input.
@@ -191,27 +194,42 @@ def for_images(
         view: The camera of the network's input; None where it is not known.
         expected: The camera of the images trained on; None where it is not known.
         camera: The camera of the images to come; None: they are of the expected one.
-        any_camera: They are resized, as if the expected camera had taken them.
+        resize: They are resized, as if the expected camera had taken them.
         undistorted: The images trained on were undistorted.
 
     Returns:
-        The preprocessing, which turns images of ``camera`` by geometry, and the camera whose aspect
-        ratio an image must have (`expect_aspect`), None for any.
+        The preprocessing, which turns images of another ``camera`` by geometry, and the camera
+        whose aspect ratio an image must have (`expect_aspect`), None for any.
 
     Raises:
-        ValueError: Both a camera and any are asked for, or neither where the images to come must be
-            undistorted as those trained on were.
+        ValueError: Both a camera and a resize are asked for, or neither where the images to come
+            must be undistorted as those trained on were.
     """
-    if camera is not None and any_camera:
-        raise ValueError("expected --camera or --any-camera, got both")
-    if undistorted and camera is None and not any_camera:
+    if camera is not None and resize:
+        raise ValueError("camera: expected one to reproject from, or resize; got both")
+    if undistorted and camera is None and not resize:
         raise ValueError(
-            "expected --camera FILE, whose distortion is taken out of images as in training, or "
-            "--any-camera for images without distortion, got neither"
+            "camera: expected one (--camera FILE), whose distortion is taken out of images as in"
+            " training, or resize (--resize) for images without distortion, got neither"
         )
-    if camera is not None and view is not None:
-        preprocessing = Reprojection.of(preprocessing, camera, view)
-    return preprocessing, None if any_camera or camera is not None else expected
+    if camera is None or view is None:
+        return preprocessing, None if resize or camera is not None else expected
+    if isinstance(camera, DistortedCamera) or not agree(preprocessing.camera(camera), view):
+        return Reprojection.of(preprocessing, camera, view), None
+    return preprocessing, camera
+
+
+def agree(camera: Camera, other: Camera) -> bool:
+    """Return whether size and intrinsics of two cameras agree within `TOLERANCE`.
+
+    Distortion is none of them: images are undistorted, or not, as in training.
+    """
+    pairs = zip(_pinhole(camera), _pinhole(other), strict=True)
+    return all(math.isclose(one, two, rel_tol=TOLERANCE) for one, two in pairs)
+
+
+def _pinhole(camera: Camera) -> tuple[float, ...]:
+    return (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
 
 
 def expect_aspect(camera: Camera | None, width: int, height: int) -> None:
@@ -222,7 +240,7 @@ def expect_aspect(camera: Camera | None, width: int, height: int) -> None:
     """
     if camera is not None and not camera.has_aspect(width, height):
         raise ValueError(
-            f"expected the aspect ratio of the weights' camera, {camera}, got an image of "
-            f"{width}x{height} pixels, which another camera took: name it "
-            "(--camera FILE), or resize any image to the network's input (--any-camera)"
+            f"expected the aspect ratio of its camera, {camera}, got an image of "
+            f"{width}x{height} pixels, which another camera took: name that one "
+            "(--camera FILE), or resize any image to the network's input (--resize)"
         )

@@ -11,8 +11,8 @@ from ffpose.cli import main
 from ffpose.config import CONFIGS
 from ffpose.errors import DataError
 from ffpose.images import image_files
+from ffpose.inference.load import load
 from ffpose.onnx.metadata import ModelMetadata, read_model_metadata, sealed
-from ffpose.onnx.runtime import PoseEstimator
 from ffpose.preprocessing import Preprocessing
 
 onnx = pytest.importorskip("onnx")
@@ -107,7 +107,7 @@ def test_the_backbone_is_int8_and_the_head_float(graph, images, tmp_path):
 def test_the_loss_is_that_of_the_poses(graph, images, tmp_path):
     out = tmp_path / "int8.onnx"
     quantized = pose_int8.quantize_graph(graph, out, images)
-    single, eight = PoseEstimator(graph), PoseEstimator(out)
+    single, eight = load(graph), load(out)
     for place, image in enumerate(images):
         a, b = single(image), eight(image)
         apart = np.linalg.norm(a.t - b.t)

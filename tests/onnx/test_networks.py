@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from ffpose.inference.load import load
 from ffpose.models import build_network
-from ffpose.predictor import Predictor
 from networks import MODEL_FIELDS
 
 pytest.importorskip("onnxscript")
@@ -16,7 +16,6 @@ pytest.importorskip("onnxruntime")
 @pytest.mark.parametrize("name", ["ursonet", "posenet"])
 def test_the_graph_gives_the_poses_of_the_network(name, tmp_path, random_image):
     from ffpose.onnx.pose_graph import export_weights
-    from ffpose.onnx.runtime import PoseEstimator
 
     torch.manual_seed(0)
     model = build_network(name, backbone_weights="none", **MODEL_FIELDS[name]).eval()
@@ -24,9 +23,9 @@ def test_the_graph_gives_the_poses_of_the_network(name, tmp_path, random_image):
     model.save_pretrained(weights)
     exported = export_weights(weights, graph, "matmul")
     assert exported.filter == "none"
-    estimator = PoseEstimator(graph)
+    estimator = load(graph)
     assert estimator.metadata.config == model.config
-    got, expected = estimator(random_image), Predictor.from_weights(weights)(random_image)
+    got, expected = estimator(random_image), load(weights)(random_image)
     np.testing.assert_allclose(got.t, expected.t, atol=1e-4)
     assert abs(np.dot(got.q, expected.q)) > 1 - 1e-5
 

@@ -22,9 +22,9 @@ from PIL import Image
 
 from ffpose.config import CONFIGS
 from ffpose.geometry import Camera
+from ffpose.inference.load import load
 from ffpose.onnx.library import get_library_path
 from ffpose.onnx.metadata import ModelMetadata, sealed
-from ffpose.onnx.runtime import PoseEstimator
 from ffpose.prediction import Prediction
 from ffpose.preprocessing import Preprocessing
 from networks import MODEL_FIELDS
@@ -159,9 +159,8 @@ def folder(tmp_path):
 
 
 def expected(estimator, image):
-    threshold = estimator.metadata.in_view_threshold
     locates = estimator.metadata.locates
-    return Prediction(image, estimator(image), CAMERA, threshold, locates).to_dict()
+    return Prediction(image, estimator(image), CAMERA, locates).to_dict()
 
 
 def assert_same(got, wanted, tolerance):
@@ -189,7 +188,7 @@ def test_the_input_is_that_of_python_to_the_bit(run, folder, tmp_path, mode, int
     code, documents, errors = run(graph, "--images", images, "--any-camera")
     assert (code, errors) == (0, [])
     assert [d["image"] for d in documents] == sorted(str(images / name) for name in files)
-    estimator = PoseEstimator(graph, any_camera=True, threads=1)
+    estimator = load(graph, resize=True, threads=1)
     for document in documents:
         assert_same(document, expected(estimator, Path(document["image"])), 0)
 
@@ -207,7 +206,7 @@ def test_a_jpeg_is_decoded_as_by_python_but_for_rounding(run, folder, model):
     )
     code, documents, _ = run(model, "--images", images)
     assert code == 0
-    estimator = PoseEstimator(model, threads=1)
+    estimator = load(model, threads=1)
     for document in documents:
         path = Path(document["image"])
         assert_same(document, expected(estimator, path), 0.01 if "gray" in path.name else 0.1)
@@ -233,7 +232,7 @@ def test_a_network_with_filters_gives_its_pose(run, folder, tmp_path):
     assert "expected --operators" in errors[0]
     code, documents, errors = run(graph, "--images", images, "--operators", get_library_path())
     assert (code, errors) == (0, [])
-    estimator = PoseEstimator(graph, threads=1)
+    estimator = load(graph, threads=1)
     for document in documents:
         assert "in_view" not in document
         assert_same(document, expected(estimator, Path(document["image"])), 1e-5)
@@ -256,7 +255,7 @@ def test_every_network_gives_its_pose(run, folder, tmp_path, name, locates):
     code, (document,), errors = run(graph, "--images", folder({"a.png": png(picture())}))
     assert (code, errors) == (0, [])
     assert ("camera_center_m" in document) == (locates == "camera")
-    assert_same(document, expected(PoseEstimator(graph), Path(document["image"])), 1e-5)
+    assert_same(document, expected(load(graph), Path(document["image"])), 1e-5)
 
 
 def test_images_of_another_camera_are_refused_unless_asked_for(run, folder, model):
@@ -269,9 +268,7 @@ def test_images_of_another_camera_are_refused_unless_asked_for(run, folder, mode
     assert errors == ["ffpose-onboard: 1 of 2 images have no pose"]
     code, (_, wide), _ = run(model, "--images", images, "--any-camera")
     assert code == 0
-    assert_same(
-        wide, expected(PoseEstimator(model, any_camera=True, threads=1), images / "wide.png"), 0
-    )
+    assert_same(wide, expected(load(model, resize=True, threads=1), images / "wide.png"), 0)
 
 
 def test_bad_images_are_told_and_the_loop_goes_on(run, folder, model):
@@ -369,7 +366,7 @@ def kilobytes(process, name):
 
 def test_each_answer_comes_before_the_next_question(flying, folder, model):
     image = folder({"a.png": png(picture())}) / "a.png"
-    wanted = expected(PoseEstimator(model, threads=1), image)
+    wanted = expected(load(model, threads=1), image)
     for _ in range(3):
         assert_same(ask(flying, image), wanted, 0)
     assert "error" in ask(flying, "nowhere.png")

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from ffpose.evaluation import evaluate
+from ffpose.inference.load import load
 from ffpose.models import read_metadata
-from ffpose.predictor import Predictor
 from ffpose.training import OptimizerConfig, Stage
 from ffpose.training.engine import train
 from ffpose.training.run import build_run
@@ -76,6 +76,5 @@ def test_trained_in_stages_resumed_tested_and_used(name, root, tmp_path):
     assert read_metadata(whole.out / last).config.camera is not None
     evaluation = evaluate(whole.out / last, "urso", root)
     assert evaluation.predicted.shape == (4, 7)
-    predictor = Predictor.from_weights(whole.out / last)
-    pose = predictor(evaluation.dataset.load_image(0))
+    pose = load(whole.out / last)(evaluation.dataset.load_image(0))
     np.testing.assert_allclose(pose.t, evaluation.predicted[0, :3], rtol=1e-3, atol=1e-3)

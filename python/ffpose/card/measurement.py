@@ -1,7 +1,7 @@
 """Measurements for a model card: weights under the conditions of their training and others.
 
 Each condition is a set of held-out rendered scenes (`ffpose.render.variations`), whose images pass
-through `ffpose.predictor.Predictor` like any other. Where errors grow, the predicted uncertainty
+through `ffpose.load` like any other. Where errors grow, the predicted uncertainty
 should grow, and images that do not show the object should be flagged; so coverage and flag rates
 are reported with the errors. Rendering needs the extra `render`.
 """
@@ -28,16 +28,13 @@ from ffpose.card.statistics import Answers, refuse, summarize
 from ffpose.card.tables import format_card
 from ffpose.config import looks_twice
 from ffpose.errors import require
-from ffpose.evaluation import choose_preprocessing
 from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Pose
-from ffpose.models import WeightsMetadata, load_network
-from ffpose.models.zoo import resolve
+from ffpose.inference.estimator import PoseEstimator
+from ffpose.inference.load import load
+from ffpose.inference.source import find_source
+from ffpose.models import WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
-from ffpose.onnx.runtime import PoseEstimator
-from ffpose.prediction import describe, is_graph
-from ffpose.predictor import Predictor
-from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import TEST_SEEDS
 
 if TYPE_CHECKING:
@@ -155,14 +152,14 @@ def measure(
         require("mitsuba", "mitsuba")
     scene = require("ffpose.render", "render").get_scene(scene) if isinstance(scene, str) else scene
     camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
-    metadata = describe(weights)
+    estimator = load(weights, camera=camera, warm_up=0)
+    metadata = estimator.metadata
     plan = _plan(scene, metadata, count, size, seed, workers, second_renderer)
-    predictor = _open_network(weights, choose_preprocessing(metadata, camera, any_camera=True))
     began = time.perf_counter()
-    answers = answer(predictor, _with_bar(plan, show=progress))
+    answers = answer(estimator, _with_bar(plan, show=progress))
     return {
         "weights": str(weights),
-        "sha256": sha256(resolve(weights)),
+        "sha256": sha256(find_source(weights).path),
         "ffpose": __version__,
         "scene": scene.name,
         "distance_m": list(scene.distance_m),
@@ -174,14 +171,6 @@ def measure(
         **_results(plan, answers, metadata.in_view_threshold),
         "notes": [] if second_renderer else [ONE_RENDERER],
     }
-
-
-def _open_network(weights: str | Path, preprocessing: Preprocessing) -> Predictor | PoseEstimator:
-    if not is_graph(weights):
-        return Predictor(load_network(weights), preprocessing)
-    estimator = PoseEstimator(weights, any_camera=True)
-    estimator.preprocessing = preprocessing
-    return estimator
 
 
 def _check_numbers(count: int, seed: int, workers: int) -> None:
@@ -224,12 +213,12 @@ def _with_bar(plan: Plan, *, show: bool) -> Iterable[Shown]:
     return bar
 
 
-def answer(predictor: Predictor | PoseEstimator, shown: Iterable[Shown]) -> dict[str, Answers]:
+def answer(estimator: PoseEstimator, shown: Iterable[Shown]) -> dict[str, Answers]:
     """Return the predictions for the images, by condition, in batches of `BATCH`."""
     answers: dict[str, Answers] = defaultdict(lambda: Answers([], []))
     pictures = iter(shown)
     while batch := list(islice(pictures, BATCH)):
-        for picture, pose in zip(batch, predictor.batch([p.image for p in batch]), strict=True):
+        for picture, pose in zip(batch, estimator([p.image for p in batch]), strict=True):
             answers[picture.condition].found.append(pose)
             if picture.pose is not None:
                 answers[picture.condition].truth.append(picture.pose)

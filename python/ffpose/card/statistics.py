@@ -18,9 +18,8 @@ from ffpose.calibration import (
     region_probability,
     squared_mahalanobis,
 )
-from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.geometry import Pose, PoseUncertainty, standard_deviations
 from ffpose.metrics import SUMMARIZED, PoseErrors, pose_error
-from ffpose.prediction import standard_deviations
 from ffpose.significance import median_interval
 
 FloatArray = NDArray[np.float64]

@@ -1,7 +1,8 @@
 """Deployment: export of networks as ONNX graphs, and inference without torch.
 
 * `export` writes any module with spectral filters as an ONNX graph; needs the extra ``[export]``.
-* `ffpose.onnx.runtime.PoseEstimator` runs the graphs of ``ffpose export``; torch is never imported.
+* `ffpose.onnx.backends` opens them in ONNX Runtime or OpenVINO; torch is never imported.
+  `ffpose.load` gives poses from images by the graphs of ``ffpose export``.
 * `get_library_path` gives the library with the operator ``ffpose::SpectralFilter``, which the
   graphs of ``filter="custom"`` call.
 

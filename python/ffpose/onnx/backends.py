@@ -14,14 +14,14 @@ from ffpose.errors import require
 from ffpose.onnx.library import get_library_path
 from ffpose.onnx.metadata import Filter
 
-Backend = Literal["onnxruntime", "openvino"]
+Runtime = Literal["onnxruntime", "openvino"]
 Precision = Literal["float32", "bfloat16"]
 
 DEFAULT_PROVIDERS = ("CPUExecutionProvider",)
 
 
 class Session(Protocol):
-    """A graph that is ready to run."""
+    """A network that is ready to run."""
 
     def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Return the graph's outputs by name, for its inputs in order."""
@@ -31,7 +31,7 @@ def open_session(
     model: Path,
     filter: Filter,
     *,
-    backend: Backend = "onnxruntime",
+    backend: Runtime = "onnxruntime",
     threads: int | None = None,
     providers: Sequence[str] | None = None,
     precision: Precision = "float32",
@@ -55,7 +55,7 @@ def open_session(
         RuntimeError: The backend cannot load graph or library.
     """
     for name, value, known in (
-        ("backend", backend, get_args(Backend)),
+        ("backend", backend, get_args(Runtime)),
         ("precision", precision, get_args(Precision)),
     ):
         if value not in known:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 from ffpose.arrays import rotation_error, translation_error
 from ffpose.errors import require
 from ffpose.files import atomic_write, sha256
+from ffpose.geometry import Pose, poses
+from ffpose.images import read_rgb
+from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import quantize
-from ffpose.onnx.metadata import read_model_metadata, sealed
-from ffpose.onnx.runtime import PoseEstimator
+from ffpose.onnx.metadata import ModelMetadata, read_model_metadata, sealed
+from ffpose.reprojection import expect_aspect, for_images
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,6 @@ def quantize_graph(
         raise ValueError(f"graph: expected float32, got {metadata.precision}: {graph}")
     if not images:
         raise ValueError("images: expected at least 1, got none")
-    estimator = PoseEstimator(graph)
     digests = "".join(sha256(image) for image in images)
     described = replace(
         metadata,
@@ -87,19 +89,44 @@ def quantize_graph(
     with tempfile.TemporaryDirectory(prefix="ffpose-int8-") as folder:
         say(f"calibrating with {len(images)} images")
         out = Path(folder) / "int8.onnx"
-        inputs = (estimator.preprocess(image)[None] for image in images)
-        nodes = quantize(Path(graph), out, metadata.filter, inputs)
+        nodes = quantize(Path(graph), out, metadata.filter, _inputs(metadata, images))
         model = onnx.load(str(out))
     onnx.helper.set_model_props(model, described.to_entries())
     data = sealed(model.SerializeToString())
     with atomic_write(path) as temporary:
         temporary.write_bytes(data)
         say("comparing with float32")
-        in_int8 = PoseEstimator(temporary)
-        pairs = [(estimator(image), in_int8(image)) for image in images]
+        pairs = list(
+            zip(
+                _poses(Path(graph), metadata, images),
+                _poses(temporary, metadata, images),
+                strict=True,
+            )
+        )
     t, t_hat, q, q_hat = (
         np.array(values) for values in zip(*((a.t, b.t, a.q, b.q) for a, b in pairs), strict=True)
     )
     return Quantized(
         Path(path), len(data), len(nodes), translation_error(t_hat, t), rotation_error(q_hat, q)
     )
+
+
+def _inputs(metadata: ModelMetadata, images: Sequence[Path]) -> Iterator[NDArray[np.float32]]:
+    """Yield the network's input ``(1, 3, h, w)`` for each image of the weights' camera."""
+    preprocessing, camera = for_images(
+        metadata.preprocessing,
+        metadata.config.view_camera,
+        metadata.camera,
+        undistorted=metadata.undistorted,
+    )
+    for path in images:
+        image = read_rgb(path, metadata.white)
+        expect_aspect(camera, *image.size)
+        yield preprocessing.array(image)[None]
+
+
+def _poses(graph: Path, metadata: ModelMetadata, images: Sequence[Path]) -> Iterator[Pose]:
+    """Yield the pose that a graph gives for each image."""
+    session = open_session(graph, metadata.filter)
+    for inputs in _inputs(metadata, images):
+        yield from poses(**session.run(inputs), locates=metadata.locates, in_view_threshold=None)

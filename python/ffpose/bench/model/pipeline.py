@@ -16,16 +16,14 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from ffpose.bench.model.start import Runtime
 from ffpose.bench.timing import Latency, percentiles, take_turns
 from ffpose.geometry import poses
 from ffpose.images import read_rgb
-from ffpose.onnx.runtime import PoseEstimator
-from ffpose.predictor import Predictor
+from ffpose.inference.load import load
+from ffpose.inference.source import Backend
 
 STAGES = ("decode", "preprocessing", "network", "post")
 TOTAL = "total"
@@ -47,20 +45,14 @@ class Pipeline:
     @classmethod
     def of_graph(cls, graph: Path, threads: int) -> Pipeline:
         """Return that of a graph in ONNX Runtime."""
-        estimator = PoseEstimator(graph, threads=threads)
+        estimator = load(graph, threads=threads)
         return cls(estimator.preprocess, estimator.run)
 
     @classmethod
     def of_weights(cls, weights: Path) -> Pipeline:
         """Return that of weights in torch, with as many threads as torch has."""
-        predictor = Predictor.from_weights(weights)
-
-        def run(inputs: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-            with torch.inference_mode():
-                prediction = predictor.model(torch.from_numpy(inputs))
-            return {name: values.numpy() for name, values in prediction._asdict().items()}
-
-        return cls(predictor.preprocessing.array, run)
+        estimator = load(weights, device="cpu")
+        return cls(estimator.preprocess, estimator.run)
 
     def times(self, path: Path) -> tuple[float, ...]:
         """Return the seconds of each of `STAGES` for an image file."""
@@ -71,7 +63,7 @@ class Pipeline:
         marks.append(perf_counter())
         outputs = self.run(inputs)
         marks.append(perf_counter())
-        poses(**outputs, locates="object")
+        poses(**outputs, locates="object", in_view_threshold=None)
         marks.append(perf_counter())
         return tuple(after - before for before, after in pairwise(marks))
 
@@ -108,7 +100,7 @@ def write_image(path: Path) -> None:
 class Start:
     """Arguments of `ffpose.bench.model.start`: a runtime's name, and the file it opens."""
 
-    runtime: Runtime
+    runtime: Backend
     file: Path
 
 

@@ -10,25 +10,16 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
-Runtime = Literal["torch", "onnxruntime", "openvino"]
+import ffpose
+from ffpose.inference.source import Backend
 
 
-def main(runtime: Runtime, file: str, image: str, threads: int) -> None:
+def main(runtime: Backend, file: str, image: str, threads: int) -> None:
     """Predict one pose, then print it with this process's peak memory in bytes."""
-    if runtime == "torch":
-        import torch
-
-        from ffpose.images import read_rgb
-        from ffpose.predictor import Predictor
-
-        torch.set_num_threads(threads)
-        pose = Predictor.from_weights(file)(read_rgb(Path(image)))
-    else:
-        from ffpose.onnx.runtime import PoseEstimator
-
-        pose = PoseEstimator(file, backend=runtime, threads=threads, warm_up=0)(image)
+    estimator = ffpose.load(file, backend=runtime, threads=threads, device="cpu", warm_up=0)
+    pose = estimator(image)
     print(json.dumps({"pose": pose.vector.tolist(), "peak": peak_memory()}), flush=True)
 
 
@@ -47,7 +38,7 @@ def peak_memory() -> int:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("runtime", choices=get_args(Runtime))
+    parser.add_argument("runtime", choices=get_args(Backend))
     parser.add_argument("file")
     parser.add_argument("image")
     parser.add_argument("threads", type=int)

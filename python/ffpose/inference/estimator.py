@@ -1,10 +1,9 @@
-"""Pose estimation with an exported graph: NumPy, Pillow and a runtime, without torch."""
+"""Pose estimation from images, whatever computes the network; torch is not imported here."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,85 +11,79 @@ from PIL import Image
 
 from ffpose.geometry import Camera, Pose, poses
 from ffpose.images import read_rgb
-from ffpose.onnx.backends import Backend, Precision, open_session
-from ffpose.onnx.metadata import read_model_metadata
 from ffpose.reprojection import expect_aspect, for_images
 
-ImageLike = str | Path | Image.Image | NDArray[np.uint8]
+if TYPE_CHECKING:
+    from ffpose.inference.network import Description
+    from ffpose.onnx.backends import Session
+
+ImageLike: TypeAlias = str | Path | Image.Image | NDArray[np.uint8]
+"""Path of an image file, Pillow image (RGB), or array ``(H, W, 3)``, uint8, RGB."""
+
+AnyImage = TypeVar("AnyImage", bound=ImageLike)
 
 
 class PoseEstimator:
-    """A graph written by ``ffpose export``, with its preprocessing: poses from images.
+    """A network with its preprocessing: poses from images; `ffpose.load` opens it.
 
     Args:
-        model: Path of the ONNX file.
-        camera: Camera of the images, which are reprojected to the network's view; None for the
-            weights' own camera.
-        any_camera: Resize any image to the network's input, as if taken by the weights' camera.
-        backend: ``"onnxruntime"`` or ``"openvino"``.
-        threads: Number of threads within an image; None for the backend's default.
-        providers: ONNX Runtime's execution providers; None for the CPU's.
-        precision: ``"float32"``, or ``"bfloat16"`` where backend and CPU support it.
-        warm_up: Number of runs on a black image at construction, which allocate memory and plan.
+        session: The network.
+        metadata: What its file says of it.
+        camera: Camera of the images, which are reprojected to the network's view if it is another
+            than that of training; None for that of training.
+        resize: Resize any image to the network's input, as if taken by the camera of training.
 
     Attributes:
-        metadata: Metadata of the graph.
+        session: The network.
+        metadata: What its file says of it.
         preprocessing: Conversion from image to network input.
-        camera: Camera whose aspect ratio an image must have; None for any.
+        camera: Camera of the images, possibly for another image size; None where unknown.
 
     Raises:
-        FileNotFoundError: The file does not exist, or the custom operator's library is missing.
-        MissingExtraError: The backend is not installed.
-        ffpose.DataError: The file was not written by ``ffpose export``, was altered, or is newer
-            than this version.
-        ValueError: Backend or CPU do not support a choice, or both ``camera`` and ``any_camera``
-            are given.
-        RuntimeError: The backend cannot load the graph or the library.
+        ValueError: Both ``camera`` and ``resize`` are given, or neither for a network that was
+            trained on undistorted images.
 
     Examples:
-        ``PoseEstimator("model.onnx", threads=1)("image.png").t``
+        ``ffpose.load("soyuz-easy")("image.png").t``
     """
 
     def __init__(
         self,
-        model: str | Path,
+        session: Session,
+        metadata: Description,
         *,
         camera: Camera | None = None,
-        any_camera: bool = False,
-        backend: Backend = "onnxruntime",
-        threads: int | None = None,
-        providers: Sequence[str] | None = None,
-        precision: Precision = "float32",
-        warm_up: int = 1,
+        resize: bool = False,
     ) -> None:
-        self.metadata = read_model_metadata(model)
-        self.preprocessing, self.camera = for_images(
-            self.metadata.preprocessing,
-            self.metadata.config.view_camera,
-            self.metadata.camera,
+        self.session = session
+        self.metadata = metadata
+        self.camera = camera or metadata.camera
+        self.preprocessing, self._expected = for_images(
+            metadata.preprocessing,
+            metadata.config.view_camera,
+            metadata.camera,
             camera=camera,
-            any_camera=any_camera,
-            undistorted=self.metadata.undistorted,
+            resize=resize,
+            undistorted=metadata.undistorted,
         )
-        self._session = open_session(
-            Path(model),
-            self.metadata.filter,
-            backend=backend,
-            threads=threads,
-            providers=providers,
-            precision=precision,
-        )
-        black = np.zeros((1, 3, *self.metadata.config.image_size), np.float32)
-        for _ in range(warm_up):
-            self._session.run(black)
 
-    def __call__(self, image: ImageLike) -> Pose:
+    @overload
+    def __call__(self, image: ImageLike) -> Pose: ...
+
+    @overload
+    def __call__(self, image: list[AnyImage] | tuple[AnyImage, ...]) -> list[Pose]: ...
+
+    def __call__(self, image: ImageLike | list[Any] | tuple[Any, ...]) -> Pose | list[Pose]:
         """Return the pose of the spacecraft in an image, with its uncertainty if there is one.
 
         From a network that locates the camera, the pose of the world in the camera frame.
 
         Args:
-            image: Path of an image file, Pillow image (RGB), or array ``(H, W, 3)``, uint8, RGB.
+            image: Path of an image file, Pillow image (RGB), or array ``(H, W, 3)``, uint8, RGB;
+                or a list of them, which is computed as one batch.
+
+        Returns:
+            The pose, or for a list the list of poses.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -99,24 +92,25 @@ class PoseEstimator:
             ValueError: The shape is not ``(H, W, 3)``, the mode not RGB, the aspect ratio not the
                 camera's, or a result is not finite.
         """
-        return self.batch([image])[0]
-
-    def batch(self, images: Sequence[ImageLike] | NDArray[np.uint8]) -> list[Pose]:
-        """Return the poses of several images, computed as one batch; raises as for one.
-
-        Args:
-            images: Images as for one, or an array ``(B, H, W, 3)``.
-        """
-        if len(images) == 0:
+        images = image if isinstance(image, list | tuple) else [image]
+        if not images:
             return []
-        inputs = [self.preprocess(image) for image in images]
-        return poses(**self.run(np.stack(inputs)), locates=self.metadata.locates)
+        found = self.estimate(np.stack([self.preprocess(each) for each in images]))
+        return found if images is image else found[0]
 
     def preprocess(self, image: ImageLike) -> NDArray[np.float32]:
         """Return the network's input ``(3, h, w)`` for an image; raises as for its pose."""
         picture = as_image(image, self.metadata.white)
-        expect_aspect(self.camera, *picture.size)
+        expect_aspect(self._expected, *picture.size)
         return self.preprocessing.array(picture)
+
+    def estimate(self, inputs: NDArray[np.float32]) -> list[Pose]:
+        """Return the poses for a batch of inputs; arguments and errors are those of `run`."""
+        return poses(
+            **self.run(inputs),
+            locates=self.metadata.locates,
+            in_view_threshold=self.metadata.in_view_threshold,
+        )
 
     def run(self, inputs: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
         """Return the network's outputs by name for a batch of inputs.
@@ -133,7 +127,7 @@ class PoseEstimator:
             TypeError: The dtype is not float32.
             ValueError: The shape is not ``(B, 3, h, w)``, or a number is not finite.
         """
-        expected = (3, *self.metadata.config.image_size)
+        expected = (3, *self.preprocessing.size)
         if inputs.dtype != np.float32:
             raise TypeError(f"inputs: expected float32, got {inputs.dtype}")
         if inputs.ndim != 4 or inputs.shape[1:] != expected:
@@ -141,7 +135,13 @@ class PoseEstimator:
             raise ValueError(f"inputs: expected shape (B, {sizes}), got {inputs.shape}")
         if not np.isfinite(inputs).all():
             raise ValueError("inputs: expected finite numbers, got NaN or infinity")
-        return self._session.run(inputs)
+        return self.session.run(inputs)
+
+    def warm_up(self, runs: int) -> None:
+        """Run the network on a black image, so that memory is allocated and plans are made."""
+        black = np.zeros((1, 3, *self.preprocessing.size), np.float32)
+        for _ in range(runs):
+            self.run(black)
 
 
 def as_image(image: ImageLike, white: float | str | None = None) -> Image.Image:

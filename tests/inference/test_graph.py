@@ -14,12 +14,13 @@ from ffpose.cli import main
 from ffpose.evaluation import evaluate
 from ffpose.geometry import Camera
 from ffpose.images import read_rgb
+from ffpose.inference.estimator import PoseEstimator
+from ffpose.inference.in_torch import TorchSession
+from ffpose.inference.load import load
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.models.zoo import names
 from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.metadata import read_model_metadata
-from ffpose.onnx.runtime import PoseEstimator
-from ffpose.predictor import Predictor
 from ffpose.preprocessing import Preprocessing
 from tiny_runs import write_set
 
@@ -106,8 +107,8 @@ def assert_same_pose(pose, expected):
 
 def test_the_pose_is_that_of_torch(files, picture):
     weights, graph = files
-    expected = Predictor.from_weights(weights)(read_rgb(picture))
-    assert_same_pose(PoseEstimator(graph, threads=1)(picture), expected)
+    expected = load(weights)(read_rgb(picture))
+    assert_same_pose(load(graph, threads=1)(picture), expected)
 
 
 def test_a_located_camera_is_taken_to_the_origin(tmp_path, picture):
@@ -122,8 +123,8 @@ def test_a_located_camera_is_taken_to_the_origin(tmp_path, picture):
     with torch.inference_mode():
         center = network.eval()(Preprocessing((64, 64))(image)[None]).translation[0]
     estimates = (
-        Predictor.from_weights(weights, any_camera=True),
-        PoseEstimator(graph, any_camera=True),
+        load(weights, resize=True),
+        load(graph, resize=True),
     )
     for estimate in estimates:
         np.testing.assert_allclose(estimate(image).transform(center), np.zeros(3), atol=1e-4)
@@ -143,41 +144,41 @@ def test_the_graph_knows_what_it_is_of(files):
 
 
 def test_every_kind_of_image_gives_one_pose(files, picture):
-    estimator = PoseEstimator(files[1])
+    estimator = load(files[1])
     expected = estimator(picture)
     image = read_rgb(picture)
     array = np.asarray(image)
     assert estimator(str(picture)) == estimator(image) == estimator(array) == expected
     flipped = np.ascontiguousarray(array[:, ::-1])
-    for poses in (estimator.batch([picture, flipped]), estimator.batch(np.stack([array, flipped]))):
+    for poses in (estimator([picture, flipped]), estimator((array, Image.fromarray(flipped)))):
         assert_same_pose(poses[0], expected)
         assert_same_pose(poses[1], estimator(flipped))
-    assert estimator.batch([]) == []
+    assert estimator([]) == []
 
 
 def test_the_input_is_that_of_training(files, picture):
     weights, graph = files
-    expected = Predictor.from_weights(weights).preprocessing(read_rgb(picture))
-    got = PoseEstimator(graph).preprocess(picture)
-    np.testing.assert_allclose(got, expected.numpy(), rtol=0, atol=1e-5)
+    expected = load(weights).preprocess(picture)
+    got = load(graph).preprocess(picture)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-5)
 
 
 def test_the_camera_is_checked_and_turned_as_with_torch(files, picture):
     weights, graph = files
     wide = Image.open(picture).resize((128, 64))
     with pytest.raises(ValueError, match=r"aspect ratio .* 128x64 pixels"):
-        PoseEstimator(graph)(wide)
+        load(graph)(wide)
     camera = Camera(128, 64, 90.0, 95.0, 60.0, 31.0)
-    for options in ({"camera": camera}, {"any_camera": True}):
-        expected = Predictor.from_weights(weights, **options)(wide)
-        assert_same_pose(PoseEstimator(graph, **options)(wide), expected)
-    with pytest.raises(ValueError, match="--camera or --any-camera, got both"):
-        PoseEstimator(graph, camera=camera, any_camera=True)
+    for options in ({"camera": camera}, {"resize": True}):
+        expected = load(weights, **options)(wide)
+        assert_same_pose(load(graph, **options)(wide), expected)
+    with pytest.raises(ValueError, match=r"camera: expected one .*, or resize; got both"):
+        load(graph, camera=camera, resize=True)
 
 
 def test_a_graph_is_evaluated_as_its_weights_are(files, tmp_path):
     images = write_set(tmp_path / "set")
-    of_weights, of_graph = (evaluate(path, "urso", images, any_camera=True) for path in files)
+    of_weights, of_graph = (evaluate(path, "urso", images, reproject=True) for path in files)
     np.testing.assert_allclose(of_graph.predicted[:, :3], of_weights.predicted[:, :3], atol=1e-4)
     np.testing.assert_allclose(of_graph.baseline, of_weights.baseline)
     cosines = (of_graph.predicted[:, 3:] * of_weights.predicted[:, 3:]).sum(axis=1)
@@ -208,11 +209,11 @@ def test_a_graph_is_evaluated_as_its_weights_are(files, tmp_path):
 )
 def test_what_is_no_image_is_refused(files, image, error, message):
     with pytest.raises(error, match=message):
-        PoseEstimator(files[1])(image)
+        load(files[1])(image)
 
 
 def test_what_is_no_input_is_refused(files):
-    estimator = PoseEstimator(files[1])
+    estimator = load(files[1])
     good = np.zeros((1, 3, 64, 64), np.float32)
     for inputs, error, message in (
         (good.astype(np.float64), TypeError, "expected float32, got float64"),
@@ -239,7 +240,7 @@ def test_what_is_no_input_is_refused(files):
 )
 def test_unknown_choices_are_refused(files, options, message):
     with pytest.raises(ValueError, match=message):
-        PoseEstimator(files[1], **options)
+        load(files[1], **options)
 
 
 def test_a_missing_library_is_named(files, folder, monkeypatch):
@@ -254,14 +255,14 @@ def test_a_missing_library_is_named(files, folder, monkeypatch):
     monkeypatch.setattr("ffpose.onnx.library.ELF_NAME", "nowhere.so")
     monkeypatch.setattr("ffpose.onnx.library.NAMES", {})
     with pytest.raises(FileNotFoundError, match=r"nowhere\.so.*--filter matmul"):
-        PoseEstimator(path)
+        load(path)
     wrong = folder / "wrong.so"
     wrong.write_bytes(b"no library")
     monkeypatch.setattr("ffpose.onnx.backends.get_library_path", lambda: str(wrong))
     with pytest.raises(RuntimeError, match=r"cannot load the custom operator.*wrong\.so"):
-        PoseEstimator(path)
+        load(path)
     with pytest.raises(ValueError, match="OpenVINO expected a graph of standard operators"):
-        PoseEstimator(path, backend="openvino")
+        load(path, backend="openvino")
 
 
 def test_predict_takes_graph_and_weights_alike(files, picture, tmp_path, capsys):
@@ -269,8 +270,7 @@ def test_predict_takes_graph_and_weights_alike(files, picture, tmp_path, capsys)
     for network in files:
         arguments = [str(network), str(picture), "--json", "--overlay", str(tmp_path / "drawn")]
         assert main(["predict", *arguments]) == 0
-        (found,) = json.loads(capsys.readouterr().out)["predictions"]
-        documents.append(found)
+        documents.append(json.loads(capsys.readouterr().out))
         assert (tmp_path / "drawn" / "view_pose.png").is_file()
     by_torch, by_graph = documents
     assert by_graph.keys() == by_torch.keys()
@@ -286,10 +286,10 @@ class NoTorch:
             raise ImportError(f"{name} was imported")
 
 sys.meta_path.insert(0, NoTorch())
-from ffpose.onnx.runtime import PoseEstimator
+import ffpose
 
 graph, picture, backend = sys.argv[1:]
-print(*PoseEstimator(graph, backend=backend)(picture).vector)
+print(*ffpose.load(graph, backend=backend)(picture).vector)
 from ffpose.cli import main
 
 assert main(["predict", graph, picture]) == 0
@@ -303,7 +303,7 @@ def test_no_torch_is_needed(files, picture):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     first, second = done.stdout.splitlines()
-    expected = Predictor.from_weights(weights)(read_rgb(picture))
+    expected = load(weights)(read_rgb(picture))
     np.testing.assert_allclose([*map(float, first.split())][:3], expected.t, rtol=0, atol=1e-4)
     assert second.startswith(str(picture))
 
@@ -311,21 +311,21 @@ def test_no_torch_is_needed(files, picture):
 def test_openvino_gives_the_same_pose(files, picture):
     pytest.importorskip("openvino")
     weights, graph = files
-    expected = Predictor.from_weights(weights)(read_rgb(picture))
-    estimator = PoseEstimator(graph, backend="openvino", threads=1)
+    expected = load(weights)(read_rgb(picture))
+    estimator = load(graph, backend="openvino", threads=1)
     assert_same_pose(estimator(picture), expected)
-    for pose in estimator.batch([picture, picture, picture]):
+    for pose in estimator([picture, picture, picture]):
         assert_same_pose(pose, expected)
 
 
 SIGNALS = """
 import signal, subprocess, sys
-from ffpose.onnx.runtime import PoseEstimator
+import ffpose
 
 heard = []
 signal.signal(signal.SIGCHLD, lambda *_: heard.append(True))
-first = PoseEstimator(sys.argv[1], backend="openvino")
-second = PoseEstimator(sys.argv[1], backend="openvino")
+first = ffpose.load(sys.argv[1], backend="openvino")
+second = ffpose.load(sys.argv[1], backend="openvino")
 del first
 del second
 subprocess.run([sys.executable, "-c", ""], check=True)
@@ -347,10 +347,10 @@ def test_bfloat16_where_the_cpu_has_it(files, picture):
     weights, graph = files
     if not openvino_takes_bfloat16():
         with pytest.raises(ValueError, match="this CPU has no bfloat16"):
-            PoseEstimator(graph, backend="openvino", precision="bfloat16")
+            load(graph, backend="openvino", precision="bfloat16")
         return
-    pose = PoseEstimator(graph, backend="openvino", precision="bfloat16")(picture)
-    expected = Predictor.from_weights(weights)(read_rgb(picture))
+    pose = load(graph, backend="openvino", precision="bfloat16")(picture)
+    expected = load(weights)(read_rgb(picture))
     np.testing.assert_allclose(pose.t, expected.t, rtol=0.05, atol=0.05)
 
 
@@ -361,8 +361,8 @@ def test_shipped_weights_export_whole(name, picture, tmp_path):
     assert main(["export", name, "--out", str(graph)]) == 0
     assert read_model_metadata(graph).in_view_threshold == read_metadata(name).in_view_threshold
     patches = Image.open(picture).resize((8, 6)).resize((640, 480), Image.Resampling.NEAREST)
-    expected = Predictor.from_weights(name)(patches)
-    assert_same_pose(PoseEstimator(graph)(patches), expected)
+    expected = load(name)(patches)
+    assert_same_pose(load(graph)(patches), expected)
 
 
 @pytest.mark.slow
@@ -389,8 +389,7 @@ def test_a_graph_is_exported_with_fewer_looks(folder, files):
     )
     image = np.random.default_rng(0).integers(0, 256, (96, 128, 3), np.uint8)
     network = FilterformerPose.from_pretrained(weights, looks=1, turns=1)
-    predictor = Predictor(network, Preprocessing((64, 64)))
-    (expected,) = predictor.batch([Image.fromarray(image)])
-    found = PoseEstimator(graph)(image)
+    expected = PoseEstimator(TorchSession(network), read_metadata(weights))(image)
+    found = load(graph)(image)
     np.testing.assert_allclose(found.t, expected.t, atol=1e-4)
     np.testing.assert_allclose(found.q, expected.q, atol=1e-4)

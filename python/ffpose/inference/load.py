@@ -1,0 +1,111 @@
+"""The door to pose estimation: one function for weights and graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ffpose.errors import require
+from ffpose.geometry import Camera
+from ffpose.inference.source import Backend, Source, find_source
+
+if TYPE_CHECKING:
+    from ffpose.inference.estimator import PoseEstimator
+    from ffpose.onnx.backends import Precision, Session
+    from ffpose.onnx.metadata import ModelMetadata
+
+
+def load(
+    network: str | Path,
+    *,
+    backend: Backend | None = None,
+    threads: int | None = None,
+    camera: Camera | None = None,
+    resize: bool = False,
+    device: str = "auto",
+    precision: Precision = "float32",
+    providers: Sequence[str] | None = None,
+    warm_up: int = 1,
+) -> PoseEstimator:
+    """Open a network, which then gives the pose of the spacecraft in an image.
+
+    Args:
+        network: Weights file, exported graph (``.onnx``), a folder that holds one, or a name of
+            shipped weights such as ``"soyuz-easy"`` (`ffpose.inference.source.find_source`).
+        backend: ``"torch"`` for weights; ``"onnxruntime"`` or ``"openvino"`` for a graph, which
+            need no torch. None: what the file is for, of the runtimes the first that is installed.
+        threads: Number of threads within an image, on the CPU; None for the backend's default.
+        camera: Camera of the images, which are reprojected to the network's view if it is another
+            than that of training; None for that of training.
+        resize: Resize any image to the network's input, as if taken by the camera of training.
+        device: Of torch: ``"auto"`` (a GPU if there is one) or a device that torch knows. Graphs
+            run on the CPU.
+        precision: Of a graph: ``"float32"``, or ``"bfloat16"`` where backend and CPU support it.
+        providers: ONNX Runtime's execution providers; None for the CPU's.
+        warm_up: Number of runs on a black image, which allocate memory and plan, so that the first
+            real image is not slowed by a cold start.
+
+    Raises:
+        FileNotFoundError: There is no such file or name, or the custom operator's library is
+            missing.
+        MissingExtraError: The backend is not installed.
+        ffpose.DataError: The file was not written by ffpose, was altered, or is newer than this
+            version.
+        ValueError: The backend or this CPU cannot do what is asked for, a folder holds several
+            networks, or both ``camera`` and ``resize`` are given, or neither for a network that was
+            trained on undistorted images.
+        RuntimeError: The runtime cannot load the graph or the library.
+
+    Examples:
+        ``ffpose.load("soyuz-easy")("image.png").t``
+    """
+    source = find_source(network, backend)
+    require("PIL.Image", "onnx")
+    from ffpose.inference.estimator import PoseEstimator
+
+    session: Session
+    if source.is_graph:
+        from ffpose.onnx.metadata import read_model_metadata
+
+        if device not in ("auto", "cpu"):
+            raise ValueError(f"device: expected auto or cpu for an exported graph, got {device!r}")
+        graph = read_model_metadata(source.path)
+        session = _open_graph(source, graph, backend, threads, precision, providers)
+        estimator = PoseEstimator(session, graph, camera=camera, resize=resize)
+    else:
+        from ffpose.inference.in_torch import TorchSession
+        from ffpose.models import load_network, read_metadata
+
+        if precision != "float32":
+            raise ValueError(f"precision: expected float32 for weights, got {precision!r}")
+        if providers is not None:
+            raise ValueError(f"providers: expected with a graph, got {providers} with weights")
+        weights = read_metadata(source.path)
+        session = TorchSession(load_network(source.path), device, threads)
+        estimator = PoseEstimator(session, weights, camera=camera, resize=resize)
+    estimator.warm_up(warm_up)
+    return estimator
+
+
+def _open_graph(
+    source: Source,
+    metadata: ModelMetadata,
+    backend: Backend | None,
+    threads: int | None,
+    precision: Precision,
+    providers: Sequence[str] | None,
+) -> Session:
+    from ffpose.onnx.backends import open_session
+
+    if backend is None and find_spec("onnxruntime") is None and find_spec("openvino") is not None:
+        backend = "openvino"
+    return open_session(
+        source.path,
+        metadata.filter,
+        backend="openvino" if backend == "openvino" else "onnxruntime",
+        threads=threads,
+        providers=providers,
+        precision=precision,
+    )

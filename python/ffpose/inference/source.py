@@ -1,0 +1,88 @@
+"""What a user names: shipped weights, a weights file, an exported graph, or a folder with one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, NamedTuple, get_args
+
+from ffpose.errors import require
+
+Backend = Literal["torch", "onnxruntime", "openvino"]
+"""What computes a network: torch, for weights; one of the others, for an exported graph."""
+
+WEIGHTS, GRAPH = ".safetensors", ".onnx"
+BEST = "best.safetensors"
+"""The weights of a training's folder; beside them are those of its last epoch."""
+
+
+class Source(NamedTuple):
+    """A network's file.
+
+    Attributes:
+        path: The file.
+        is_graph: Whether it is an exported graph; weights otherwise.
+    """
+
+    path: Path
+    is_graph: bool
+
+
+def find_source(network: str | Path, backend: Backend | None = None) -> Source:
+    """Find the file of a network.
+
+    A word without folder and suffix is a name of shipped weights, unless a file has that name, or a
+    folder with a network. In a folder, weights come before graphs where no backend is named, and
+    ``best.safetensors`` before other weights.
+
+    Args:
+        network: Weights file, graph (by its suffix ``.onnx``), a folder that holds one, or a name
+            of shipped weights.
+        backend: What is to compute it; in a folder, this chooses between weights and graph.
+
+    Raises:
+        FileNotFoundError: There is no such file or name, or the folder holds no network.
+        MissingExtraError: Weights are named, and the extra `pose` is not installed.
+        ValueError: The backend is unknown, or does not compute such a file, or the folder holds
+            several networks.
+    """
+    if backend is not None and backend not in get_args(Backend):
+        raise ValueError(f"backend: expected one of {get_args(Backend)}, got {backend!r}")
+    path = Path(network)
+    if path.is_dir():
+        path = _network_in(path, backend) or path
+    source = Source(path, path.suffix.lower() == GRAPH)
+    if source.is_graph:
+        if backend == "torch":
+            raise ValueError(
+                f"backend: expected onnxruntime or openvino for the graph {path}, got 'torch'"
+            )
+        return source
+    if backend not in (None, "torch"):
+        raise ValueError(
+            f"backend: expected torch for the weights {path}, got {backend!r}, which computes what"
+            " `ffpose export` makes of them"
+        )
+    for module in ("torch", "PIL.Image"):
+        require(module, "pose")
+    from ffpose.models.zoo import resolve
+
+    return Source(resolve(path), is_graph=False)
+
+
+def _network_in(folder: Path, backend: Backend | None) -> Path | None:
+    """Return the one network in a folder; None where it may be a name of weights instead."""
+    weights, graphs = (sorted(folder.glob(f"*{suffix}")) for suffix in (WEIGHTS, GRAPH))
+    best = [path for path in weights if path.name == BEST]
+    choice = {"torch": best or weights, None: best or weights or graphs}
+    found = choice.get(backend, graphs)
+    if not found and len(folder.parts) == 1:
+        return None
+    if not found:
+        raise FileNotFoundError(
+            f"expected a folder with weights (*{WEIGHTS}) or a graph (*{GRAPH}), got {folder}"
+            + (f" and backend {backend}" if backend else "")
+        )
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise ValueError(f"expected a folder with one network, or a file of it, got {names}")
+    return found[0]

@@ -1,0 +1,88 @@
+"""What a user names, and the file that is opened for it."""
+
+import shutil
+
+import pytest
+
+from ffpose.inference.source import Source, find_source
+from ffpose.models.zoo import FOLDER
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A function that makes a folder of empty files."""
+
+    def make(*names):
+        for name in names:
+            (tmp_path / name).write_bytes(b"")
+        return tmp_path
+
+    return make
+
+
+def test_a_file_is_of_the_kind_that_its_suffix_says(tmp_path):
+    assert find_source(tmp_path / "a.onnx") == Source(tmp_path / "a.onnx", is_graph=True)
+    assert find_source(str(tmp_path / "a.ONNX")).is_graph
+    weights = find_source(tmp_path / "a.safetensors")
+    assert weights == Source(tmp_path / "a.safetensors", is_graph=False)
+
+
+def test_a_name_is_of_shipped_weights():
+    assert find_source("soyuz-easy") == Source(FOLDER / "soyuz-easy.safetensors", is_graph=False)
+    with pytest.raises(FileNotFoundError, match=r"a file or a name \(.*soyuz-easy.*\), got moon"):
+        find_source("moon")
+
+
+@pytest.mark.parametrize(
+    ("names", "backend", "found"),
+    [
+        (["a.safetensors", "a.safetensors.sha256", "results.csv"], None, "a.safetensors"),
+        (["a.onnx", "card.md"], None, "a.onnx"),
+        (["a.onnx", "a.safetensors"], None, "a.safetensors"),
+        (["a.onnx", "a.safetensors"], "torch", "a.safetensors"),
+        (["a.onnx", "a.safetensors"], "onnxruntime", "a.onnx"),
+        (["a.onnx", "a.safetensors"], "openvino", "a.onnx"),
+        (["best.safetensors", "last.safetensors"], None, "best.safetensors"),
+    ],
+)
+def test_a_folder_holds_one(folder, names, backend, found):
+    root = folder(*names)
+    source = find_source(root, backend)
+    assert source == Source(root / found, is_graph=found.endswith("onnx"))
+
+
+@pytest.mark.parametrize(
+    ("names", "backend", "error", "message"),
+    [
+        (["results.csv"], None, FileNotFoundError, "expected a folder with weights"),
+        (["a.onnx"], "torch", FileNotFoundError, "backend torch"),
+        (["a.safetensors"], "openvino", FileNotFoundError, "backend openvino"),
+        (["a.onnx", "b.onnx"], None, ValueError, r"one network, .* got a\.onnx, b\.onnx"),
+        (["a.safetensors", "b.safetensors"], "torch", ValueError, r"got a\.safetensors, b"),
+    ],
+)
+def test_a_folder_of_none_or_several_is_refused(folder, names, backend, error, message):
+    with pytest.raises(error, match=message):
+        find_source(folder(*names), backend)
+
+
+def test_a_folder_is_a_name_too_unless_it_holds_a_network(folder, monkeypatch):
+    monkeypatch.chdir(folder())
+    mine = folder() / "soyuz-easy"
+    mine.mkdir()
+    assert find_source("soyuz-easy").path == FOLDER / "soyuz-easy.safetensors"
+    shutil.copy(FOLDER / "soyuz-easy.safetensors", mine)
+    assert find_source("soyuz-easy").path.resolve() == mine / "soyuz-easy.safetensors"
+
+
+@pytest.mark.parametrize(
+    ("name", "backend", "message"),
+    [
+        ("a.onnx", "torch", r"backend: expected onnxruntime or openvino for the graph a\.onnx"),
+        ("soyuz-easy", "openvino", "backend: expected torch for the weights soyuz-easy, got 'op"),
+        ("soyuz-easy", "tensorrt", r"backend: expected one of \('torch', .*, got 'tensorrt'"),
+    ],
+)
+def test_a_backend_that_is_not_for_the_file_is_refused(name, backend, message):
+    with pytest.raises(ValueError, match=message):
+        find_source(name, backend)
