@@ -94,12 +94,37 @@ def test_predict(trained, image_set, tmp_path, capsys):
     assert main(words) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2
     assert main([*words, "--json", "--overlay", str(tmp_path)]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert [entry["image"] for entry in document["predictions"]] == images
+    entries = map(json.loads, capsys.readouterr().out.splitlines())
+    assert [entry["image"] for entry in entries] == images
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "0_rgb_pose.png",
         "1_rgb_pose.png",
     ]
+
+
+def test_predict_takes_folders_and_patterns(trained, image_set, tmp_path, capsys):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        shutil.copy(image_set / "0_rgb.png", tmp_path / name / "7.png")
+    (tmp_path / "a" / "labels.csv").write_text("")
+    words = ["predict", str(trained / "best.safetensors"), "--json", "--device", "cpu"]
+    assert main([*words, str(tmp_path / "a"), str(tmp_path / "**" / "*.png")]) == 0
+    entries = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    found = [str(tmp_path / name / "7.png") for name in ("a", "a", "b")]
+    assert [entry["image"] for entry in entries] == found
+    assert main([*words, str(tmp_path / "*.jpg")]) == 1
+    assert "images: expected files that match" in capsys.readouterr().err
+
+
+def test_a_damaged_image_alone_has_its_line_too(trained, tmp_path, capsys):
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"cut off")
+    assert main(["predict", str(trained / "best.safetensors"), str(broken), "--json"]) == 1
+    said = capsys.readouterr()
+    entry = json.loads(said.out)
+    assert said.err == f"ffpose: {entry['error']}\n"
+    assert entry["image"] == str(broken)
+    assert "cannot be read as an image" in entry["error"]
 
 
 def test_predict_goes_on_after_an_image_that_cannot_be_used(trained, image_set, tmp_path, capsys):
@@ -114,9 +139,9 @@ def test_predict_goes_on_after_an_image_that_cannot_be_used(trained, image_set, 
         str(missing),
         good[1],
     ]
-    assert main([*words, "--json"]) == 1
+    assert main([*words, "--json", "--batch", "3"]) == 1
     said = capsys.readouterr()
-    entries = json.loads(said.out)["predictions"]
+    entries = [json.loads(line) for line in said.out.splitlines()]
     assert [entry["image"] for entry in entries] == words[2:]
     assert ["error" in entry for entry in entries] == [False, True, True, False]
     assert entries[0] | {"image": ""} != entries[3] | {"image": ""}
@@ -137,7 +162,7 @@ def test_predict_draws_with_the_camera_it_is_given(trained, image_set, tmp_path)
     words += ["--overlay", str(tmp_path), "--camera", str(tmp_path / "camera.json")]
     with redirect_stdout(StringIO()) as said:
         assert main(words) == 0
-    x, y, z = json.loads(said.getvalue())["predictions"][0]["translation_m"]
+    x, y, z = json.loads(said.getvalue())["translation_m"]
     plain, drawn = (
         np.asarray(Image.open(path), int) for path in (image, tmp_path / "0_rgb_pose.png")
     )
@@ -149,7 +174,7 @@ def test_predict_draws_with_the_camera_it_is_given(trained, image_set, tmp_path)
 
 def test_predict_refuses_overlays_of_one_name_before_it_computes(trained, image_set, capsys):
     words = ["predict", str(trained / "best.safetensors"), str(image_set / "0_rgb.png")]
-    assert main([*words, "b/0_rgb.png", "--overlay", "ov"]) == 1
+    assert main([*words, "b/0_rgb.png", "--overlay", "ov"]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert "expected images of distinct names, got" in said.err
@@ -173,23 +198,25 @@ def test_predict_asks_for_the_camera_of_another_image(trained, square, capsys):
     assert line.startswith(f"ffpose: {square / 'square.png'}: expected the aspect ratio of")
     assert "Camera(width=64, height=48, fx=32.0, fy=32.02315" in line
     assert "60x60" in line
-    for more in (["--camera", str(square / "square.json")], ["--any-camera"]):
+    for more in (["--camera", str(square / "square.json")], ["--resize"]):
         assert main([*words, *more]) == 0
         assert "t = (" in capsys.readouterr().out
 
 
-def test_predict_takes_one_camera_or_any(trained, square, capsys):
+def test_predict_takes_one_camera_or_a_resize(trained, square, capsys):
     words = ["predict", str(trained / "best.safetensors"), str(square / "square.png")]
-    assert main([*words, "--any-camera", "--camera", str(square / "square.json")]) == 1
-    assert "expected --camera or --any-camera, got both" in capsys.readouterr().err
+    assert main([*words, "--resize", "--camera", str(square / "square.json")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("ffpose predict: camera: expected one to reproject from, or resize;")
+    assert line.endswith("see ffpose predict --help")
 
 
 def test_a_camera_is_nothing_to_weights_without(square, capsys):
     weights = square / "w.safetensors"
     FilterformerPose.from_config("tiny", backbone_weights="none").save_pretrained(weights)
     words = ["predict", str(weights), str(square / "square.png"), "--camera"]
-    assert main([*words, str(square / "square.json")]) == 1
-    assert "--camera: expected with --overlay, for these weights" in capsys.readouterr().err
+    assert main([*words, str(square / "square.json")]) == 2
+    assert "camera: expected with --overlay, for these weights" in capsys.readouterr().err
     assert main([*words, str(square / "square.json"), "--overlay", str(square / "ov")]) == 0
 
 
@@ -216,7 +243,7 @@ def test_evaluate_refuses_a_set_of_another_camera(image_set, tmp_path, capsys):
     words += ["--out", str(tmp_path / "out")]
     assert main(words) == 1
     assert "expected images of the weights' camera, Camera(" in capsys.readouterr().err
-    assert main([*words, "--any-camera"]) == 0
+    assert main([*words, "--reproject"]) == 0
 
 
 def test_inspect(image_set, tmp_path, capsys):
@@ -269,7 +296,6 @@ def test_render_says_when_a_shard_leaves_the_set_open(tmp_path, capsys):
     [
         (["render", "soyuz_easy", "--out", "x", "--count", "1", "--camera", "no.json"], "no.json"),
         (["render", "soyuz_easy", "--out", "x", "--count", "1", "--mesh", "no.obj"], "no.obj"),
-        (["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "9x9"], "16…8192"),
         (["predict", "none.safetensors", "a.png"], "none.safetensors"),
         (["inspect", "--data.kind", "urso", "--data.root", "none", "--out", "x"], "none"),
         (["evaluate", "w", "--data.kind", "urso", "--data.root", "s", "--out", "file"], "the file"),
@@ -277,7 +303,6 @@ def test_render_says_when_a_shard_leaves_the_set_open(tmp_path, capsys):
         (["render", "soyuz_easy", "--out", "file", "--count", "1"], "the file"),
         (["train", "--data.kind", "urso", "--data.root", "s", "--out", "file"], "the file"),
         (["demo", "--out", "file/demo"], "the file"),
-        (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),
     ],
 )
 def test_failed_work_is_one_line_and_code_1(words, line, tmp_path, monkeypatch, capsys):
@@ -293,6 +318,24 @@ def test_failed_work_is_one_line_and_code_1(words, line, tmp_path, monkeypatch, 
 def test_debug_shows_the_traceback(tmp_path):
     with pytest.raises(FileNotFoundError):
         main(["predict", str(tmp_path / "none.safetensors"), "a.png", "--debug"])
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["predict", "soyuz-easy", "a.png", "--batch", "0"], "batch: expected at least 1, got 0"),
+        (["predict", "soyuz-easy", "a.png", "--device", "abacus"], "device: expected auto, or"),
+        (["card", "soyuz-easy", "--scene", "soyuz_easy", "--count", "0"], "count: expected at"),
+        (["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "9x9"], "16…8192"),
+        (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),
+    ],
+)
+def test_a_value_that_cannot_be_is_wrong_usage(words, line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert line in said
+    assert said.endswith(f"see ffpose {words[0]} --help")
 
 
 @pytest.mark.parametrize(
@@ -447,12 +490,12 @@ def test_help_loads_nothing_heavy():
     assert done.returncode == 0, done.stderr
 
 
-def test_interruption_is_said_and_code_1(monkeypatch, capsys, tmp_path):
+def test_interruption_is_said_and_code_130(monkeypatch, capsys, tmp_path):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("ffpose.render.dataset.writer.write_dataset", interrupt)
-    assert main(["render", "soyuz_easy", "--out", str(tmp_path), "--count", "1"]) == 1
+    assert main(["render", "soyuz_easy", "--out", str(tmp_path), "--count", "1"]) == 130
     assert "interrupted" in capsys.readouterr().err
 
 
@@ -461,10 +504,21 @@ def test_an_interrupted_training_says_how_to_continue(image_set, monkeypatch, ca
         raise KeyboardInterrupt
 
     monkeypatch.setattr("ffpose.training.engine.train", interrupt)
-    assert main(train_words(image_set, tmp_path / "run")) == 1
+    assert main(train_words(image_set, tmp_path / "run")) == 130
     said = capsys.readouterr().err
     assert f"finished epochs are saved in {tmp_path / 'run'}; continue with --resume" in said
 
 
 def test_width_and_height():
     assert width_and_height("640x480") == (640, 480)
+
+
+def test_a_reader_that_leaves_ends_the_command_in_silence(trained, image_set):
+    """As ``ffpose predict ... | head -n 1``: code 141, a shell's for SIGPIPE."""
+    call = [sys.executable, "-m", "ffpose.cli", "predict", str(trained / "best.safetensors")]
+    call += [str(image_set), str(image_set), "--json"]
+    with subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert json.loads(child.stdout.readline())["image"]
+        child.stdout.close()
+        errors = child.stderr.read()
+    assert (child.returncode, errors) == (141, b"")

@@ -257,7 +257,8 @@ def test_images_of_another_camera_are_reprojected_to_the_view(image_set, tmp_pat
     view = Camera(64, 64, 40.0, 30.0, 30.0, 35.0)
     preprocessing = read_metadata(tmp_path / "w.safetensors").preprocessing
     for index in range(len(found.dataset)):
-        image = reproject(found.dataset.load_image(index), URSO_CAMERA.resized(*SIZE), view)
+        shown, source = found.dataset.load_image(index), URSO_CAMERA.resized(*SIZE)
+        image = reproject(shown, source, view, preprocessing.interpolation)
         with torch.no_grad():
             pose = model(preprocessing(image)[None])
         expected = torch.cat([pose.translation[0], pose.orientation[0]])

@@ -1,7 +1,8 @@
 """The command line: one function per command, without logic.
 
 Results that a program may read go to standard output, everything else to standard error. Exit code
-0: done; 1: failed, with one line of explanation (``--debug`` shows the traceback); 2: wrong usage.
+0: done; 1: failed, with one line of explanation (``--debug`` shows the traceback); 2: wrong usage;
+130: interrupted by Ctrl-C; 141: standard output was closed, as by ``head``.
 Imports are deferred until a command runs, so that ``ffpose --help`` is fast and needs only NumPy.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -364,7 +366,7 @@ def export(options: Namespace) -> None:
     from ffpose.onnx.pose_int8 import quantize_graph
 
     if options.int8 != (options.calibrate is not None):
-        raise ValueError("--int8 and --calibrate DIR: expected both or neither, got one")
+        raise ValueError("int8: expected with --calibrate DIR, both or neither, got one")
     images = image_files(options.calibrate, "calibrate") if options.int8 else []
     with TemporaryDirectory(prefix="ffpose-export-") as folder:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
@@ -558,6 +560,9 @@ def bench(options: Namespace) -> None:
         attention.run(options.json, options.quick)
 
 
+INTERRUPTED, CLOSED = 130, 141
+"""Exit codes of a program that a signal ends, 128 and its number: SIGINT's and SIGPIPE's."""
+
 COMMANDS = {
     "demo": Command("predict poses of unseen images", demo_arguments, demo, "pose,render"),
     "render": Command("render images with exact labels", render_arguments, render, "render"),
@@ -625,6 +630,17 @@ def words_of(name: str, words: Sequence[str]) -> list[str]:
     return list(words)
 
 
+def is_usage(error: Exception, parser: ArgumentParser | None) -> bool:
+    """Return whether an error is about the value of an argument, which its message begins with."""
+    found = re.match(r"(?:--)?([\w.-]+): expected", str(error))
+    if parser is None or found is None or not isinstance(error, ValueError):
+        return False
+    known = re.findall(r"[a-z][\w.-]*", parser.format_usage())
+    return not isinstance(error, DataError) and found[1].replace("_", "-") in {
+        name.replace("_", "-") for name in known
+    }
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.
 
@@ -632,9 +648,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The command line after ``ffpose``; None takes that of the process.
 
     Returns:
-        The exit code: 0 done, 1 failed. Wrong usage raises SystemExit with code 2.
+        The exit code: 0 done, 1 failed, 2 a value that cannot be, 130 interrupted, 141 nobody reads
+        the results. Arguments that cannot be parsed raise SystemExit with code 2.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        code = run_command(words)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # What is left in the buffer has no reader either, and Python would say so as it leaves.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return CLOSED
+    except KeyboardInterrupt:
+        say("ffpose: interrupted; files already written are complete")
+        return INTERRUPTED
+    return code
+
+
+def run_command(words: list[str]) -> int:
+    """Run a command, and return its exit code, 0 to 2, as `main`."""
     if not words:
         overview().print_help(sys.stderr)
         raise SystemExit(2)
@@ -643,6 +675,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from ffpose.info import main as info
 
         return info(words[1:])
+    parser = None
     try:
         parser = build_parser(name)
         given = words_of(name, words[1:])
@@ -650,16 +683,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         del options["debug"]
         COMMANDS[name].run(options)
     except argparse.ArgumentError as error:
-        known = re.findall(r"--[\w.-]+", parser.format_usage())
+        known = [] if parser is None else re.findall(r"--[\w.-]+", parser.format_usage())
         say(f"ffpose {name}: {advice(error.message, known)}; see ffpose {name} --help")
         raise SystemExit(2) from error
-    except KeyboardInterrupt:
-        say("ffpose: interrupted; files already written are complete")
+    except BrokenPipeError:
+        raise
     except Exception as error:
         if "--debug" in words:
             raise
         if isinstance(error, ModuleNotFoundError) and error.name:  # imported without `require`
             error = MissingExtraError.of(error.name.partition(".")[0], COMMANDS[name].extra)
+        if is_usage(error, parser):
+            say(f"ffpose {name}: {explain(error)}; see ffpose {name} --help")
+            return 2
         say(f"ffpose: {explain(error)}")
     else:
         return 0

@@ -137,7 +137,7 @@ class Echo:
     def __init__(self):
         self.sizes = []
 
-    def batch(self, images):
+    def __call__(self, images):
         self.sizes.append(len(images))
         reds = [image.getpixel((0, 0))[0] for image in images]
         said = PoseUncertainty(np.eye(3), np.eye(3), 0.5)
@@ -176,7 +176,7 @@ def test_absurd_numbers_are_refused_before_anything_is_rendered(weights, words, 
 
 
 def test_an_unknown_set_is_refused_with_the_known_ones(weights):
-    with pytest.raises(ValueError, match="unknown set 'soyuz'; known: soyuz_easy"):
+    with pytest.raises(ValueError, match=r"scene: expected one of soyuz_easy, .*, got 'soyuz'"):
         measure(weights, "soyuz")
 
 

@@ -394,7 +394,7 @@ def test_of_a_thin_image_only_the_window_is_computed(fly, folder, tmp_path):
     sizes = [(1, 60_000), (60_000, 1), (1, 1000), (1500, 1)]
     images = folder({f"{w}x{h}.png": png(picture(w, h)) for w, h in sizes})
     flying = fly(graph, "--any-camera")
-    estimator = PoseEstimator(graph, any_camera=True, threads=1)
+    estimator = load(graph, resize=True, threads=1)
     for w, h in sizes[2:]:
         image = images / f"{w}x{h}.png"
         assert_same(ask(flying, image), expected(estimator, image), 0)

@@ -47,7 +47,7 @@ def export_weights(
     say: Say = lambda _: None,
     **fields: Any,
 ) -> Exported:
-    """Write the network of a weights file as an ONNX graph for `ffpose.onnx.runtime`.
+    """Write the network of a weights file as an ONNX graph for `ffpose.load`.
 
     Args:
         weights: A weights file, or the name of weights that come with the package.

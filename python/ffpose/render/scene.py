@@ -120,5 +120,5 @@ def get_scene(name: str) -> Scene:
         ValueError: the name is not known; the message lists the known ones.
     """
     if name not in SCENES:
-        raise ValueError(f"unknown set {name!r}; known: {', '.join(SCENES)}")
+        raise ValueError(f"scene: expected one of {', '.join(SCENES)}, got {name!r}")
     return SCENES[name]

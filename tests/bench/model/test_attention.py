@@ -145,5 +145,5 @@ def test_the_whole_plan_and_the_quick_one(monkeypatch):
 
 
 def test_there_is_no_picture_of_attention(tmp_path, capsys):
-    assert main(["bench", "model", "attention", "--plot", str(tmp_path / "model.png")]) == 1
+    assert main(["bench", "model", "attention", "--plot", str(tmp_path / "model.png")]) == 2
     assert "--plot: expected with filter or a network" in capsys.readouterr().err

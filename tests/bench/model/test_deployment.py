@@ -263,18 +263,22 @@ def test_the_process_of_a_graph_imports_no_torch():
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "code", "message"),
     [
-        (["filter", "base"], "network: expected with model, got 'base' with filter"),
-        (["filter", "--batch", "1"], "--batch: expected with a network"),
-        (["model", "attention", "--threads", "1"], "--threads: expected with a network"),
-        (["model", "speck", "--threads", "0"], r"threads: expected numbers of at least 1, got [0]"),
-        (["model", "speck", "--plot", "absent/a.png"], "expected an existing folder"),
-        (["model", "nowhere"], "weights: expected a file or a name"),
+        (["filter", "base"], 2, "network: expected with model, got 'base' with filter"),
+        (["filter", "--batch", "1"], 2, "--batch: expected with a network"),
+        (["model", "attention", "--threads", "1"], 2, "--threads: expected with a network"),
+        (
+            ["model", "speck", "--threads", "0"],
+            2,
+            "threads: expected numbers of at least 1, got [0]",
+        ),
+        (["model", "speck", "--plot", "absent/a.png"], 1, "expected an existing folder"),
+        (["model", "nowhere"], 1, "weights: expected a file or a name"),
     ],
 )
-def test_what_cannot_be_measured_is_refused(words, message, capsys):
-    assert main(["bench", *words]) == 1
+def test_what_cannot_be_measured_is_refused(words, code, message, capsys):
+    assert main(["bench", *words]) == code
     assert message in capsys.readouterr().err
 
 
