@@ -78,6 +78,7 @@ def test_what_is_true_is_a_switch():
         (["--data.count", "[3,2]"], "expected a list as --data.count 1,2, got [3,2]"),
         (["--model.image-size=[8,8]"], "expected a list as --model.image-size 1,2, got [8,8]"),
         (["--stages", "[]"], "expected stages in a file, --config FILE, got --stages []"),
+        (["--stages", "joint"], "expected stages in a file, --config FILE, got --stages joint"),
         (["--model", "tyni"], "model: expected one of base, small, tiny, "),
         (["--model.depht", "4"], "got depht (did you mean depth?)"),
         (["--batch-sise", "4"], "(did you mean --batch-size?)"),
