@@ -78,7 +78,7 @@ NOT_RUN = {
     "LD_PRELOAD=$PWD/mkl.so": "needs that library, in a process that begins with it",
     "OPENBLAS_NUM_THREADS=1": "measures for a minute, and needs a new process",
     "camera-process": "stands for the reader's own program",
-    "ffpose-onboard": "is built apart from ffpose; tests/onnx/test_onboard.py runs it",
+    "ffpose-onboard": "is built apart from ffpose; tests/onboard runs it",
     "mitsuba": "needs a package of 60 MB; tests/render/test_second_renderer.py renders with it",
     "--ray": "needs a cluster; tests/render/dataset/test_writer.py renders with Ray",
     "torchrun": "waits for other machines or takes minutes; --processes sets the same environment,"

@@ -6,12 +6,14 @@ use ort::session::{Session, SessionOutputs};
 use ort::value::TensorRef;
 use serde_json::{Map, Value};
 
+use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::metadata::Metadata;
 use crate::model::Model;
-use crate::options::Options;
+use crate::options::{Options, Taken};
 use crate::picture::Picture;
 use crate::pose::{Outputs, Uncertainty, document};
+use crate::reprojection::Reprojection;
 use crate::runtime::{open_session, refused};
 
 const INPUT: &str = "images";
@@ -19,6 +21,8 @@ const INPUT: &str = "images";
 /// A model that is ready to run.
 pub struct Estimator {
     metadata: Metadata,
+    /// The camera whose aspect ratio an image must have.
+    camera: Option<Camera>,
     session: Session,
 }
 
@@ -26,20 +30,12 @@ impl Estimator {
     /// Opens a model, and runs it once on a black image, whose memory and plans later runs use.
     ///
     /// # Errors
-    /// The model, ONNX Runtime or the library of the operator cannot be used.
+    /// The model, ONNX Runtime, the library of the operator or the camera's file cannot be used.
     pub fn open(options: &Options) -> Result<Self> {
         let mut model = Model::read(&options.model, options.sha256.as_deref())?;
-        let metadata = &mut model.metadata;
-        if options.any_camera {
-            metadata.camera = None;
-        } else if metadata.undistorted {
-            return Err(Error::new(
-                "expected a network for images as the camera takes them, got one trained on undistorted images: undistort them \
-                 first, and say so by --any-camera",
-            ));
-        }
+        let camera = adapt(&mut model.metadata, &options.images)?;
         let session = open_session(options, &model)?;
-        let mut estimator = Self { metadata: model.metadata, session };
+        let mut estimator = Self { metadata: model.metadata, camera, session };
         let size =
             3 * estimator.metadata.preprocessing.height * estimator.metadata.preprocessing.width;
         estimator.run(&vec![0.0; size]).map_err(|error| error.of("the model cannot be run"))?;
@@ -51,11 +47,11 @@ impl Estimator {
     /// # Errors
     /// The file is no image that can be used, of another aspect ratio than the camera's, or the network fails.
     pub fn pose(&mut self, path: &Path) -> Result<Map<String, Value>> {
-        let picture = Picture::read(path)?;
-        if let Some(camera) = &self.metadata.camera {
+        let picture = Picture::read(path, self.metadata.white)?;
+        if let Some(camera) = &self.camera {
             camera.expect_aspect(picture.width, picture.height)?;
         }
-        let outputs = self.run(&self.metadata.preprocessing.input(&picture))?;
+        let outputs = self.run(&self.metadata.preprocessing.input(&picture)?)?;
         document(&outputs, self.metadata.in_view_threshold, self.metadata.locates_camera)
     }
 
@@ -66,6 +62,33 @@ impl Estimator {
             &self.session.run(ort::inputs![INPUT => tensor]).map_err(|error| refused(&error))?,
         )
     }
+}
+
+/// Prepares a model for the images to come; returns the camera whose aspect ratio they must have, `None` for any.
+fn adapt(metadata: &mut Metadata, images: &Taken) -> Result<Option<Camera>> {
+    let path = match images {
+        Taken::Resized => return Ok(None),
+        Taken::ByModelsCamera if metadata.undistorted => {
+            return Err(Error::new(
+                "expected --camera FILE, whose distortion is taken out of images as in training, or --resize for images \
+                 without distortion, got neither",
+            ));
+        }
+        Taken::ByModelsCamera => return Ok(metadata.camera.clone()),
+        Taken::ByCamera(path) => path,
+    };
+    let source = Camera::read(path)?;
+    let view = metadata.view.clone().ok_or_else(|| {
+        Error::new(
+            "--camera: expected a model that knows the camera of its input, to which images are reprojected, got one that \
+             does not; --resize takes images of any camera as they are",
+        )
+    })?;
+    if source.distortion.is_none() && metadata.preprocessing.camera(&source).agrees_with(&view) {
+        return Ok(Some(source));
+    }
+    metadata.preprocessing.reprojection = Some(Reprojection { source, view });
+    Ok(None)
 }
 
 fn read_outputs(outputs: &SessionOutputs) -> Result<Outputs> {

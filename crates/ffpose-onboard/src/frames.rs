@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
-const ENDINGS: [&str; 3] = ["png", "jpg", "jpeg"];
+const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "pgm"];
 
 /// Largest number of bytes of a line: Linux's for a path.
 const MAX_LINE: usize = 4096;
@@ -131,12 +131,12 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(
-            error.contains("expected files that end in .png, .jpg, .jpeg, got none"),
+            error.contains("expected files that end in .png, .jpg, .jpeg, .pgm, got none"),
             "{error}"
         );
         assert!(of_folder(Path::new("/nowhere/at/all")).is_err());
         for (name, expected) in
-            [("a.PNG", true), ("b.jpeg", true), ("gt.csv", false), ("png", false)]
+            [("a.PNG", true), ("a.pgm", true), ("b.jpeg", true), ("gt.csv", false), ("png", false)]
         {
             assert_eq!(is_image(Path::new(name)), expected, "{name}");
         }

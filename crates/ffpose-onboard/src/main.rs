@@ -1,13 +1,16 @@
 //! Poses from images without Python: a model of `ffpose export` in ONNX Runtime, one JSON line per image.
 //!
-//! `frames → picture → preprocessing (resize) → estimator (model, runtime) → pose → answers`.
+//! `frames → picture (codecs) → preprocessing (reprojection, resize) → estimator (model, runtime) → pose → answers`.
 
 mod answers;
+mod camera;
+mod codecs;
 mod error;
 mod estimator;
 mod files;
 mod frames;
 mod graph;
+mod levels;
 mod metadata;
 mod model;
 mod options;
@@ -15,8 +18,10 @@ mod picture;
 mod pose;
 mod preprocessing;
 mod records;
+mod reprojection;
 mod resize;
 mod runtime;
+mod undistortion;
 
 use std::env;
 use std::io;

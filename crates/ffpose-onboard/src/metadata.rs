@@ -5,7 +5,9 @@ use std::collections::HashMap;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
+use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::levels::White;
 use crate::preprocessing::Preprocessing;
 use crate::records::records;
 
@@ -22,38 +24,18 @@ pub struct Metadata {
     pub preprocessing: Preprocessing,
     /// Whether spectral filters are computed by the library of ffpose's operator.
     pub needs_operators: bool,
-    /// The size of the images trained on, which tells the camera's aspect ratio; `None` where it is not known.
+    /// The camera of the images trained on; `None` where it is not known.
     pub camera: Option<Camera>,
+    /// The camera of the network's input; `None` where it is not known.
+    pub view: Option<Camera>,
     /// An image whose probability that the object is in view lies below this is flagged.
     pub in_view_threshold: Option<f64>,
     /// Whether the network gives the camera's center in the world in place of a translation.
     pub locates_camera: bool,
     /// Whether the images trained on were undistorted.
     pub undistorted: bool,
-}
-
-/// The size of a camera's images, in pixels.
-#[derive(Debug)]
-pub struct Camera {
-    width: u128,
-    height: u128,
-}
-
-impl Camera {
-    /// Refuses an image of another aspect ratio than the camera's.
-    ///
-    /// # Errors
-    /// The aspect ratio is another.
-    pub fn expect_aspect(&self, width: usize, height: usize) -> Result<()> {
-        if width as u128 * self.height == height as u128 * self.width {
-            return Ok(());
-        }
-        Err(Error::new(format!(
-            "expected the aspect ratio of the model's camera, {}x{}, got an image of {width}x{height} pixels, which another \
-             camera took (--any-camera resizes any image to the network's input)",
-            self.width, self.height
-        )))
-    }
+    /// What became 255 in images trained on that have more than 8 bits.
+    pub white: Option<White>,
 }
 
 impl Metadata {
@@ -89,11 +71,14 @@ impl Metadata {
     fn from_entries(entries: &HashMap<String, String>) -> Result<Self> {
         choice(entries, "architecture", &["FilterformerPose", "UrsoNet", "PoseNet"])?;
         choice(entries, "quaternion_order", &["wxyz"])?;
-        let camera = json(entries, "camera")?;
+        let preprocessing = Preprocessing::from_json(&json(entries, "preprocessing")?)?;
+        let decoding =
+            if entries.contains_key("decoding") { json(entries, "decoding")? } else { Value::Null };
         Ok(Self {
-            preprocessing: Preprocessing::from_json(&json(entries, "preprocessing")?)?,
+            view: view(entries, &preprocessing)?,
+            preprocessing,
             needs_operators: choice(entries, "filter", &["custom", "matmul", "none"])? == "custom",
-            camera: if camera.is_null() { None } else { Some(read_camera(&camera)?) },
+            camera: camera(entries, "camera")?,
             in_view_threshold: match json(entries, "in_view_threshold")? {
                 Value::Null => None,
                 value => Some(value.as_f64().ok_or_else(|| {
@@ -102,8 +87,11 @@ impl Metadata {
             },
             locates_camera: entries.contains_key("locates")
                 && choice(entries, "locates", &["object", "camera"])? == "camera",
-            undistorted: entries.contains_key("decoding")
-                && json(entries, "decoding")?["undistorted"] == true,
+            undistorted: decoding["undistorted"] == true,
+            white: match &decoding["white"] {
+                Value::Null => None,
+                value => Some(White::from_json(value)?),
+            },
         })
     }
 }
@@ -171,26 +159,42 @@ fn json(entries: &HashMap<String, String>, name: &str) -> Result<Value> {
         .map_err(|error| Error::new(error.to_string()).of(name))
 }
 
-fn read_camera(value: &Value) -> Result<Camera> {
-    let side = |name: &str| {
-        let side = value[name].as_u64().filter(|&side| side > 0);
-        side.map(u128::from).ok_or_else(|| {
-            Error::new(format!("camera: expected a {name} of at least 1, got {value}"))
-        })
-    };
-    Ok(Camera { width: side("width")?, height: side("height")? })
+fn camera(entries: &HashMap<String, String>, name: &str) -> Result<Option<Camera>> {
+    let value = json(entries, name)?;
+    if value.is_null() {
+        return Ok(None);
+    }
+    Camera::from_json(&value).map(Some).map_err(|error| error.of(name))
+}
+
+/// Reads the camera of the network's input, which is of the input's size.
+fn view(
+    entries: &HashMap<String, String>,
+    preprocessing: &Preprocessing,
+) -> Result<Option<Camera>> {
+    let view = camera(entries, "view_camera")?;
+    let (width, height) = (preprocessing.width, preprocessing.height);
+    match &view {
+        Some(camera) if (camera.width, camera.height) != (width, height) => {
+            Err(Error::new(format!(
+                "view_camera: expected the size of the network's input, {width}x{height}, got {camera}"
+            )))
+        }
+        _ => Ok(view),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const ENTRIES: [(&str, &str); 7] = [
+    const ENTRIES: [(&str, &str); 8] = [
         ("ffpose_format", "1"),
         ("architecture", "FilterformerPose"),
         ("quaternion_order", "wxyz"),
         ("filter", "custom"),
-        ("camera", r#"{"width": 128, "height": 96}"#),
+        ("camera", r#"{"width": 128, "height": 96, "fx": 100, "fy": 100, "cx": 64, "cy": 48}"#),
+        ("view_camera", r#"{"width": 6, "height": 4, "fx": 5, "fy": 5, "cx": 3, "cy": 2}"#),
         ("in_view_threshold", "0.25"),
         (
             "preprocessing",
@@ -229,10 +233,8 @@ mod tests {
         assert_eq!((metadata.preprocessing.height, metadata.preprocessing.width), (4, 6));
         assert!(metadata.needs_operators);
         assert_eq!(metadata.in_view_threshold, Some(0.25));
-        let camera = metadata.camera.unwrap();
-        camera.expect_aspect(64, 48).unwrap();
-        let error = camera.expect_aspect(64, 64).unwrap_err().to_string();
-        assert!(error.contains("128x96, got an image of 64x64"), "{error}");
+        assert_eq!(metadata.camera.unwrap().to_string(), "128x96");
+        assert_eq!(metadata.view.unwrap().to_string(), "6x4");
         let unknown = Metadata::of(&sealed(model(&with("camera", "null")))).unwrap();
         assert!(unknown.camera.is_none());
     }
@@ -245,14 +247,17 @@ mod tests {
     }
 
     #[test]
-    fn undistorted_training_is_read() {
-        assert!(!Metadata::of(&sealed(model(&ENTRIES))).unwrap().undistorted);
+    fn how_images_are_decoded_is_read() {
+        let plain = Metadata::of(&sealed(model(&ENTRIES))).unwrap();
+        assert_eq!((plain.undistorted, plain.white), (false, None));
         for (decoding, expected) in [
-            (r#"{"undistorted": true, "white": null}"#, true),
-            (r#"{"undistorted": false, "white": 4095}"#, false),
+            (r#"{"undistorted": true, "white": null}"#, (true, None)),
+            (r#"{"undistorted": false, "white": 4095}"#, (false, Some(White::Level(4095.0)))),
+            (r#"{"undistorted": false, "white": "p99"}"#, (false, Some(White::Percentile(99.0)))),
         ] {
             let entries = [&ENTRIES[..], &[("decoding", decoding)]].concat();
-            assert_eq!(Metadata::of(&sealed(model(&entries))).unwrap().undistorted, expected);
+            let metadata = Metadata::of(&sealed(model(&entries))).unwrap();
+            assert_eq!((metadata.undistorted, metadata.white), expected);
         }
     }
 
@@ -294,7 +299,15 @@ mod tests {
                 sealed(model(&[&ENTRIES[..], &[("locates", "ship")]].concat())),
                 "locates: expected one of object, camera, got ship",
             ),
-            (sealed(model(&with("camera", "{}"))), "camera: expected a width"),
+            (sealed(model(&with("camera", "{}"))), "camera: expected the keys width, height"),
+            (
+                sealed(model(&with("view_camera", ENTRIES[4].1))),
+                "view_camera: expected the size of the network's input, 6x4, got 128x96",
+            ),
+            (
+                sealed(model(&[&ENTRIES[..], &[("decoding", r#"{"white": 0}"#)]].concat())),
+                "white: expected a positive level",
+            ),
             (sealed(model(&with("preprocessing", "{"))), "preprocessing: "),
             (sealed(model(&ENTRIES[..5])), "expected the entry"),
             (model(&[("ffpose_format", "1"), (CHECKSUM, &"0".repeat(300))]), "altered"),

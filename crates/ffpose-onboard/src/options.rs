@@ -11,7 +11,7 @@ Print the pose of the spacecraft in each image, one JSON line each, as soon as i
 usage: ffpose-onboard --model FILE (--images DIR | --stdin) [options]
 
   --model FILE      model of `ffpose export`
-  --images DIR      pose the .png, .jpg and .jpeg files of a folder, by name
+  --images DIR      pose the .png, .jpg, .jpeg and .pgm files of a folder, by name
   --stdin           pose the files whose paths come in lines on standard input, until it ends
   --threads N       threads that an image is computed with (default: ONNX Runtime's choice)
   --runtime PATH    ONNX Runtime's library (default: ORT_DYLIB_PATH, else libonnxruntime.so beside
@@ -19,7 +19,9 @@ usage: ffpose-onboard --model FILE (--images DIR | --stdin) [options]
   --sha256 HEX      SHA-256 that the model's file must have, of what was signed for a mission; without,
                     damage is told by the checksum in the file, but not what was changed on purpose
   --operators PATH  libffpose_ort.so, for models exported with --filter custom that have filters
-  --any-camera      resize an image of any aspect ratio to the network's input, as if the model's
+  --camera FILE     camera that takes the images, if another than the model's: JSON of width, height, fx, fy,
+                    cx, cy and, of a lens that distorts, distortion; images are reprojected by geometry
+  --resize          resize an image of any aspect ratio to the network's input, as if the model's
                     camera had taken it; without, another aspect ratio is an error of that image
   --help, --version
 
@@ -41,8 +43,19 @@ pub struct Options {
     pub runtime: PathBuf,
     /// The library of ffpose's operator.
     pub operators: Option<PathBuf>,
-    /// Whether images of any aspect ratio are resized.
-    pub any_camera: bool,
+    /// What took the images.
+    pub images: Taken,
+}
+
+/// What took the images.
+#[derive(Debug, PartialEq)]
+pub enum Taken {
+    /// A camera like that of the images trained on.
+    ByModelsCamera,
+    /// The camera of a file, from which they are reprojected.
+    ByCamera(PathBuf),
+    /// Any, of whose images all are resized to the network's input.
+    Resized,
 }
 
 /// Where the images are.
@@ -91,7 +104,8 @@ struct Given {
     sha256: Option<String>,
     runtime: Option<PathBuf>,
     operators: Option<PathBuf>,
-    any_camera: bool,
+    camera: Option<PathBuf>,
+    resize: bool,
 }
 
 impl Given {
@@ -103,7 +117,8 @@ impl Given {
         let mut value = || next().ok_or_else(|| format!("{name}: expected a value, got none"));
         match name {
             "--stdin" => self.stdin = true,
-            "--any-camera" => self.any_camera = true,
+            "--resize" => self.resize = true,
+            "--camera" => self.camera = Some(value()?.into()),
             "--threads" => self.threads = Some(count(&value()?)?),
             "--sha256" => self.sha256 = Some(digest(&value()?)?),
             "--model" => self.model = Some(value()?.into()),
@@ -130,7 +145,12 @@ impl Given {
             sha256: self.sha256,
             runtime: self.runtime.unwrap_or_else(default_runtime),
             operators: self.operators,
-            any_camera: self.any_camera,
+            images: match (self.camera, self.resize) {
+                (None, false) => Taken::ByModelsCamera,
+                (Some(file), false) => Taken::ByCamera(file),
+                (None, true) => Taken::Resized,
+                (Some(_), true) => return Err("expected --camera or --resize, got both".into()),
+            },
         })
     }
 }
@@ -169,7 +189,7 @@ mod tests {
     fn options_are_read() {
         let digest = "0A".repeat(32);
         let arguments = format!(
-            "--stdin --model m.onnx --threads 2 --sha256 {digest} --runtime /r.so --operators o.so --any-camera"
+            "--stdin --model m.onnx --threads 2 --sha256 {digest} --runtime /r.so --operators o.so --camera c.json"
         );
         let expected = Options {
             model: "m.onnx".into(),
@@ -178,7 +198,7 @@ mod tests {
             sha256: Some("0a".repeat(32)),
             runtime: "/r.so".into(),
             operators: Some("o.so".into()),
-            any_camera: true,
+            images: Taken::ByCamera("c.json".into()),
         };
         assert_eq!(parse(&arguments), Ok(Command::Run(expected)));
         assert_eq!(parse("--model x --help"), Ok(Command::Print(HELP)));
@@ -197,7 +217,8 @@ mod tests {
                 "--model m --stdin --sha256 12ab",
                 "--sha256: expected 64 hexadecimal digits, got 12ab",
             ),
-            ("--camera c", "got --camera"),
+            ("--model m --stdin --resize --camera c", "expected --camera or --resize, got both"),
+            ("--any-camera", "got --any-camera"),
             ("image.png", "got image.png"),
         ] {
             let error = parse(arguments).unwrap_err();

@@ -2,8 +2,10 @@
 
 use serde_json::Value;
 
+use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::picture::{MAX_PIXELS, MAX_SIDE, Picture};
+use crate::reprojection::Reprojection;
 use crate::resize::{Axis, Filter, resize};
 
 /// Frame over crop.
@@ -28,6 +30,8 @@ pub struct Preprocessing {
     mean: [f32; 3],
     std: [f32; 3],
     filter: Filter,
+    /// How images of another camera than that of the images trained on come to the network's view.
+    pub reprojection: Option<Reprojection>,
 }
 
 impl Preprocessing {
@@ -67,25 +71,39 @@ impl Preprocessing {
                     ));
                 }
             },
+            reprojection: None,
         })
     }
 
     /// Returns the input of an image, of shape `(3, height, width)`.
-    pub fn input(&self, picture: &Picture) -> Vec<f32> {
-        let window = self.window(picture);
+    ///
+    /// # Errors
+    /// It is reprojected, and its camera cannot have taken it or sees nothing of the view.
+    pub fn input(&self, picture: &Picture) -> Result<Vec<f32>> {
+        let window = match &self.reprojection {
+            None => self.window(picture),
+            Some(reprojection) => reprojection.view(picture, self.filter)?,
+        };
         let mut input = Vec::with_capacity(window.pixels.len());
         for channel in 0..3 {
             let (mean, std) = (self.mean[channel], self.std[channel]);
             let samples = window.pixels[channel..].iter().step_by(3);
             input.extend(samples.map(|&value| (f32::from(value) / 255.0 - mean) / std));
         }
-        input
+        Ok(input)
+    }
+
+    /// Returns the camera that sees the input, given that of the image.
+    pub fn camera(&self, camera: &Camera) -> Camera {
+        let (height, width) = self.frame_size(camera.width, camera.height);
+        let (top, left) = ((height - self.height) / 2, (width - self.width) / 2);
+        camera.resized(width, height).cropped(left, top, self.width, self.height)
     }
 
     /// Returns the middle of the resized image, the only part of it that is computed: the whole of a thin image would not fit in
     /// memory.
     fn window(&self, picture: &Picture) -> Picture {
-        let (frame_height, frame_width) = self.frame_size(picture);
+        let (frame_height, frame_width) = self.frame_size(picture.width, picture.height);
         let middle = |size, frame, kept| {
             let first = (frame - kept) / 2;
             Axis { kept: first..first + kept, ..Axis::whole(size, frame) }
@@ -97,11 +115,11 @@ impl Preprocessing {
 
     /// Returns height and width of the resized image that the input is cut from.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a whole number above zero
-    fn frame_size(&self, picture: &Picture) -> (usize, usize) {
+    fn frame_size(&self, width: usize, height: usize) -> (usize, usize) {
         if self.mode == Mode::Resize {
             return (self.height, self.width);
         }
-        let (height, width) = (picture.height as f64, picture.width as f64);
+        let (height, width) = (height as f64, width as f64);
         let scale = CROP_MARGIN * (self.height as f64 / height).max(self.width as f64 / width);
         let rounded = |length: f64| (length * scale).round_ties_even() as usize;
         (rounded(height), rounded(width))
@@ -161,7 +179,7 @@ mod tests {
         let picture = Picture { width: 2, height: 1, pixels: vec![255, 51, 0, 0, 255, 255] };
         let preprocessing = Preprocessing::from_json(&description([1, 2], "resize")).unwrap();
         // (1 - 0.5) / 0.5 and (0 - 0.5) / 0.5; 51 / 255 and 1; (0 - 1) / 2 and (1 - 1) / 2
-        assert_eq!(preprocessing.input(&picture), [1.0, -1.0, 0.2, 1.0, -0.5, 0.0]);
+        assert_eq!(preprocessing.input(&picture).unwrap(), [1.0, -1.0, 0.2, 1.0, -0.5, 0.0]);
     }
 
     #[test]
@@ -169,15 +187,15 @@ mod tests {
         let preprocessing =
             Preprocessing::from_json(&description([224, 224], "center_crop")).unwrap();
         let blank = |width, height| Picture { width, height, pixels: vec![0; 3 * width * height] };
-        assert_eq!(preprocessing.frame_size(&blank(640, 480)), (256, 341)); // 341.33
-        assert_eq!(preprocessing.frame_size(&blank(480, 640)), (341, 256));
+        assert_eq!(preprocessing.frame_size(640, 480), (256, 341)); // 341.33
+        assert_eq!(preprocessing.frame_size(480, 640), (341, 256));
 
         // A frame of the image's own size, 8 x 8, whose red pixel is the window's first.
         let preprocessing = Preprocessing::from_json(&description([7, 7], "center_crop")).unwrap();
         let mut picture = blank(8, 8);
         picture.pixels[0] = 255;
-        assert_eq!(preprocessing.frame_size(&picture), (8, 8));
-        let input = preprocessing.input(&picture);
+        assert_eq!(preprocessing.frame_size(8, 8), (8, 8));
+        let input = preprocessing.input(&picture).unwrap();
         assert_eq!((input.len(), input[0], input[1]), (3 * 49, 1.0, -1.0));
     }
 

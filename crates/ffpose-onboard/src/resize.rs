@@ -4,7 +4,7 @@
 //! first, then down (of tall images the other way round), each rounded to 8 bits. Weights are integers of [`BITS`] bits behind the point.
 
 #![allow(
-    clippy::cast_possible_truncation, // toward zero, as Pillow does: of weights, and of places within an image
+    clippy::cast_possible_truncation, // toward zero, as Pillow does: of weights, and of places within an image; its boxes are f32
     clippy::cast_sign_loss // after a comparison with zero
 )]
 
@@ -25,7 +25,8 @@ pub enum Filter {
 }
 
 impl Filter {
-    fn radius(self) -> f64 {
+    /// Pixels that the filter reaches to either side, of the coarser of image and output.
+    pub fn radius(self) -> f64 {
         match self {
             Self::Bilinear => 1.0,
             Self::Bicubic => 2.0,
@@ -44,12 +45,22 @@ impl Filter {
     }
 }
 
-/// How an axis of an image is resized.
+/// How an axis of an image is resized, or a piece of it.
+///
+/// Beyond the image there may be black pixels, which are never stored.
 #[derive(Clone, Debug)]
 pub struct Axis {
     /// Pixels of the image.
     pub size: usize,
-    /// Pixels that the whole of the image becomes.
+    /// Black pixels before it.
+    pub before: usize,
+    /// Pixels of the axis, black ones included.
+    pub all: usize,
+    /// Where the piece begins, counted from the first black pixel.
+    pub start: f32,
+    /// Where the piece ends.
+    pub end: f32,
+    /// Pixels that the piece becomes.
     pub to: usize,
     /// Those of them that are computed.
     pub kept: Range<usize>,
@@ -70,36 +81,39 @@ struct Weights {
 impl Axis {
     /// All of an axis of `size` pixels, which becomes one of `to`.
     pub fn whole(size: usize, to: usize) -> Self {
-        Self { size, to, kept: 0..to }
+        Self { size, before: 0, all: size, start: 0.0, end: size as f32, to, kept: 0..to }
     }
 
     /// Pixels that the axis loses.
     fn lost(&self) -> usize {
-        self.size.saturating_sub(self.to)
+        self.all.saturating_sub(self.to)
     }
 
     fn weights(&self, filter: Filter) -> Weights {
         let mut taps: Vec<Taps> = self.kept.clone().map(|place| self.taps(place, filter)).collect();
-        let first = taps.iter().map(|taps| taps.first).min().unwrap_or(0);
-        let last = taps.iter().map(|taps| taps.first + taps.weights.len()).max().unwrap_or(0);
+        let seen = || taps.iter().filter(|taps| !taps.weights.is_empty());
+        let first = seen().map(|taps| taps.first).min().unwrap_or(0);
+        let last = seen().map(|taps| taps.first + taps.weights.len()).max().unwrap_or(0);
         for taps in &mut taps {
-            taps.first -= first;
+            taps.first = if taps.weights.is_empty() { 0 } else { taps.first - first };
         }
         Weights { reached: first..last, taps }
     }
 
     fn taps(&self, place: usize, filter: Filter) -> Taps {
-        let scale = self.size as f64 / self.to as f64;
+        let scale = f64::from(self.end - self.start) / self.to as f64;
         let stretch = scale.max(1.0);
         let reach = filter.radius() * stretch;
         let shrink = 1.0 / stretch;
-        let center = (place as f64 + 0.5) * scale;
+        let center = f64::from(self.start) + (place as f64 + 0.5) * scale;
         let first = (center - reach + 0.5).max(0.0) as usize;
-        let last = ((center + reach + 0.5) as usize).min(self.size);
+        let last = ((center + reach + 0.5) as usize).min(self.all);
         let at = |pixel: usize| filter.at((pixel as f64 - center + 0.5) * shrink);
-        let weights: Vec<f64> = (first..last).map(at).collect();
-        let sum: f64 = weights.iter().sum();
-        Taps { first, weights: weights.iter().map(|weight| fixed(weight / sum)).collect() }
+        let sum: f64 = (first..last).map(at).sum();
+        // Black pixels count in the sum alone.
+        let (first, last) = (first.max(self.before), last.min(self.before + self.size));
+        let weights = (first..last).map(|pixel| fixed(at(pixel) / sum)).collect();
+        Taps { first: first - self.before, weights }
     }
 }
 
@@ -115,6 +129,9 @@ pub fn resize(picture: &Picture, across: &Axis, down: &Axis, filter: Filter) -> 
     let is_column_first = is_column_first(across, down);
     let (across, down) = (across.weights(filter), down.weights(filter));
     let (rows, columns) = (down.reached, across.reached);
+    if rows.is_empty() || columns.is_empty() {
+        return Picture { width, height, pixels: vec![0; 3 * width * height] };
+    }
     let reached: Vec<&[u8]> = picture.pixels.chunks_exact(3 * picture.width).collect();
     let reached = reached[rows].iter().map(|row| &row[3 * columns.start..3 * columns.end]);
     let reached: Vec<&[u8]> = reached.collect();

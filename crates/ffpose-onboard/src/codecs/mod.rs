@@ -1,0 +1,5 @@
+//! The kinds of image files.
+
+pub mod jpeg;
+pub mod pgm;
+pub mod png;

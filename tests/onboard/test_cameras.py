@@ -1,0 +1,105 @@
+"""Images of other cameras are reprojected as by Python, or resized, or refused."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from ffpose.geometry import Camera, DistortedCamera
+from ffpose.inference.load import load
+from ffpose.onnx.metadata import sealed
+from ffpose.preprocessing import Preprocessing
+from onboard_program import CAMERA, PILLOW, SIZE, assert_same, expected, picture, png, projections
+
+LENS = (-0.3, 0.1, 0.01, -0.005, 0.02)
+
+CAMERAS = {
+    "the model's": CAMERA,
+    "the model's, but for a little": replace(CAMERA, fx=CAMERA.fx * 1.0009),
+    "the view's": Camera(64, 48, 50.0, 50.0, 32.0, 24.0),
+    "narrow": Camera(90, 70, 211.7, 220.3, 40.2, 33.9),
+    "wide": Camera(100, 51, 30.1, 29.2, 51.3, 24.4),
+    "flat": Camera(300, 20, 230.0, 21.0, 140.0, 11.0),
+    "upright": Camera(33, 260, 20.5, 201.0, 15.0, 120.0),
+    "aside": Camera(80, 60, 62.5, 62.5, -7.3, 66.6),
+    "at a whole pixel": Camera(128, 96, 50.0, 50.0, 72.0, 40.0),
+    "coarse": Camera(7, 5, 6.2, 6.0, 3.4, 2.2),
+    "with a lens": DistortedCamera(128, 96, 100.0, 100.0, 64.0, 48.0, LENS),
+    "narrow with a lens": DistortedCamera(90, 70, 111.7, 120.3, 40.2, 33.9, LENS),
+}
+
+
+@pytest.mark.skipif(PILLOW < 13, reason="Pillow resized tall images across first")
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
+@pytest.mark.parametrize(
+    ("mode", "interpolation"), [("resize", "bicubic"), ("center_crop", "bilinear")]
+)
+def test_images_of_another_camera_are_reprojected_as_by_python(
+    run, folder, tmp_path, mode, interpolation, camera
+):
+    how = Preprocessing(SIZE, mode, interpolation=interpolation)
+    graph, file = tmp_path / "model.onnx", tmp_path / "camera.json"
+    graph.write_bytes(sealed(projections(how)))
+    camera.write(file)
+    sizes = [(camera.width, camera.height), (2 * camera.width, 2 * camera.height)]
+    images = folder({f"{w}.png": png(picture(w, h)) for w, h in sizes})
+    other = Image.new("RGB", (camera.width + 1, camera.height))
+    (images / "other.png").write_bytes(png(other))
+    code, documents, errors = run(graph, "--images", images, "--camera", file)
+    assert (code, errors) == (3, ["ffpose-onboard: 1 of 3 images have no pose"])
+    estimator = load(graph, camera=camera, threads=1)
+    *documents, refused = documents
+    for document in documents:
+        assert_same(document, expected(estimator, Path(document["image"])), 0)
+    shape = f"{camera.width}x{camera.height}, got an image of {camera.width + 1}x{camera.height}"
+    assert f"expected the aspect ratio of its camera, {shape}" in refused["error"]
+
+
+def test_images_of_another_camera_are_refused_unless_asked_for(run, folder, model):
+    images = folder({"same.png": png(picture(64, 48)), "wide.png": png(picture(128, 64))})
+    code, (same, wide), errors = run(model, "--images", images)
+    assert code == 3
+    assert "translation_m" in same
+    assert list(wide) == ["image", "error"]
+    assert "the aspect ratio of its camera, 128x96, got an image of 128x64" in wide["error"]
+    assert errors == ["ffpose-onboard: 1 of 2 images have no pose"]
+    code, (_, wide), _ = run(model, "--images", images, "--resize")
+    assert code == 0
+    assert_same(wide, expected(load(model, resize=True, threads=1), images / "wide.png"), 0)
+
+
+def test_a_camera_that_cannot_be_used_is_told_in_one_line(run, tmp_path, model):
+    file, unknown = tmp_path / "camera.json", tmp_path / "model.onnx"
+    unknown.write_bytes(sealed(projections(view=None)))
+    CAMERA.write(file)
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text('{"width": 128, "height": 96}')
+    for graph, camera, message in [
+        (unknown, file, "expected a model that knows the camera of its input"),
+        (model, tmp_path / "nowhere.json", "nowhere.json: cannot be read: No such file"),
+        (model, wrong, "wrong.json: camera: expected the keys width, height, fx, fy, cx, cy"),
+    ]:
+        code, documents, errors = run(graph, "--stdin", "--camera", camera)
+        assert (code, documents, len(errors)) == (1, [], 1)
+        assert message in errors[0]
+    code, _, errors = run(model, "--stdin", "--camera", file, "--resize")
+    assert (code, len(errors)) == (2, 1)
+    assert "expected --camera or --resize, got both" in errors[0]
+
+
+def test_images_are_undistorted_as_those_trained_on(run, folder, tmp_path):
+    graph, file = tmp_path / "model.onnx", tmp_path / "camera.json"
+    decoding = json.dumps({"undistorted": True, "white": None})
+    graph.write_bytes(sealed(projections(decoding=decoding)))
+    images = folder({"a.png": png(picture())})
+    code, documents, errors = run(graph, "--images", images)
+    assert (code, documents, len(errors)) == (1, [], 1)
+    assert "expected --camera FILE, whose distortion is taken out" in errors[0]
+    camera = CAMERAS["with a lens"]
+    camera.write(file)
+    code, (document,), _ = run(graph, "--images", images, "--camera", file)
+    assert code == 0
+    estimator = load(graph, camera=camera, threads=1)
+    assert_same(document, expected(estimator, images / "a.png"), 0)

@@ -1,0 +1,124 @@
+"""Images, models and questions for the program without Python; the answers of Python's runtime."""
+
+import io
+import json
+import re
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import PIL
+import pytest
+from PIL import Image
+
+from ffpose.config import CONFIGS
+from ffpose.geometry import Camera
+from ffpose.onnx.metadata import ModelMetadata
+from ffpose.prediction import Prediction
+from ffpose.preprocessing import Preprocessing
+
+ROOT = Path(__file__).parents[1]
+CRATE = ROOT / "crates" / "ffpose-onboard"
+CAMERA = Camera(128, 96, 100.0, 100.0, 64.0, 48.0)
+SIZE = (48, 64)
+PILLOW = int(PIL.__version__.split(".")[0])
+
+
+def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
+    """The bytes of a graph whose outputs are random projections of its input, 21 numbers of it.
+
+    Two inputs that differ by one level in one pixel have other projections.
+    """
+    onnx = pytest.importorskip("onnx")
+    rng = np.random.default_rng(0)
+    helper = onnx.helper
+    shapes = {
+        "translation": (3,),
+        "orientation": (4,),
+        "translation_covariance": (3, 3),
+        "rotation_covariance": (3, 3),
+        "in_view": (),
+    }
+    length = 3 * SIZE[0] * SIZE[1]
+    nodes = [helper.make_node("Flatten", ["images"], ["flat"], axis=1)]
+    constants, outputs = [], []
+    for name, shape in shapes.items():
+        count = int(np.prod(shape))
+        weight = rng.standard_normal((length, count), np.float32) / np.float32(length) ** 0.5
+        constants.append(onnx.numpy_helper.from_array(weight, f"{name}_weight"))
+        constants.append(onnx.numpy_helper.from_array(np.array([-1, *shape]), f"{name}_shape"))
+        last = {"orientation": "LpNormalization", "in_view": "Sigmoid"}.get(name, "Identity")
+        nodes += [
+            helper.make_node("MatMul", ["flat", f"{name}_weight"], [f"{name}_sum"]),
+            helper.make_node(last, [f"{name}_sum"], [f"{name}_last"]),
+            helper.make_node("Reshape", [f"{name}_last", f"{name}_shape"], [name]),
+        ]
+        outputs.append(helper.make_tensor_value_info(name, 1, ["batch", *shape]))
+    images = helper.make_tensor_value_info("images", 1, ["batch", 3, *SIZE])
+    graph = helper.make_graph(nodes, "projections", [images], outputs, constants)
+    opsets = [helper.make_opsetid("", 18)]
+    model = helper.make_model(graph, opset_imports=opsets, ir_version=9)
+    config = replace(CONFIGS["tiny"], image_size=SIZE, camera=view)
+    metadata = ModelMetadata(config, how or Preprocessing(SIZE), "none", CAMERA, 0.5)
+    helper.set_model_props(model, metadata.to_entries() | entries)
+    return model.SerializeToString()
+
+
+def picture(width=128, height=96, mode="RGB"):
+    pixels = np.random.default_rng(width).integers(0, 256, (height, width, 4), dtype=np.uint8)
+    return Image.fromarray(pixels).convert("RGB" if mode == "P" else mode).convert(mode)
+
+
+def png(image):
+    data = io.BytesIO()
+    image.save(data, "png")
+    return data.getvalue()
+
+
+def jpeg(image, **options):
+    data = io.BytesIO()
+    image.save(data, "jpeg", quality=90, **options)
+    return data.getvalue()
+
+
+def pgm(levels, white):
+    """The bytes of a PGM file of levels ``(h, w)``, of which ``white`` is white."""
+    height, width = levels.shape
+    header = f"P5\n# of a camera\n{width} {height}\n{white}\n".encode()
+    return header + levels.astype(np.uint8 if white < 256 else ">u2").tobytes()
+
+
+def png_of_chunks(**chunks):
+    """The bytes of a PNG file of the given chunks."""
+    parts = [b"\x89PNG\r\n\x1a\n"]
+    for name, data in chunks.items():
+        body = name.encode() + data
+        parts += [len(data).to_bytes(4), body, zlib.crc32(body).to_bytes(4)]
+    return b"".join(parts)
+
+
+def expected(estimator, image):
+    locates = estimator.metadata.locates
+    return Prediction(image, estimator(image), CAMERA, locates).to_dict()
+
+
+def assert_same(got, wanted, tolerance):
+    assert list(got) == list(wanted)
+    words = {"image", "flagged", "locates"}
+    assert all(got.get(name) == wanted.get(name) for name in words)
+    for name in wanted.keys() - words - {"roll_pitch_yaw_deg"}:
+        np.testing.assert_allclose(got[name], wanted[name], rtol=0, atol=tolerance)
+    turn = np.subtract(got["roll_pitch_yaw_deg"], wanted["roll_pitch_yaw_deg"])
+    np.testing.assert_allclose((turn + 180) % 360, 180, rtol=0, atol=1e-9 + 1e3 * tolerance)
+
+
+def ask(process, path):
+    process.stdin.write(f"{path}\n")
+    return json.loads(process.stdout.readline())
+
+
+def kilobytes(process, name):
+    """An entry of Linux's account of a process's memory: VmRSS now, VmHWM at most."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(re.search(rf"{name}:\s+(\d+) kB", status)[1])
