@@ -64,11 +64,11 @@ def check_spelling(words: Sequence[str]) -> None:
     Examples:
         >>> check_spelling(["--batch_size", "4"])
         Traceback (most recent call last):
-        argparse.ArgumentError: expected --batch-size, got --batch_size
+        argparse.ArgumentError: expected hyphens, --batch-size, got --batch_size
     """
     for option, _, _ in split(words):
         if option.startswith("--") and "_" in option:
-            raise wrong(f"expected {option.replace('_', '-')}, got {option}")
+            raise wrong(f"expected hyphens, {option.replace('_', '-')}, got {option}")
 
 
 def wrong(message: str) -> argparse.ArgumentError:

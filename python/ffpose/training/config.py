@@ -37,7 +37,7 @@ class DataConfig:
         mode: Conversion of an image to the network's input: "resize", the whole frame, or
             "center_crop", the paper's resize and center crop.
         augment: Whether to augment the training images.
-        augmentation: Fields of `ffpose.transforms.Augmentation` to change, such as {"roll": 10}.
+        augmentation: Fields of `ffpose.transforms.Augmentation` to change, as in ``{roll: 10}``.
         cache: Whether to store decoded and resized images in a file that later runs share.
         workers: Number of processes that read or render images beside the training process.
         train_split: Name of the training split, or "all" with ``holdout``.
@@ -271,7 +271,8 @@ class TrainConfig:
             standard deviation of the training split, instead of meters.
         epochs: Number of epochs of the first stage; overrides that of ``stages``.
         stages: Training stages, in order; by default the first stage of the paper alone. Each
-            starts from the best weights of those before it.
+            starts from the best weights of those before it. On a command line they come from a
+            file, ``--config FILE``.
         patience: Number of epochs without a better validation score after which a stage ends early;
             0 for never.
         batch_size: Number of images per batch.

@@ -82,6 +82,8 @@ def read_words(words: Sequence[str]) -> list[str]:
         if hyphens in REPLACED:
             raise wrong(f"expected {REPLACED[hyphens]}, got {option}")
         check_spelling([option])
+        if option == "--stages":
+            raise wrong(f"expected stages in a file, --config FILE, got {option} {value}")
         if option.startswith(OPEN) and not separator:
             separator, value = "=", "true"
         found += join(_dest(option), separator, _value(option, value) if separator else "")
@@ -106,8 +108,6 @@ def _value(option: str, value: str) -> str:
         return str(path)
     nested, listed = option.startswith(OPEN), option in LISTS
     if value.startswith(("{", "[")):
-        if option == "--stages":
-            raise wrong(f"expected stages in a file, --config FILE, got {option} {value}")
         if nested or listed:
             raise wrong(f"expected a list as {option} 1,2, got {value}")
         if option in ("--model", *GROUPS):
