@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "python" / "ffpose"
 # Each room and the rooms of ffpose that it may import. Leaves are open to all.
 LEAVES = {
     *("errors", "files", "images", "choices", "options", "torch_internals", "urso", "figures"),
-    "machine",
+    *("machine", "seeds"),
 }
 ALLOWED = {
     "__init__": {"arrays", "geometry", "inference"},
@@ -21,6 +21,7 @@ ALLOWED = {
     "urso": set(),
     "figures": set(),
     "machine": set(),
+    "seeds": set(),
     "arrays": {"_rust"},
     "geometry": {"arrays"},
     "attitude": set(),

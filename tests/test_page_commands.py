@@ -24,11 +24,11 @@ from shell_lines import commands
 TRAINING = "--epochs 1 --backbone-weights none"
 VIEWS = (
     "--data.count 8 --data.empty 2 --data.decoys 2 --data.cut 2 --data.randomized 2 "
-    "--data.validation 2 --data.workers 0 --batch-size 4 --epochs 1"
+    "--data.validation 2 --data.calibration 2 --data.workers 0 --batch-size 4 --epochs 1"
 )
 URSONET = {"backbone": "resnet18", "image_size": [240, 320]}
 SMALL_URSONET = {**POSENET, "bottleneck": 8, "hidden": 16, "bins_per_dim": 4}
-SCENES = {"count": 8, "empty": 2, "decoys": 2, "validation": 2, "workers": 0}
+SCENES = {"count": 8, "empty": 2, "decoys": 2, "validation": 2, "calibration": 2, "workers": 0}
 RENDERED = f"--changes {shlex.join(changes_of({'data': SCENES, 'batch_size': 4}))}"
 ON_DISK = "--changes data.workers=0 backbone-weights=none "
 INPUT = {"image_size": [48, 64]}
@@ -137,7 +137,6 @@ def folder(tmp_path, monkeypatch):
     """A folder to work in, where what no option makes small is small too."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SCRATCH", str(tmp_path / "scratch"))
-    monkeypatch.setattr("ffpose.datasets.scenes.EMPTY_IMAGES", 4)
     cases = {instruction_set(): [Case("tokens", (4, 6), 1)]}
     monkeypatch.setattr(bench, "make_plan", lambda quick: Plan(cases, 0.001, ()))
     monkeypatch.setattr(bench, "ALLOCATORS", ["default"])  # each has a process of its own

@@ -416,7 +416,7 @@ def inspect(options: Namespace) -> None:
 
 def card_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `card`."""
-    from ffpose.training.config import TEST_SEEDS
+    from ffpose.seeds import CHOICES
 
     weights = "weights file, a name such as soyuz-easy, or an exported .onnx graph"
     parser.add_argument("weights", type=Path, help=weights)
@@ -425,10 +425,14 @@ def card_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--count", type=int, default=500, help="images per condition")
     parser.add_argument("--size", type=size_type(), default="640x480", help="WIDTHxHEIGHT")
-    parser.add_argument(
-        "--seed", type=int, default=TEST_SEEDS, help=f"of the scenes, at least {TEST_SEEDS}"
-    )
+    text = f"of the scenes, {CHOICES.start} to {CHOICES.stop - 1}"
+    parser.add_argument("--seed", type=int, default=CHOICES.start, help=text)
+    text = "scenes of the seed that is kept for published figures, in place of --seed"
+    parser.add_argument("--final", action="store_true", help=text)
     parser.add_argument("--workers", type=int, default=1, help="processes that render")
+    parser.add_argument(
+        "--images", type=Path, help="folder that keeps the images: an interrupted card goes on"
+    )
     parser.add_argument(
         "--mitsuba", action="store_true", help="images of the second renderer too, which is slow"
     )
@@ -453,8 +457,10 @@ def card(options: Namespace) -> None:
         count=options.count,
         size=width_and_height(options.size),
         seed=options.seed,
+        final=options.final,
         workers=options.workers,
         second_renderer=options.mitsuba,
+        keep=options.images,
         progress=True,
     )
     if options.out is not None:
@@ -463,6 +469,37 @@ def card(options: Namespace) -> None:
         show(document)
     else:
         print(format_card(document), end="")
+
+
+def calibrate_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `calibrate`."""
+    from ffpose.training.config import CalibrationImages
+
+    parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz-easy")
+    parser.add_class_arguments(CalibrationImages, "data")
+    text = "numbers of rotated views to choose from, on other rendered images (default: as it is)"
+    parser.add_argument("--turns", type=int, nargs="+", default=[], help=text)
+    parser.add_argument("--out", type=Path, help="file to write (default: the weights file)")
+    parser.add_argument("--json", action="store_true", help="print what was found as JSON")
+
+
+def calibrate(options: Namespace) -> None:
+    """Calibrate distances, uncertainty and the flag of weights, and record it in their header.
+
+    The images are to be none that trained or validated: by default rendered scenes of seeds that
+    are kept for it. `train` does the same at its end.
+    """
+    from ffpose.training.calibrate_weights import calibrate_weights
+    from ffpose.training.config import CalibrationImages
+
+    images = CalibrationImages(**vars(options.data))
+    found = calibrate_weights(options.weights, images, turns=options.turns, out=options.out)
+    values = {**found._asdict(), "variance_scales": found.variance_scales.tolist()}
+    if options.json:
+        show(values)
+        return
+    for name, value in values.items():
+        print(f"{name}: {value}")
 
 
 def ablate_arguments(parser: ArgumentParser) -> None:
@@ -570,6 +607,7 @@ COMMANDS = {
     "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
     "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
+    "calibrate": Command("calibrate weights", calibrate_arguments, calibrate, "pose,render"),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
     "ablate": Command(
         "train the variants of a study, and compare", ablate_arguments, ablate, "pose,render"

@@ -210,7 +210,7 @@ def test_table_5_is_of_landmarks_on_disk(tmp_path):
 
 
 SMALL = {
-    "data": {"count": 8, "empty": 2, "decoys": 2, "validation": 4, "workers": 0},
+    "data": {"count": 8, "empty": 2, "decoys": 2, "validation": 4, "calibration": 4, "workers": 0},
     "batch_size": 4,
     "epochs": 1,
     "device": "cpu",
@@ -228,8 +228,7 @@ SMALL = {
 
 
 @pytest.mark.slow
-def test_both_views_train_and_are_tested_on_the_same_scenes(tmp_path, monkeypatch):
-    monkeypatch.setattr("ffpose.datasets.scenes.EMPTY_IMAGES", 4)
+def test_both_views_train_and_are_tested_on_the_same_scenes(tmp_path):
     run.ablate(
         get_study("attitude"),
         tmp_path,

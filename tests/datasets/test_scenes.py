@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from ffpose.datasets.scenes import VALIDATION_START, find_scene, open_validation, open_views
+from ffpose.datasets.scenes import find_scene, open_frames, open_views
 from ffpose.errors import DataError
 from ffpose.preprocessing import Preprocessing
 from ffpose.render import label, views
@@ -146,10 +146,9 @@ def test_another_process_that_was_faster_is_not_in_the_way(tmp_path, scene, spec
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_validation_images_are_scenes_that_no_view_shows(tmp_path, scene):
-    found = open_validation(tmp_path, scene, SEED, 4, Preprocessing((48, 64)), workers=0)
-    assert len(found) == 4
-    expected = [label(scene, SEED, VALIDATION_START + number).vector for number in range(4)]
+def test_whole_images_are_of_the_scenes_from_the_first_on(tmp_path, scene):
+    found = open_frames(tmp_path, scene, SEED, 4, Preprocessing((48, 64)), workers=0)
+    expected = [label(scene, SEED, number).vector for number in range(4)]
     order = np.argsort([int(name.split("_")[0]) for name in found.names])
     np.testing.assert_allclose(found.poses[order], expected, atol=1e-6)
     assert found[0].image.shape == (3, 48, 64)

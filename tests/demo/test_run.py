@@ -18,7 +18,7 @@ from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.models import FilterformerPose, zoo
 from ffpose.preprocessing import Preprocessing
 from ffpose.render.renderer import label
-from ffpose.training.config import TEST_SEEDS
+from ffpose.seeds import CHOICES
 from ffpose.views import LABELS
 
 pytestmark = pytest.mark.slow
@@ -39,6 +39,7 @@ TRAIN = DemoConfig(
     train=True,
     views=32,
     validation=2,
+    calibration=4,
     epochs=2,
     model_fields=tuple(FIELDS.items()),
 )
@@ -126,7 +127,7 @@ def test_all_images_are_judged_against_labels_of_the_seed(posed):
 
 def test_images_are_of_seeds_that_no_training_uses():
     config = DemoConfig(train=True)
-    assert config.training(Path("x")).data.seed < TEST_SEEDS <= config.seed
+    assert config.training(Path("x")).data.seed < CHOICES.start <= config.seed
 
 
 def test_the_views_rendered_are_those_that_the_settings_name(trained):

@@ -47,6 +47,24 @@ def test_pictures_that_are_rendered_together_are_those_of_each_set_alone(tried):
     assert len(pictures) == len(alike)
 
 
+def test_kept_pictures_are_those_that_were_rendered_and_are_not_rendered_again(
+    tried, tmp_path, monkeypatch
+):
+    chosen, frames = tried
+    some = [chosen[name] for name in ("as trained", "blur", "JPEG 50")]
+    some.append(without_object(chosen["as trained"].scene)[0])
+    first = [f.image for _, f in render_variations(some, SEED, 2, SIZE, 1, tmp_path)]
+    monkeypatch.setattr("ffpose.render.variations.shoot_each", None)
+    again = list(render_variations(some, SEED, 2, SIZE, 1, tmp_path))
+    for image, (variation, frame) in zip(first, again, strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+        if not variation.empty:
+            expected = frames[variation.name]
+            assert any(frame.pose == each.pose for each in expected)
+    with pytest.raises(TypeError):  # of another seed there are none
+        next(render_variations(some, SEED + 1, 2, SIZE, 1, tmp_path))
+
+
 def test_poses_are_shared_wherever_the_variation_leaves_them(tried):
     _, frames = tried
     poses = {name: np.stack([f.pose.vector for f in found]) for name, found in frames.items()}

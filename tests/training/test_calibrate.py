@@ -138,10 +138,46 @@ def test_the_growth_is_what_the_cut_objects_lack():
     assert sigma_growth((errors**2).sum(1), hidden) == pytest.approx(7, rel=0.05)
 
 
-def test_no_growth_where_none_is_needed_and_the_limit_where_nothing_is_hidden():
+def test_there_is_no_growth_where_none_is_needed():
     small = chi2.rvs(3, size=1000, random_state=1)
     assert sigma_growth(small / 4, np.full(1000, 0.5)) == 0.0
-    assert sigma_growth(small * 4, np.zeros(1000)) == GROWTH_LIMIT
+
+
+def test_a_growth_that_runs_into_its_limit_is_an_error():
+    small = chi2.rvs(3, size=1000, random_state=1)
+    with pytest.raises(ValueError, match=f"expected a growth below {GROWTH_LIMIT:g}, got 2084"):
+        sigma_growth(small * 1e6, np.full(1000, 0.5))
+
+
+@pytest.mark.parametrize("hidden", [[], [0.5, 0.0]])
+def test_no_growth_is_found_where_nothing_is_hidden(hidden):
+    with pytest.raises(ValueError, match="hidden: expected shares above 0, got"):
+        sigma_growth(np.ones(len(hidden)), hidden)
+
+
+def test_objects_of_which_nothing_is_hidden_are_no_part_of_the_fit():
+    """Half of the cut objects are whole where the network sees them, and their errors are wild."""
+
+    def cut(*shares):
+        for share in shares:
+            model.share = share
+            for batch in split(5):
+                wild = 50 if share == 0 else 3
+                t = np.asarray(AHEAD) + wild * (batch.translation.numpy() - AHEAD)
+                yield batch._replace(translation=torch.tensor(t))
+
+    model = Drawn()
+    model.hidden = lambda points: (
+        torch.zeros(COUNT)
+        if len(points) == COUNT
+        else torch.cat([torch.zeros(COUNT), torch.full((COUNT,), 0.5)])
+    )
+    found = calibrate(model, split(0), absent(), cut(0.0, 0.5))
+    assert found.hidden_sigma[0] == pytest.approx(4, rel=0.1)
+    assert found.hidden == COUNT
+    model.hidden = lambda points: torch.zeros(len(points))
+    found = calibrate(model, split(0), absent(), cut(0.0))
+    assert (found.hidden_sigma, found.hidden) == ((0.0, 0.0), 0)
 
 
 @pytest.mark.parametrize("before", [(0.0, 0.0), (2.0, 5.0)])

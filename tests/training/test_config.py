@@ -8,7 +8,7 @@ import pytest
 from ffpose.errors import DataError
 from ffpose.models import PRESETS
 from ffpose.training import DataConfig, LossConfig, OptimizerConfig, Stage, TrainConfig
-from ffpose.training.config import ModelName
+from ffpose.training.config import CalibrationImages, ModelName
 from ffpose.training.config_file import dump_config, flatten, load_config
 from ffpose.training.options import field_parser, to_config
 
@@ -87,6 +87,9 @@ def test_flat_names_reach_into_groups():
         (lambda: config(stages=()), "stages: expected at least one stage"),
         (lambda: DataConfig("urso", Path(), workers=-1), "data.workers: expected 0 or more"),
         (lambda: DataConfig("scenes", Path(), validation=0), "data.validation: expected 1 or"),
+        (lambda: DataConfig("scenes", Path(), calibration=1), "data.calibration: expected 2 or"),
+        (lambda: CalibrationImages(seed=101), "data.seed: expected 4000000 to 4999999, .* got 101"),
+        (lambda: CalibrationImages(step=0), "data.step: expected 1 or more, got 0"),
         (lambda: OptimizerConfig(learning_rate=0), "learning_rate: expected more than 0, got 0"),
         (lambda: DataConfig("scenes", Path(), seed=10**6), "0 to 999999, .* got 1000000"),
         (lambda: DataConfig("scenes", Path(), seed=-1), "data.seed: expected 0 to 999999"),

@@ -16,8 +16,8 @@ from ffpose.evaluation import evaluate
 from ffpose.render import get_scene
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.render.scene import SCENES
+from ffpose.seeds import CHOICES
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
-from ffpose.training.config import TEST_SEEDS
 from ffpose.training.engine import train
 
 SIZE = (256, 192)
@@ -78,7 +78,7 @@ def evaluation(tmp_path_factory):
         patch.setitem(SCENES, "near", near)
         trained = train(config(root), quiet=True)
     unseen = replace(near, attitude_range_deg=ATTITUDES)
-    write_dataset(unseen, root / "unseen", 80, TEST_SEEDS, size=SIZE)
+    write_dataset(unseen, root / "unseen", 80, CHOICES.start, size=SIZE)
     return evaluate(trained.folder.best, "urso", root / "unseen", "all")
 
 
@@ -92,6 +92,7 @@ def config(root):
             count=500,
             empty=16,
             validation=10,
+            calibration=10,
             attitude_range_deg=ATTITUDES,
         ),
         out=root / "run",

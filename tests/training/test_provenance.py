@@ -78,10 +78,26 @@ def test_a_run_begins_from_the_weights_that_it_names(image_set, tmp_path):
     begun = build_run(config).model.state_dict()
     assert all(torch.equal(begun[name], value) for name, value in load_file(weights).items())
     folder = train(config, quiet=True).folder
-    assert read_metadata(folder.last).recipe["init"] == digest
+    first = read_metadata(weights)
+    expected = {"sha256": digest, "recipe": first.recipe, "data": first.data}
+    assert read_metadata(folder.last).recipe["init"] == expected
     weights.unlink()  # a run that is resumed does not need them
     train(replace(config, epochs=2), resume=True, quiet=True)
-    assert read_metadata(folder.last).recipe["init"] == digest
+    assert read_metadata(folder.last).recipe["init"] == expected
+
+
+def test_weights_remember_the_whole_chain_that_they_come_from(image_set, tmp_path):
+    init, digests = None, []
+    for number in range(3):
+        config = train_config(image_set, tmp_path / f"{number}", epochs=1, init=init, seed=number)
+        init = train(config, quiet=True).folder.last
+        digests.append(hashlib.sha256(init.read_bytes()).hexdigest())
+    last = read_metadata(init).recipe
+    first = last["init"]["recipe"]["init"]["recipe"]
+    assert last["init"]["sha256"] == digests[1]
+    assert last["init"]["recipe"]["init"]["sha256"] == digests[0]
+    assert [last["seed"], last["init"]["recipe"]["seed"], first["seed"]] == [2, 1, 0]
+    assert first["init"] is None
 
 
 def test_weights_to_begin_from_that_are_not_there_are_named(image_set, tmp_path):

@@ -17,51 +17,11 @@ from ffpose.preprocessing import Preprocessing
 from ffpose.render import label, views
 from ffpose.render.dataset import writer
 from ffpose.render.renderer import situation
-from ffpose.training import DataConfig, OptimizerConfig, TrainConfig, data
-from ffpose.training.config import TEST_SEEDS
+from ffpose.seeds import CALIBRATION, CHOICES, TRAINING, VALIDATION
+from ffpose.training import DataConfig, data
 from ffpose.training.engine import train
 from ffpose.training.run import build_run
-
-VALIDATION = 4
-FIELDS = {
-    "image_size": [96, 128],
-    "dim": 16,
-    "head_hidden": 16,
-    "first_stride": 4,
-    "bins": 300,
-    "bins_degree": 2,
-    "distance_m": [8.0, 22.0],
-}
-
-
-def scenes_config(root, out, **fields):
-    """Two epochs of three batches, of all that a run on scenes may use."""
-    values = {
-        "data": DataConfig(
-            *("scenes", root),
-            scene="soyuz_easy",
-            count=12,
-            validation=VALIDATION,
-            empty=2,
-            decoys=1,
-            seed=3,
-        ),
-        "out": out,
-        "model": "compact",
-        "model_fields": FIELDS,
-        "backbone_weights": "none",
-        "epochs": 2,
-        "batch_size": 4,
-        "ema": 0.9,
-        "optimizer": OptimizerConfig(kind="adamw", learning_rate=1e-3),
-        "device": "cpu",
-    }
-    return TrainConfig(**(values | fields))
-
-
-@pytest.fixture(autouse=True)
-def few_empty_images(monkeypatch):
-    monkeypatch.setattr("ffpose.datasets.scenes.EMPTY_IMAGES", 4)
+from scene_runs import COUNT, FIELDS, scenes_config
 
 
 @pytest.fixture(autouse=True)
@@ -99,8 +59,16 @@ def rendered(monkeypatch):
 def test_a_run_on_scenes_resumes_bit_for_bit_and_renders_once(root, tmp_path, rendered):
     whole = scenes_config(root, tmp_path / "whole")
     train(whole, quiet=True)
-    assert len(rendered) == 12 + 2 + 1 + 2 * VALIDATION  # of whole spacecraft and of cut ones
-    assert all((seed in (3, 300_003)) == (content == "object") for seed, _, content in rendered)
+    assert [(seed, content) for seed, _, content in rendered if seed in TRAINING] == [
+        *[(3, "object")] * 12,
+        *[(500_003, "empty")] * 2,
+        (500_003, "decoy"),
+    ]
+    others = [seed for seed, *_ in rendered if seed not in TRAINING]
+    cut = CALIBRATION.start + 300_003
+    assert (
+        others == [VALIDATION.start + 3] * COUNT + [CALIBRATION.start + 3] * COUNT + [cut] * COUNT
+    )
     rendered.clear()
     part = replace(whole, out=tmp_path / "part")
     train(replace(part, epochs=1), quiet=True)
@@ -155,7 +123,7 @@ def test_a_network_that_looks_once_learns_from_whole_images_of_the_same_scenes(t
     np.testing.assert_allclose(seen.poses, poses, atol=1e-9)
     assert seen.camera == scene.camera.resized(128, 96)
     assert seen[0].image.shape == (3, 96, 128)
-    assert len(rendered) == 12 + VALIDATION
+    assert len(rendered) == 12 + COUNT
     rendered.clear()
     assert len(train(config, quiet=True).history) == 1
     assert rendered == []
@@ -167,7 +135,7 @@ def test_a_set_smaller_than_a_batch_is_refused(root, tmp_path):
     assert not list((tmp_path / "run").glob("*.safetensors"))
 
 
-@pytest.mark.parametrize("seed", [0, 499_999, 500_000, TEST_SEEDS - 1])
+@pytest.mark.parametrize("seed", [0, 499_999, 500_000, TRAINING.stop - 1])
 def test_no_training_renders_a_tests_scenes(monkeypatch, seed):
     asked = []
 
@@ -176,14 +144,14 @@ def test_no_training_renders_a_tests_scenes(monkeypatch, seed):
         return {"labels": np.zeros((count, 13))}
 
     monkeypatch.setattr(data, "open_views", open_views)
-    for name in ("open_validation", "open_empty_images"):
+    for name in ("open_frames", "open_calibration"):
         monkeypatch.setattr(data, name, lambda *_, **__: None)
     config = DataConfig("scenes", Path("none"), scene="soyuz_hard+soyuz_easy", seed=seed)
     model = CONFIGS["compact"]
     data.open_training_data(config, model, Preprocessing(model.image_size), coordinates=True)
     assert [content for _, content in asked] == ["object", "object", "empty", "decoy"]
-    assert all(0 <= given < TEST_SEEDS for given, _ in asked)
-    assert [given for given, _ in asked[:2]] == [seed, (seed + 1) % TEST_SEEDS]
+    assert all(given in TRAINING for given, _ in asked)
+    assert [given for given, _ in asked[:2]] == [seed, (seed + 1) % len(TRAINING)]
     assert not {given for given, _ in asked[:2]} & {given for given, _ in asked[2:]}
 
 
@@ -196,7 +164,7 @@ def test_sets_that_are_joined_show_different_scenes(monkeypatch):
         return {"labels": np.zeros((count, 13))}
 
     monkeypatch.setattr(data, "open_views", open_views)
-    for name in ("open_validation", "open_empty_images"):
+    for name in ("open_frames", "open_calibration"):
         monkeypatch.setattr(data, name, lambda *_, **__: None)
     config = DataConfig(
         *("scenes", Path("none")),
@@ -247,5 +215,5 @@ def test_a_number_of_images_for_each_set_is_expected():
 
 
 def test_seeds_of_tests_are_refused():
-    with pytest.raises(ValueError, match="0 to 999999, as later seeds are for tests, got 1000000"):
-        DataConfig("scenes", Path("none"), seed=TEST_SEEDS)
+    with pytest.raises(ValueError, match="0 to 999999, as later seeds are not for training, got"):
+        DataConfig("scenes", Path("none"), seed=CHOICES.start)

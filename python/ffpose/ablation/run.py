@@ -31,15 +31,15 @@ from ffpose.evaluation import evaluate
 from ffpose.files import atomic_write, remove_leftovers
 from ffpose.models import PoseNetwork, find_config, load_network
 from ffpose.preprocessing import Preprocessing
+from ffpose.seeds import CHOICES
 from ffpose.training import Stage, TrainConfig
 from ffpose.training.checkpoint import FREE_FIELDS
-from ffpose.training.config import TEST_SEEDS
 from ffpose.training.config_file import flatten
 from ffpose.training.engine import TrainResult, train
 from ffpose.training.run import UNKNOWN_CAMERA, build_run
 from ffpose.training.stages import shortened
 
-TEST_SEED = TEST_SEEDS + 100
+TEST_SEED = CHOICES.start + 100
 """Seed of the rendered test images, which no training, demo or model card shows."""
 
 ENDLESS = 10_000

@@ -12,7 +12,7 @@ import json
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -35,7 +35,7 @@ from ffpose.inference.load import load
 from ffpose.inference.source import find_source
 from ffpose.models import WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
-from ffpose.training.config import TEST_SEEDS
+from ffpose.seeds import CHOICES, FINAL
 
 if TYPE_CHECKING:
     from ffpose.render import Scene
@@ -75,6 +75,7 @@ class Plan:
         size: ``(width, height)`` of the images.
         seed: Seed of all images.
         workers: Number of processes that render.
+        keep: Folder that keeps the rendered images; None for none.
     """
 
     with_object: Sequence[Variation]
@@ -84,6 +85,7 @@ class Plan:
     size: tuple[int, int]
     seed: int
     workers: int
+    keep: Path | None = None
 
     @property
     def trained(self) -> Variation:
@@ -101,7 +103,9 @@ class Plan:
         from ffpose.render.variations import render_variations
 
         scenes = (*self.with_object, *self.without)
-        frames = render_variations(scenes, self.seed, self.count, self.size, self.workers)
+        frames = render_variations(
+            scenes, self.seed, self.count, self.size, self.workers, self.keep
+        )
         for variation, frame in frames:
             pose = frame.pose if variation in self.with_object else None
             yield Shown(variation.name, Image.fromarray(frame.image), pose)
@@ -116,9 +120,11 @@ def measure(
     *,
     count: int = 500,
     size: tuple[int, int] = (640, 480),
-    seed: int = TEST_SEEDS,
+    seed: int = CHOICES.start,
+    final: bool = False,
     workers: int = 1,
     second_renderer: bool = False,
+    keep: Path | None = None,
     progress: bool = False,
 ) -> dict[str, Any]:
     """Measure weights under each condition.
@@ -128,10 +134,12 @@ def measure(
         scene: The set of scenes, or its name; its attitudes are widened to all.
         count: Number of images per condition.
         size: ``(width, height)`` of the images before preprocessing.
-        seed: Seed of the scenes, at least `ffpose.training.config.TEST_SEEDS`, which are held out.
+        seed: Seed of the scenes, one of `ffpose.seeds.CHOICES`.
+        final: Whether to show scenes of `ffpose.seeds.FINAL`, which no choice has seen, instead.
         workers: Number of processes that render.
         second_renderer: Add images of Mitsuba (`ffpose.render.mitsuba`), which takes seconds for
             each.
+        keep: Folder that keeps the rendered images, so that an interrupted run goes on.
         progress: Show progress on standard error.
 
     Returns:
@@ -143,18 +151,19 @@ def measure(
 
     Raises:
         FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
-        ValueError: The weights cannot be used, the set is unknown, ``seed`` is below
-            `ffpose.training.config.TEST_SEEDS`, or a number is out of range.
+        ValueError: The weights cannot be used, the set is unknown, ``seed`` is of another purpose,
+            or a number is out of range.
         MissingExtraError: The extra `render`, or `mitsuba`, is not installed.
     """
     _check_numbers(count, seed, workers)
+    seed = FINAL.start if final else seed
     if second_renderer:
         require("mitsuba", "mitsuba")
     scene = require("ffpose.render", "render").get_scene(scene) if isinstance(scene, str) else scene
     camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
     estimator = load(weights, camera=camera, warm_up=0)
     metadata = estimator.metadata
-    plan = _plan(scene, metadata, count, size, seed, workers, second_renderer)
+    plan = replace(_plan(scene, metadata, count, size, seed, workers, second_renderer), keep=keep)
     began = time.perf_counter()
     answers = answer(estimator, _with_bar(plan, show=progress))
     return {
@@ -166,6 +175,7 @@ def measure(
         "count": count,
         "size": list(size),
         "seed": seed,
+        "final": final,
         "in_view_threshold": metadata.in_view_threshold,
         "seconds": time.perf_counter() - began,
         **_results(plan, answers, metadata.in_view_threshold),
@@ -177,9 +187,10 @@ def _check_numbers(count: int, seed: int, workers: int) -> None:
     for name, value, least in (("count", count, 1), ("workers", workers, 1)):
         if value < least:
             raise ValueError(f"{name}: expected at least {least}, got {value}")
-    if seed < TEST_SEEDS:
+    if seed not in CHOICES:
         raise ValueError(
-            f"seed: expected at least {TEST_SEEDS}, the rest is training's; got {seed}"
+            f"seed: expected {CHOICES.start} to {CHOICES.stop - 1}, as others are not for"
+            f" choices; got {seed}"
         )
 
 

@@ -25,11 +25,6 @@ from ffpose.views import Content, ViewSpec
 if TYPE_CHECKING:
     from ffpose.render import Scene
 
-VALIDATION_START = 10_000_000
-"""Index of the first validation scene; scenes before it are for training."""
-
-EMPTY_IMAGES = 100
-
 
 def find_scene(name: str, attitude_range_deg: tuple[float, float, float]) -> Scene:
     """Return a set of `ffpose.render.SCENES`, with the given range of attitudes.
@@ -78,15 +73,6 @@ def open_views(
         spec,
         lambda: views.render_views(scene, seed, range(count), spec, content, workers),
     )
-
-
-def open_validation(
-    root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing, *, workers: int
-) -> PoseDataset:
-    """Return ``count`` held-out whole images of the network's input size."""
-    indices = range(VALIDATION_START, VALIDATION_START + count)
-    folder = render_images(root, "images", scene, seed, indices, preprocessing, workers=workers)
-    return open_dataset("urso", folder, "all", preprocessing)
 
 
 def open_frames(
@@ -141,22 +127,22 @@ def render_images(
 
 
 def open_empty_images(
-    root: Path, scene: Scene, seed: int, preprocessing: Preprocessing
+    root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing
 ) -> NDArray[np.uint8]:
     """Return whole images without the spacecraft ``(N, H, W, 3)``, of the network's input size.
 
-    Half are empty scenes, half show another spacecraft; all are held out from training.
+    They are of the scenes 0 ... ``count // 2 - 1``: each empty, and with another spacecraft.
     """
     from ffpose.render.renderer import camera_of, shoot
     from ffpose.render.spacecraft.decoys import build_decoy
 
     height, width = preprocessing.size
-    described = {"scene": scene.parameters(), "seed": seed, "empty": (width, height)}
+    described = {"scene": scene.parameters(), "seed": seed, "empty": (width, height, count)}
     path = root / f"empty-{digest(described)}.npy"
     if not path.exists():
         camera = camera_of(scene, (width, height))
         images = []
-        for index in range(VALIDATION_START, VALIDATION_START + EMPTY_IMAGES // 2):
+        for index in range(count // 2):
             decoy = replace(scene, craft=build_decoy(seed, index))
             images += [
                 shoot(scene, seed, index, camera, scene.sensor, empty=True).image,

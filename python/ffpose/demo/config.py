@@ -8,8 +8,9 @@ from typing import Any
 
 from ffpose.datasets.scenes import find_scene
 from ffpose.render import Scene
+from ffpose.seeds import CHOICES
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
-from ffpose.training.config import TEST_SEEDS, ViewAugmentation
+from ffpose.training.config import ViewAugmentation
 
 SCENE = "soyuz_easy"
 
@@ -28,6 +29,7 @@ class DemoConfig:
             three minutes of rendering.
         views: Number of rendered training views of the spacecraft (`rendered_views` counts all).
         validation: Number of whole validation images, which select the best epoch.
+        calibration: Number of images of each kind that calibrate the network.
         epochs: Number of passes over the views.
         model_fields: Overrides of fields of the model configuration "compact".
     """
@@ -35,11 +37,12 @@ class DemoConfig:
     images: int = 500
     size: tuple[int, int] = (512, 384)
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
-    seed: int = TEST_SEEDS
+    seed: int = CHOICES.start
     workers: int = 2
     train: bool = False
     views: int = 3000
     validation: int = 30
+    calibration: int = 40
     epochs: int = 19
     model_fields: tuple[tuple[str, Any], ...] = ()
 
@@ -78,6 +81,7 @@ class DemoConfig:
                 empty=self.negatives,
                 decoys=self.negatives,
                 validation=self.validation,
+                calibration=self.calibration,
                 workers=self.workers,
                 attitude_range_deg=self.attitude_range_deg,
             ),

@@ -1,6 +1,6 @@
 """The demo: render unseen images, predict their poses, evaluate them, and write a report.
 
-The images have held-out seeds (`ffpose.training.config.TEST_SEEDS`), all attitudes, and the set's
+The images have held-out seeds (`ffpose.seeds.CHOICES`), all attitudes, and the set's
 own distances. The poses come from the weights that ship with ffpose or, with `DemoConfig.train`,
 from a network trained from scratch in minutes on two cores, which shows what so short a training
 achieves and checks that every part of the network learns.

@@ -39,7 +39,7 @@ FORMAT = 3
 
 NAMES_SHOWN = 4
 
-ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold")
+ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold", "calibration")
 """Fields of `WeightsMetadata` that format 2 added, each a JSON value in the header."""
 
 
@@ -58,6 +58,9 @@ class WeightsMetadata:
             ``image_size``, the ``[height, width]`` of the images before preprocessing; ``locates``
             is `locates` and ``mean_pose`` `mean_pose`.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
+        calibration: What the network was calibrated on, as a JSON document: ``command``,
+            ``images``, and the number of them that ``hidden_sigma`` was found on, ``hidden``;
+            ``chosen``, by which images the number of rotated views was.
         version: Version of ffpose that wrote the file.
 
     Raises:
@@ -71,6 +74,7 @@ class WeightsMetadata:
     recipe: Mapping[str, Any] | None = None
     data: Mapping[str, Any] | None = None
     in_view_threshold: float | None = None
+    calibration: Mapping[str, Any] | None = None
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -199,7 +203,8 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
     """Parse a header of a known format; format 1 has no provenance, and one network alone."""
     origin: dict[str, Any] = {}
     if header["format"] != "1":
-        origin = {name: json.loads(header[name]) for name in ORIGIN}
+        known = [name for name in ORIGIN if name in header or name != "calibration"]  # new in 3
+        origin = {name: json.loads(header[name]) for name in known}
         for name in ("backbone_source", "recipe", "data"):
             value = origin[name]
             if not isinstance(value, dict | None) and (name, value) != ("backbone_source", "none"):

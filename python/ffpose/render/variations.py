@@ -7,6 +7,8 @@ in the sensor alone are rendered together: the light is computed once.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import multiprocessing
 import signal
 from collections import deque
@@ -16,12 +18,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from multiprocessing.pool import AsyncResult, Pool
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageFilter
 
+from ffpose.files import atomic_write
+from ffpose.geometry import Camera
+from ffpose.images import read_rgb
 from ffpose.render.dataset.pool import one_thread_each
-from ffpose.render.renderer import Frame, camera_of, shoot_each
+from ffpose.render.renderer import Frame, camera_of, label, shoot_each
 from ffpose.render.scene import Scene
 from ffpose.render.shading.sensor import Sensor
 
@@ -138,7 +145,12 @@ def noisier(sensor: Sensor) -> Sensor:
 
 
 def render_variations(
-    chosen: Sequence[Variation], seed: int, count: int, size: tuple[int, int], workers: int
+    chosen: Sequence[Variation],
+    seed: int,
+    count: int,
+    size: tuple[int, int],
+    workers: int,
+    keep: Path | None = None,
 ) -> Iterator[tuple[Variation, Frame]]:
     """Render `count` pictures of each variation.
 
@@ -149,6 +161,8 @@ def render_variations(
         count: pictures of each.
         size: (width, height) in pixels.
         workers: processes; 1 renders in this one.
+        keep: a folder that keeps the pictures, by the digest of what they depend on; what lies
+            there already is read, so that an interrupted run goes on where it was.
 
     Yields:
         Variation and picture. The pictures of a variation come in order, between those of others.
@@ -159,7 +173,7 @@ def render_variations(
     with _mapped(workers, count) as mapped:
         for _, group in groupby(chosen, key=lambda variation: variation.light):
             together = tuple(group)
-            make = partial(_render_group, together, seed, count, size)
+            make = partial(_render_group, together, seed, count, size, keep)
             for frames in mapped(make, range(count)):
                 yield from zip(together, frames, strict=True)
 
@@ -194,11 +208,42 @@ def _map_ahead(
 
 
 def _render_group(
-    together: Sequence[Variation], seed: int, count: int, size: tuple[int, int], number: int
+    together: Sequence[Variation],
+    seed: int,
+    count: int,
+    size: tuple[int, int],
+    keep: Path | None,
+    number: int,
 ) -> list[Frame]:
-    """Render picture `number` of variations that share the light."""
+    """Render picture `number` of variations that share the light, or read those that were kept."""
+    camera = camera_of(together[0].scene, size)
+    kept = (
+        [] if keep is None else [keep / _folder(v, seed, size) / f"{number}.png" for v in together]
+    )
+    if kept and all(path.exists() for path in kept):
+        return [
+            Frame(np.asarray(read_rgb(path)), label(v.scene, seed, number), camera)
+            for v, path in zip(together, kept, strict=True)
+        ]
+    frames = _shoot_group(together, seed, number, camera)
+    for path, frame in zip(kept, frames, strict=False):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as temporary:
+            Image.fromarray(frame.image).save(temporary, "PNG")
+    return frames
+
+
+def _folder(variation: Variation, seed: int, size: tuple[int, int]) -> str:
+    """Return the name of the folder that keeps a variation's pictures."""
+    depends = [variation.scene.parameters(), variation.blur_px, variation.empty, seed, size]
+    digest = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
+    return f"{variation.name.replace(' ', '-')}-{digest[:16]}"
+
+
+def _shoot_group(
+    together: Sequence[Variation], seed: int, number: int, camera: Camera
+) -> list[Frame]:
     scene, empty = together[0].scene, together[0].empty
-    camera = camera_of(scene, size)
     sensors = [variation.scene.sensor for variation in together]
     shots = shoot_each(scene, seed, number, camera, sensors, empty=empty)
     return [
@@ -211,7 +256,5 @@ def blurred(image: Bytes, sigma: float) -> Bytes:
     """Blur a picture (H, W, 3) by a Gaussian of `sigma` pixels of an image 640 wide."""
     if sigma == 0:
         return image
-    from PIL import Image, ImageFilter
-
     radius = sigma * image.shape[1] / 640
     return np.asarray(Image.fromarray(image).filter(ImageFilter.GaussianBlur(radius)))

@@ -6,8 +6,8 @@ is zero. The covariances of translation and of rotation are scaled by one factor
 of temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks",
 ICML 2017). Of an object that the border cuts the network's errors are larger than it knows; there
 the standard deviations grow with the share that is outside of the frame, such that the regions
-contain 90 % of the ground truth of cut objects too. Coverage at other levels, and under other
-conditions, is up to the network.
+contain 90 % of the ground truth of those that the frame does not show whole. Coverage at other
+levels, and under other conditions, is up to the network.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ CHI_SQUARE_90 = 6.251388631170325
 ROUNDS = 5
 """Number of times that scale and growth are found in turn; each hardly depends on the other."""
 
-GROWTH_LIMIT = 50.0
-"""Largest growth of a standard deviation per hidden share."""
+GROWTH_LIMIT = 200.0
+"""Growth of a standard deviation per hidden share from which on it tells of no uncertainty."""
 
 
 class Calibration(NamedTuple):
@@ -47,12 +47,14 @@ class Calibration(NamedTuple):
         in_view_threshold: Images with a lower probability of the object being in view are flagged;
             None where there were no images without the object.
         hidden_sigma: For the field of the network's config of that name.
+        hidden: Number of images on which ``hidden_sigma`` was found.
     """
 
     distance_scale: float
     variance_scales: Tensor
     in_view_threshold: float | None
     hidden_sigma: tuple[float, float]
+    hidden: int
 
 
 class Distances(NamedTuple):
@@ -89,12 +91,13 @@ def calibrate(
         labeled: Batches of the validation split, as a DataLoader of a `PoseDataset` yields them.
         empty: Standardized batches ``(B, 3, H, W)`` of images that do not show the object, for the
             threshold.
-        cut: Batches like ``labeled`` of objects that the border cuts; without any,
+        cut: Batches like ``labeled`` of objects that the border cuts. Those of which the frame
+            hides nothing, where the network sees them, are left out; if none remains,
             ``hidden_sigma`` stays as it is.
 
     Raises:
-        ValueError: The network predicts no uncertainty, ``labeled`` has no images, or a covariance
-            is not positive definite.
+        ValueError: The network predicts no uncertainty, ``labeled`` has no images, a covariance is
+            not positive definite, or a growth reaches `GROWTH_LIMIT`.
     """
     if model.config.orientation_view != "object":
         raise ValueError("model: expected one with orientation_view 'object', got 'frame'")
@@ -105,7 +108,8 @@ def calibrate(
         raise ValueError("labeled: expected images that show the object, got none")
     factor = distance_factor(seen[0], truths[0])
     whole = _distances(model, seen, truths, factor)
-    partial = _distances(model, *there, factor) if (there := _see_all(model, cut))[0] else None
+    there = _see_all(model, cut)
+    partial = _hidden_of(_distances(model, *there, factor)) if there[0] else None
     fits = [
         _fit(d2, whole.hidden, growth, None if partial is None else (partial[axis], partial.hidden))
         for axis, (d2, growth) in enumerate(zip(whole[:2], model.config.hidden_sigma, strict=True))
@@ -116,7 +120,14 @@ def calibrate(
         model.variance_scales.detach().cpu().float() * torch.tensor(scales),
         choose_threshold(seen[4], np.concatenate(absent)).threshold if absent else None,
         growths,
+        0 if partial is None else len(partial.hidden),
     )
+
+
+def _hidden_of(distances: Distances) -> Distances | None:
+    """Select the objects that the frame does not show whole; None if there are none."""
+    rows = distances.hidden > 0
+    return Distances(*(values[rows] for values in distances)) if rows.any() else None
 
 
 def _fit(
@@ -134,18 +145,27 @@ def sigma_growth(squared_distance: ArrayLike, hidden: ArrayLike) -> float:
     """Return the growth of a standard deviation with the hidden share that covers 90 % of truths.
 
     With ``k``, a truth lies in its 90 % region where ``d² <= 6.2514 (1 + k h)²``, that is from ``k
-    = (sqrt(d² / 6.2514) - 1) / h`` on; the result is the 90 % quantile of these, at least zero and
-    at most `GROWTH_LIMIT`.
+    = (sqrt(d² / 6.2514) - 1) / h`` on; the result is the 90 % quantile of these, at least zero.
 
     Args:
         squared_distance: ``eᵀ C⁻¹ e`` of each truth ``(N,)``, N > 0.
-        hidden: Share ``(N,)`` of each object that the frame does not show.
+        hidden: Share ``(N,)`` of each object that the frame does not show, above zero: where
+            nothing is hidden no growth helps.
+
+    Raises:
+        ValueError: A share is not above zero, or the result is `GROWTH_LIMIT` or more.
     """
+    share = np.asarray(hidden, np.float64)
+    if len(share) == 0 or not (share > 0).all():
+        raise ValueError(f"hidden: expected shares above 0, got {share}")
     excess = np.sqrt(np.asarray(squared_distance) / CHI_SQUARE_90) - 1
-    share = np.asarray(hidden)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        needed = np.where(excess <= 0, 0.0, np.minimum(excess / share, GROWTH_LIMIT))
-    return float(np.quantile(needed, LEVEL))
+    growth = float(np.quantile(np.maximum(excess, 0) / share, LEVEL))
+    if growth >= GROWTH_LIMIT:
+        raise ValueError(
+            f"hidden_sigma: expected a growth below {GROWTH_LIMIT:g}, got {growth:.4g} for"
+            f" {len(share)} cut objects: their predicted covariances are far too small"
+        )
+    return growth
 
 
 def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:

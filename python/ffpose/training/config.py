@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from ffpose.images import check_white
+from ffpose.seeds import CALIBRATION, TRAINING, matching
 from ffpose.training.stages import JOINT_STAGE, Stage
-
-TEST_SEEDS = 1_000_000
-"""First seed of the scenes reserved for tests, which no training renders."""
 
 ModelName = Literal["base", "small", "tiny", "compact", "transformerpose", "ursonet", "posenet"]
 """Keys of `ffpose.config.PRESETS`, listed here so that a wrong one is rejected without torch."""
@@ -24,6 +22,49 @@ def _expect(condition: bool, name: str, expected: str, got: object) -> None:
     """Raise a ValueError with the expected and actual value of ``name``, unless ``condition``."""
     if not condition:
         raise ValueError(f"{name}: expected {expected}, got {got!r}")
+
+
+@dataclass(frozen=True)
+class CalibrationImages:
+    """Images that calibrate weights, and that nothing else has seen.
+
+    Attributes:
+        kind: Layout of the image set, as in `DataConfig`, or "scenes" for rendered ones: of each
+            kind (whole, cut by the border, without the object) ``count`` are rendered.
+        root: Folder of the image set; for kind "scenes" that which keeps the images.
+        scene: For kind "scenes": name of the rendered set.
+        seed: For kind "scenes": seed of the set, one of `ffpose.seeds.CALIBRATION`.
+        count: For kind "scenes": number of images of each kind, 2 or more.
+        attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
+        split: Name of the split of a set on disk.
+        start: Index of the first image that is used of the split.
+        step: Every how many images one is used, from ``start`` on.
+        undistort: Whether to undistort the images of cameras with distortion.
+        white: As in `DataConfig`.
+        workers: Number of processes that render.
+    """
+
+    kind: str = "scenes"
+    root: Path = Path("runs/calibration")
+    scene: str = "soyuz_hard"
+    seed: int = CALIBRATION.start
+    count: int = 200
+    attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
+    split: str = "val"
+    start: int = 0
+    step: int = 1
+    undistort: bool = False
+    white: float | str | None = None
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        expected = f"{CALIBRATION.start} to {CALIBRATION.stop - 1}, which are for calibration"
+        _expect(self.seed in CALIBRATION, "data.seed", expected, self.seed)
+        for name, value, least in (
+            *(("data.count", self.count, 2), ("data.start", self.start, 0)),
+            *(("data.step", self.step, 1), ("data.workers", self.workers, 0)),
+        ):
+            _expect(value >= least, name, f"{least} or more", value)
 
 
 @dataclass(frozen=True)
@@ -55,14 +96,17 @@ class DataConfig:
         count: For kind "scenes": number of training images of each set, or a list of one number
             for each.
         validation: For kind "scenes": number of whole images that select the best epoch.
+        calibration: For kind "scenes": number of images of each kind that calibrate a network with
+            a second look: whole, cut by the border, and without the object. Of a set on disk every
+            other image that would validate calibrates instead.
         empty: For kind "scenes": number of images without the spacecraft, negatives for a network
             with a second look.
         decoys: For kind "scenes": number of images of other spacecraft, negatives too.
         cut: For kind "scenes": number of images of each set whose spacecraft the border cuts.
         randomized: For kind "scenes": number of images of each set with domain randomization of
             light, materials and backgrounds.
-        seed: For kind "scenes": seed of the first set, below `TEST_SEEDS`; those of the others
-            count on from it (`seeds`), so that no two sets show one scene.
+        seed: For kind "scenes": seed of the first set, of `ffpose.seeds.TRAINING`; those of the
+            others count on from it (`seeds`), so that no two sets show one scene.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
     """
 
@@ -82,6 +126,7 @@ class DataConfig:
     scene: str = "soyuz_hard"
     count: int | list[int] = 10000
     validation: int = 200
+    calibration: int = 200
     empty: int = 1000
     decoys: int = 1000
     cut: int = 0
@@ -99,10 +144,11 @@ class DataConfig:
             sets = len(self.scenes)
             _expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
         _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
+        _expect(self.calibration >= 2, "data.calibration", "2 or more", self.calibration)
         for name in ("empty", "decoys", "cut", "randomized"):
             _expect(getattr(self, name) >= 0, f"data.{name}", "0 or more", getattr(self, name))
-        expected = f"0 to {TEST_SEEDS - 1}, as later seeds are for tests"
-        _expect(0 <= self.seed < TEST_SEEDS, "data.seed", expected, self.seed)
+        expected = f"0 to {TRAINING.stop - 1}, as later seeds are not for training"
+        _expect(self.seed in TRAINING, "data.seed", expected, self.seed)
 
     @property
     def scenes(self) -> list[str]:
@@ -116,8 +162,27 @@ class DataConfig:
 
     @property
     def seeds(self) -> list[int]:
-        """Seed of each of `scenes`: ``seed``, ``seed + 1``, … and 0 after `TEST_SEEDS` - 1."""
-        return [(self.seed + number) % TEST_SEEDS for number in range(len(self.scenes))]
+        """Seed of each of `scenes`: ``seed``, ``seed + 1``, … and 0 after the last of training."""
+        return [matching(TRAINING, self.seed + number) for number in range(len(self.scenes))]
+
+    @property
+    def calibration_images(self) -> CalibrationImages:
+        """The images that calibrate a network with a second look; no others train or validate."""
+        images = CalibrationImages(
+            self.kind,
+            self.root,
+            attitude_range_deg=self.attitude_range_deg,
+            undistort=self.undistort,
+            white=self.white,
+            workers=self.workers,
+        )
+        if self.kind == "scenes":
+            seed = matching(CALIBRATION, self.seed)
+            return replace(images, scene=self.scenes[0], seed=seed, count=self.calibration)
+        if self.holdout:
+            step = 2 * self.holdout
+            return replace(images, split=self.train_split, start=self.holdout, step=step)
+        return replace(images, split=self.val_split, start=1, step=2)
 
 
 @dataclass(frozen=True)

@@ -22,23 +22,26 @@ from ffpose.datasets.cut_views import cut_views
 from ffpose.datasets.keypoints import read_keypoints
 from ffpose.datasets.scenes import (
     find_scene,
-    open_empty_images,
     open_frames,
-    open_validation,
     open_views,
 )
 from ffpose.errors import hint
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.preprocessing import Preprocessing
-from ffpose.training.config import TEST_SEEDS, DataConfig
+from ffpose.seeds import TRAINING, VALIDATION, matching
+from ffpose.training.calibration_images import (
+    CUT_SEEDS,
+    CUT_SHARE,
+    EMPTY_SEEDS,
+    CalibrationSet,
+    open_calibration,
+)
+from ffpose.training.config import DataConfig
 from ffpose.transforms import Augmentation
-from ffpose.views import Arrays, Bytes, Content, ViewSpec
+from ffpose.views import Arrays, Content, ViewSpec
 
-EMPTY_SEEDS, CUT_SEEDS, RANDOMIZED_SEEDS = 500_000, 300_000, 400_000
-"""Added, among the seeds below `TEST_SEEDS`, to a set's seed: no two kinds show one scene."""
-
-CUT_SHARE = (0.25, 0.9)
-"""Least and greatest share of a spacecraft that the border cuts."""
+RANDOMIZED_SEEDS = 400_000
+"""Added to a set's seed, as `EMPTY_SEEDS` and `CUT_SEEDS`."""
 
 NO_KEYPOINTS = np.zeros((0, 3))
 
@@ -57,10 +60,7 @@ class TrainingData:
         train_set: Whole images of the training split, for a network that looks at the frame.
         views: Stored views, for one with a second look.
         empty: Stored views without an object.
-        empty_images: Whole images without an object ``(N, H, W, 3)``, uint8, to set the threshold
-            that flags; None where there are none.
-        cut_set: Whole images of objects that the border cuts, to calibrate the uncertainty there;
-            None where there are none.
+        calibration: Images that calibrate a network with a second look.
         keypoints: Points of the object ``(K, 3)``, meters; none where they are unknown.
     """
 
@@ -70,8 +70,7 @@ class TrainingData:
     train_set: PoseDataset | None = None
     views: list[Arrays] = field(default_factory=list)
     empty: list[Arrays] = field(default_factory=list)
-    empty_images: Bytes | None = None
-    cut_set: PoseDataset | None = None
+    calibration: CalibrationSet | None = None
     keypoints: NDArray[np.float64] = field(default_factory=lambda: NO_KEYPOINTS)
 
 
@@ -92,7 +91,7 @@ def open_training_data(
     """
     if config.kind == "scenes":
         return _scenes(config, model, preprocessing)
-    train_set, val_set = _open_splits(config, preprocessing)
+    train_set, val_set = _open_splits(config, preprocessing, calibrated=looks_twice(model))
     camera = None if train_set.camera is None else preprocessing.camera(train_set.camera)
     if not looks_twice(model):
         return TrainingData(train_set.poses, val_set, camera, train_set)
@@ -105,13 +104,24 @@ def open_training_data(
     spec = view_spec(model, camera)
     views = cut_views(train_set, spec, coordinates=coordinates, cache=config.cache)
     keypoints = NO_KEYPOINTS if config.keypoints is None else read_keypoints(Path(config.keypoints))
-    return TrainingData(train_set.poses, val_set, camera, train_set, [views], keypoints=keypoints)
+    return TrainingData(
+        train_set.poses,
+        val_set,
+        camera,
+        train_set,
+        [views],
+        calibration=open_calibration(config.calibration_images, preprocessing),
+        keypoints=keypoints,
+    )
 
 
 def _open_splits(
-    config: DataConfig, preprocessing: Preprocessing
+    config: DataConfig, preprocessing: Preprocessing, *, calibrated: bool
 ) -> tuple[PoseDataset, PoseDataset]:
-    """Open the images to learn from, augmented, and those that validate."""
+    """Open the images to learn from, augmented, and those that validate.
+
+    Of a network that is calibrated every other one of the latter is left for that.
+    """
     kind, decoding = config.kind, Decoding(config.undistort, config.white)
     known = list_splits(kind, config.root)
     splits = (*known, "all")
@@ -135,6 +145,8 @@ def _open_splits(
         train = [record for index, record in enumerate(train) if index % config.holdout]
     else:
         val = read_records(kind, config.root, config.val_split, decoding)
+    if calibrated:
+        val = val[::2]
     augmentation = _augmentation(config.augmentation) if config.augment else None
     target, cache = find_target(kind), config.cache
     return (
@@ -148,8 +160,9 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
     scenes = [find_scene(name, config.attitude_range_deg) for name in config.scenes]
     camera = preprocessing.camera(scenes[0].camera)
     workers = config.workers
-    val_set = open_validation(
-        config.root, scenes[0], config.seed, config.validation, preprocessing, workers=workers
+    val_seed = matching(VALIDATION, config.seed)
+    val_set = open_frames(
+        config.root, scenes[0], val_seed, config.validation, preprocessing, workers=workers
     )
     seeded = list(zip(scenes, config.seeds, strict=True))
     counted = zip(seeded, config.counts, strict=True)
@@ -161,14 +174,14 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
             for scene, seed in seeded
         ),
     ]
-    parts = [(scene, seed % TEST_SEEDS, count) for scene, seed, count in kinds if count > 0]
+    parts = [(scene, matching(TRAINING, seed), count) for scene, seed, count in kinds if count > 0]
     if not looks_twice(model):
         frames = [open_frames(config.root, *part, preprocessing, workers=workers) for part in parts]
         train_set = _joined(frames, config)
         return TrainingData(train_set.poses, val_set, camera, train_set)
     spec = view_spec(model, camera)
     views: list[Arrays] = [open_views(config.root, *part, spec, workers=workers) for part in parts]
-    seed = (config.seed + EMPTY_SEEDS) % TEST_SEEDS
+    seed = matching(TRAINING, config.seed + EMPTY_SEEDS)
     others: tuple[tuple[Content, int], ...] = (("empty", config.empty), ("decoy", config.decoys))
     empty: list[Arrays] = [
         open_views(config.root, scenes[0], seed, count, spec, content=content, workers=workers)
@@ -176,16 +189,9 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
         if count > 0
     ]
     poses = np.concatenate([arrays["labels"][:, :7] for arrays in views])
-    empty_images = open_empty_images(config.root, scenes[0], config.seed, preprocessing)
-    cut = scenes[0].cut(*CUT_SHARE)
-    seed = (config.seed + CUT_SEEDS) % TEST_SEEDS
-    cut_set = open_validation(
-        config.root, cut, seed, config.validation, preprocessing, workers=workers
-    )
     keypoints = np.array(list(scenes[0].build().keypoints.values()))
-    return TrainingData(
-        poses, val_set, camera, None, views, empty, empty_images, cut_set, keypoints
-    )
+    calibration = open_calibration(config.calibration_images, preprocessing)
+    return TrainingData(poses, val_set, camera, None, views, empty, calibration, keypoints)
 
 
 def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:

@@ -12,8 +12,7 @@ import math
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,9 +23,9 @@ from ffpose.config import looks_twice
 from ffpose.datasets.targets import Target, spread
 from ffpose.errors import require
 from ffpose.metrics import PoseError
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import read_metadata
 from ffpose.training.averaging import AveragedModel
-from ffpose.training.calibrate import calibrate
+from ffpose.training.calibrate_weights import write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.events import Events
@@ -150,8 +149,9 @@ def _train_in(
             events.epoch_ends(row)
             reporter.epoch_ends(row)
     if processes.leads and looks_twice(run.model.config):
+        assert run.calibration is not None
         for weights in (folder.best, folder.last):
-            _calibrate(run, weights)
+            write_calibrated(weights, run.calibration)
     processes.wait()
     seconds = sum(float(row["seconds"]) for row in state.history)
     return TrainResult(folder, state.history, state.best_epoch, seconds, processes.leads)
@@ -170,24 +170,6 @@ def _header(run: Run) -> dict[str, Any]:
         "data": run.task.describe(run.config.data),
         "dtype": getattr(torch, run.config.weights_dtype),
     }
-
-
-def _calibrate(run: Run, weights: Path) -> None:
-    """Calibrate weights: distances, uncertainty, and the threshold that flags images.
-
-    There is no threshold where the training has no images without the object.
-    """
-    model = FilterformerPose.from_pretrained(weights)
-    model.variance_scales.fill_(1)  # so that a resumed run finds the same scales
-    model.config = replace(model.config, distance_scale=1.0, hidden_sigma=(0.0, 0.0))
-    labeled, empty, cut = run.task.validation(whole=True), run.task.empty(), run.task.cut()
-    found = calibrate(model, labeled, empty or (), cut)
-    model.variance_scales.copy_(found.variance_scales)
-    model.config = replace(
-        model.config, distance_scale=found.distance_scale, hidden_sigma=found.hidden_sigma
-    )
-    header = _header(run) | {"in_view_threshold": found.in_view_threshold}
-    model.save_pretrained(weights, **header)
 
 
 def _scores(run: Run, state: TrainState) -> list[float]:

@@ -4,23 +4,37 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from ffpose.baseline import mean_pose
 from ffpose.datasets import PoseDataset
+from ffpose.files import sha256
+from ffpose.models import read_metadata
 from ffpose.training.config import DataConfig, TrainConfig
 
 OF_THIS_MACHINE = ("out", "device", "backbone_weights")
 """Fields specific to this machine, left out; the header records the backbone's initial weights."""
 
 
-def recipe(config: TrainConfig, init: str | None) -> dict[str, Any]:
+def origin(weights: Path) -> dict[str, Any]:
+    """Return the provenance of weights that a training starts from.
+
+    Returns:
+        ``sha256``, and ``recipe`` and ``data`` of their header; the recipe's own ``init`` is the
+        provenance of those before, and so on.
+    """
+    header = read_metadata(weights)
+    return {"sha256": sha256(weights), "recipe": header.recipe, "data": header.data}
+
+
+def recipe(config: TrainConfig, init: dict[str, Any] | None) -> dict[str, Any]:
     """Return the configuration as a JSON document, without paths and names of this machine.
 
     Args:
         config: The configuration.
-        init: SHA-256 of the initial weights, which stands in the place of their path; None for
-            none.
+        init: What `origin` returns of the initial weights, which stands in the place of their
+            path; None for none.
     """
     fields = {name: value for name, value in asdict(config).items() if name not in OF_THIS_MACHINE}
     fields["init"] = init

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from torch import nn
 
 from ffpose.config import looks_twice
-from ffpose.files import sha256
 from ffpose.losses import FixedLoss, JointLoss, PoseLoss
 from ffpose.models import (
     FilterformerPose,
@@ -23,10 +22,12 @@ from ffpose.models import (
 )
 from ffpose.models.weights import WeightsMetadata, load_weights
 from ffpose.training.averaging import AveragedModel
+from ffpose.training.calibration_images import CalibrationSet
 from ffpose.training.config import LossConfig, OptimizerConfig, TrainConfig
 from ffpose.training.data import NO_KEYPOINTS, TrainingData, open_training_data
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
+from ffpose.training.provenance import origin
 from ffpose.training.stages import check_stages
 from ffpose.training.tasks import FrameTask, ObjectTask, Task
 from ffpose.training.views import ViewBatches
@@ -46,7 +47,9 @@ class Run:
         task: Batches, loss and validation.
         processes: This process's place among those that train together.
         device: Where the network computes.
-        init: SHA-256 of the initial weights; None for none.
+        init: Provenance of the initial weights (`ffpose.training.provenance.origin`); None for
+            none.
+        calibration: Images that calibrate a network with a second look.
     """
 
     config: TrainConfig
@@ -56,7 +59,8 @@ class Run:
     task: Task
     device: torch.device
     processes: Processes = ALONE
-    init: str | None = None
+    init: dict[str, Any] | None = None
+    calibration: CalibrationSet | None = None
 
 
 def build_run(
@@ -101,11 +105,11 @@ def build_run(
         init = (resumed.recipe or {}).get("init")
     elif config.init is not None:
         load_weights(config.init, model, grow=True)
-        init = sha256(config.init)
+        init = origin(config.init)
     task = _task(config, model, data, device, processes)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
     average = AveragedModel(model, config.ema)
-    return Run(config, model, average, optimizer, task, device, processes, init)
+    return Run(config, model, average, optimizer, task, device, processes, init, data.calibration)
 
 
 def _task(
@@ -133,8 +137,6 @@ def _task(
             data.val_set,
             loss,
             config.batch_size,
-            data.empty_images,
-            data.cut_set,
             processes,
         )
     assert data.train_set is not None

@@ -74,17 +74,11 @@ class Task(Protocol):
     def weights(self) -> dict[str, float]:
         """Return the learnable weights of the loss, for the table of results."""
 
-    def validation(self, *, whole: bool = False) -> Iterator[Sample]:
-        """Iterate over this process's share of the validation split, or over the whole."""
+    def validation(self) -> Iterator[Sample]:
+        """Iterate over this process's share of the validation split."""
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Describe the training images, for the header of the weights."""
-
-    def empty(self) -> Iterator[Tensor] | None:
-        """Iterate over standardized images without an object; None for a network without flag."""
-
-    def cut(self) -> Iterator[Sample]:
-        """Iterate over validation images whose object the border cuts; there may be none."""
 
 
 class Objective(nn.Module):
@@ -188,21 +182,13 @@ class FrameTask:
         """Return the two weights where they are learned."""
         return {name: value.item() for name, value in self.loss.named_parameters()}
 
-    def validation(self, *, whole: bool = False) -> Iterator[Sample]:
-        """Iterate over this process's share of the validation split, or over the whole."""
-        own = ALONE if whole else self.processes
-        return _validation(self.val_set, own, self.batch_size, self.workers)
+    def validation(self) -> Iterator[Sample]:
+        """Iterate over this process's share of the validation split."""
+        return _validation(self.val_set, self.processes, self.batch_size, self.workers)
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Return name, number, size, mean pose and digest of the training images."""
         return describe_data(self.train_set, config)
-
-    def empty(self) -> None:
-        """Return None: the network does not predict whether the object is in view."""
-
-    def cut(self) -> Iterator[Sample]:
-        """Iterate over no images: the network predicts no uncertainty."""
-        return iter(())
 
 
 class ObjectTask:
@@ -213,8 +199,6 @@ class ObjectTask:
         val_set: Whole validation images, which select the best epoch.
         loss: The loss terms and their weights.
         batch_size: Images per batch.
-        empty_images: Whole images without an object ``(N, H, W, 3)``, uint8; None for none.
-        cut_set: Whole validation images whose object the border cuts; None for none.
         processes: This process's place among those that train together.
     """
 
@@ -224,15 +208,11 @@ class ObjectTask:
         val_set: PoseDataset,
         loss: ObjectObjective,
         batch_size: int,
-        empty_images: NDArray[np.uint8] | None = None,
-        cut_set: PoseDataset | None = None,
         processes: Processes = ALONE,
     ) -> None:
         self.processes = processes
-        self.cut_set = cut_set
         self.views, self.val_set, self.loss, self.batch_size = views, val_set, loss, batch_size
         self.preprocessing = val_set.preprocessing
-        self.empty_images = empty_images
 
     @property
     def images(self) -> int:
@@ -266,11 +246,9 @@ class ObjectTask:
         """Return no weights, as they are fixed."""
         return {}
 
-    def validation(self, *, whole: bool = False) -> Iterator[Sample]:
-        """Iterate over this process's share of the validation split, or over the whole."""
-        return _validation(
-            self.val_set, ALONE if whole else self.processes, VALIDATION_BATCH, workers=0
-        )
+    def validation(self) -> Iterator[Sample]:
+        """Iterate over this process's share of the validation split."""
+        return _validation(self.val_set, self.processes, VALIDATION_BATCH, workers=0)
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Return name, sets, number, size, mean pose and digest of the training views' labels."""
@@ -288,18 +266,6 @@ class ObjectTask:
             "mean_pose": mean_pose(np.concatenate(labels)[:, :7]).tolist(),
             "digest": digest.hexdigest(),
         }
-
-    def empty(self) -> Iterator[Tensor] | None:
-        """Iterate over whole images without an object."""
-        if self.empty_images is None:
-            return None
-        return standardized(self.empty_images, self.preprocessing)
-
-    def cut(self) -> Iterator[Sample]:
-        """Iterate over the validation images whose object the border cuts."""
-        if self.cut_set is None:
-            return iter(())
-        return _validation(self.cut_set, ALONE, VALIDATION_BATCH, workers=0)
 
 
 def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Iterator[Tensor]:

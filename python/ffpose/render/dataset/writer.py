@@ -27,6 +27,7 @@ from ffpose.render.dataset.tables import write_conditions, write_tables
 from ffpose.render.layers import check_labels, label_files
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
+from ffpose.seeds import refuse_final
 from ffpose.urso import image_name, index_of
 
 MAX_COUNT = 10_000_000
@@ -79,7 +80,7 @@ def write_dataset(
         scene: A set, or the name of one (`ffpose.render.SCENES`).
         out: Folder to write to; created if it does not exist.
         count: Number of images, at least 1.
-        seed: Seed of the set, at least 0.
+        seed: Seed of the set, at least 0 and none of `ffpose.seeds.FINAL`.
         start: Index of the first image.
         size: (width, height) in pixels; default is that of the scene's camera.
         workers: Number of processes; 1 renders in the calling process.
@@ -100,6 +101,7 @@ def write_dataset(
     scene = get_scene(scene) if isinstance(scene, str) else scene
     _check_range(count=(count, 1, MAX_COUNT), start=(start, 0, MAX_COUNT))
     _check_range(seed=(seed, 0, 2**63 - 1), workers=(workers, 1, 1024))
+    refuse_final(seed)
     camera = camera_of(scene, size)
     label(scene, seed, start)  # a scene that allows no pose fails before a file is written
     prepare(scene, ray)

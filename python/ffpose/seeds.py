@@ -1,0 +1,49 @@
+"""Seeds of rendered scenes, and what each may be used for: no image is used twice.
+
+Two seeds have no scene in common. What a training learns from, what selects its best epoch, what
+calibrates its weights and what people chose by (the number of looks or of rotated views, the
+precision of a graph) are of different seeds; and the figures that are published as final come from
+seeds that nothing before them has rendered. Only ``ffpose card --final`` renders those.
+"""
+
+from __future__ import annotations
+
+TRAINING = range(1_000_000)
+"""Seeds of training images; a configuration's ``data.seed`` is one of these."""
+
+CHOICES = range(1_000_000, 2_000_000)
+"""Held-out seeds of demos, studies, benchmarks and cards, by which people may choose."""
+
+VALIDATION = range(3_000_000, 4_000_000)
+"""Seeds of the images that select the best epoch of a training."""
+
+CALIBRATION = range(4_000_000, 5_000_000)
+"""Seeds of the images that calibrate distances, covariances and threshold."""
+
+FINAL = range(5_000_000, 6_000_000)
+"""Seeds of the final figures of model cards."""
+
+
+def matching(purpose: range, seed: int) -> int:
+    """Return the seed of ``purpose`` at the place that ``seed`` has among `TRAINING`.
+
+    Examples:
+        >>> matching(VALIDATION, 101)
+        3000101
+        >>> matching(TRAINING, 999_999 + 2)
+        1
+    """
+    return purpose[seed % len(purpose)]
+
+
+def refuse_final(seed: int) -> None:
+    """Check that a seed is none of the final figures'.
+
+    Raises:
+        ValueError: It is one of `FINAL`.
+    """
+    if seed in FINAL:
+        raise ValueError(
+            f"seed: expected none of {FINAL.start} to {FINAL.stop - 1}, which ffpose card --final"
+            f" alone renders, got {seed}"
+        )

@@ -1,0 +1,100 @@
+"""The images that calibrate weights: whole objects, some that the border cuts, and none at all."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+from ffpose.datasets import Decoding, PoseDataset, find_target, read_records
+from ffpose.datasets.scenes import find_scene, open_empty_images, open_frames
+from ffpose.preprocessing import Preprocessing
+from ffpose.seeds import CALIBRATION, matching
+from ffpose.training.config import CalibrationImages
+from ffpose.views import Bytes
+
+EMPTY_SEEDS, CUT_SEEDS = 500_000, 300_000
+"""Added, among the seeds of one purpose, to a set's seed: no two kinds of images show one scene."""
+
+CUT_SHARE = (0.25, 0.9)
+"""Least and greatest share of a spacecraft that the border leaves."""
+
+
+class CalibrationSet(NamedTuple):
+    """Images that calibrate weights.
+
+    Attributes:
+        config: What they are.
+        about: What they are, for the header of the weights: a document for each kind.
+        whole: Whole images of the object.
+        cut: Those of objects that the border cuts; None where there are none.
+        empty: Whole images without the object ``(N, H, W, 3)``, uint8; None where there are none.
+    """
+
+    config: CalibrationImages
+    about: list[dict[str, Any]]
+    whole: PoseDataset
+    cut: PoseDataset | None = None
+    empty: Bytes | None = None
+
+
+def open_calibration(config: CalibrationImages, preprocessing: Preprocessing) -> CalibrationSet:
+    """Open the images, of the network's input size; scenes are rendered if they are not there.
+
+    Raises:
+        ValueError: An unknown set, kind or split, or no image at the places that are asked for.
+        ffpose.DataError: An image or a label cannot be used.
+    """
+    if config.kind == "scenes":
+        return _rendered(config, preprocessing)
+    decoding = Decoding(config.undistort, config.white)
+    records = read_records(config.kind, config.root, config.split, decoding)
+    chosen = records[config.start :: config.step]
+    if not chosen:
+        raise ValueError(
+            f"calibration: expected more than {config.start} images in {config.split}, every"
+            f" {config.step}th of which calibrates, got {len(records)}"
+        )
+    about = {
+        "shows": "object",
+        "kind": config.kind,
+        "name": config.root.resolve().name,
+        "split": config.split,
+        "start": config.start,
+        "step": config.step,
+        "count": len(chosen),
+    }
+    target = find_target(config.kind)
+    return CalibrationSet(config, [about], PoseDataset(chosen, preprocessing, target=target))
+
+
+def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> CalibrationSet:
+    scene, count = find_scene(config.scene, config.attitude_range_deg), config.count
+    seeds = [matching(CALIBRATION, config.seed + more) for more in (0, CUT_SEEDS, EMPTY_SEEDS)]
+    whole, cut = (
+        open_frames(config.root, part, seed, count, preprocessing, workers=config.workers)
+        for part, seed in zip((scene, scene.cut(*CUT_SHARE)), seeds, strict=False)
+    )
+    empty = open_empty_images(config.root, scene, seeds[2], count, preprocessing)
+    shows = ("object", "object that the border cuts", "no spacecraft, or another one")
+    about = [
+        {"shows": what, "scene": config.scene, "seed": seed, "count": number}
+        for what, seed, number in zip(shows, seeds, (count, count, len(empty)), strict=True)
+    ]
+    return CalibrationSet(config, about, whole, cut, empty)
+
+
+def command_of(weights: str, config: CalibrationImages, turns: list[int]) -> str:
+    """Return the command that calibrates weights with these images.
+
+    Of a set on disk the folder's name stands for its path, which is this machine's.
+    """
+    words = ["ffpose calibrate", weights]
+    for field in fields(config):
+        value = getattr(config, field.name)
+        if field.name == "root":
+            if config.kind != "scenes":
+                words.append(f"--data.root {config.root.resolve().name}")
+        elif field.name != "workers" and value != field.default:
+            shown = f"[{','.join(map(str, value))}]" if isinstance(value, tuple) else value
+            words.append(f"--data.{field.name} {shown}")
+    return " ".join([*words, *(["--turns", *map(str, turns)] if turns else [])])

@@ -1,0 +1,42 @@
+"""Trainings on rendered scenes, in small."""
+
+from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
+
+COUNT = 4
+"""Images that validate, and images of each kind that calibrate."""
+
+FIELDS = {
+    "image_size": [96, 128],
+    "dim": 16,
+    "head_hidden": 16,
+    "first_stride": 4,
+    "bins": 300,
+    "bins_degree": 2,
+    "distance_m": [8.0, 22.0],
+}
+
+
+def scenes_config(root, out, **fields):
+    """Two epochs of three batches, of all that a run on scenes may use."""
+    values = {
+        "data": DataConfig(
+            *("scenes", root),
+            scene="soyuz_easy",
+            count=12,
+            validation=COUNT,
+            calibration=COUNT,
+            empty=2,
+            decoys=1,
+            seed=3,
+        ),
+        "out": out,
+        "model": "compact",
+        "model_fields": FIELDS,
+        "backbone_weights": "none",
+        "epochs": 2,
+        "batch_size": 4,
+        "ema": 0.9,
+        "optimizer": OptimizerConfig(kind="adamw", learning_rate=1e-3),
+        "device": "cpu",
+    }
+    return TrainConfig(**(values | fields))
