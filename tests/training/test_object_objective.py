@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ffpose.models.object_look import LookNumbers
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import ObjectLossConfig
-from ffpose.training.object_objective import ObjectObjective, _between, heatmap_loss
+from ffpose.training.object_objective import ObjectObjective, heatmap_loss
 from ffpose.training.views import ViewBatch
 
 COUNT, CHANNELS, GRID, KEYPOINTS = 5, 3, (2, 3), 7
@@ -248,14 +248,6 @@ def test_half_precision_is_the_networks_alone(batch):
         setattr(answers, name, getattr(answers, name).float())
     answers.numbers = LookNumbers(*(number.float() for number in answers.numbers))
     torch.testing.assert_close(got, objective(answers, batch).total, rtol=1e-6, atol=0)
-
-
-def test_between_is_scipys_difference():
-    generator = np.random.default_rng(0)
-    a, b = Rotation.random(50, rng=generator), Rotation.random(50, rng=generator)
-    q_a, q_b = (torch.from_numpy(r.as_quat(scalar_first=True)) for r in (a, b))
-    got = Rotation.from_quat(_between(q_a, q_b).numpy(), scalar_first=True)
-    assert (got.inv() * (b * a.inv())).magnitude().max() < 1e-12
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan")])
