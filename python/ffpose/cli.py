@@ -436,35 +436,49 @@ def card_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--mitsuba", action="store_true", help="images of the second renderer too, which is slow"
     )
-    parser.add_argument("--out", type=Path, help="folder for card.json and card.md")
+    text = "folder for card.json and card.md; one that holds this card is not measured again"
+    parser.add_argument("--out", type=Path, help=text)
+    text = "page whose parts after <!-- card: NAME --> are filled with the cards beside --out"
+    parser.add_argument("--page", type=Path, help=text)
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def card(options: Namespace) -> None:
-    """Measure weights for their model card, under conditions that training had and had not.
+    """Measure weights for their model card, and say which conditions their training had.
 
     Errors, coverage of the uncertainty, and how well images without the object are flagged. An
     image takes a third of a second of one core to render, half of them far less.
     """
-    from ffpose.card.measurement import measure, write_card
+    from ffpose.card.measurement import kept_card, measure, write_card
+    from ffpose.card.page import fill_page
     from ffpose.card.tables import format_card
 
+    settings = {
+        "count": options.count,
+        "size": width_and_height(options.size),
+        "seed": options.seed,
+        "final": options.final,
+        "second_renderer": options.mitsuba,
+    }
+    if options.page is not None and options.out is None:
+        raise ValueError("--page: expected with --out, the folder of the card")
+    document = None
     if options.out is not None:
         expect_folder(options.out)
-    document = measure(
-        options.weights,
-        options.scene,
-        count=options.count,
-        size=width_and_height(options.size),
-        seed=options.seed,
-        final=options.final,
-        workers=options.workers,
-        second_renderer=options.mitsuba,
-        keep=options.images,
-        progress=True,
-    )
+        document = kept_card(options.out, options.weights, options.scene, **settings)
+    if document is None:
+        document = measure(
+            options.weights,
+            options.scene,
+            **settings,
+            workers=options.workers,
+            keep=options.images,
+            progress=True,
+        )
     if options.out is not None:
         write_card(document, options.out)
+    if options.page is not None:
+        fill_page(options.page, options.out.parent)
     if options.json:
         show(document)
     else:

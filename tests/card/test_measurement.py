@@ -19,6 +19,7 @@ from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.models import FilterformerPose
 from ffpose.render.dataset.conditions import conditions_of
 from ffpose.render.variations import variations
+from ffpose.seeds import CHOICES, FINAL
 
 COUNT = 5
 FRAME_FIELDS = {"image_size": (64, 64), "depth": 1, "dim": 16, "heads": 2}
@@ -164,7 +165,8 @@ def test_answers_stay_with_their_pictures_whatever_the_batches():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ({"seed": 999_999}, "seed: expected at least 1000000, .* got 999999"),
+        ({"seed": 999_999}, "seed: expected 1000000 to 1999999, .* got 999999"),
+        ({"seed": FINAL.start}, "seed: expected 1000000 to 1999999, .* got 5000000"),
         ({"count": 0}, "count: expected at least 1, got 0"),
         ({"workers": 0}, "workers: expected at least 1, got 0"),
         ({"size": (4, 3)}, "size: expected width and height"),
@@ -185,11 +187,33 @@ def test_the_command_prints_one_document_and_writes_it(weights, tmp_path, capsys
     words = ["card", str(weights), "--scene", "soyuz_easy", "--count", "1", "--size", "64x48"]
     assert main([*words, "--json", "--out", str(tmp_path / "card")]) == 0
     printed = json.loads(capsys.readouterr().out)
+    assert (printed["seed"], printed["final"]) == (CHOICES.start, False)
     assert printed == json.loads((tmp_path / "card/card.json").read_text())
     assert (tmp_path / "card/card.md").read_text() == format_card(printed)
     assert printed["scene"] == "soyuz_easy"
     assert printed["size"] == [64, 48]
     assert sorted(path.name for path in (tmp_path / "card").iterdir()) == ["card.json", "card.md"]
+
+
+def test_the_final_card_shows_the_seed_that_is_kept_for_it_and_is_measured_once(
+    weights, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(measurement, "BASELINE_LABELS", 10)
+    page = tmp_path / "page.md"
+    page.write_text("A\n<!-- card: look -->\nold\n<!-- end of card -->\nB\n")
+    words = ["card", str(weights), "--scene", "soyuz_easy", "--count", "1", "--size", "64x48"]
+    words += ["--final", "--json", "--out", str(tmp_path / "cards/look"), "--page", str(page)]
+    assert main(words) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["seed"], printed["final"]) == (FINAL.start, True)
+    assert page.read_text() == (
+        f"A\n<!-- card: look -->\n\n{format_card(printed)}\n<!-- end of card -->\nB\n"
+    )
+    monkeypatch.setattr(measurement, "measure", None)
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out) == printed
+    words[words.index("--count") + 1] = "2"  # another card than that in the folder
+    assert main(words) == 1
 
 
 @pytest.mark.peer

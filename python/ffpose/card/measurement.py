@@ -24,11 +24,12 @@ from PIL import Image
 from ffpose import __version__
 from ffpose.baseline import mean_pose
 from ffpose.card.pictures import PICTURES, draw_picture
+from ffpose.card.seen import picture_seen, seen_in_training
 from ffpose.card.statistics import Answers, refuse, summarize
 from ffpose.card.tables import format_card
 from ffpose.config import looks_twice
 from ffpose.errors import require
-from ffpose.files import atomic_write, sha256
+from ffpose.files import atomic_write, read_json, sha256
 from ffpose.geometry import Pose
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.load import load
@@ -143,11 +144,12 @@ def measure(
         progress: Show progress on standard error.
 
     Returns:
-        A JSON document. ``conditions``: a list, each with ``name``, ``about`` and the statistics of
+        A JSON document. ``conditions``: a list, each with ``name``, ``about``, whether training had
+        it (``seen`` and ``seen_how``, of `ffpose.card.seen`) and the statistics of
         `ffpose.card.statistics.summarize`. ``mean_pose_baseline``: the same statistics for a
         constant pose on the scenes as trained. ``without_object``: a list of
-        `ffpose.card.statistics.refuse`, empty for a network without uncertainty. ``notes``: what
-        was left out.
+        `ffpose.card.statistics.refuse`, with the same, empty for a network without uncertainty.
+        ``notes``: what was left out.
 
     Raises:
         FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
@@ -163,6 +165,7 @@ def measure(
     camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
     estimator = load(weights, camera=camera, warm_up=0)
     metadata = estimator.metadata
+    recipe = metadata.recipe if isinstance(metadata, WeightsMetadata) else None
     plan = replace(_plan(scene, metadata, count, size, seed, workers, second_renderer), keep=keep)
     began = time.perf_counter()
     answers = answer(estimator, _with_bar(plan, show=progress))
@@ -178,7 +181,7 @@ def measure(
         "final": final,
         "in_view_threshold": metadata.in_view_threshold,
         "seconds": time.perf_counter() - began,
-        **_results(plan, answers, metadata.in_view_threshold),
+        **_results(plan, answers, metadata.in_view_threshold, seen_of(plan, recipe)),
         "notes": [] if second_renderer else [ONE_RENDERER],
     }
 
@@ -237,12 +240,17 @@ def answer(estimator: PoseEstimator, shown: Iterable[Shown]) -> dict[str, Answer
 
 
 def _results(
-    plan: Plan, answers: Mapping[str, Answers], threshold: float | None
+    plan: Plan,
+    answers: Mapping[str, Answers],
+    threshold: float | None,
+    seen: Mapping[str, dict[str, str]],
 ) -> dict[str, list[dict[str, Any]] | dict[str, Any]]:
     """Return the part of the document that follows from the predictions."""
     trained = answers[plan.trained.name]
-    groups = [(plan.trained.name, plan.trained.about, trained), *_by_light(plan, trained)]
+    light = _by_light(plan, trained)
+    groups = [(plan.trained.name, plan.trained.about, trained), *light]
     groups += [(v.name, v.about, answers[v.name]) for v in plan.with_object[1:]]
+    seen = {name: seen[plan.trained.name] for name, *_ in light} | dict(seen)
     constant = Answers([_mean_pose(plan.trained.scene)] * len(trained.truth), trained.truth)
     others = {name: found.found for name, found in answers.items() if not found.truth}
     if others:
@@ -250,15 +258,27 @@ def _results(
     about = plan.about | {"all of them": "each kind as often as the others"}
     return {
         "conditions": [
-            {"name": name, "about": words, **summarize(group, threshold)}
+            {"name": name, "about": words, **seen[name], **summarize(group, threshold)}
             for name, words, group in groups
         ],
         "mean_pose_baseline": summarize(constant, None),
         "without_object": [
-            {"name": name, "about": about[name], **refuse(trained.found, found, threshold)}
+            {
+                "name": name,
+                "about": about[name],
+                **seen.get(name, {}),
+                **refuse(trained.found, found, threshold),
+            }
             for name, found in others.items()
         ],
     }
+
+
+def seen_of(plan: Plan, recipe: Mapping[str, Any] | None) -> dict[str, dict[str, str]]:
+    """Return ``seen`` and ``seen_how`` of each condition by name, for a training's recipe."""
+    found = {v.name: seen_in_training(recipe, v) for v in (*plan.with_object, *plan.without)}
+    found |= {name: picture_seen(recipe, name) for name in plan.pictures}
+    return {name: {"seen": seen.answer, "seen_how": seen.how} for name, seen in found.items()}
 
 
 def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
@@ -277,6 +297,46 @@ def _mean_pose(scene: Scene) -> Pose:
 
     labels = [label(scene, BASELINE_SEED, index).vector for index in range(BASELINE_LABELS)]
     return Pose.from_vector(mean_pose(np.stack(labels)))
+
+
+def kept_card(
+    out: Path,
+    weights: str | Path,
+    scene: str,
+    *,
+    count: int,
+    size: tuple[int, int],
+    seed: int,
+    final: bool,
+    second_renderer: bool,
+) -> dict[str, Any] | None:
+    """Return the card in a folder, if it is one of these weights with these settings.
+
+    Args:
+        out: Folder that `write_card` wrote, or any other.
+        weights: As for `measure`, and so are the others.
+        scene: Name of the set.
+        count: Number of images per condition.
+        size: ``(width, height)`` of the images.
+        seed: Seed of the scenes, unless final.
+        final: Whether it is of the seed of final figures.
+        second_renderer: Whether it has images of Mitsuba.
+    """
+    path = out / "card.json"
+    if not path.exists():
+        return None
+    card: dict[str, Any] = read_json(path)
+    wanted = {
+        "sha256": sha256(find_source(weights).path),
+        "ffpose": __version__,
+        "scene": scene,
+        "count": count,
+        "size": list(size),
+        "seed": FINAL.start if final else seed,
+        "final": final,
+        "notes": [] if second_renderer else [ONE_RENDERER],
+    }
+    return card if all(card.get(name) == value for name, value in wanted.items()) else None
 
 
 def write_card(document: Mapping[str, Any], out: Path) -> None:

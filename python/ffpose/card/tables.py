@@ -17,7 +17,8 @@ def format_card(document: Mapping[str, Any]) -> str:
     near, far = document["distance_m"]
     head = (
         f"`{document['weights']}` (SHA-256 {document['sha256'][:12]}…) on `{document['scene']}`: "
-        f"{document['count']} images of {width}x{height} per condition, seed {document['seed']}, "
+        f"{document['count']} images of {width}x{height} per condition, seed {document['seed']}"
+        f"{' (final)' if document['final'] else ''}, "
         f"{near:g} to {far:g} m, all attitudes; ffpose {document['ffpose']}."
     )
     parts = [head, errors_table(document)]
@@ -28,23 +29,63 @@ def format_card(document: Mapping[str, Any]) -> str:
     return "\n\n".join([*parts, *document["notes"]]) + "\n"
 
 
+def accuracy_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the table that compares cards, by name, on the scenes as trained.
+
+    The last column is the constant pose of the first card.
+    """
+    rows = [card["conditions"][0] for card in cards.values()]
+    constant = next(iter(cards.values()))["mean_pose_baseline"]
+
+    def median(name: str, show: Any) -> list[str]:
+        found = [show(row[f"median_{name}"]) for row in rows]
+        between = [map(show, row["median_intervals_95"][f"median_{name}"]) for row in rows]
+        cells = [f"{value} [{', '.join(ends)}]" for value, ends in zip(found, between, strict=True)]
+        return [*cells, show(constant[f"median_{name}"])]
+
+    def both(row: Row) -> str:
+        rotation, translation = row["mean_rotation_error_deg"], row["mean_translation_error_m"]
+        return f"{_degrees(rotation)}, {_meters(translation)}"
+
+    lines = [
+        ["E_q", *median("rotation_error_deg", _degrees)],
+        ["in-plane", *median("in_plane_error_deg", _degrees)],
+        ["out-of-plane", *median("out_of_plane_error_deg", _degrees)],
+        ["E_t", *median("translation_error_m", _meters)],
+        ["E_t / ‖t‖", *median("relative_translation_error", _percent)],
+        ["mean E_q, E_t", *map(both, rows), both(constant)],
+        *(
+            [f"{name} in the 50 / 90 / 99 % region", *(_coverage(row[name]) for row in rows), NONE]
+            for name in ("rotation", "translation")
+        ),
+        [
+            "object in view or not, AUROC",
+            *(f"{card['without_object'][-1]['auroc']:.4f}" for card in cards.values()),
+            NONE,
+        ],
+    ]
+    return _table(["", *(f"`{name}`" for name in cards), "constant"], lines)
+
+
 def errors_table(document: Mapping[str, Any]) -> str:
     """Return the table of errors of each condition, and of the constant pose.
 
     A row below the first condition shows the bootstrap intervals of its medians.
     """
-    header = ["condition", "images", "E_q", "mean", "90 %", "> 30°", "in-plane", "out-of-plane"]
-    header += ["E_t", "mean", "E_t/‖t‖"]
+    header = ["condition", "in training", "images", "E_q", "mean", "90 %", "> 30°"]
+    header += ["in-plane", "out-of-plane", "E_t", "mean", "E_t/‖t‖"]
     first, *others = document["conditions"]
     constant = {"name": "constant pose", **document["mean_pose_baseline"]}
     rows = [_errors(first), _intervals(first), *map(_errors, others), _errors(constant)]
     caption = "Medians, where no other is named; in brackets their bootstrap intervals of 95 %."
-    return f"{_table(header, rows)}\n\n{caption} {_conditions(document['conditions'])}"
+    about = f"{_conditions(document['conditions'])} {_partly(document['conditions'])}".rstrip()
+    return f"{_table(header, rows)}\n\n{caption} {about}"
 
 
 def _errors(row: Row) -> list[str]:
     return [
         row["name"],
+        row.get("seen", ""),
         str(row["images"]),
         _degrees(row["median_rotation_error_deg"]),
         _degrees(row["mean_rotation_error_deg"]),
@@ -67,7 +108,7 @@ def _intervals(row: Row) -> list[str]:
         return f"[{show(low)}, {show(high)}]"
 
     return [
-        *("", "", between("rotation_error_deg", _degrees), "", "", ""),
+        *("", "", "", between("rotation_error_deg", _degrees), "", "", ""),
         between("in_plane_error_deg", _degrees),
         between("out_of_plane_error_deg", _degrees),
         between("translation_error_m", _meters),
@@ -79,6 +120,12 @@ def _intervals(row: Row) -> list[str]:
 def _conditions(rows: Sequence[Row]) -> str:
     """Describe each condition in one sentence."""
     return "; ".join(f"{row['name']}: {row['about']}" for row in rows) + "."
+
+
+def _partly(rows: Sequence[Row]) -> str:
+    """Say in what way a training had the conditions that it had in part; empty for none."""
+    parts = [f"{row['name']}, {row['seen_how']}" for row in rows if row.get("seen_how")]
+    return f"Partly in training: {'; '.join(parts)}." if parts else ""
 
 
 def uncertainty_table(rows: Sequence[Row]) -> str:
@@ -114,6 +161,7 @@ def refusal_table(document: Mapping[str, Any]) -> str:
         [
             row["name"],
             row["about"],
+            row.get("seen", ""),
             str(row["images"]),
             f"{row['auroc']:.4f}",
             _percent(row["miss_rate"]) if "miss_rate" in row else NONE,
@@ -121,7 +169,7 @@ def refusal_table(document: Mapping[str, Any]) -> str:
         ]
         for row in rows
     ]
-    header = ["without the object", "", "images", "AUROC", "missed", "in view"]
+    header = ["without the object", "", "in training", "images", "AUROC", "missed", "in view"]
     threshold = document["in_view_threshold"]
     caption = "The weights hold no threshold to flag by."
     if threshold is not None:
@@ -129,7 +177,7 @@ def refusal_table(document: Mapping[str, Any]) -> str:
             f"Flagged below {threshold:.4g}; false alarms on the scenes as trained: "
             f"{_percent(rows[0]['false_alarm_rate'])}."
         )
-    return f"{_table(header, lines)}\n\n{caption}"
+    return f"{_table(header, lines)}\n\n{caption} {_partly(rows)}".rstrip()
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,4 +1,4 @@
-"""Sets that differ from one in a single thing: what a network meets that its training had not.
+"""Sets that differ from one in a single thing, which a training may have had or not.
 
 The pictures of a variation are those of the set with the same poses, sun and Earth wherever the
 variation leaves them, so that its errors can be compared picture by picture. Variations that differ
@@ -78,7 +78,7 @@ class Variation:
 def variations(
     scene: Scene, farthest_m: float, *, second_renderer: bool = False
 ) -> list[Variation]:
-    """The set over all attitudes, as trained, and what training had not.
+    """The set over all attitudes, and sets that differ from it in one thing.
 
     Args:
         scene: a set.

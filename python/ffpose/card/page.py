@@ -1,0 +1,63 @@
+"""The page of model cards: its tables stand between marks, and come from the cards' data."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ffpose.card.tables import accuracy_table, format_card
+from ffpose.files import atomic_write, read_json
+
+Document = Mapping[str, Any]
+
+PART = re.compile(r"(<!-- card: (\S+) -->\n).*?(<!-- end of card -->)", re.DOTALL)
+ACCURACY = "accuracy"
+"""Name of the part with the table that compares all cards."""
+
+
+def read_cards(folder: Path) -> dict[str, Document]:
+    """Read the cards ``NAME/card.json`` of a folder, by name.
+
+    Raises:
+        ffpose.DataError: A file is not JSON.
+    """
+    return {path.parent.name: read_json(path) for path in sorted(folder.glob("*/card.json"))}
+
+
+def filled(page: str, cards: Mapping[str, Document]) -> str:
+    """Return a page with its parts as the cards have them.
+
+    A part begins with the line ``<!-- card: NAME -->``, where NAME is that of a card or
+    "accuracy", and ends before ``<!-- end of card -->``. Parts of other names stay.
+
+    Args:
+        page: The page, Markdown.
+        cards: Documents of `ffpose.card.measurement.measure`, by name.
+    """
+
+    def part(match: re.Match[str]) -> str:
+        begin, name, end = match.groups()
+        if name == ACCURACY:
+            return f"{begin}\n{accuracy_table(cards)}\n\n{end}"
+        return f"{begin}\n{format_card(cards[name])}\n{end}" if name in cards else match[0]
+
+    return PART.sub(part, page)
+
+
+def parts_of(page: str) -> Sequence[str]:
+    """Return the names of a page's parts, in order."""
+    return [name for _, name, _ in PART.findall(page)]
+
+
+def fill_page(path: Path, folder: Path) -> None:
+    """Fill a page in place with the cards of a folder.
+
+    Raises:
+        FileNotFoundError: There is no such page.
+        ffpose.DataError: A card cannot be read.
+    """
+    text = filled(path.read_text(encoding="utf-8"), read_cards(folder))
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
