@@ -51,6 +51,7 @@ SMALL = {
     "configs/soyuz-easy-robust.yaml": f"configs/soyuz-easy-robust.yaml {VIEWS}",
     "configs/soyuz-easy.yaml": f"configs/soyuz-easy.yaml {VIEWS}",
     "--count 60": "--count 2 --size 64x48",
+    "--data.count 200 --turns 8 12": "--data.count 2 --turns 1 2",
     # studies: one run of a variant or two
     "--seeds 3 --minutes 3": "--seeds 1 --minutes 0.0001 --test-images 2"
     f" --variants tokens posenet {RENDERED}",

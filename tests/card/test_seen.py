@@ -3,6 +3,7 @@
 import pytest
 
 from ffpose.card.seen import BEFORE, Seen, picture_seen, seen_in_training, trainings
+from ffpose.models import read_metadata, zoo
 from ffpose.render import SCENES
 from ffpose.render.variations import variations, without_object
 from ffpose.training import DataConfig, TrainConfig
@@ -76,3 +77,14 @@ def test_pictures_are_seen_where_samples_without_the_object_are(tmp_path):
     assert picture_seen(known, "clutter") == Seen("no")
     never = known | {"views": known["views"] | {"empty": 0.0}}
     assert picture_seen(never, "noise") == Seen("no")
+
+
+def test_soyuz_easy_starts_from_weights_that_saw_cut_and_randomized_scenes():
+    """Its card said that training had neither; those of the others say so rightly."""
+    partly = Seen("partly", BEFORE)
+    for name in zoo.names():
+        found = conditions(read_metadata(name).recipe, name.replace("-", "_"))
+        expected = partly if name == "soyuz-easy" else Seen("no")
+        assert (found["cut by the border"], found["randomize 0.5"]) == (expected, expected)
+        assert found["as trained"] == Seen("yes")
+        assert trainings(read_metadata(name).recipe)[-1]["init"] is None

@@ -1,8 +1,6 @@
 """A training on rendered scenes: from a name to weights, which a second run makes again."""
 
 import itertools
-import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +9,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from ffpose.baseline import mean_pose
-from ffpose.models import CONFIGS, FilterformerPose, read_metadata, zoo
+from ffpose.models import CONFIGS, FilterformerPose, read_metadata
 from ffpose.preprocessing import Preprocessing
 from ffpose.render import label, views
 from ffpose.render.dataset import writer
@@ -190,21 +187,6 @@ def test_sets_that_are_joined_show_different_scenes(monkeypatch):
             for name in ("sun", "nadir", "ground"):
                 differ = getattr(one.around, name) - getattr(other.around, name)
                 assert np.abs(differ).max() > 1e-3
-
-
-@pytest.mark.slow
-def test_the_sets_that_the_model_cards_name_have_the_mean_pose_in_the_weights_header():
-    page = (Path(__file__).parents[2] / "docs/models.md").read_text()
-    found = re.search(r"--data\.scene (\S+) --data\.count (\[\S+\]) --data\.seed (\d+)", page)
-    scene, count, seed = found[1], json.loads(found[2]), int(found[3])
-    config = DataConfig("scenes", Path("none"), scene=scene, count=count, seed=seed)
-    poses = [
-        label(data.find_scene(name, config.attitude_range_deg), seed, index).vector
-        for name, seed, count in zip(config.scenes, config.seeds, config.counts, strict=True)
-        for index in range(count)
-    ]
-    expected = read_metadata(zoo.resolve("soyuz-hard")).data["mean_pose"]
-    np.testing.assert_allclose(mean_pose(np.array(poses)), expected, atol=1e-12)
 
 
 def test_a_number_of_images_for_each_set_is_expected():

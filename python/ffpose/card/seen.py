@@ -56,6 +56,8 @@ def seen_in_training(recipe: Recipe | None, variation: Variation) -> Seen:
         recipe: Of the weights' header.
         variation: The set.
     """
+    if recipe is not None and variation.scene.craft not in _crafts(recipe):
+        return _over_all(recipe, _other_spacecraft)
     return _over_all(recipe, lambda each: _had(each, variation))
 
 
@@ -91,10 +93,7 @@ def _had(recipe: Recipe, variation: Variation) -> Seen:
     trained = [SCENES[name] for name in data["scene"].split("+")]
     if variation.empty:
         return Seen("yes" if data["empty"] > 0 else "no")
-    if scene.craft not in [each.craft for each in trained]:
-        like = data["decoys"] > 0
-        return Seen("partly", "spacecraft of random parts") if like else Seen("no")
-    if scene.renderer != "ffpose":
+    if scene.craft not in _crafts(recipe) or scene.renderer != "ffpose":
         return Seen("no")
     if scene.randomization != Randomization():
         same = scene.randomization == Randomization.of_strength(RANDOMIZATION)
@@ -112,6 +111,20 @@ def _had(recipe: Recipe, variation: Variation) -> Seen:
     if scene.sensor != trained[0].sensor:
         return _augmented(views["noise"], "Gaussian noise")
     return Seen("yes")
+
+
+def _crafts(recipe: Recipe) -> list[Any]:
+    """Return the spacecraft of a training's rendered sets; none of a set on disk."""
+    data = recipe["data"]
+    names = data["scene"].split("+") if data["kind"] == "scenes" else []
+    return [SCENES[name].craft for name in names]
+
+
+def _other_spacecraft(recipe: Recipe) -> Seen:
+    if recipe["data"]["kind"] != "scenes":
+        return Seen("unknown")
+    like = recipe["data"]["decoys"] > 0
+    return Seen("partly", "spacecraft of random parts") if like else Seen("no")
 
 
 def _augmented(strength: float, how: str) -> Seen:
