@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from ffpose.errors import DataError, MissingExtraError, explain, require
 from ffpose.files import expect_folder
-from ffpose.options import advice, check_spelling
+from ffpose.options import advice, check_spelling, restyle
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
@@ -491,6 +491,7 @@ def calibrate_arguments(parser: ArgumentParser) -> None:
 
     parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz-easy")
     parser.add_class_arguments(CalibrationImages, "data")
+    restyle(parser)
     text = "numbers of rotated views to choose from, on other rendered images (default: as it is)"
     parser.add_argument("--turns", type=int, nargs="+", default=[], help=text)
     parser.add_argument("--out", type=Path, help="file to write (default: the weights file)")

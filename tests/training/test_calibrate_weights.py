@@ -2,15 +2,17 @@
 
 import shlex
 import shutil
+from pathlib import Path
 
 import pytest
 import torch
 from safetensors.torch import load_file
 
-from ffpose.cli import main
+from ffpose.cli import build_parser, main
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.seeds import CALIBRATION, CHOICES
 from ffpose.training.calibrate_weights import calibrate_weights
+from ffpose.training.calibration_images import command_of
 from ffpose.training.config import CalibrationImages
 from ffpose.training.engine import train
 from scene_runs import COUNT, scenes_config
@@ -55,6 +57,22 @@ def test_the_command_in_the_header_calibrates_to_the_same_values(trained, tmp_pa
     before, after = load_file(trained), load_file(spoiled)
     assert before.keys() == after.keys()
     assert all(torch.equal(value, after[name]) for name, value in before.items())
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        CalibrationImages(),
+        CalibrationImages(seed=CALIBRATION.start + 5, count=3, attitude_range_deg=(9.0, 8.0, 7.0)),
+        CalibrationImages("urso", Path("set"), split="train", start=3, step=6, undistort=True),
+        CalibrationImages("csv", Path("set"), white="p99.5"),
+    ],
+)
+def test_the_command_of_images_is_parsed_to_these_images(config):
+    words = shlex.split(command_of("a.safetensors", config, [4, 8]))
+    options = build_parser("calibrate").instantiate(build_parser("calibrate").parse_args(words[2:]))
+    assert CalibrationImages(**vars(options.data)) == config
+    assert (options.weights, options.turns) == (Path("a.safetensors"), [4, 8])
 
 
 def test_the_number_of_views_is_chosen_on_images_of_its_own(trained, tmp_path):
