@@ -225,6 +225,14 @@ def test_what_is_missing_is_a_note(tmp_path, monkeypatch):
         assert any(note.startswith(f"{name} is not measured") for note in plan.notes)
 
 
+@pytest.mark.skipif(not HAS_LIBRARY, reason="needs the custom operator")
+def test_no_process_is_started_where_none_is_asked_for(monkeypatch):
+    monkeypatch.setattr(deployment, "measure_starts", lambda *_: pytest.fail("started"))
+    plan = DeploymentPlan([TORCH_ALONE, TORCH, CUSTOM], (1,), (1,), 0.001, 0, [])
+    results = deployment.measure("speck", lambda _: plan)
+    assert (results.starts, results.baseline) == ({}, TORCH_ALONE)
+
+
 def test_a_network_without_filters_has_one_graph(tmp_path, monkeypatch):
     monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["speck"], filter="none"))
     monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
@@ -257,7 +265,7 @@ def test_a_process_in_torch_gives_a_pose(tmp_path):
 
 
 def test_the_process_of_a_graph_imports_no_torch():
-    modules = "sys, ffpose.bench.model.start, ffpose.onnx.runtime"
+    modules = "sys, ffpose.bench.model.start, ffpose.inference, ffpose.inference.network"
     code = f"import {modules}; assert 'torch' not in sys.modules"
     assert os.spawnv(os.P_WAIT, sys.executable, [sys.executable, "-c", code]) == 0
 

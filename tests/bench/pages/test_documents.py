@@ -81,7 +81,8 @@ def test_the_command_measures_and_writes_pages(root, monkeypatch, capsys):
     ("words", "message"),
     [
         (["none"], "DOC: expected some of filter, base"),
-        (["views", "--threads", "0"], "threads: expected numbers of at least 1, got [0]"),
+        (["views", "--threads", "0", "1"], "threads: expected 1, and more if you like, got [0, 1]"),
+        (["views", "--threads", "2"], "threads: expected 1, and more if you like, got [2]"),
         ([], "views.json: expected figures of views"),
     ],
 )

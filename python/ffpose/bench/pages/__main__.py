@@ -22,8 +22,8 @@ def main() -> int:
     root = Path()
     options = _parser().parse_args()
     try:
-        if any(threads < 1 for threads in options.threads):
-            raise ValueError(f"threads: expected numbers of at least 1, got {options.threads}")
+        if min(options.threads) != 1:
+            raise ValueError(f"threads: expected 1, and more if you like, got {options.threads}")
         names = list(DOCUMENTS) if options.all else options.documents
         if unknown := set(names) - set(DOCUMENTS):
             raise ValueError(f"DOC: expected some of {', '.join(DOCUMENTS)}, got {sorted(unknown)}")
