@@ -328,7 +328,7 @@ def test_what_a_network_says_of_its_errors_is_kept_image_by_image(
 
 
 def test_empty_images_need_a_folder_and_a_network_that_knows(weights, image_set, tmp_path):
-    with pytest.raises(FileNotFoundError, match="empty: expected PNG or JPEG files in"):
+    with pytest.raises(FileNotFoundError, match="empty: expected PNG, JPEG or PGM files in"):
         evaluate(weights, "urso", image_set, empty=tmp_path)
     with pytest.raises(ValueError, match="empty: expected weights that predict whether"):
         evaluate(weights, "urso", image_set, empty=next(image_set.rglob("*.png")).parent)

@@ -268,7 +268,7 @@ def evaluate(options: Namespace) -> None:
 def predict_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `predict`."""
     weights_argument(parser)
-    text = "image files, folders of PNG and JPEG files, and patterns such as 'set/*/*.png'"
+    text = "image files, folders of PNG, JPEG and PGM files, and patterns such as 'set/*/*.png'"
     parser.add_argument("images", nargs="+", help=text)
     parser.add_argument("--json", action="store_true", help="print a line of JSON for each image")
     parser.add_argument("--batch", type=int, default=1, help="images computed together")

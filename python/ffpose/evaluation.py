@@ -249,8 +249,8 @@ def evaluate(
             (`ffpose.reprojection`).
         decoding: Conversion from image files to images; None for that of the training.
         device: "auto" (a GPU if there is one) or a device that torch knows; graphs run on the CPU.
-        empty: Folder of PNG and JPEG images that do not show the object, for the miss rate and the
-            AUROC of ``in_view``.
+        empty: Folder of images (PNG, JPEG, PGM) that do not show the object, for the miss rate and
+            the AUROC of ``in_view``.
 
     Returns:
         Predictions and labels.

@@ -26,7 +26,7 @@ DEEP_MODES = ("I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of monochrome images with more than 8 bits, whose white level a user states."""
 
 
-SUFFIXES = (".png", ".jpg", ".jpeg")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".pgm")
 """Suffixes of the image files of a folder."""
 
 
@@ -68,7 +68,7 @@ def check_white(name: str, white: float | str) -> None:
 
 
 def image_files(folder: Path, name: str) -> list[Path]:
-    """Return the PNG and JPEG files of a folder, sorted by name; errors begin with ``name``.
+    """Return the PNG, JPEG and PGM files of a folder, sorted by name; errors begin with ``name``.
 
     Raises:
         FileNotFoundError: The folder does not exist, or has no such file.
@@ -77,7 +77,7 @@ def image_files(folder: Path, name: str) -> list[Path]:
         raise FileNotFoundError(f"{name}: expected a folder of images, got {folder}")
     images = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
     if not images:
-        raise FileNotFoundError(f"{name}: expected PNG or JPEG files in {folder}, got none")
+        raise FileNotFoundError(f"{name}: expected PNG, JPEG or PGM files in {folder}, got none")
     return images
 
 
@@ -85,7 +85,7 @@ def find_images(names: Iterable[str | Path]) -> list[Path]:
     """Return the files that a user names, in order.
 
     Args:
-        names: Files, which need not exist; folders, whose PNG and JPEG files are taken; and
+        names: Files, which need not exist; folders, whose PNG, JPEG and PGM files are taken; and
             patterns, whose files are taken, such as ``"runs/*/images/**/*.png"`` (``**`` for
             folders of any depth). Files of folders and patterns are sorted by name.
 

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from ffpose.errors import DataError
+from ffpose.images import image_files
 from ffpose.inference.load import load
 from ffpose.onnx.metadata import sealed
 from ffpose.preprocessing import Preprocessing
@@ -64,6 +65,16 @@ def test_a_jpeg_is_decoded_as_by_python_but_for_rounding(run, folder, model):
     for document in documents:
         path = Path(document["image"])
         assert_same(document, expected(estimator, path), 0.01 if "gray" in path.name else 0.1)
+
+
+def test_a_folder_has_the_images_that_it_has_for_python(run, folder, model):
+    names = ("b.PNG", "a.jpeg", "c.jpg", "B.pgm", "d.ppm", "png", "labels.csv", ".png")
+    images = folder(dict.fromkeys(names, b""))
+    _, documents, _ = run(model, "--images", images)
+    assert [document["image"] for document in documents] == [
+        str(image) for image in image_files(images, "images")
+    ]
+    assert len(documents) == 4
 
 
 @pytest.mark.parametrize("white", [4095, 900.5, "p99.5", "p50", "p100"])

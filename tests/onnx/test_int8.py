@@ -144,7 +144,7 @@ def test_what_cannot_be_calibrated_is_refused(graph, images, tmp_path):
     with pytest.raises(FileNotFoundError, match="calibrate: expected a folder of images, got"):
         image_files(tmp_path / "nowhere", "calibrate")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileNotFoundError, match=r"PNG or JPEG files in .*empty, got none"):
+    with pytest.raises(FileNotFoundError, match=r"PNG, JPEG or PGM files in .*empty, got none"):
         image_files(tmp_path / "empty", "calibrate")
     with pytest.raises(ValueError, match="images: expected at least 1, got none"):
         pose_int8.quantize_graph(graph, out, [])
