@@ -21,6 +21,12 @@ pub const SCRATCH_KEPT: usize = 64 << 20;
 /// The same for each core of a process that uses all of them: what one call takes there.
 pub const SCRATCH_KEPT_FOR_A_CORE: usize = 4 << 20;
 
+/// Bytes of the plans that a process keeps for its next calls, by an upper estimate of each: that of a plane of 2800×2800.
+pub const PLANS_KEPT: usize = 256 << 20;
+
+/// The same of each thread, which finds these without a lock.
+pub(crate) const PLANS_KEPT_BY_A_THREAD: usize = 16 << 20;
+
 /// Points ahead of the work, counted along a grid, that are at least prefetched.
 pub(crate) const GRID_AHEAD: usize = 28;
 

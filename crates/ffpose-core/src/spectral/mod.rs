@@ -82,14 +82,16 @@ impl<T: Real> SpectralFilter<T> {
         Self { isa, shape, tuning, plan }
     }
 
-    /// The plan for a shape, made at its first use and kept for the next, on any thread.
+    /// The plan for a shape, made at its first use and kept for the next, on any thread. A bound on bytes holds for all that are
+    /// kept ([`PLANS_KEPT`](crate::tuning::PLANS_KEPT)): a plan larger than that is made again for each call.
     ///
     /// # Errors
     /// [`Error::Isa`] as [`Isa::current`]; [`Error::Memory`] if there is no room for a plan.
     pub fn planned(shape: Shape) -> Result<Self, Error> {
         let isa = Isa::current()?;
-        plans::kept(shape, || {
-            scratch::check_room(plan_bytes(shape))?;
+        let bytes = plan_bytes(shape);
+        plans::kept(shape, bytes, || {
+            scratch::check_room(bytes)?;
             Ok(Self::new(isa, shape))
         })
     }
