@@ -40,3 +40,12 @@ pub use scratch::{Scratch, Scratches};
 pub use shape::{Layout, Shape};
 pub use simd::{Bf16, F16, Isa};
 pub use spectral::{Gradients, Prepared, SpectralFilter};
+
+/// Asks the machine what every later call needs to know of it: instruction set, caches. A library that may be loaded into a process
+/// that forks does so as it is loaded: a child that was forked while another thread asked would wait for that thread for ever.
+///
+/// `FFPOSE_ISA` is read here; what is wrong with it is the error of [`Isa::current`].
+pub fn initialize() {
+    let _ = Isa::current(); // it is told where it is needed
+    tuning::Tuning::of_machine();
+}

@@ -55,7 +55,8 @@ impl Isa {
         found
     }
 
-    /// The one in use: the fastest, or the one that `FFPOSE_ISA` names. Read once a process.
+    /// The one in use: the fastest, or the one that `FFPOSE_ISA` names. Read once a process: by
+    /// [`initialize`](crate::initialize), or here.
     ///
     /// # Errors
     /// [`Error::Isa`] if the variable names none that this machine has.

@@ -6,7 +6,7 @@ use std::ptr;
 use ndarray::{ArrayViewD, ArrayViewMutD};
 
 use super::api::{Api, Failure};
-use super::pool::SessionPool;
+use super::pool::{SessionPool, SessionThreads};
 use super::sys::KernelContext;
 use super::tensor::{Element, Tensor};
 
@@ -14,14 +14,19 @@ use super::tensor::{Element, Tensor};
 pub(crate) struct Context<'a> {
     api: Api,
     raw: *mut KernelContext,
+    threads: &'a SessionThreads,
     run: PhantomData<&'a mut KernelContext>,
 }
 
 impl<'a> Context<'a> {
     /// # Safety
     /// `raw` is the context of a run that lasts for `'a`.
-    pub(super) unsafe fn new(api: Api, raw: *mut KernelContext) -> Self {
-        Self { api, raw, run: PhantomData }
+    pub(super) unsafe fn new(
+        api: Api,
+        raw: *mut KernelContext,
+        threads: &'a SessionThreads,
+    ) -> Self {
+        Self { api, raw, threads, run: PhantomData }
     }
 
     /// An input, in place.
@@ -55,7 +60,7 @@ impl<'a> Context<'a> {
             let status = output(self.raw, 0, sizes.as_ptr(), sizes.len(), &raw mut value);
             self.api.check(status)?;
             let y = Tensor::new(self.api, value)?.view_mut()?;
-            Ok((y, SessionPool::new(self.api, self.raw)))
+            Ok((y, SessionPool::new(self.api, self.raw, self.threads)))
         }
     }
 }

@@ -7,6 +7,7 @@ use std::ptr;
 use super::api::{Api, Failure, guard};
 use super::context::Context;
 use super::info::{Info, infer_like_input};
+use super::pool::SessionThreads;
 use super::sys::{ApiTable, CustomOp, KernelContext, KernelInfo, ShapeContext, StatusPtr, VERSION};
 use super::tensor::ElementType;
 
@@ -30,10 +31,11 @@ pub(crate) struct Operator {
     api: Api,
 }
 
-/// A kernel, and the functions that make its statuses.
+/// A kernel, the functions that make its statuses, and what is known of its session.
 struct Instance<K> {
     api: Api,
     kernel: K,
+    threads: SessionThreads,
 }
 
 impl Operator {
@@ -128,7 +130,8 @@ unsafe extern "system" fn create<K: Kernel>(
             Ok(node) => failure.at(format_args!("{} '{node}'", K::NAME.to_string_lossy())),
             Err(_) => failure,
         })?;
-        instance = Box::into_raw(Box::new(Instance { api, kernel })).cast();
+        let made = Instance { api, kernel, threads: SessionThreads::default() };
+        instance = Box::into_raw(Box::new(made)).cast();
         Ok(())
     });
     // SAFETY: there is room for a pointer; null for a kernel that was not made.
@@ -154,9 +157,9 @@ unsafe extern "system" fn compute<K: Kernel>(
     context: *mut KernelContext,
 ) -> StatusPtr {
     // SAFETY: made in `create`, and shared: no thread writes to it.
-    let Instance { api, kernel } = unsafe { &*instance.cast::<Instance<K>>() };
+    let Instance { api, kernel, threads } = unsafe { &*instance.cast::<Instance<K>>() };
     // SAFETY: the context lives for this call.
-    guard(*api, || kernel.compute(unsafe { Context::new(*api, context) }))
+    guard(*api, || kernel.compute(unsafe { Context::new(*api, context, threads) }))
 }
 
 /// # Safety

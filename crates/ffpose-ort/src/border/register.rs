@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::api::{Api, Failure, guard};
 use super::operator::Operator;
+use super::pool::processors;
 use super::sys::{ApiBase, ApiTable, Domain, INVALID_ARGUMENT, SessionOptions, StatusPtr, VERSION};
 
 const DOMAIN: &CStr = c"ffpose";
@@ -40,10 +41,18 @@ pub unsafe extern "system" fn RegisterCustomOps(
     // SAFETY: the table is of that version; ONNX Runtime stays loaded for as long as it holds this library.
     let api = unsafe { Api::new(table) };
     guard(api, || {
+        initialize();
         let domain = domain(api)?;
         // SAFETY: the options live, and the domain is never freed.
         unsafe { api.check((api.table().add_domain)(options, domain.as_ptr())) }
     })
+}
+
+/// Asks the machine what will be needed of it, before there is a session: a fork beside a thread that asks would leave the child
+/// waiting for it for ever.
+fn initialize() {
+    ffpose_core::initialize();
+    processors();
 }
 
 /// The status for an ONNX Runtime that lacks [`VERSION`]; the first function of every version makes it.

@@ -4,11 +4,12 @@ use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::ptr;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
+use std::time::Duration;
 
 use ffpose_core::Pool;
 
 use super::api::guard;
-use super::pool::SessionPool;
+use super::pool::{SessionPool, SessionThreads};
 use super::register::RegisterCustomOps;
 use super::sys::{
     ApiBase, ApiTable, Body, INVALID_ARGUMENT, RUNTIME_EXCEPTION, StatusPtr, VERSION,
@@ -60,6 +61,31 @@ unsafe extern "system" fn parallel_for(
     ptr::null_mut()
 }
 
+/// Runs the indices one by one on `THREADS` threads, the caller's own among them, as a session of so many does.
+unsafe extern "system" fn parallel_for_of<const THREADS: usize>(
+    _: *const c_void,
+    body: Body,
+    total: usize,
+    _: usize,
+    data: *mut c_void,
+) -> StatusPtr {
+    let (data, next) = (data.addr(), AtomicUsize::new(0));
+    let work = || {
+        for index in std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed)) {
+            if index >= total {
+                break;
+            }
+            // SAFETY: the data live until all threads are done.
+            unsafe { body(ptr::with_exposed_provenance_mut(data), index) };
+        }
+    };
+    thread::scope(|scope| {
+        (1..THREADS).for_each(|_| drop(scope.spawn(work)));
+        work();
+    });
+    ptr::null_mut()
+}
+
 /// What fails: every other function of the fake runtime.
 unsafe extern "system" fn refuse() -> StatusPtr {
     // SAFETY: it is a C string.
@@ -67,12 +93,16 @@ unsafe extern "system" fn refuse() -> StatusPtr {
 }
 
 fn table() -> *const ApiTable {
+    table_with(parallel_for as *const c_void)
+}
+
+fn table_with(parallel_for: *const c_void) -> *const ApiTable {
     let mut functions = [refuse as *const c_void; FUNCTIONS];
     functions[0] = create_status as *const c_void;
     functions[1] = code_of as *const c_void;
     functions[2] = message_of as *const c_void;
     functions[93] = release_status as *const c_void;
-    functions[274] = parallel_for as *const c_void;
+    functions[274] = parallel_for;
     Box::leak(Box::new(functions)).as_ptr().cast()
 }
 
@@ -160,9 +190,10 @@ fn a_failure_becomes_a_status_and_a_status_a_failure() {
 
 #[test]
 fn what_the_runtime_refuses_is_passed_on() {
+    let threads = SessionThreads::default();
     // SAFETY: the fake runtime refuses without a look at the node or the run.
     let (info, context) =
-        unsafe { (Info::new(api(), ptr::null()), Context::new(api(), ptr::null_mut())) };
+        unsafe { (Info::new(api(), ptr::null()), Context::new(api(), ptr::null_mut(), &threads)) };
     let refused = || Failure::invalid("refused".into());
     assert_eq!(info.string(c"layout"), Err(refused()));
     assert_eq!(info.sizes(0), Err(refused()));
@@ -173,7 +204,7 @@ fn what_the_runtime_refuses_is_passed_on() {
 #[test]
 fn each_worker_runs_once_and_a_panic_reaches_the_caller_after_the_others() {
     // SAFETY: the fake runtime does not look at the run.
-    let pool = unsafe { SessionPool::new(api(), ptr::null()) };
+    let pool = unsafe { SessionPool::new(api(), ptr::null(), &SessionThreads::default()) };
     let runs = [const { AtomicUsize::new(0) }; 5];
     let count = |worker: usize| runs[worker].fetch_add(1, Ordering::Relaxed);
     pool.run(5, &|worker| {
@@ -189,6 +220,37 @@ fn each_worker_runs_once_and_a_panic_reaches_the_caller_after_the_others() {
     };
     assert_eq!(told(guard(api(), lost)), inside("worker 2 is lost"));
     assert!(runs.iter().all(|runs| runs.load(Ordering::Relaxed) == 2));
+}
+
+/// Threads that a pool plans for in the runs of a kernel of a session of `THREADS`, on a machine of so many processors.
+fn planned<const THREADS: usize>(processors: usize, runs: usize) -> Vec<usize> {
+    let threads = SessionThreads::new(processors, Duration::from_millis(100));
+    // SAFETY: every place of the table has a function, and it is never freed.
+    let api = unsafe { Api::new(table_with(parallel_for_of::<THREADS> as *const c_void)) };
+    // SAFETY: the fake runtime does not look at the run.
+    let pool = || unsafe { SessionPool::new(api, ptr::null(), &threads) };
+    (0..runs).map(|_| pool().threads()).collect()
+}
+
+#[test]
+fn work_is_planned_for_the_threads_of_the_session() {
+    assert_eq!(planned::<1>(8, 5), [1; 5]);
+    assert_eq!(planned::<3>(8, 5), [3; 5]);
+    assert_eq!(planned::<8>(4, 2), [4; 2]);
+    assert_eq!(planned::<2>(1, 2), [1; 2]);
+}
+
+#[test]
+fn threads_that_came_too_late_are_counted_in_a_later_run() {
+    let threads = SessionThreads::new(2, Duration::from_millis(100));
+    // SAFETY: every place of the tables has a function, and they are never freed.
+    let [late, in_time] =
+        [parallel_for_of::<1> as *const c_void, parallel_for_of::<2> as *const c_void]
+            .map(|parallel_for| unsafe { Api::new(table_with(parallel_for)) });
+    // SAFETY: the fake runtime does not look at the run.
+    let planned = |api| unsafe { SessionPool::new(api, ptr::null(), &threads) }.threads();
+    let found = [late, in_time, late, in_time].map(planned);
+    assert_eq!(found, [1, 2, 2, 2]);
 }
 
 unsafe extern "system" fn of_1_16(version: u32) -> *const ApiTable {
