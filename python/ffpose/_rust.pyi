@@ -1,11 +1,13 @@
 """Compiled core. Arrays must be C-contiguous, aligned, and of one dtype within a call.
 
 Every function raises TypeError for an argument that is not an array of float32 or float64,
-ValueError for a shape, stride or value, and MemoryError if working memory cannot be allocated.
+ValueError for a shape, stride or value, or memory that a call in another thread writes to, or uses
+where this one writes, and MemoryError if working memory cannot be allocated.
 
 The functions for torch tensors write to tensors that the caller allocated and that do not overlap
 the inputs, except that the filter's result may be its input itself. They also take bfloat16, with
-a weight of the same dtype or of float32, and run in torch's threads.
+a weight of the same dtype or of float32, and run in torch's threads. A tensor that another thread
+gave other memory meanwhile is a RuntimeError.
 """
 
 from collections.abc import Sequence

@@ -55,7 +55,8 @@ def spectral_filter(
     Raises:
         TypeError: An argument is not an array of float32 or float64, or they differ.
         ValueError: The shape of ``x``, ``weight`` or ``out``, ``layout`` or ``num_threads`` is not
-            as above, or ``out`` shares a part of its memory with another argument.
+            as above, ``out`` shares a part of its memory with another argument, or a call in
+            another thread writes to memory of this one, or uses ``out``.
 
     Examples:
         A weight of one is the identity:
@@ -347,7 +348,7 @@ def instruction_set() -> str:
 
     Returns:
         ``"scalar"``, ``"avx2"``, ``"avx512"`` or ``"neon"``; the environment variable
-        ``FFPOSE_ISA`` forces one.
+        ``FFPOSE_ISA`` forces one, if it is set before ffpose is imported.
     """
     return _rust.isa()
 

@@ -11,6 +11,9 @@ use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyRuntimeError, PyTypeErr
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 
+use crate::in_use::{self, Use};
+use crate::tensor::check_place;
+
 /// Elements from which on other Python threads may run meanwhile: about 20 microseconds of work.
 const WORTH_THE_GIL: usize = 1 << 14;
 
@@ -40,26 +43,39 @@ macro_rules! with_dtype {
 }
 pub(crate) use with_dtype;
 
-/// Computes without the GIL; an error of the core becomes a `ValueError`.
+/// Computes without the GIL; an error of the core becomes a `ValueError`. So is memory of `uses` that a call of another thread
+/// writes to meanwhile, or reads where this one writes.
 ///
 /// The core does not panic on checked arguments. If it did, users would meet `PanicException`, which `except Exception`
 /// does not catch; this door would turn it into a `RuntimeError`.
 pub(crate) fn enter<R: Send>(
     py: Python<'_>,
+    uses: &[Use<'_>],
     compute: impl FnOnce() -> Result<R, Error> + Send,
 ) -> PyResult<R> {
-    enter_sized(py, usize::MAX, compute)
+    enter_sized(py, uses, usize::MAX, compute)
 }
 
 /// As [`enter`], but keeps the GIL while it computes on few `elements`: that takes less than giving it away, to a
-/// thread that may then hold it for milliseconds.
+/// thread that may then hold it for milliseconds. Tensors whose memory has changed meanwhile are a `RuntimeError`.
 pub(crate) fn enter_sized<R: Send>(
     py: Python<'_>,
+    uses: &[Use<'_>],
     elements: usize,
     compute: impl FnOnce() -> Result<R, Error> + Send,
 ) -> PyResult<R> {
     let guarded = || catch_unwind(AssertUnwindSafe(compute));
-    match if elements < WORTH_THE_GIL { guarded() } else { py.detach(guarded) } {
+    let result = if elements < WORTH_THE_GIL {
+        in_use::check(uses)?;
+        guarded()
+    } else {
+        let held = in_use::hold(uses)?;
+        let result = py.detach(guarded);
+        drop(held);
+        uses.iter().try_for_each(check_place)?;
+        result
+    };
+    match result {
         Ok(result) => result.map_err(raised),
         Err(_) => Err(PyRuntimeError::new_err("ffpose failed inside; please report this call")),
     }

@@ -5,6 +5,7 @@ use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
 use crate::border::{Numbers, Octaves, array, enter};
+use crate::in_use::Use;
 
 /// Radiance (3, N) of the Earth along rays (3, N), and the part (N,) of what lies behind that still shows; float32.
 #[pyfunction]
@@ -28,7 +29,8 @@ pub(crate) fn shade_earth<'py>(
         detail: detail.0,
         pixel_angle: pixel_angle.0,
     };
+    let uses = [Use::of_array("rays", &rays, false)];
     let rays = rays.as_array();
-    let Seen { radiance, behind } = enter(py, || shade(&earth, rays))?;
+    let Seen { radiance, behind } = enter(py, &uses, || shade(&earth, rays))?;
     Ok((PyArray2::from_owned_array(py, radiance), PyArray1::from_owned_array(py, behind)))
 }

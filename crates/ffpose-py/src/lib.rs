@@ -2,6 +2,7 @@
 
 mod border;
 mod earth;
+mod in_use;
 mod noise;
 mod pool;
 mod pose;
@@ -35,6 +36,7 @@ mod _rust {
     #[allow(clippy::unnecessary_wraps)] // the form that pyo3 expects
     fn init(_module: &Bound<'_, PyModule>) -> PyResult<()> {
         super::pool::watch_forks();
+        super::spectral::initialize();
         Ok(())
     }
 

@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::ffi::c_void;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use ffpose_core::tuning::WORTH_A_THREAD;
@@ -80,19 +80,23 @@ unsafe extern "C" fn run_range(begin: i64, end: i64, context: *mut c_void) {
 /// would wait for.
 fn parallel_for() -> Option<ParallelFor> {
     static FOUND: OnceLock<Option<ParallelFor>> = OnceLock::new();
-    if IS_FORK.load(Ordering::Relaxed) { None } else { *FOUND.get_or_init(find_parallel_for) }
+    if forks() > 0 { None } else { *FOUND.get_or_init(find_parallel_for) }
 }
 
-/// Whether this process was forked from one that had loaded this library.
-static IS_FORK: AtomicBool = AtomicBool::new(false);
+static FORKS: AtomicUsize = AtomicUsize::new(0);
+
+/// How many forks this process is away from the one that loaded this library.
+pub(crate) fn forks() -> usize {
+    FORKS.load(Ordering::Relaxed)
+}
 
 /// Lets forked children know that they are.
 #[cfg(target_os = "linux")]
 pub(crate) fn watch_forks() {
     extern "C" fn note() {
-        IS_FORK.store(true, Ordering::Relaxed);
+        FORKS.fetch_add(1, Ordering::Relaxed);
     }
-    // SAFETY: a store to an atomic is all that a child may do at this point; the C library forgets `note` if it unloads
+    // SAFETY: a change of an atomic is all that a child may do at this point; the C library forgets `note` if it unloads
     // this library.
     let status = unsafe { libc::pthread_atfork(None, None, Some(note)) };
     assert!(status == 0, "pthread_atfork failed with status {status}");

@@ -6,6 +6,7 @@ use numpy::PyArray;
 use pyo3::prelude::*;
 
 use crate::border::{array, enter, with_dtype};
+use crate::in_use::Use;
 
 /// `compute` on the views of arrays of one element type.
 macro_rules! on_arrays {
@@ -14,9 +15,13 @@ macro_rules! on_arrays {
             let py = $first.py();
             let $first = array::<$T>(stringify!($first), $first)?;
             $(let $other = array::<$T>(stringify!($other), $other)?;)*
+            let uses = [
+                Use::of_array(stringify!($first), &$first, false),
+                $(Use::of_array(stringify!($other), &$other, false),)*
+            ];
             let $first = $first.as_array();
             $(let $other = $other.as_array();)*
-            let result = enter(py, || $compute)?;
+            let result = enter(py, &uses, || $compute)?;
             Ok(PyArray::from_owned_array(py, result).into_any())
         })
     };

@@ -12,6 +12,7 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 
 use crate::border::{Threads, array, array_mut, empty_like, enter, enter_sized, with_dtype};
+use crate::in_use::Use;
 use crate::pool::TorchPool;
 use crate::tensor::{Dtype, Tensor, TensorElement};
 
@@ -23,6 +24,12 @@ static SCRATCHES: LazyLock<Scratches> = LazyLock::new(|| {
     let cores = thread::available_parallelism().map_or(1, Into::into);
     Scratches::new(SCRATCH_KEPT.max(SCRATCH_KEPT_FOR_A_CORE.saturating_mul(cores)))
 });
+
+/// Asks the machine what later calls need to know, before another thread might be at it while this process is forked.
+pub(crate) fn initialize() {
+    ffpose_core::initialize();
+    LazyLock::force(&SCRATCHES);
+}
 
 /// irfft2(rfft2(x) * weight): out, which may be x, or a new array like x.
 #[pyfunction]
@@ -42,11 +49,13 @@ pub(crate) fn spectral_filter<'py>(
     with_dtype!(x, T => {
         let owned = [("x", x), ("weight", weight)];
         let weight = array::<T>("weight", weight)?;
+        let reads_weight = Use::of_array("weight", &weight, false);
         let weight = weight.as_array();
         if out.is_some_and(|out| out.is(x)) {
             let mut images = array_mut::<T>("out", x, &owned[1..])?;
+            let uses = [reads_weight, Use::of_array("out", &images, true)];
             let images = images.as_array_mut();
-            enter(py, || {
+            enter(py, &uses, || {
                 let filter = planned(layout, images.shape())?;
                 with_scratch(|scratch| filter.forward_in_place(images, weight, &pool, scratch))
             })?;
@@ -54,8 +63,10 @@ pub(crate) fn spectral_filter<'py>(
         }
         let y = out.map_or_else(|| Ok(empty_like::<T>(x)?.into_any()), |out| Ok::<_, PyErr>(out.clone()))?;
         let (x, mut out) = (array::<T>("x", x)?, array_mut::<T>("out", &y, &owned)?);
+        let uses =
+            [reads_weight, Use::of_array("x", &x, false), Use::of_array("out", &out, true)];
         let (x, out) = (x.as_array(), out.as_array_mut());
-        enter(py, || {
+        enter(py, &uses, || {
             let filter = planned(layout, x.shape())?;
             with_scratch(|scratch| filter.forward(x, weight, out, &pool, scratch))
         })?;
@@ -84,13 +95,18 @@ pub(crate) fn spectral_filter_backward<'py>(
         let grad_x = need_x.then(|| empty_like::<T>(x)).transpose()?;
         let grad_weight = need_weight.then(|| empty_like::<T>(weight)).transpose()?;
         let (grad, x, weight) = (array::<T>("grad", grad)?, array("x", x)?, array("weight", weight)?);
+        let uses = [
+            Use::of_array("grad", &grad, false),
+            Use::of_array("x", &x, false),
+            Use::of_array("weight", &weight, false),
+        ];
         let (mut out_x, mut out_weight) = (writable(grad_x.as_ref())?, writable(grad_weight.as_ref())?);
         let (grad, x, weight) = (grad.as_array(), x.as_array(), weight.as_array());
         let gradients = Gradients {
             x: out_x.as_mut().map(|g| g.as_array_mut()),
             weight: out_weight.as_mut().map(|g| g.as_array_mut()),
         };
-        enter(py, || {
+        enter(py, &uses, || {
             let filter = planned(layout, x.shape())?;
             let pool = StdThreads(num_threads.0);
             with_scratch(|scratch| filter.backward(grad, x, weight, gradients, &pool, scratch))
@@ -143,16 +159,18 @@ fn forward<X: TensorElement, W: TensorElement<Real = X::Real>>(
 ) -> PyResult<()> {
     let pool = TorchPool::new(threads);
     if y.is(x) {
+        let uses = [weight.used(false), y.used(true)];
         let images = y.view_mut::<X>(&[weight])?;
         let weight = weight.view::<W>()?;
-        return enter_sized(py, images.len(), || {
+        return enter_sized(py, &uses, images.len(), || {
             let filter = planned(layout, images.shape())?;
             with_scratch(|scratch| filter.forward_in_place(images, weight, &pool, scratch))
         });
     }
+    let uses = [x.used(false), weight.used(false), y.used(true)];
     let y = y.view_mut::<X>(&[x, weight])?;
     let (x, weight) = (x.view::<X>()?, weight.view::<W>()?);
-    enter_sized(py, x.len(), || {
+    enter_sized(py, &uses, x.len(), || {
         let filter = planned(layout, x.shape())?;
         with_scratch(|scratch| filter.forward(x, weight, y, &pool, scratch))
     })
@@ -188,11 +206,14 @@ fn backward<X: TensorElement, W: TensorElement<Real = X::Real>>(
 ) -> PyResult<()> {
     let [grad, x, weight] = inputs;
     let others: Vec<_> = inputs.iter().chain(&grad_weight).collect();
+    let reads = inputs.iter().map(|tensor| tensor.used(false));
+    let writes = grad_x.iter().chain(&grad_weight).map(|tensor| tensor.used(true));
+    let uses: Vec<_> = reads.chain(writes).collect();
     let grad_x = grad_x.map(|g| g.view_mut(&others)).transpose()?;
     let grad_weight = grad_weight.map(|g| g.view_mut(&[grad, x, weight])).transpose()?;
     let gradients = Gradients { x: grad_x, weight: grad_weight };
     let (grad, x, weight) = (grad.view::<X>()?, x.view::<X>()?, weight.view::<W>()?);
-    enter_sized(py, x.len(), || {
+    enter_sized(py, &uses, x.len(), || {
         let filter = planned(layout, x.shape())?;
         let pool = TorchPool::new(threads);
         with_scratch(|scratch| filter.backward(grad, x, weight, gradients, &pool, scratch))
@@ -225,5 +246,5 @@ pub(crate) fn isas() -> Vec<&'static str> {
 /// The instruction set that the filters use: "scalar", "avx2", "avx512" or "neon".
 #[pyfunction]
 pub(crate) fn isa(py: Python<'_>) -> PyResult<&'static str> {
-    enter(py, || Ok(Isa::current()?.name()))
+    enter(py, &[], || Ok(Isa::current()?.name()))
 }

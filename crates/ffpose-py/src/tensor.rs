@@ -4,17 +4,19 @@
 //! Here the description is checked, and becomes views.
 
 use std::ffi::{c_int, c_void};
-use std::marker::PhantomData;
 use std::mem::MaybeUninit;
+use std::ops::Range;
 use std::ptr::NonNull;
 
 use ffpose_core::{Bf16, Number};
 use numpy::ndarray::{ArrayViewD, ArrayViewMutD, Dimension, IxDyn};
-use pyo3::exceptions::{PyImportError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyImportError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::ffi;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyCapsule, PyType};
+
+use crate::in_use::Use;
 
 /// `DLTensor`: a tensor as its owner describes it.
 #[repr(C)]
@@ -90,12 +92,12 @@ pub(crate) struct Tensor<'a> {
     start: *mut u8,
     dtype: Dtype,
     dim: IxDyn,
-    owner: PhantomData<&'a ()>,
+    object: &'a Bound<'a, PyAny>,
 }
 
 impl<'a> Tensor<'a> {
     /// The tensor that an argument is.
-    pub(crate) fn new(name: &'static str, argument: &'a Bound<'_, PyAny>) -> PyResult<Self> {
+    pub(crate) fn new(name: &'static str, argument: &'a Bound<'a, PyAny>) -> PyResult<Self> {
         let description = describe(name, argument)?;
         let Description { data, device_type, axes, dtype, shape, strides, byte_offset, .. } =
             description;
@@ -119,7 +121,7 @@ impl<'a> Tensor<'a> {
             *to = usize::try_from(*len).map_err(|_| PyValueError::new_err("a negative length"))?;
         }
         let start = data.wrapping_add(usize::try_from(byte_offset)?);
-        Ok(Self { name, start, dtype, dim, owner: PhantomData })
+        Ok(Self { name, start, dtype, dim, object: argument })
     }
 
     pub(crate) fn dtype(&self) -> Dtype {
@@ -182,12 +184,34 @@ impl<'a> Tensor<'a> {
         self.start == other.start && self.dim == other.dim && self.dtype == other.dtype
     }
 
-    fn meets(&self, other: &Tensor<'_>) -> bool {
-        let end = |tensor: &Tensor<'_>| {
-            tensor.start.addr().saturating_add(tensor.len() * usize::from(tensor.dtype.bits / 8))
-        };
-        self.start.addr() < end(other) && other.start.addr() < end(self)
+    /// Its memory, as a call uses it.
+    pub(crate) fn used(&self, writes: bool) -> Use<'a> {
+        Use { name: self.name, bytes: self.bytes(), writes, tensor: Some(self.object) }
     }
+
+    fn meets(&self, other: &Tensor<'_>) -> bool {
+        let (own, other) = (self.bytes(), other.bytes());
+        own.start < other.end && other.start < own.end
+    }
+
+    fn bytes(&self) -> Range<usize> {
+        let start = self.start.addr();
+        start..start.saturating_add(self.len() * usize::from(self.dtype.bits / 8))
+    }
+}
+
+/// That a tensor still has the memory that a call has used: torch lets any thread resize or replace it.
+pub(crate) fn check_place(used: &Use<'_>) -> PyResult<()> {
+    let Some(tensor) = used.tensor else { return Ok(()) };
+    let Description { data, byte_offset, .. } = describe(used.name, tensor)?;
+    let now = data.wrapping_add(usize::try_from(byte_offset)?);
+    if now.addr() == used.bytes.start {
+        return Ok(());
+    }
+    Err(PyRuntimeError::new_err(format!(
+        "{} must keep its memory during a call, got other memory from another thread: nothing is known of the result",
+        used.name
+    )))
 }
 
 impl std::fmt::Display for Dtype {
@@ -199,7 +223,7 @@ impl std::fmt::Display for Dtype {
 }
 
 /// What torch says of an argument.
-fn describe(name: &'static str, argument: &Bound<'_, PyAny>) -> PyResult<Description> {
+fn describe(name: &str, argument: &Bound<'_, PyAny>) -> PyResult<Description> {
     let py = argument.py();
     let (class, describe) = torch(py)?;
     // SAFETY: both objects live, and the second is a type.

@@ -63,10 +63,12 @@ def spectral_filter(
         order.
 
     Raises:
-        ValueError: The layout is unknown, shapes or devices do not match, or ``out`` shares a part
-            of its memory with another argument.
+        ValueError: The layout is unknown, shapes or devices do not match, ``out`` shares a part
+            of its memory with another argument, or a call in another thread writes to memory of
+            this one, or uses ``out``.
         TypeError: A dtype is not supported, or the dtypes do not match.
-        RuntimeError: ``out`` is given where a gradient would be recorded.
+        RuntimeError: ``out`` is given where a gradient would be recorded, or another thread gave
+            a tensor other memory during the call.
     """
     if out is not None:
         out_op(x, weight, layout, out=out)
