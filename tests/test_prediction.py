@@ -228,7 +228,7 @@ def test_to_name_the_camera_of_training_changes_nothing(tmp_path):
     crop, path = Preprocessing((64, 64), "center_crop"), tmp_path / "cropped.safetensors"
     fields = FIELDS | {"camera": (VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)}
     model = FilterformerPose.from_config("tiny", backbone_weights="none", **fields)
-    model.save_pretrained(path, preprocessing=crop, data={"image_size": [128, 96]})
+    model.save_pretrained(path, preprocessing=crop, data={"image_size": [96, 128]})
     image = noise_image(128, 96)
     named = answer(path, image, camera=load(path).camera)
     np.testing.assert_array_equal(named, answer(path, image))

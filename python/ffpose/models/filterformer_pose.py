@@ -308,7 +308,7 @@ class FilterformerPose(PoseNetwork):
         t_mean = self.in_front(t.mean(1))
         q_mean = mean_quaternion((q[..., None] * q[..., None, :]).sum(1), q[:, 0])
         turned = rotation_between(q_mean.repeat_interleave(turns, 0), q.flatten(0, 1))
-        deviation = rotation_vector(turned).unflatten(0, (count, turns))
+        deviation = torch.unflatten(rotation_vector(turned), 0, (count, turns))
         return UncertainPose(
             t_mean,
             q_mean,
