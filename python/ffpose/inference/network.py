@@ -1,12 +1,10 @@
-"""What a network's file says of it, weights or graph, and how images become its input."""
+"""How the images of a set become the input of a network, by what its file says of it."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from ffpose.geometry import Camera
-from ffpose.inference.source import find_source
 from ffpose.preprocessing import Preprocessing
 from ffpose.reprojection import Reprojection, agree
 
@@ -15,28 +13,6 @@ if TYPE_CHECKING:
     from ffpose.onnx.metadata import ModelMetadata
 
     Description: TypeAlias = WeightsMetadata | ModelMetadata
-
-
-def describe(network: str | Path) -> Description:
-    """Read the header of weights or of an exported graph.
-
-    Args:
-        network: As in `ffpose.inference.source.find_source`.
-
-    Raises:
-        FileNotFoundError: There is no such file or name.
-        MissingExtraError: Weights are named, and the extra `pose` is not installed.
-        ValueError: A folder holds several networks.
-        ffpose.DataError: The file is not one that ffpose wrote, was altered, or is newer.
-    """
-    source = find_source(network)
-    if source.is_graph:
-        from ffpose.onnx.metadata import read_model_metadata
-
-        return read_model_metadata(source.path)
-    from ffpose.models import read_metadata
-
-    return read_metadata(source.path)
 
 
 def choose_preprocessing(
