@@ -57,6 +57,8 @@ SMALL = {
     f" --variants tokens posenet {RENDERED}",
     "--seeds 2 --minutes 10": "--seeds 1 --minutes 0.0001 --test-images 2"
     f" --variants base {RENDERED}",
+    "--seeds 1 --minutes 5": "--seeds 1 --minutes 0.0001 --test-images 2"
+    f" --variants filter {RENDERED}",
     "--out runs/table3 --seeds 3": "--out runs/table3 --seeds 1 --epochs 3"
     " --variants soyuz_hard-tokens soyuz_hard-none"
     f" {ON_DISK}{shlex.join(changes_of({'model': {**FILTERFORMER, **INPUT}}))}",

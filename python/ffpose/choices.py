@@ -12,3 +12,6 @@ NormPlace = Literal["pre", "post"]
 
 PositionKind = Literal["learned", "sinusoidal"]
 """Position code of the tokens; see `ffpose.nn.PositionCode`."""
+
+PolarMixer = Literal["filter", "depthwise3", "depthwise7", "attention", "filterformer"]
+"""What mixes the cells of a polar map; see `ffpose.nn.polar.PolarBlock`."""

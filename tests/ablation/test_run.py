@@ -265,4 +265,6 @@ def test_the_command_lists_the_studies(tmp_path, capsys):
     with pytest.raises(SystemExit) as leaving:
         main(["ablate", "attitudes", "--out", str(tmp_path)])
     assert leaving.value.code == 2
-    assert "'attitude', 'filters', 'networks', 'table1', 'table2'" in capsys.readouterr().err
+    assert (
+        "'attitude', 'filters', 'mixers', 'networks', 'table1', 'table2'" in capsys.readouterr().err
+    )

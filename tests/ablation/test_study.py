@@ -50,7 +50,9 @@ def test_what_cannot_be_changed_is_refused(changes, text):
 
 
 def test_an_unknown_study_or_variant_is_told_the_names():
-    with pytest.raises(ValueError, match=r"attitude, filters, networks, table1, .*got 'attitudes'"):
+    with pytest.raises(
+        ValueError, match=r"attitude, filters, mixers, networks, table1, .*got 'attitudes'"
+    ):
         get_study("attitudes")
     with pytest.raises(ValueError, match=r"expected one of base, .*transformer, got 'bas'"):
         get_study("attitude").choose(["bas"])
@@ -82,7 +84,7 @@ def test_every_variant_of_the_attitude_study_is_built(variant):
     assert config.object_loss.renders == (variant.name != "no-dense")
 
 
-@pytest.mark.parametrize("name", ["attitude", "filters"])
+@pytest.mark.parametrize("name", ["attitude", "filters", "mixers"])
 def test_the_learning_rate_of_a_study_by_seconds_stays(name):
     study = STUDIES[name]
     for variant in study.variants:

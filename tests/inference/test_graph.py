@@ -17,7 +17,7 @@ from ffpose.images import read_rgb
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.in_torch import TorchSession
 from ffpose.inference.load import load
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import FilterformerPose, build_network, read_metadata
 from ffpose.models.zoo import names
 from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.metadata import read_model_metadata
@@ -59,6 +59,17 @@ NETWORKS = {
             "hidden_sigma": (3.0, 2.0),
         },
     ),
+    "polar": (
+        "polar",
+        {
+            "image_size": SMALL["image_size"],
+            "camera": SMALL["camera"],
+            "first_stride": 2,
+            "object_size": (16, 48),
+            "directions": 50,
+            "hidden_sigma": (3.0, 2.0),
+        },
+    ),
 }
 
 
@@ -75,7 +86,7 @@ def files(request, folder):
     graph = weights.with_suffix(".onnx")
     if not graph.is_file():
         preset, fields = NETWORKS[request.param]
-        model = FilterformerPose.from_config(preset, backbone_weights="none", **fields)
+        model = build_network(preset, backbone_weights="none", **fields)
         model.save_pretrained(
             weights,
             preprocessing=Preprocessing((64, 64)),

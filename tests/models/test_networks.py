@@ -83,9 +83,9 @@ def test_the_relative_location_loss_by_hand():
 
 
 def test_an_unknown_architecture_or_preset_is_told_the_names():
-    with pytest.raises(ValueError, match=r"FilterformerPose, UrsoNet, PoseNet, got 'HyperPose'"):
+    with pytest.raises(ValueError, match="PolarPose, UrsoNet, PoseNet, got 'HyperPose'"):
         config_type("HyperPose")
-    with pytest.raises(ValueError, match=r"base, .*transformerpose, ursonet, posenet, got 'big'"):
+    with pytest.raises(ValueError, match=r"base, .*, polar, ursonet, posenet, got 'big'"):
         build_network("big")
     with pytest.raises(ValueError, match=r"expected one of \('ursonet',\), got 'base'"):
         UrsoNet.from_config("base")

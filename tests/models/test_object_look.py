@@ -5,7 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
+from torch.distributions import MultivariateNormal
 
 from ffpose.geometry import Camera
 from ffpose.models.object_look import (
@@ -14,8 +16,10 @@ from ffpose.models.object_look import (
     SMALL_NUMBERS,
     LookHead,
     LookNumbers,
+    covariance_of,
     covariances,
     hidden_share,
+    in_front,
     offset_jacobian,
     offset_of,
     points_at,
@@ -25,7 +29,7 @@ from ffpose.models.object_look import (
     split_numbers,
     total_covariance,
 )
-from ffpose.models.virtual_camera import turn_to
+from ffpose.models.virtual_camera import VirtualCamera, turn_to
 
 COUNT = 12
 SIZE = (48, 64)
@@ -42,7 +46,8 @@ def view(generator):
     return turn_to(points, 3.0, SIZE, torch.from_numpy(generator.uniform(-3, 3, COUNT)))
 
 
-def offsets(generator, most=3.9):
+def offsets(generator, most=2.8):
+    """Offsets whose length across the ray is less than four for the default ``most``."""
     return torch.from_numpy(generator.uniform(-most, most, (COUNT, 3)))
 
 
@@ -66,9 +71,9 @@ def test_the_point_that_was_turned_to_has_no_offset(view):
 
 
 def test_offsets_by_hand(view):
-    """Two at the right and lower edges, four for a distance e times as large."""
-    half = torch.stack([view.focal / SIZE[1], view.focal / SIZE[0]]) * 2  # of z / x, of z / y
-    edges = torch.stack([1 / half[0], 1 / half[1], torch.ones(COUNT).double()], dim=-1)
+    """Two at half the width to the right and below, four for a distance e times as large."""
+    half = view.focal / SIZE[1] * 2  # of z / x, of z / y
+    edges = torch.stack([1 / half, 1 / half, torch.ones(COUNT).double()], dim=-1)
     edges = edges / edges.norm(dim=-1, keepdim=True) * view.distance[:, None] * np.e
     expected = torch.tensor([2.0, 2.0, 4.0], dtype=torch.float64).expand(COUNT, 3)
     torch.testing.assert_close(offset_of(edges, view), expected)
@@ -86,7 +91,8 @@ def test_offsets_and_points_are_inverse(generator, view):
 def test_offsets_out_of_the_view_are_brought_to_the_limit(view):
     wild = torch.tensor([[1e30, -1e30, 1e30]], dtype=torch.float64).expand(COUNT, 3)
     points = points_at(wild, view)
-    torch.testing.assert_close(points, points_at(wild.sign() * OFFSET_LIMIT, view))
+    limit = OFFSET_LIMIT * torch.tensor([0.5**0.5, -(0.5**0.5), 1.0], dtype=torch.float64)
+    torch.testing.assert_close(points, points_at(limit.expand(COUNT, 3), view))
     assert points.isfinite().all()
     assert (points[:, 2] > 0).all()
 
@@ -112,6 +118,12 @@ def test_covariances_are_symmetric_and_positive(generator, view):
         for matrix in covariances(numbers_for(offset, log_sigma), view):
             torch.testing.assert_close(matrix, matrix.mT, rtol=1e-12, atol=1e-15)
             assert (torch.linalg.eigvalsh(matrix) > 0).all()
+
+
+def test_points_are_kept_before_the_camera():
+    points = torch.tensor([[3.0, 4.0, -12.0], [0.0, 30.0, 0.0], [1.0, 2.0, 5.0]])
+    expected = torch.tensor([[3.0, 4.0, 1.3], [0.0, 30.0, 3.0], [1.0, 2.0, 5.0]])
+    torch.testing.assert_close(in_front(points), expected)
 
 
 def test_translation_covariance_is_carried_by_the_jacobian(generator, view):
@@ -237,12 +249,64 @@ def test_the_hidden_share_is_that_of_random_points_on_the_disk(generator):
     np.testing.assert_allclose(found, shares, atol=0.02)
 
 
+def numbers_of(log_sigma, shear=None):
+    nothing = torch.zeros(len(log_sigma))
+    return LookNumbers(nothing[:, None], nothing[:, None], log_sigma, nothing, shear)
+
+
 def test_sigma_loss_is_the_gaussian_likelihood_and_least_at_the_error():
-    residual = torch.tensor([[0.5, -2.0, 1.0]], dtype=torch.float64)
-    log_sigma = torch.tensor([[-1.0, 0.3, 0.0]], dtype=torch.float64)
+    residual = torch.tensor([[0.5, -2.0, 1.0, 0.2, -0.1, 3.0]], dtype=torch.float64)
+    log_sigma = torch.tensor([[-1.0, 0.3, 0.0, 0.2, -2.0, 1.0]], dtype=torch.float64)
     density = torch.distributions.Normal(0, log_sigma.exp()).log_prob(residual)
     expected = -density.mean(-1) - 0.5 * np.log(2 * np.pi)
-    torch.testing.assert_close(sigma_loss(log_sigma, residual), expected)
+    torch.testing.assert_close(sigma_loss(numbers_of(log_sigma), residual), expected)
     best = residual.abs().log().requires_grad_()
-    (slope,) = torch.autograd.grad(sigma_loss(best, residual).sum(), best)
+    (slope,) = torch.autograd.grad(sigma_loss(numbers_of(best), residual).sum(), best)
     torch.testing.assert_close(slope, torch.zeros_like(slope), rtol=0, atol=1e-12)
+
+
+def sheared(generator):
+    """Log standard deviations, equal across the ray, and shears of both vectors."""
+    log_sigma = torch.from_numpy(generator.uniform(-2, 1, (COUNT, 6)))
+    log_sigma[:, 1], log_sigma[:, 4] = log_sigma[:, 0], log_sigma[:, 3]
+    return log_sigma, torch.from_numpy(generator.uniform(-1, 1, (COUNT, 4)))
+
+
+def test_a_shear_is_the_matrix_exponential_of_a_traceless_matrix(generator):
+    log_sigma, shear = sheared(generator)
+    got = covariance_of(log_sigma[:, :3], shear[:, :2])
+    parts = (got.numpy(), log_sigma.numpy(), shear[:, :2].numpy())
+    for matrix, sigma, (a, b) in zip(*parts, strict=True):
+        across = np.exp(2 * sigma[0]) * expm(2 * np.array([[a, b], [b, -a]]))
+        np.testing.assert_allclose(matrix[:2, :2], across, rtol=1e-12)
+        np.testing.assert_allclose(matrix[2], [0, 0, np.exp(2 * sigma[2])], rtol=1e-12)
+    plain = covariance_of(log_sigma[:, :3])
+    torch.testing.assert_close(covariance_of(log_sigma[:, :3], torch.zeros(COUNT, 2)), plain)
+    assert torch.equal(plain, torch.diag_embed((2 * log_sigma[:, :3]).exp()))
+
+
+def test_a_rotated_shear_is_the_covariance_of_rotated_vectors(generator):
+    log_sigma, shear = sheared(generator)
+    angle = 0.7
+    turn, twice = (
+        torch.from_numpy(Rotation.from_rotvec([0, 0, a]).as_matrix()) for a in (angle, 2 * angle)
+    )
+    got = covariance_of(log_sigma[:, :3], shear[:, :2] @ twice[:2, :2].T)
+    torch.testing.assert_close(got, turn @ covariance_of(log_sigma[:, :3], shear[:, :2]) @ turn.T)
+
+
+def test_sigma_loss_with_a_shear_is_the_likelihood_under_both_covariances(generator):
+    log_sigma, shear = sheared(generator)
+    residual = torch.from_numpy(generator.normal(size=(COUNT, 6)))
+    numbers = numbers_of(log_sigma, shear)
+    view = VirtualCamera(
+        torch.eye(3).double().expand(COUNT, 3, 3), torch.ones(COUNT), torch.ones(COUNT), SIZE, 64
+    )
+    _, rotation = covariances(numbers._replace(offset=torch.zeros(COUNT, 3).double()), view)
+    blocks = (covariance_of(log_sigma[:, :3], shear[:, :2]), rotation)
+    expected = sum(
+        MultivariateNormal(torch.zeros(3).double(), block).log_prob(part)
+        for block, part in zip(blocks, residual.split(3, 1), strict=True)
+    )
+    got = -6 * sigma_loss(numbers, residual) - 3 * np.log(2 * np.pi)
+    torch.testing.assert_close(got, expected)

@@ -178,8 +178,7 @@ def test_the_offset_is_added_where_the_camera_was_turned(monkeypatch):
     pose = fixed(model, first, numbers(model, 2, offset), monkeypatch)
     distance = math.sqrt(8 * 42) * np.exp(first[:, 2].numpy().astype(np.float64))
     # A quarter of the image's width is half its radius of five meters, at the distance.
-    height, width = FIELDS["object_size"]
-    x, y = offset[0] / 2 * 5 / distance, offset[1] / 2 * 5 / distance * height / width
+    x, y = offset[0] / 2 * 5 / distance, offset[1] / 2 * 5 / distance
     ray = np.stack([x, y, np.ones(2)], axis=-1)
     ray *= (distance * np.exp(0.1) / np.linalg.norm(ray, axis=-1))[:, None]
     looked = np.concatenate([first[:, :2], np.ones((2, 1))], axis=1).astype(np.float64)
@@ -236,13 +235,6 @@ def test_wild_looks_give_a_pose_in_front(model, monkeypatch, second):
     assert_a_whole_pose(fixed(model, torch.tensor(WILD), wild, monkeypatch), count)
 
 
-def test_points_are_kept_before_the_camera(model):
-    points = torch.tensor([[3.0, 4.0, -12.0], [0.0, 30.0, 0.0], [1.0, 2.0, 5.0]])
-    kept = model.in_front(points)
-    expected = torch.tensor([[3.0, 4.0, 1.3], [0.0, 30.0, 3.0], [1.0, 2.0, 5.0]])
-    torch.testing.assert_close(kept, expected)
-
-
 def test_numbers_beyond_their_limits_are_clamped(model):
     feature_map = model.see(torch.randn(2, 3, 16, 24))
     small = model.orientation_branch.head.small
@@ -267,7 +259,7 @@ def random_batch(model, objective, count=4):
     coordinates[:, 3] = (coordinates[:, 3] > 0).float()
     return ViewBatch(
         frames=torch.randn(2, 3, rows, columns),
-        location=torch.randn(2, 3) / 4,
+        translation=torch.randn(2, 3) + torch.tensor([0.0, 0.0, 20.0]),
         crops=torch.randn(count, 3, *config.object_size),
         orientation=torch.nn.functional.normalize(torch.randn(count, 4), dim=1),
         offset=torch.randn(count, 3),
@@ -357,7 +349,7 @@ def test_an_exported_network_takes_batches_of_any_size():
 @pytest.mark.parametrize(
     ("fields", "text"),
     [
-        ({"camera": None}, "camera: orientation_view 'object' needs it, got None"),
+        ({"camera": None}, "camera: the second look needs it, got None"),
         ({"camera": (1.0, 2.0)}, r"camera: expected 4 numbers, got \(1.0, 2.0\)"),
         ({"camera": (1.0, math.nan, 0.0, 0.0)}, "camera: expected finite numbers, got"),
         ({"camera": (0.0, 60.0, 32.0, 24.0)}, "camera: expected fx > 0 and fy > 0, got"),
@@ -390,7 +382,7 @@ def test_a_second_look_needs_a_second_backbone(model):
     frame = build(orientation_view="frame")
     with pytest.raises(ValueError, match=r"object_backbone: expected none .* 'frame', got one"):
         FilterformerPose(frame.config, frame.backbone, model.object_backbone)
-    with pytest.raises(ValueError, match="expected orientation_view 'object', got 'frame'"):
+    with pytest.raises(ValueError, match="expected one with a second look, got one that sees"):
         ObjectObjective(frame, ObjectLossConfig())
 
 

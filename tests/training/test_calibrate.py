@@ -1,6 +1,6 @@
 """Calibration of residuals that are drawn from known Gaussians."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from ffpose.calibration import coverage, region_probability, squared_mahalanobis
+from ffpose.config import FilterformerPoseConfig
 from ffpose.datasets import Sample
 from ffpose.training.calibrate import (
     CHI_SQUARE_90,
@@ -33,8 +34,11 @@ class Drawn(torch.nn.Module):
     def __init__(self, view="object", distance_scale=1.0, hidden_sigma=(0.0, 0.0), hidden=0.0):
         super().__init__()
         self.share = hidden
-        self.config = SimpleNamespace(
-            orientation_view=view, distance_scale=distance_scale, hidden_sigma=hidden_sigma
+        self.config = FilterformerPoseConfig(
+            camera=(1.0, 1.0, 0.0, 0.0),
+            orientation_view=view,
+            distance_scale=distance_scale,
+            hidden_sigma=hidden_sigma,
         )
         self.register_buffer("variance_scales", torch.ones(2))
 
@@ -111,7 +115,7 @@ def test_calibrating_again_changes_nothing():
     model = Drawn(distance_scale=1.1)
     found = calibrate(model, split(0), absent())
     model.variance_scales.copy_(found.variance_scales)
-    model.config.distance_scale = found.distance_scale
+    model.config = replace(model.config, distance_scale=found.distance_scale)
     again = calibrate(model, split(0), absent())
     torch.testing.assert_close(again.variance_scales, model.variance_scales)
     assert again.distance_scale == pytest.approx(found.distance_scale, rel=1e-6)  # in float32
@@ -202,7 +206,7 @@ def test_without_cut_objects_the_growth_stays():
 
 
 def test_a_network_that_gives_no_uncertainty_is_refused():
-    with pytest.raises(ValueError, match="expected one with orientation_view 'object'"):
+    with pytest.raises(ValueError, match="expected one with a second look"):
         calibrate(Drawn("frame"), split(0), absent())
 
 

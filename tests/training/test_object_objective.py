@@ -9,6 +9,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from ffpose.config import FilterformerPoseConfig
 from ffpose.models.object_look import LookNumbers
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import ObjectLossConfig
@@ -31,7 +32,7 @@ def batch():
     coordinates[:, 3] = (coordinates[:, 3] > 0).float()
     return ViewBatch(
         frames=torch.zeros(2, 3, 4, 4),
-        location=torch.randn(2, 3),
+        translation=torch.randn(2, 3),
         crops=torch.zeros(COUNT, 3, 4, 4),
         orientation=torch.nn.functional.normalize(torch.randn(COUNT, 4), dim=1),
         offset=torch.randn(COUNT, 3),
@@ -47,9 +48,14 @@ class Answers:
 
     def __init__(self, batch):
         self.object_backbone = SimpleNamespace(channels=(CHANNELS,))
-        self.config = SimpleNamespace(orientation_grid=GRID, orientation_view="object")
+        self.config = FilterformerPoseConfig(
+            orientation_view="object",
+            camera=(1.0, 1.0, 0.0, 0.0),
+            object_size=GRID,
+            orientation_reduction=1,
+        )
         self.orientation = QuaternionHead()
-        self.location = batch.location.clone()
+        self.first = torch.zeros(())
         self.feature_map = torch.randn(COUNT, CHANNELS, *GRID)
         self.numbers = LookNumbers(
             orientation=batch.orientation.clone().requires_grad_(),
@@ -58,8 +64,9 @@ class Answers:
             in_view=torch.zeros(COUNT).requires_grad_(),
         )
 
-    def locate(self, frames):
-        return self.location
+    def first_loss(self, frames, translation):
+        assert len(frames) == len(translation)
+        return self.first
 
     def see(self, crops):
         return self.feature_map
@@ -88,12 +95,10 @@ def huber(error):
 
 def test_position_terms_by_hand(batch):
     answers = Answers(batch)
-    answers.location = batch.location + torch.tensor([0.5, -0.01, 0.0])
+    answers.first = torch.tensor(1.5)
     with torch.no_grad():
         answers.numbers.offset.add_(torch.tensor([0.02, -1.0, 0.3]))
-    assert loss(answers, batch, location=7).total.item() == pytest.approx(
-        7 * huber([0.5, 0.01, 0]), rel=1e-4
-    )
+    assert loss(answers, batch, location=7).total.item() == pytest.approx(7 * 1.5)
     assert loss(answers, batch, offset=3).total.item() == pytest.approx(
         3 * huber([0.02, 1, 0.3]), rel=1e-4
     )
@@ -205,6 +210,16 @@ def test_heatmaps_are_numpys_cross_entropy_of_what_the_view_shows():
     assert got.item() == pytest.approx(np.mean(expected), rel=1e-12)
 
 
+def test_a_keypoint_on_the_seam_of_a_polar_view_is_shared_by_both_sides():
+    """Angles are cyclic: a place in the middle of the seam is half in the last column."""
+    logits = torch.randn(1, 1, 4, 6, dtype=torch.float64)
+    log_p = logits.flatten().log_softmax(0).unflatten(0, (4, 6))
+    for place, first in ((1e-12, 0.5), (0.25 / 6, 0.75), (1 - 0.25 / 6, 0.25)):
+        got = heatmap_loss(logits, torch.tensor([[[place, 0.375]]]).double(), cyclic=True)
+        expected = -(first * log_p[1, 0] + (1 - first) * log_p[1, 5])
+        torch.testing.assert_close(got, expected)
+
+
 def test_keypoints_out_of_the_view_teach_nothing():
     logits = torch.randn(2, KEYPOINTS, 4, 6, requires_grad=True)
     loss = heatmap_loss(logits, torch.full((2, KEYPOINTS, 2), -1.0))
@@ -235,18 +250,14 @@ def test_without_dense_weights_there_is_no_convolution(batch):
 
 def test_half_precision_is_the_networks_alone(batch):
     answers = Answers(batch)
-    answers.location += 0.3
-    answers.numbers = LookNumbers(*map(torch.randn_like, answers.numbers))
+    answers.numbers = LookNumbers(*map(torch.randn_like, answers.numbers[:-1]))
     objective = ObjectObjective(answers, ObjectLossConfig(keypoints=1.0), KEYPOINTS)
-    halves = ("location", "feature_map")
-    for name in halves:
-        setattr(answers, name, getattr(answers, name).bfloat16())
-    answers.numbers = LookNumbers(*(number.bfloat16() for number in answers.numbers))
+    answers.feature_map = answers.feature_map.bfloat16()
+    answers.numbers = LookNumbers(*(number.bfloat16() for number in answers.numbers[:-1]))
     with torch.autocast("cpu", torch.bfloat16):
         got = objective(answers, batch).total
-    for name in halves:
-        setattr(answers, name, getattr(answers, name).float())
-    answers.numbers = LookNumbers(*(number.float() for number in answers.numbers))
+    answers.feature_map = answers.feature_map.float()
+    answers.numbers = LookNumbers(*(number.float() for number in answers.numbers[:-1]))
     torch.testing.assert_close(got, objective(answers, batch).total, rtol=1e-6, atol=0)
 
 

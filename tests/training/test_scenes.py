@@ -9,7 +9,13 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from ffpose.models import CONFIGS, FilterformerPose, read_metadata
+from ffpose.models import (
+    CONFIGS,
+    FilterformerPose,
+    PolarPose,
+    load_network,
+    read_metadata,
+)
 from ffpose.preprocessing import Preprocessing
 from ffpose.render import label, views
 from ffpose.render.dataset import writer
@@ -107,6 +113,23 @@ def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path):
     assert not any("dense" in name for name in load_file(folder.last))
     pose = FilterformerPose.from_pretrained(folder.last)(torch.zeros(2, 3, 96, 128))
     assert all(bool(part.isfinite().all()) for part in pose)
+
+
+def test_a_polar_second_look_learns_and_is_calibrated_on_the_same_scenes(root, tmp_path, rendered):
+    fields = {name: FIELDS[name] for name in ("image_size", "first_stride", "distance_m")}
+    small = {"object_size": [16, 48], "first_reduction": 4, "directions": 50, "latent": 16}
+    config = scenes_config(root, tmp_path / "run", model="polar", model_fields=fields | small)
+    history = train(config, quiet=True).history
+    assert history[1]["train_loss"] < history[0]["train_loss"]
+    best = tmp_path / "run" / "best.safetensors"
+    model = load_network(best)
+    assert isinstance(model, PolarPose)
+    assert model.config.view_camera == data.find_scene(
+        "soyuz_easy", (180.0, 90.0, 180.0)
+    ).camera.resized(128, 96)
+    assert not torch.equal(model.variance_scales, torch.ones(2))
+    assert read_metadata(best).in_view_threshold is not None
+    assert all(bool(part.isfinite().all()) for part in model(torch.zeros(2, 3, 96, 128)))
 
 
 def test_a_network_that_looks_once_learns_from_whole_images_of_the_same_scenes(tmp_path, rendered):

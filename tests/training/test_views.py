@@ -6,11 +6,11 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera, Pose
-from ffpose.models import FilterformerPose
+from ffpose.models import FilterformerPose, build_network
 from ffpose.models.virtual_camera import turn_to
 from ffpose.training.clutter import clutter
 from ffpose.training.config import ViewAugmentation
-from ffpose.training.views import ViewBatches, places_in_view
+from ffpose.training.views import ViewBatches
 from ffpose.views import ViewSpec, cut_pieces
 
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)  # neither square pixels nor centered
@@ -40,6 +40,25 @@ def model():
         orientation_view="object",
         orientation_head="6d",
         object_size=(SIDE, SIDE),
+        object_radius_m=RADIUS,
+        first_stride=STRIDE,
+    )
+
+
+RADII, ANGLES = 32, 96
+POLAR_CELLS = (8, 24)
+
+
+@pytest.fixture(scope="module")
+def polar():
+    """A network whose views are polar, and as wide as those of `model`."""
+    return build_network(
+        "polar",
+        backbone_weights="none",
+        image_size=(CAMERA.height, CAMERA.width),
+        camera=(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy),
+        object_size=(RADII, ANGLES),
+        object_width=SIDE,
         object_radius_m=RADIUS,
         first_stride=STRIDE,
     )
@@ -106,9 +125,9 @@ def origins(poses):
     return stored(poses, lambda pose: dots(CAMERA, np.tile(pose.t, (3, 1)), 6.0))
 
 
-def batches(model, arrays, nothing=(), **changes):
+def batches(model, arrays, nothing=(), cells=(CELLS, CELLS), **changes):
     augmentation = ViewAugmentation(**(CLEAN | changes))
-    return ViewBatches(model, arrays, nothing, augmentation, (STD,) * 3, (CELLS, CELLS), DOTS)
+    return ViewBatches(model, arrays, nothing, augmentation, (STD,) * 3, cells, DOTS)
 
 
 def all_of(views, seed=0):
@@ -156,7 +175,7 @@ def test_points_behind_a_virtual_camera_are_out_of_its_view():
     view = turn_to(torch.tensor([[0.0, 0.0, 4.0]]), RADIUS, (SIDE, SIDE))
     points = torch.tensor([[[0.0, 0.0, 4.0], [0.0, 0.0, -4.0], [RADIUS, 0.0, 4.0]]])
     torch.testing.assert_close(
-        places_in_view(view, points), torch.tensor([[[0.5, 0.5], [-1.0, -1.0], [1.0, 0.5]]])
+        view.places(points), torch.tensor([[[0.5, 0.5], [-1.0, -1.0], [1.0, 0.5]]])
     )
 
 
@@ -193,22 +212,94 @@ def test_coordinates_of_a_cell_are_seen_in_it(model, poses, dotted):
     assert away.max() <= 0.5
 
 
-def test_dots_of_the_frames_lie_where_the_location_says(model, poses, origins):
+def test_polar_views_show_the_same_objects_as_views_in_rows_and_columns(model, polar, dotted):
+    """Same draws, same cameras: the labels are equal, and the same pixels lie elsewhere."""
+    flat = all_of(batches(model, [dotted]))
+    rings = all_of(batches(polar, [dotted], cells=POLAR_CELLS))
+    assert rings.crops.shape == (COUNT, 3, RADII, ANGLES)
+    for name in ("frames", "translation", "orientation", "offset", "present", "index"):
+        torch.testing.assert_close(getattr(rings, name), getattr(flat, name))
+    # The ring of radius r and the angle a are at (r cos a, r sin a) of half the width.
+    radius = (torch.arange(RADII) + 0.5)[:, None] / RADII
+    angle = (torch.arange(ANGLES) + 0.5) * 2 * torch.pi / ANGLES
+    grid = torch.stack([radius * angle.cos(), radius * angle.sin()], dim=-1)
+    read = torch.nn.functional.grid_sample(
+        flat.crops, grid.expand(COUNT, -1, -1, -1), align_corners=False
+    )
+    away = (read - rings.crops).abs().mean()
+    assert away < 0.2 * (read - rings.crops.flip(3)).abs().mean()
+
+
+def test_keypoints_of_polar_views_lie_where_their_dots_are(polar, dotted):
+    batch = all_of(batches(polar, [dotted], cells=POLAR_CELLS, look_outliers=0.0))
+    places = batch.keypoints.double()
+    shown = (places[..., 1] < 0.85) & (places[..., 1] > 0.3)
+    assert shown.sum() > COUNT
+    bright = batch.crops.flatten(2).argmax(-1)
+    column, row = bright % ANGLES + 0.5, bright // ANGLES + 0.5
+    turn = (column / ANGLES - places[..., 0] + 0.5).remainder(1) - 0.5
+    across = turn * 2 * torch.pi * places[..., 1] * SIDE / 2  # pixels
+    along = (row / RADII - places[..., 1]) * SIDE / 2
+    assert torch.hypot(across, along)[shown].quantile(0.9) < 2
+
+
+def test_coordinates_of_a_polar_cell_are_seen_in_it(polar, dotted):
+    """The disk lies in the object's xy plane: its radius grows along the view's."""
+    batch = all_of(batches(polar, [dotted], cells=POLAR_CELLS, look_lateral=0.0, look_outliers=0.0))
+    assert batch.coordinates.shape == (COUNT, 4, *POLAR_CELLS)
+    shown = batch.coordinates[:, 3]
+    assert set(shown.unique().tolist()) == {0, 1}
+    inner, outer = shown[:, 0].mean(), shown[:, -1].mean()
+    assert inner > 0.7  # but for disks seen from their side
+    assert outer < 0.05
+    across = batch.coordinates[:, :2].norm(dim=1) * LIMIT * shown
+    assert across[:, 0].sum() < 0.5 * shown[:, 0].sum()
+    assert across.amax() > 1.2
+
+
+def test_empty_polar_views_are_sampled_as_those_of_the_object(polar, dotted):
+    """One color is one color; pictures that are no scenes are cyclic along the angle."""
+    batch = all_of(
+        batches(polar, [dotted], [green(2), green(3)], cells=POLAR_CELLS, empty=0.5), seed=3
+    )
+    half, scenes = COUNT // 2, COUNT // 4
+    color = torch.tensor([0, 200 / 255 / STD, 0])[:, None, None]
+    torch.testing.assert_close(batch.crops[:scenes], color.expand_as(batch.crops[:scenes]))
+    pictures = batch.crops[scenes:half, :, 0]  # the innermost rings, of half a pixel
+    seam = (pictures[..., 0] - pictures[..., -1]).abs().mean()
+    assert seam < 2 * (pictures[..., 1:] - pictures[..., :-1]).abs().mean()
+    assert (pictures.std(-1) < 0.3 * batch.crops[scenes:half].std((2, 3))).float().mean() > 0.7
+
+
+def test_noise_of_polar_views_is_the_images(polar, dotted):
+    """The innermost rings are oversampled: neighbors there see the same pixels."""
+    views = [
+        all_of(batches(polar, [dotted], cells=POLAR_CELLS, noise=noise)).crops
+        for noise in (0.0, 0.2)
+    ]
+    noise = (views[1] - views[0]) / (views[1] - views[0]).std((1, 2, 3), keepdim=True)
+    inner, outer = (
+        (noise[:, :, row] * noise[:, :, row].roll(1, -1)).mean() / noise[:, :, row].square().mean()
+        for row in (0, -1)
+    )
+    assert inner > 0.95
+    assert outer < 0.3
+
+
+def test_dots_of_the_frames_lie_where_the_translation_says(model, poses, origins):
     batch = all_of(batches(model, [origins], frames=1.0))
     assert batch.frames.shape == (COUNT, 3, 48, 64)
-    location = batch.location.double().numpy()
+    t = batch.translation.double().numpy()
+    slopes = t[:, :2] / t[:, 2:]
     scale = np.array([CAMERA.fx, CAMERA.fy]) / STRIDE
     middle = np.array([CAMERA.cx, CAMERA.cy]) / STRIDE
-    expected = np.tile((location[:, :2] * scale + middle)[:, None], (1, 3, 1))
+    expected = np.tile((slopes * scale + middle)[:, None], (1, 3, 1))
     np.testing.assert_allclose(centroids(batch.frames), expected, atol=0.06)
-    distance = [np.linalg.norm(pose.t) for pose in poses]
-    np.testing.assert_allclose(
-        location[:, 2], np.log(np.array(distance) / np.sqrt(8 * 42)), atol=1e-6
-    )
-    unturned = np.array([pose.t[:2] / pose.t[2] for pose in poses])
-    assert np.median(np.linalg.norm(location[:, :2] - unturned, axis=-1)) > 0.05
-    radii = [np.linalg.norm(each, axis=-1) for each in (unturned, location[:, :2])]
-    np.testing.assert_allclose(*radii, rtol=1e-5)  # a roll about the optical axis
+    stored_t = np.array([pose.t for pose in poses])
+    np.testing.assert_allclose(t[:, 2], stored_t[:, 2], rtol=1e-6)  # a roll about the optical axis
+    radii = [np.linalg.norm(each[:, :2], axis=-1) for each in (t, stored_t)]
+    np.testing.assert_allclose(*radii, rtol=1e-5)
+    assert np.median(np.linalg.norm(slopes - stored_t[:, :2] / stored_t[:, 2:], axis=-1)) > 0.05
 
 
 def test_a_frame_is_not_rolled_where_that_would_lose_the_object(model):
@@ -219,20 +310,21 @@ def test_a_frame_is_not_rolled_where_that_would_lose_the_object(model):
     )
     batch = all_of(batches(model, [arrays], frames=1.0))
     images = torch.from_numpy(arrays["frames"]).permute(0, 3, 1, 2) / (255 * STD)
-    stayed = (batch.location[:, 0] - 0.6).abs() < 1e-5
+    slopes = batch.translation[:, :2] / batch.translation[:, 2:]
+    stayed = (slopes[:, 0] - 0.6).abs() < 1e-5
     assert stayed.sum() > COUNT // 2
     torch.testing.assert_close(
-        batch.location[stayed, :2], torch.tensor([0.6, 0.42]).expand(int(stayed.sum()), 2)
+        slopes[stayed], torch.tensor([0.6, 0.42]).expand(int(stayed.sum()), 2)
     )
     torch.testing.assert_close(batch.frames[stayed], images[stayed], rtol=0, atol=1e-3)
-    u = batch.location[:, 0] * CAMERA.fx + CAMERA.cx
-    v = batch.location[:, 1] * CAMERA.fy + CAMERA.cy
+    u = slopes[:, 0] * CAMERA.fx + CAMERA.cx
+    v = slopes[:, 1] * CAMERA.fy + CAMERA.cy
     assert ((u > 0) & (u < CAMERA.width) & (v > 0) & (v < CAMERA.height)).all()
 
 
 def test_part_of_the_samples_have_frames(model, dotted):
     batch = all_of(batches(model, [dotted], frames=0.25))
-    assert (len(batch.frames), len(batch.location)) == (COUNT // 4, COUNT // 4)
+    assert (len(batch.frames), len(batch.translation)) == (COUNT // 4, COUNT // 4)
     assert len(all_of(batches(model, [dotted], frames=0.0)).frames) == 1  # the loss needs one
 
 
@@ -344,7 +436,7 @@ def test_a_network_that_looks_once_is_refused(model, dotted):
         "tiny", backbone_weights="none", backbone="compact_resnet_narrow", dim=16, depth=1,
         orientation_reduction=16,
     )  # fmt: skip
-    with pytest.raises(ValueError, match="expected orientation_view 'object', got 'frame'"):
+    with pytest.raises(ValueError, match="expected one with a second look, got one that sees"):
         batches(once, [dotted])
 
 

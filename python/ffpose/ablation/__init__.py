@@ -7,7 +7,7 @@ runs.
 
 from __future__ import annotations
 
-from ffpose.ablation.attitude import ATTITUDE, FILTERS
+from ffpose.ablation.attitude import ATTITUDE, FILTERS, MIXERS
 from ffpose.ablation.networks import NETWORKS
 from ffpose.ablation.paper import TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5
 from ffpose.ablation.study import Published, Study, Variant
@@ -16,7 +16,7 @@ __all__ = ["STUDIES", "Published", "Study", "Variant", "get_study"]
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (ATTITUDE, FILTERS, NETWORKS, TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5)
+    for study in (ATTITUDE, FILTERS, MIXERS, NETWORKS, TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5)
 }
 """The studies that there are, by name."""
 

@@ -117,3 +117,25 @@ FILTERS = Study(
     notes="Two blocks before flatten + linear in both branches; all else as in the base of the "
     "study attitude, which is the same network without blocks.",
 )
+
+
+def polar(**fields: Any) -> dict[str, Any]:
+    """Return the changes that make the second look polar."""
+    return {"model": "polar", "model_fields": fields}
+
+
+MIXERS = Study(
+    name="mixers",
+    about="What mixes the cells of a polar second look: filter, convolutions, attention.",
+    base=BASE,
+    variants=(
+        Variant("filter", "polar, spectral filters", polar()),
+        Variant("depthwise3", "polar, depthwise 3 x 3", polar(mixer="depthwise3")),
+        Variant("depthwise7", "polar, depthwise 7 x 7", polar(mixer="depthwise7")),
+        Variant("attention", "polar, attention", polar(mixer="attention")),
+        Variant("filterformer", "polar, attention and filters", polar(mixer="filterformer")),
+        Variant("compact", "rows and columns, residual convolutions, four views averaged"),
+    ),
+    notes="The polar variants are the preset polar, equal but for what mixes the cells in its "
+    "blocks, and look from one view; the last is the base of the study attitude.",
+)

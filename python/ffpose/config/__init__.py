@@ -11,7 +11,9 @@ from ffpose.config.filterformer_pose import (
     FilterformerPoseConfig,
 )
 from ffpose.config.network import NetworkConfig
+from ffpose.config.polar_pose import PolarPoseConfig
 from ffpose.config.rivals import PoseNetConfig, UrsoNetConfig
+from ffpose.config.second_look import SecondLookConfig
 
 __all__ = [
     "CONFIGS",
@@ -20,7 +22,9 @@ __all__ = [
     "PRESETS",
     "FilterformerPoseConfig",
     "NetworkConfig",
+    "PolarPoseConfig",
     "PoseNetConfig",
+    "SecondLookConfig",
     "UrsoNetConfig",
     "config_type",
     "looks_twice",
@@ -28,13 +32,15 @@ __all__ = [
 
 PRESETS: dict[str, NetworkConfig] = {
     **CONFIGS,
+    "polar": PolarPoseConfig(),
     "ursonet": UrsoNetConfig(),
     "posenet": PoseNetConfig(),
 }
 """Presets of all networks by name: those of FilterformerPose, and one for each other network."""
 
 _CONFIG_TYPES: dict[str, type[NetworkConfig]] = {
-    each.architecture: each for each in (FilterformerPoseConfig, UrsoNetConfig, PoseNetConfig)
+    each.architecture: each
+    for each in (FilterformerPoseConfig, PolarPoseConfig, UrsoNetConfig, PoseNetConfig)
 }
 
 
@@ -50,6 +56,6 @@ def config_type(architecture: str) -> type[NetworkConfig]:
     return _CONFIG_TYPES[architecture]
 
 
-def looks_twice(config: NetworkConfig) -> TypeGuard[FilterformerPoseConfig]:
+def looks_twice(config: NetworkConfig) -> TypeGuard[SecondLookConfig]:
     """Return whether the network takes a second look, through a virtual camera."""
-    return isinstance(config, FilterformerPoseConfig) and config.orientation_view == "object"
+    return isinstance(config, SecondLookConfig) and config.looks_twice

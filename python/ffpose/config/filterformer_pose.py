@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
 from ffpose.choices import FilterKind, NormPlace, PositionKind
-from ffpose.config.network import NetworkConfig, is_whole
+from ffpose.config.network import is_whole
+from ffpose.config.second_look import SecondLookConfig
 
 Pooling = Literal["token", "mean", "flatten"]
 OrientationView = Literal["frame", "object"]
@@ -27,7 +28,7 @@ FLAT_LATENT = 256
 
 
 @dataclass(frozen=True)
-class FilterformerPoseConfig(NetworkConfig):
+class FilterformerPoseConfig(SecondLookConfig):
     """Architecture of the network; sizes of images and grids are ``(height, width)``.
 
     Attributes:
@@ -89,11 +90,6 @@ class FilterformerPoseConfig(NetworkConfig):
     """
 
     architecture: ClassVar[str] = "FilterformerPose"
-    TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
-        "object_size": 2,
-        "distance_m": 2,
-        "hidden_sigma": 2,
-    }
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
         "norm": get_args(NormPlace),
         "filter": get_args(FilterKind),
@@ -105,7 +101,8 @@ class FilterformerPoseConfig(NetworkConfig):
     COUNTS: ClassVar[tuple[str, ...]] = (
         *("translation_reduction", "orientation_reduction", "dim", "heads", "feed_forward"),
         *("head_hidden", "translation_mlp_dim", "orientation_mlp_dim"),
-        *("bins", "bins_degree", "first_stride", "looks", "turns"),
+        *("bins", "bins_degree", "turns"),
+        *SecondLookConfig.COUNTS,
     )
 
     translation_reduction: int = 16
@@ -129,13 +126,6 @@ class FilterformerPoseConfig(NetworkConfig):
     bins_degree: int = 5
     bins_width_deg: float = 8.0
     object_backbone: str = "compact_resnet"
-    object_size: tuple[int, int] = (64, 64)
-    object_radius_m: float = 6.6
-    first_stride: int = 4
-    distance_m: tuple[float, float] = (8.0, 42.0)
-    distance_scale: float = 1.0
-    hidden_sigma: tuple[float, float] = (0.0, 0.0)
-    looks: int = 2
     turns: int = 4
 
     def _check_values(self) -> None:
@@ -151,30 +141,6 @@ class FilterformerPoseConfig(NetworkConfig):
             raise ValueError(f"dropout: expected 0 <= dropout < 1, got {self.dropout}")
         if not self.filter_std >= 0:
             raise ValueError(f"filter_std: expected at least 0, got {self.filter_std}")
-        self._check_second_look()
-
-    def _check_second_look(self) -> None:
-        if not all(is_whole(side) and side >= 1 for side in self.object_size):
-            raise ValueError(
-                f"object_size: expected whole numbers, at least 1, got {self.object_size}"
-            )
-        near, far = self.distance_m
-        if not 0 < near < far < math.inf:
-            raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
-        if not 0 < self.distance_scale < math.inf:
-            raise ValueError(f"distance_scale: expected above 0, got {self.distance_scale}")
-        if not all(0 <= growth < math.inf for growth in self.hidden_sigma):
-            raise ValueError(f"hidden_sigma: expected 0 or more each, got {self.hidden_sigma}")
-        if not 0 < self.object_radius_m < math.inf:
-            raise ValueError(f"object_radius_m: expected above 0, got {self.object_radius_m}")
-        if self.orientation_view == "object":
-            if self.camera is None:
-                raise ValueError("camera: orientation_view 'object' needs it, got None")
-            if any(side % self.first_stride for side in self.image_size):
-                raise ValueError(
-                    f"first_stride: expected a divisor of image_size {self.image_size},"
-                    f" got {self.first_stride}"
-                )
 
     @property
     def coarsest_reduction(self) -> int:
@@ -208,8 +174,23 @@ class FilterformerPoseConfig(NetworkConfig):
         """Size ``(rows, columns)`` of the orientation branch's feature map."""
         if self.orientation_view == "frame":
             return self.grid(self.orientation_reduction)
+        return self.object_grid
+
+    @property
+    def looks_twice(self) -> bool:
+        """Whether the orientation is seen through a virtual camera."""
+        return self.orientation_view == "object"
+
+    @property
+    def object_grid(self) -> tuple[int, int]:
+        """Size ``(rows, columns)`` of the second look's feature map."""
         rows, columns = (math.ceil(side / self.orientation_reduction) for side in self.object_size)
         return rows, columns
+
+    @property
+    def object_width(self) -> int:
+        """Width of the virtual camera's image in pixels."""
+        return self.object_size[1]
 
 
 CONFIGS: dict[str, FilterformerPoseConfig] = {

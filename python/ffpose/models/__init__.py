@@ -5,14 +5,16 @@ from ffpose.config import (
     PRESETS,
     FilterformerPoseConfig,
     NetworkConfig,
+    PolarPoseConfig,
     PoseNetConfig,
     UrsoNetConfig,
 )
 from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
 from ffpose.models.filterformer_pose import FilterformerPose
-from ffpose.models.network import PoseNetwork, PosePrediction, find_device
+from ffpose.models.network import FrameNetwork, PoseNetwork, PosePrediction, find_device
+from ffpose.models.polar_pose import PolarPose
 from ffpose.models.pose_net import PoseNet
-from ffpose.models.registry import build_network, find_config, load_network
+from ffpose.models.registry import SecondLookNetwork, build_network, find_config, load_network
 from ffpose.models.urso_net import UrsoNet
 from ffpose.models.weights import WeightsMetadata, read_metadata
 
@@ -22,11 +24,15 @@ __all__ = [
     "Backbone",
     "FilterformerPose",
     "FilterformerPoseConfig",
+    "FrameNetwork",
     "NetworkConfig",
+    "PolarPose",
+    "PolarPoseConfig",
     "PoseNet",
     "PoseNetConfig",
     "PoseNetwork",
     "PosePrediction",
+    "SecondLookNetwork",
     "UrsoNet",
     "UrsoNetConfig",
     "WeightsMetadata",

@@ -23,20 +23,28 @@ from torch.nn import functional as F
 
 from ffpose.config import FLAT_CHANNELS, FLAT_LATENT, FilterformerPoseConfig
 from ffpose.models.backbone import Backbone, build_backbone
-from ffpose.models.network import PoseNetwork, PosePrediction, UncertainPose
+from ffpose.models.network import FrameNetwork, PosePrediction, UncertainPose
 from ffpose.models.object_look import (
     SMALL_NUMBERS,
     LookHead,
     LookNumbers,
+    calibrated,
     covariances,
-    hidden_share,
+    hidden_disk,
+    in_front,
     points_at,
     rotation_between,
     rotation_vector,
     split_numbers,
     total_covariance,
 )
-from ffpose.models.virtual_camera import Pyramid, look_into, pyramid, turn_to
+from ffpose.models.virtual_camera import (
+    Pyramid,
+    VirtualCamera,
+    look_into,
+    pyramid,
+    turn_to,
+)
 from ffpose.nn import Filterformer, HyperHead, PositionCode
 from ffpose.nn.orientation import (
     BinsHead,
@@ -49,6 +57,9 @@ from ffpose.nn.orientation import (
 )
 
 TOKEN_STD = 0.02
+
+LOCATION_SMOOTH = 0.05
+"""Errors of the first look below it count by their square (Huber)."""
 
 
 class PoseBranch(nn.Module):
@@ -145,7 +156,7 @@ def build_orientation_head(config: FilterformerPoseConfig) -> OrientationHead:
             return BinsHead(config.bins, config.bins_degree, config.bins_width_deg)
 
 
-class FilterformerPose(PoseNetwork):
+class FilterformerPose(FrameNetwork):
     """Pose network; `from_config` builds it with its backbones, `from_pretrained` reads a file.
 
     With ``config.orientation_view`` ``"frame"``, as in the paper, both branches see the frame and
@@ -268,23 +279,19 @@ class FilterformerPose(PoseNetwork):
         for _ in range(1, self.config.looks):
             points = self._look_around(levels, points, turns=1).translation
         pose = self._look_around(levels, points, self.config.turns)
-        pose = pose._replace(translation=pose.translation * self.config.distance_scale)
-        if self.config.hidden_sigma == (0.0, 0.0):
-            return pose
-        hidden = self.hidden(pose.translation)[:, None, None]
-        for_translation, for_rotation = ((1 + hidden * k) ** 2 for k in self.config.hidden_sigma)
-        return pose._replace(
-            translation_covariance=pose.translation_covariance * for_translation,
-            rotation_covariance=pose.rotation_covariance * for_rotation,
-        )
+        hidden = self.hidden(pose.translation * self.config.distance_scale)
+        return calibrated(pose, self.config, hidden)
 
     def hidden(self, points: Tensor) -> Tensor:
         """Return the share ``(B,)`` of objects at ``points (B, 3)`` that the frame does not show.
 
         An object is taken for a disk of half the radius that the virtual camera's image covers.
         """
-        radius = self.config.object_radius_m / 2
-        return hidden_share(points, radius, self.intrinsics, self.config.image_size)
+        return hidden_disk(points, self.config, self.intrinsics)
+
+    def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
+        """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
+        return turn_to(points, self.config.object_radius_m, self.config.object_size, twist)
 
     def _look_around(self, levels: Pyramid, points: Tensor, turns: int) -> UncertainPose:
         """Look at points ``(B, 3)`` in views rotated about the ray, and average the predictions.
@@ -296,7 +303,7 @@ class FilterformerPose(PoseNetwork):
         count = points.shape[0]
         twist = twist.repeat(count)  # of all views of the first image, then the second's
         points = points.repeat_interleave(turns, 0)
-        view = turn_to(points, self.config.object_radius_m, self.config.object_size, twist)
+        view = self.view_at(points, twist)
         numbers = self.look(look_into(levels, view, points, self.intrinsics, turns))
         t = view.points_back(points_at(numbers.offset, view))
         matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
@@ -305,7 +312,7 @@ class FilterformerPose(PoseNetwork):
             torch.unflatten(values, 0, (count, turns))
             for values in (t, q, *covariances(numbers, view), numbers.in_view)
         )  # (B, turns, ...)
-        t_mean = self.in_front(t.mean(1))
+        t_mean = in_front(t.mean(1))
         q_mean = mean_quaternion((q[..., None] * q[..., None, :]).sum(1), q[:, 0])
         turned = rotation_between(q_mean.repeat_interleave(turns, 0), q.flatten(0, 1))
         deviation = torch.unflatten(rotation_vector(turned), 0, (count, turns))
@@ -326,6 +333,11 @@ class FilterformerPose(PoseNetwork):
         maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
         result: Tensor = self.translation_branch(maps[0])
         return result
+
+    def first_loss(self, frames: Tensor, translation: Tensor) -> Tensor:
+        """Return the loss of the first look at ``frames (B, 3, h, w)`` of objects at ``(B, 3)``."""
+        location = self.locate(frames)
+        return F.smooth_l1_loss(location.float(), self.location(translation), beta=LOCATION_SMOOTH)
 
     def location(self, points: Tensor) -> Tensor:
         """Convert points ``(B, 3)`` in front of the camera, meters, to the outputs of `locate`."""
@@ -348,11 +360,6 @@ class FilterformerPose(PoseNetwork):
         y = torch.minimum(torch.maximum(numbers[:, 1], -cy / fy), (height - cy) / fy)
         rays = torch.stack([x, y, torch.ones_like(x)], dim=-1)
         return F.normalize(rays, dim=-1) * distance[:, None]
-
-    def in_front(self, points: Tensor) -> Tensor:
-        """Clamp z of points ``(B, 3)`` to at least a tenth of their distance."""
-        least = points.norm(dim=-1) / 10
-        return torch.cat((points[:, :2], torch.maximum(points[:, 2], least)[:, None]), dim=1)
 
     def look(self, views: Tensor) -> LookNumbers:
         """Compute the second look's outputs for views of the object ``(B, 3, h, w)``."""

@@ -1,10 +1,10 @@
-"""Base class of pose networks, for training, evaluation, prediction and export.
+"""Base classes of pose networks, for training, evaluation, prediction and export.
 
-A network maps images to a named tuple of predictions, has parts that a training stage may freeze
-(`ffpose.config.NetworkConfig.parts`), and brings its losses: that of the translation, and that of
-its orientation head. It is a subclass of `PoseNetwork`, for Python cannot name a type that has a
-protocol and is an ``nn.Module`` too. Its configuration names it in files, by which
-`ffpose.models.load_network` finds the class again.
+A network maps images to a named tuple of predictions and has parts that a training stage may freeze
+(`ffpose.config.NetworkConfig.parts`). It is a subclass of `PoseNetwork`, for Python cannot name a
+type that has a protocol and is an ``nn.Module`` too. One that looks at the frame alone is a
+`FrameNetwork`, and brings its losses: that of the translation, and that of its orientation head.
+Its configuration names it in files, by which `ffpose.models.load_network` finds the class again.
 """
 
 from __future__ import annotations
@@ -81,11 +81,11 @@ def find_device(name: str) -> torch.device:
 
 
 class PoseNetwork(nn.Module, ABC):
-    """Base of the networks: construction by name, weights files, and one look at the whole image.
+    """Base of the networks: construction by name, and weights files.
 
     A subclass sets `config_type`, builds its modules after ``super().__init__(config)``, among them
     ``backbone``, ``orientation`` and the parts that its configuration names, and defines `build`
-    and `regress`.
+    and `forward`.
 
     Args:
         config: Architecture of the network.
@@ -101,14 +101,10 @@ class PoseNetwork(nn.Module, ABC):
     config: NetworkConfig
     backbone: Backbone
     orientation: OrientationHead
-    translation_mean: Tensor
-    translation_std: Tensor
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        for name in ("translation_mean", "translation_std"):
-            self.register_buffer(name, torch.tensor(getattr(config, name)), persistent=False)
 
     @classmethod
     @abstractmethod
@@ -116,20 +112,6 @@ class PoseNetwork(nn.Module, ABC):
         """Build a network with new weights from a configuration of `config_type`."""
 
     @abstractmethod
-    def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head.
-
-        For a network that looks at the frame alone.
-
-        Args:
-            images: As in `forward`.
-        """
-
-    def translation_loss(self, t_hat: Tensor, t: Tensor) -> Tensor:
-        """Return the Euclidean distance of each sample ``(B,)``, meters."""
-        distance: Tensor = torch.linalg.vector_norm(t - t_hat, dim=-1)
-        return distance
-
     def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
         """Predict the pose of the object in each image.
 
@@ -140,9 +122,6 @@ class PoseNetwork(nn.Module, ABC):
         Raises:
             ValueError: The shape of ``images`` is not as above.
         """
-        self.check_images(images)
-        translation, orientation = self.regress(images)
-        return PosePrediction(translation, self.orientation.decode(orientation))
 
     def check_images(self, images: Tensor) -> None:
         """Check the shape of the network's input.
@@ -154,10 +133,6 @@ class PoseNetwork(nn.Module, ABC):
         if images.dim() != 4 or tuple(images.shape[1:]) != expected:
             sizes = ", ".join(map(str, expected))
             raise ValueError(f"images: expected shape (B, {sizes}), got {tuple(images.shape)}")
-
-    def in_meters(self, output: Tensor) -> Tensor:
-        """Return translations ``(B, 3)``, meters, for the outputs of the translation branch."""
-        return output * self.translation_std + self.translation_mean
 
     @classmethod
     def from_config(
@@ -271,3 +246,38 @@ class PoseNetwork(nn.Module, ABC):
             raise DataError(f"expected a network that can be built here: {error}", path) from error
         load_weights(path, model)
         return model.eval()
+
+
+class FrameNetwork(PoseNetwork):
+    """Base of the networks that look at the frame alone; they define `regress`."""
+
+    translation_mean: Tensor
+    translation_std: Tensor
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__(config)
+        for name in ("translation_mean", "translation_std"):
+            self.register_buffer(name, torch.tensor(getattr(config, name)), persistent=False)
+
+    @abstractmethod
+    def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head.
+
+        Args:
+            images: As in `forward`.
+        """
+
+    def translation_loss(self, t_hat: Tensor, t: Tensor) -> Tensor:
+        """Return the Euclidean distance of each sample ``(B,)``, meters."""
+        distance: Tensor = torch.linalg.vector_norm(t - t_hat, dim=-1)
+        return distance
+
+    def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
+        """Predict the pose of the object in each image, as `PoseNetwork.forward`."""
+        self.check_images(images)
+        translation, orientation = self.regress(images)
+        return PosePrediction(translation, self.orientation.decode(orientation))
+
+    def in_meters(self, output: Tensor) -> Tensor:
+        """Return translations ``(B, 3)``, meters, for the outputs of the translation branch."""
+        return output * self.translation_std + self.translation_mean

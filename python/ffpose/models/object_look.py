@@ -8,7 +8,8 @@ the object (`ffpose.models.virtual_camera`) and predicts, in that camera's frame
 * the offset of the object from the point that the camera was pointed at: ``(x / z, y / z)`` in
   quarters of the image's width, and the log of the ratio of the distances, times four;
 * the log standard deviations of the offset and of the rotation vector (Kendall and Gal, "What
-  Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS 2017);
+  Uncertainties Do We Need in Bayesian Deep Learning for Computer Vision?", NeurIPS 2017), and for
+  views in polar coordinates how they differ by direction across the viewing ray;
 * the logit of the object being in view.
 """
 
@@ -21,11 +22,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ffpose.config import SecondLookConfig
+from ffpose.models.network import UncertainPose
 from ffpose.models.virtual_camera import LEAST_DEPTH, VirtualCamera, toward
 
 OFFSET_SCALE = 4.0
 OFFSET_LIMIT = 4.0
-"""Bound on the offset; 2 is half of the image's width, and 4 is a factor e of the distance."""
+"""Bound on the offset; across the ray 2 is half of the image's width, along it 4 is a factor e."""
 
 LOG_SIGMA_LIMITS = (-6.0, 1.5)
 """Bounds on the log standard deviations, beyond which float32 covariances lose precision."""
@@ -51,12 +54,22 @@ class LookNumbers(NamedTuple):
         log_sigma: ``(B, 6)``, log standard deviations of the offset and of the rotation vector
             (radians).
         in_view: ``(B,)``, logits of the object being in view.
+        shear: ``(B, 4)``, of the offset and of the rotation vector the logs ``(a, b)`` by which
+            their standard deviations across the ray differ by direction (`covariance_of`); None
+            where they do not.
     """
 
     orientation: Tensor
     offset: Tensor
     log_sigma: Tensor
     in_view: Tensor
+    shear: Tensor | None = None
+
+    def float(self) -> LookNumbers:
+        """Return the numbers in float32."""
+        shear = None if self.shear is None else self.shear.float()
+        orientation, offset, log_sigma, in_view = (part.float() for part in self[:4])
+        return LookNumbers(orientation, offset, log_sigma, in_view, shear)
 
 
 class LookHead(nn.Module):
@@ -88,31 +101,24 @@ def split_numbers(numbers: Tensor) -> LookNumbers:
 
 def offset_of(points: Tensor, view: VirtualCamera) -> Tensor:
     """Return the offsets ``(B, 3)`` of points ``(B, 3)`` in a virtual camera's frame."""
-    x, y, z = points.unbind(-1)
-    pixels = view.focal * OFFSET_SCALE
-    ratio = points.norm(dim=-1) / view.distance
-    return torch.stack(
-        [x / z * pixels / view.size[1], y / z * pixels / view.size[0], OFFSET_SCALE * ratio.log()],
-        dim=-1,
-    )
+    scale = OFFSET_SCALE * view.focal / view.width
+    across = points[:, :2] / points[:, 2:] * scale[:, None]
+    ratio = points.norm(dim=-1, keepdim=True) / view.distance[:, None]
+    return torch.cat((across, OFFSET_SCALE * ratio.log()), dim=1)
 
 
 def points_at(offset: Tensor, view: VirtualCamera) -> Tensor:
     """Return the points ``(B, 3)`` of offsets in a virtual camera's frame; inverts `offset_of`.
 
-    Offsets are clamped to `OFFSET_LIMIT`, beyond which the object is out of view.
+    Offsets across and along the ray are shortened to `OFFSET_LIMIT`, beyond which the object is out
+    of view.
     """
-    bounded = offset.clamp(-OFFSET_LIMIT, OFFSET_LIMIT)
-    pixels = view.focal * OFFSET_SCALE
-    rays = torch.stack(
-        [
-            bounded[:, 0] * view.size[1] / pixels,
-            bounded[:, 1] * view.size[0] / pixels,
-            torch.ones_like(pixels),
-        ],
-        dim=-1,
-    )
-    distance = view.distance * torch.exp(bounded[:, 2] / OFFSET_SCALE)
+    length = offset[:, :2].norm(dim=1, keepdim=True)
+    across = offset[:, :2] * (OFFSET_LIMIT / length.clamp_min(OFFSET_LIMIT))
+    slopes = across * (view.width / (OFFSET_SCALE * view.focal))[:, None]
+    rays = torch.cat((slopes, torch.ones_like(length)), dim=1)
+    along = offset[:, 2].clamp(-OFFSET_LIMIT, OFFSET_LIMIT)
+    distance = view.distance * torch.exp(along / OFFSET_SCALE)
     return F.normalize(rays, dim=-1) * distance[:, None]
 
 
@@ -121,13 +127,12 @@ def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
     point = points_at(offset, view)
     distance = point.norm(dim=-1, keepdim=True)
     ray = point / distance  # (B, 3)
-    slope = distance * ray[:, 2:]  # meters per unit of x / z, before the ray is normalized again
-    pixels = (view.focal * OFFSET_SCALE)[:, None]
+    # Meters per unit of the offset, as the ray is normalized again.
+    slope = distance * ray[:, 2:] * (view.width / (OFFSET_SCALE * view.focal))[:, None]
     columns = []
-    for axis, side in enumerate((view.size[1], view.size[0])):
+    for axis in range(2):
         unit = F.one_hot(torch.tensor(axis, device=ray.device), 3).to(ray.dtype)
-        across = unit - ray * ray[:, axis : axis + 1]
-        columns.append(slope * across * side / pixels)
+        columns.append(slope * (unit - ray * ray[:, axis : axis + 1]))
     columns.append(point / OFFSET_SCALE)
     return torch.stack(columns, dim=-1)
 
@@ -155,12 +160,14 @@ def covariances(numbers: LookNumbers, view: VirtualCamera) -> tuple[Tensor, Tens
         numbers: Outputs of the second look.
         view: The virtual camera.
     """
-    variance = (2 * numbers.log_sigma).exp()  # (B, 6)
+    offset, rotation = (
+        covariance_of(numbers.log_sigma[:, 3 * part : 3 * part + 3], _shear(numbers, part))
+        for part in range(2)
+    )
     back = view.rotation.transpose(1, 2)
     to_camera = back @ offset_jacobian(numbers.offset, view)
-    translation = (to_camera * variance[:, None, :3]) @ to_camera.transpose(1, 2)
-    rotation = (back * variance[:, None, 3:]) @ view.rotation
-    return translation, rotation
+    translation = to_camera @ offset @ to_camera.transpose(1, 2)
+    return translation, back @ rotation @ view.rotation
 
 
 def total_covariance(covariance: Tensor, deviation: Tensor) -> Tensor:
@@ -174,6 +181,65 @@ def total_covariance(covariance: Tensor, deviation: Tensor) -> Tensor:
         deviation: ``(B, V, 3)``, deviation of each view's prediction from the mean.
     """
     return covariance.mean(1) + deviation.transpose(1, 2) @ deviation / deviation.shape[1]
+
+
+def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
+    """Return the covariances ``(B, 3, 3)`` of vectors in the frame of the virtual camera.
+
+    With a shear ``(a, b)`` the block across the ray is its variances' geometric mean times ``exp 2
+    [[a, b], [b, -a]]``, which has the determinant one. A rotation of the camera by ``w`` about the
+    ray rotates ``(a, b)`` by ``2 w``: it is a second harmonic.
+
+    Args:
+        log_sigma: ``(B, 3)``, log standard deviations; with a shear the first two are to be equal.
+        shear: ``(B, 2)``, or None for zeros.
+    """
+    variance = (2 * log_sigma).exp()
+    if shear is None:
+        return torch.diag_embed(variance)
+    length = 2 * shear.norm(dim=1).clamp_min(1e-6)
+    a, b = (2 * shear * (length.sinh() / length)[:, None]).unbind(1)
+    mean, zero = length.cosh(), torch.zeros_like(a)
+    rows = [mean + a, b, zero, b, mean - a, zero, zero, zero, torch.ones_like(a)]
+    return torch.unflatten(torch.stack(rows, dim=1), 1, (3, 3)) * variance[:, :, None]
+
+
+def _shear(numbers: LookNumbers, part: int) -> Tensor | None:
+    return None if numbers.shear is None else numbers.shear[:, 2 * part : 2 * part + 2]
+
+
+def in_front(points: Tensor) -> Tensor:
+    """Clamp z of points ``(B, 3)`` to at least a tenth of their distance."""
+    least = points.norm(dim=-1) / 10
+    return torch.cat((points[:, :2], torch.maximum(points[:, 2], least)[:, None]), dim=1)
+
+
+def calibrated(pose: UncertainPose, config: SecondLookConfig, hidden: Tensor) -> UncertainPose:
+    """Apply what calibration found: the factor on distances, and the growth of the uncertainty.
+
+    Args:
+        pose: Predictions of the second look.
+        config: Architecture of the network, with ``distance_scale`` and ``hidden_sigma``.
+        hidden: Share ``(B,)`` of each object that the frame does not show.
+    """
+    pose = pose._replace(translation=pose.translation * config.distance_scale)
+    if config.hidden_sigma == (0.0, 0.0):
+        return pose
+    for_translation, for_rotation = (
+        (1 + hidden[:, None, None] * growth) ** 2 for growth in config.hidden_sigma
+    )
+    return pose._replace(
+        translation_covariance=pose.translation_covariance * for_translation,
+        rotation_covariance=pose.rotation_covariance * for_rotation,
+    )
+
+
+def hidden_disk(points: Tensor, config: SecondLookConfig, intrinsics: Tensor) -> Tensor:
+    """Return the share ``(B,)`` of objects at ``points (B, 3)`` that the frame does not show.
+
+    An object is taken for a disk of half the radius that the virtual camera's image covers.
+    """
+    return hidden_share(points, config.object_radius_m / 2, intrinsics, config.image_size)
 
 
 def hidden_share(
@@ -200,6 +266,17 @@ def hidden_share(
     return 1 - seen.to(points.dtype).mean(1)
 
 
-def sigma_loss(log_sigma: Tensor, residual: Tensor) -> Tensor:
-    """Return the Gaussian negative log likelihood of residuals, averaged over the last axis."""
-    return (0.5 * (residual * torch.exp(-log_sigma)).square() + log_sigma).mean(-1)
+def sigma_loss(numbers: LookNumbers, residual: Tensor) -> Tensor:
+    """Return the Gaussian negative log likelihood ``(B,)`` of residuals, a sixth of it.
+
+    Args:
+        numbers: Outputs of the second look.
+        residual: ``(B, 6)``, errors of the offset and the rotation vector, as in `LookNumbers`.
+    """
+    scaled = torch.unflatten(residual * torch.exp(-numbers.log_sigma), 1, (2, 3))
+    if numbers.shear is not None:
+        # The inverse of `covariance_of` is that of the negative shear, and of variances of one.
+        halves = torch.unflatten(-numbers.shear / 2, 1, (2, 2)).flatten(0, 1)
+        root = covariance_of(torch.zeros_like(scaled).flatten(0, 1), halves)
+        scaled = (root @ scaled.flatten(0, 1)[:, :, None]).view_as(scaled)
+    return (0.5 * scaled.flatten(1).square() + numbers.log_sigma).mean(-1)

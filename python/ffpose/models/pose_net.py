@@ -22,11 +22,11 @@ from torch import Tensor, nn
 
 from ffpose.config import PoseNetConfig
 from ffpose.models.backbone import Backbone, build_backbone
-from ffpose.models.network import PoseNetwork
+from ffpose.models.network import FrameNetwork
 from ffpose.nn.orientation import QuaternionHead
 
 
-class PoseNet(PoseNetwork):
+class PoseNet(FrameNetwork):
     """Direct regression; `from_config` builds it with its backbone, `from_pretrained` reads a file.
 
     Args:

@@ -8,14 +8,18 @@ from typing import Any
 from ffpose.config import PRESETS, NetworkConfig
 from ffpose.models.filterformer_pose import FilterformerPose
 from ffpose.models.network import PoseNetwork
+from ffpose.models.polar_pose import PolarPose
 from ffpose.models.pose_net import PoseNet
 from ffpose.models.urso_net import UrsoNet
 from ffpose.models.weights import read_metadata
 
 NETWORKS: dict[str, type[PoseNetwork]] = {
-    each.config_type.architecture: each for each in (FilterformerPose, UrsoNet, PoseNet)
+    each.config_type.architecture: each for each in (FilterformerPose, PolarPose, UrsoNet, PoseNet)
 }
 """Networks by the name of their class, which files of weights and graphs record."""
+
+SecondLookNetwork = FilterformerPose | PolarPose
+"""A network that may look at the object through a virtual camera (`ffpose.config.looks_twice`)."""
 
 
 def find_config(model: str) -> NetworkConfig:

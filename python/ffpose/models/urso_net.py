@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from ffpose.config import UrsoNetConfig
 from ffpose.models.backbone import Backbone, build_backbone
-from ffpose.models.network import PoseNetwork
+from ffpose.models.network import FrameNetwork
 from ffpose.nn.euler_bins import EulerBinsHead
 
 
@@ -44,7 +44,7 @@ class BottleneckBackbone(Backbone):
         return (self.bottleneck(feature_map),)
 
 
-class UrsoNet(PoseNetwork):
+class UrsoNet(FrameNetwork):
     """UrsoNet; `from_config` builds it with its backbone, `from_pretrained` reads a file.
 
     Args:

@@ -11,10 +11,15 @@ to learn. Poses are transformed between the two cameras by the rotation alone:
 The rotation `toward` is the smallest one that takes the boresight to the viewing ray, so that
 orientations in the virtual camera's frame are the allocentric ones. All functions take batches, are
 differentiable, and can be exported to ONNX.
+
+The pixels of a virtual image lie in rows and columns, or on rings about the viewing ray: radii by
+angles, as in polar coordinates. A rotation of the object about the viewing ray is then a cyclic
+shift of the image's columns (Esteves et al., "Polar Transformer Networks", ICLR 2018).
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import torch
@@ -38,13 +43,62 @@ class VirtualCamera(NamedTuple):
         rotation: ``(B, 3, 3)``, rotations from the camera frame to the virtual camera's frame.
         focal: ``(B,)``, focal lengths in pixels; the principal point is the image's center.
         distance: ``(B,)``, distances to the points that the cameras are pointed at, meters.
-        size: ``(height, width)`` of the virtual image.
+        size: ``(height, width)`` of the virtual image; ``(radii, angles)`` of a polar one.
+        width: Number of pixels that the view is wide, in the unit of the focal length; the diameter
+            of the outermost ring of a polar image.
+        polar: Whether the image's pixels lie on rings: row i at the radius ``(i + 1/2) / radii``
+            times half the width, column j at the angle ``(j + 1/2) / angles`` of a turn, from the
+            x axis towards y.
     """
 
     rotation: Tensor
     focal: Tensor
     distance: Tensor
     size: tuple[int, int]
+    width: int
+    polar: bool = False
+
+    def from_row(self, first: int) -> VirtualCamera:
+        """Return the cameras of the batch from a row on."""
+        tensors = (self.rotation[first:], self.focal[first:], self.distance[first:])
+        return VirtualCamera(*tensors, self.size, self.width, self.polar)
+
+    def resized(self, size: tuple[int, int]) -> VirtualCamera:
+        """Return the same views in images of another size; rows and columns of another pitch."""
+        if self.polar:
+            return self._replace(size=size)
+        scale = size[1] / self.width
+        return self._replace(focal=self.focal * scale, size=size, width=size[1])
+
+    def image_plane(self) -> Tensor:
+        """Return the places ``(2, h, w)`` of the image's pixels, (u, v) relative to its center."""
+        height, width = self.size
+        like: dict[str, Any] = {"dtype": self.focal.dtype, "device": self.focal.device}
+        row = (torch.arange(height, **like) + 0.5)[:, None]
+        column = torch.arange(width, **like) + 0.5
+        if self.polar:
+            radius, angle = row * (self.width / 2 / height), column * (2 * math.pi / width)
+            return torch.stack([radius * angle.cos(), radius * angle.sin()])
+        u, v = column - width / 2, row - height / 2
+        return torch.stack([u.expand(self.size), v.expand(self.size)])
+
+    def places(self, points: Tensor) -> Tensor:
+        """Return where the virtual cameras see points ``(B, K, 3)`` of the camera frame.
+
+        Returns:
+            ``(B, K, 2)``, column and row relative to the image's width and height; -1 for points
+            behind the camera.
+        """
+        x, y, z = (points @ self.rotation.mT).unbind(-1)
+        scale = self.focal[:, None] / z
+        u, v = x * scale / self.width, y * scale / self.width
+        if self.polar:
+            turn = torch.atan2(v, u) / (2 * math.pi)
+            places = torch.stack([turn - turn.floor(), 2 * torch.hypot(u, v)], dim=-1)
+        else:
+            height, width = self.size
+            places = torch.stack([u + 0.5, v * (width / height) + 0.5], dim=-1)
+        return torch.where(z[..., None] > 0, places, -1.0)
 
     def points(self, points: Tensor) -> Tensor:
         """Transform points ``(B, 3)`` from the camera frame to the virtual camera's frame."""
@@ -74,22 +128,31 @@ def turned_about_axis(angles: Tensor) -> Tensor:
 
 
 def turn_to(
-    points: Tensor, radius_m: float, size: tuple[int, int], twist: Tensor | None = None
+    points: Tensor,
+    radius_m: float,
+    size: tuple[int, int],
+    twist: Tensor | None = None,
+    *,
+    polar_width: int | None = None,
 ) -> VirtualCamera:
     """Point virtual cameras at points of the camera frame.
 
     Args:
         points: ``(B, 3)``, meters, not behind the camera.
         radius_m: Half the width of the view at the point's distance, meters.
-        size: ``(height, width)`` of the virtual image in pixels.
+        size: ``(height, width)`` of the virtual image in pixels, ``(radii, angles)`` if polar.
         twist: ``(B,)``, angles in radians by which the scene is then rotated about the viewing ray;
             None for no rotation.
+        polar_width: Diameter of the outermost ring of a polar image in pixels; None for rows and
+            columns.
     """
+    width = size[1] if polar_width is None else polar_width
     distance = points.norm(dim=-1)
     rotation = toward(points).transpose(1, 2)
     if twist is not None:
         rotation = turned_about_axis(twist) @ rotation
-    return VirtualCamera(rotation, size[1] / 2 * distance / radius_m, distance, size)
+    focal = width / 2 * distance / radius_m
+    return VirtualCamera(rotation, focal, distance, size, width, polar_width is not None)
 
 
 def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
@@ -111,11 +174,8 @@ def _source_planes(view: VirtualCamera, intrinsics: Tensor) -> tuple[Tensor, Ten
 
     Runtimes compute on whole planes in vectors, and on pairs of coordinates one by one.
     """
-    height, width = view.size
-    like: dict[str, Any] = {"dtype": view.focal.dtype, "device": view.focal.device}
-    u = (torch.arange(width, **like) + 0.5 - width / 2).expand(height, width)
-    v = (torch.arange(height, **like) + 0.5 - height / 2)[:, None].expand(height, width)
-    pixels = torch.stack([u, v, torch.ones_like(u)]).flatten(1)  # (3, h w)
+    plane = view.image_plane()
+    pixels = torch.cat((plane, torch.ones_like(plane[:1]))).flatten(1)  # (3, h w)
     x, y, depth = torch.unflatten(homography(view, intrinsics) @ pixels, 2, view.size).unbind(1)
     ahead, least = depth > LEAST_DEPTH, depth.clamp_min(LEAST_DEPTH)
     far = torch.full_like(depth, FAR_OUTSIDE)

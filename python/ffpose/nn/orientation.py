@@ -128,17 +128,28 @@ class BinsHead(nn.Module):
 
     def decode(self, raw: Tensor) -> Tensor:
         """Return unit quaternions ``(B, 4)``: the weighted mean near the most likely bin."""
-        p = self.logits(raw).softmax(-1)
-        mode = self.bins[p.argmax(-1)]  # (B, 4)
-        near = (mode @ self.bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
-        matrix = torch.unflatten((p * near) @ self.outer, 1, (4, 4))  # sum of p q qT
-        return mean_quaternion(matrix, mode)
+        return mean_near_mode(self.logits(raw), self.bins, self.outer)
 
     def loss(self, raw: Tensor, q: Tensor) -> Tensor:
         """Return the cross-entropy with soft labels for each sample ``(B,)``."""
         angle = 2 * torch.acos((q @ self.bins.T).abs().clamp(max=1.0))
         target = (-(angle / self.width).square() / 2).softmax(-1)
         return -(target * self.logits(raw).log_softmax(-1)).sum(-1)
+
+
+def mean_near_mode(logits: Tensor, bins: Tensor, outer: Tensor) -> Tensor:
+    """Return the mean ``(B, 4)`` of the attitudes within `NEIGHBORHOOD_DEG` of the most likely.
+
+    Args:
+        logits: ``(B, bins)``.
+        bins: Unit quaternions ``(bins, 4)``.
+        outer: ``(bins, 16)``, the products ``q qT`` of the bins.
+    """
+    p = logits.softmax(-1)
+    mode = bins[p.argmax(-1)]  # (B, 4)
+    near = (mode @ bins.T).abs() > math.cos(math.radians(NEIGHBORHOOD_DEG) / 2)
+    matrix = torch.unflatten((p * near) @ outer, 1, (4, 4))  # sum of p q qT
+    return mean_quaternion(matrix, mode)
 
 
 def mean_quaternion(matrix: Tensor, start: Tensor) -> Tensor:

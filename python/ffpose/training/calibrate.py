@@ -22,8 +22,9 @@ from torch import Tensor
 
 from ffpose.attitude import rotation_vector
 from ffpose.calibration import choose_threshold, squared_mahalanobis
+from ffpose.config import looks_twice
 from ffpose.datasets import Sample
-from ffpose.models import FilterformerPose
+from ffpose.models import SecondLookNetwork
 
 FloatArray = NDArray[np.float64]
 
@@ -74,7 +75,7 @@ class Distances(NamedTuple):
 
 
 def calibrate(
-    model: FilterformerPose,
+    model: SecondLookNetwork,
     labeled: Iterable[Sample],
     empty: Iterable[Tensor],
     cut: Iterable[Sample] = (),
@@ -99,8 +100,8 @@ def calibrate(
         ValueError: The network predicts no uncertainty, ``labeled`` has no images, a covariance is
             not positive definite, or a growth reaches `GROWTH_LIMIT`.
     """
-    if model.config.orientation_view != "object":
-        raise ValueError("model: expected one with orientation_view 'object', got 'frame'")
+    if not looks_twice(model.config):
+        raise ValueError("model: expected one with a second look, got one that sees the frame")
     model.eval()
     seen, truths = _see_all(model, labeled)
     absent = [_see(model, images)[4] for images in empty]
@@ -200,7 +201,7 @@ def variance_scale(squared_distance: ArrayLike) -> float:
 
 
 def _see_all(
-    model: FilterformerPose, labeled: Iterable[Sample]
+    model: SecondLookNetwork, labeled: Iterable[Sample]
 ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Return what the network predicts for all images, and their translations and orientations."""
     seen, truths = [], []
@@ -215,7 +216,7 @@ def _joined(batches: Sequence[Sequence[FloatArray]]) -> list[FloatArray]:
 
 
 def _distances(
-    model: FilterformerPose, seen: list[FloatArray], truths: list[FloatArray], factor: float
+    model: SecondLookNetwork, seen: list[FloatArray], truths: list[FloatArray], factor: float
 ) -> Distances:
     """Return the distances of the truths from the predictions, translations times ``factor``."""
     t, q, translation_covariance, rotation_covariance, _ = seen
@@ -228,7 +229,7 @@ def _distances(
     )
 
 
-def _see(model: FilterformerPose, images: Tensor) -> list[FloatArray]:
+def _see(model: SecondLookNetwork, images: Tensor) -> list[FloatArray]:
     """Return the fields of `ffpose.models.UncertainPose` for a batch, in float64."""
     with torch.inference_mode():
         return [_array(field) for field in model(images.to(model.variance_scales.device))]

@@ -18,7 +18,7 @@ from ffpose.config import looks_twice
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.datasets.scenes import find_scene, open_frames
 from ffpose.metrics import pose_error
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import FilterformerPose, SecondLookNetwork, load_network, read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.models.zoo import resolve
 from ffpose.preprocessing import Preprocessing
@@ -83,7 +83,8 @@ def write_calibrated(
     """
     path, metadata = resolve(weights), read_metadata(weights)
     fields = {"turns": chosen["turns"]} if chosen else {}
-    model = FilterformerPose.from_pretrained(path, **fields)
+    model = load_network(path, **fields)
+    assert isinstance(model, SecondLookNetwork)
     model.variance_scales.fill_(1)  # so that the same images always give the same scales
     growth = model.config.hidden_sigma if images.cut is None else (0.0, 0.0)
     model.config = replace(model.config, distance_scale=1.0, hidden_sigma=growth)

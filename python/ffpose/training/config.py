@@ -14,7 +14,9 @@ from ffpose.images import check_white
 from ffpose.seeds import CALIBRATION, TRAINING, matching
 from ffpose.training.stages import JOINT_STAGE, Stage
 
-ModelName = Literal["base", "small", "tiny", "compact", "transformerpose", "ursonet", "posenet"]
+ModelName = Literal[
+    "base", "small", "tiny", "compact", "transformerpose", "polar", "ursonet", "posenet"
+]
 """Keys of `ffpose.config.PRESETS`, listed here so that a wrong one is rejected without torch."""
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.config import FilterformerPoseConfig, NetworkConfig, looks_twice
+from ffpose.config import NetworkConfig, SecondLookConfig, looks_twice
 from ffpose.datasets import (
     Decoding,
     PoseDataset,
@@ -97,7 +97,7 @@ def open_training_data(
         return TrainingData(train_set.poses, val_set, camera, train_set)
     if camera is None or isinstance(camera, DistortedCamera) or train_set.target != "object":
         raise ValueError(
-            "orientation_view: 'object' expects images of one camera without distortion "
+            "model: a second look expects images of one camera without distortion "
             f"(--data.undistort) that locate an object, got images of {train_set.camera} that "
             f"locate the {train_set.target}"
         )
@@ -201,9 +201,9 @@ def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:
     return PoseDataset(records, sets[0].preprocessing, augmentation, config.cache)
 
 
-def view_spec(model: FilterformerPoseConfig, camera: Camera) -> ViewSpec:
+def view_spec(model: SecondLookConfig, camera: Camera) -> ViewSpec:
     """Return how a network looks at the images of its camera."""
-    return ViewSpec(camera, model.first_stride, model.object_size[1], model.object_radius_m)
+    return ViewSpec(camera, model.first_stride, model.object_width, model.object_radius_m)
 
 
 def _augmentation(values: Mapping[str, Any]) -> Augmentation:

@@ -1,6 +1,6 @@
 """Training objective of a network with a second look.
 
-The terms, each a mean over the samples that show the object: the first look's location, the
+The terms, each a mean over the samples that show the object: the first look's own loss, the
 orientation head's own loss, the offset, the likelihood of both errors under the network's standard
 deviations, whether the object is in view (over all samples), and, for training alone, *dense
 supervision*: the object's coordinates and silhouette (as in Wang et al., "GDR-Net", CVPR 2021), or
@@ -14,8 +14,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ffpose.config import PolarPoseConfig, looks_twice
 from ffpose.losses import LossTerms
-from ffpose.models import FilterformerPose
+from ffpose.models import SecondLookNetwork
 from ffpose.models.object_look import LookNumbers, rotation_between, rotation_vector, sigma_loss
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.views import ViewBatch
@@ -40,14 +41,14 @@ class ObjectObjective(nn.Module):
     """
 
     def __init__(
-        self, model: FilterformerPose, config: ObjectLossConfig, keypoints: int = 0
+        self, model: SecondLookNetwork, config: ObjectLossConfig, keypoints: int = 0
     ) -> None:
         super().__init__()
-        view = model.config.orientation_view
-        if model.object_backbone is None:
-            raise ValueError(f"model: expected orientation_view 'object', got {view!r}")
+        if not looks_twice(model.config) or model.object_backbone is None:
+            raise ValueError("model: expected one with a second look, got one that sees the frame")
         self.config = config
-        rows, columns = model.config.orientation_grid
+        rows, columns = model.config.object_grid
+        self.cyclic = isinstance(model.config, PolarPoseConfig)
         self.cells = (rows * CELLS_PER_SIDE, columns * CELLS_PER_SIDE)
         channels = model.object_backbone.channels[0]
         maps = {"coordinates": 4 if config.renders else 0, "heatmaps": keypoints}
@@ -59,25 +60,23 @@ class ObjectObjective(nn.Module):
             }
         )
 
-    def forward(self, model: FilterformerPose, batch: ViewBatch) -> LossTerms:
+    def forward(self, model: SecondLookNetwork, batch: ViewBatch) -> LossTerms:
         """Return the loss, the mean position errors in meters at unit distance, and the head's."""
-        location = model.locate(batch.frames)
+        first = model.first_loss(batch.frames, batch.translation)
         feature_map = model.see(batch.crops)
         numbers = model.read(feature_map)
-        with torch.autocast(location.device.type, enabled=False):  # half is the network's alone
-            in_float32 = LookNumbers(*(part.float() for part in numbers))
-            return self._terms(model, batch, location.float(), feature_map.float(), in_float32)
+        with torch.autocast(feature_map.device.type, enabled=False):  # half: the network's alone
+            return self._terms(model, batch, first, feature_map.float(), numbers.float())
 
     def _terms(
         self,
-        model: FilterformerPose,
+        model: SecondLookNetwork,
         batch: ViewBatch,
-        location: Tensor,
+        first: Tensor,
         feature_map: Tensor,
         numbers: LookNumbers,
     ) -> LossTerms:
         c, present = self.config, batch.present
-        first = F.smooth_l1_loss(location, batch.location, beta=SMOOTH)
         offset = F.smooth_l1_loss(numbers.offset[present], batch.offset[present], beta=SMOOTH)
         orientation = model.orientation.loss(numbers.orientation, batch.orientation)[present].mean()
         q_hat = self._decoded(model, numbers)
@@ -85,7 +84,7 @@ class ObjectObjective(nn.Module):
         with torch.no_grad():
             turned = rotation_vector(rotation_between(q_hat, batch.orientation))
             residual = torch.cat((numbers.offset - batch.offset, turned), dim=1)
-        sigma = sigma_loss(numbers.log_sigma, residual)[present].mean()
+        sigma = sigma_loss(numbers, residual)[present].mean()
         in_view = F.binary_cross_entropy_with_logits(numbers.in_view, present.float())
         total = (
             c.location * first
@@ -99,10 +98,11 @@ class ObjectObjective(nn.Module):
             total = total + self._coordinates_loss(feature_map, batch)
         if "heatmaps" in self.dense:
             seen = self._maps("heatmaps", feature_map, batch)
-            total = total + c.keypoints * heatmap_loss(seen, batch.keypoints[present])
+            places = batch.keypoints[present]
+            total = total + c.keypoints * heatmap_loss(seen, places, self.cyclic)
         return LossTerms(total, first + offset, orientation)
 
-    def _decoded(self, model: FilterformerPose, numbers: LookNumbers) -> Tensor:
+    def _decoded(self, model: SecondLookNetwork, numbers: LookNumbers) -> Tensor:
         """Return the attitudes ``(B, 4)``, with gradients where the loss has a term of them."""
         if self.config.angle > 0:
             return model.orientation.decode(numbers.orientation)
@@ -123,7 +123,7 @@ class ObjectObjective(nn.Module):
         return self.config.coordinates * error + self.config.mask * silhouette
 
 
-def heatmap_loss(logits: Tensor, places: Tensor) -> Tensor:
+def heatmap_loss(logits: Tensor, places: Tensor, cyclic: bool = False) -> Tensor:
     """Return the mean cross-entropy of heatmaps over the keypoints that the view shows.
 
     The label of a keypoint is distributed over the four nearest cells as bilinear interpolation
@@ -131,22 +131,26 @@ def heatmap_loss(logits: Tensor, places: Tensor) -> Tensor:
 
     Args:
         logits: ``(B, K, rows, columns)``, of the cell in which each keypoint lies.
-        places: ``(B, K, 2)``, (u, v) relative to width and height; those outside of 0 to 1 do not
-            count.
+        places: ``(B, K, 2)``, column and row relative to width and height; those outside of 0 to 1
+            do not count.
+        cyclic: Whether the last column is beside the first, as in polar coordinates.
     """
     rows, columns = logits.shape[2:]
     shown = ((places > 0) & (places < 1)).all(-1)
     log_p = logits.flatten(2).log_softmax(-1)
     sides = torch.tensor([columns, rows], dtype=places.dtype, device=places.device)
-    at = (places * sides - 0.5).clamp_min(0).minimum(sides - 1)
+    at = places * sides - 0.5
+    inside = at.clamp_min(0).minimum(sides - 1)
+    at = torch.where(torch.tensor([cyclic, False], device=at.device), at, inside)
     near = at.floor()
     rest = at - near
     total = torch.zeros_like(log_p[..., 0])
     for right, below in ((0, 0), (1, 0), (0, 1), (1, 1)):
         step = torch.tensor([right, below], dtype=places.dtype, device=places.device)
         weight = torch.where(step > 0, rest, 1 - rest).prod(-1)
-        u, v = (near + step).minimum(sides - 1).long().unbind(-1)
-        total = total - weight * log_p.gather(-1, (v * columns + u)[..., None])[..., 0]
+        u, v = (near + step).long().unbind(-1)
+        cell = v.clamp(0, rows - 1) * columns + (u % columns if cyclic else u.clamp(0, columns - 1))
+        total = total - weight * log_p.gather(-1, cell[..., None])[..., 0]
     return (total * shown).sum() / shown.sum().clamp_min(1)
 
 

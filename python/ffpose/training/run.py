@@ -13,8 +13,8 @@ from torch import nn
 from ffpose.config import looks_twice
 from ffpose.losses import FixedLoss, JointLoss, PoseLoss
 from ffpose.models import (
-    FilterformerPose,
     PoseNetwork,
+    SecondLookNetwork,
     backbone_preprocessing,
     build_network,
     find_config,
@@ -120,7 +120,7 @@ def _task(
     processes: Processes,
 ) -> Task:
     """Return what the network learns from."""
-    if isinstance(model, FilterformerPose) and looks_twice(model.config):
+    if isinstance(model, SecondLookNetwork) and looks_twice(model.config):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
         loss = ObjectObjective(model, config.object_loss, len(keypoints)).to(device)
         views = ViewBatches(

@@ -23,7 +23,7 @@ from torch.utils.data import DataLoader
 from ffpose.baseline import mean_pose
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.losses import JointLoss, LossTerms
-from ffpose.models import FilterformerPose, PoseNetwork
+from ffpose.models import FrameNetwork, PoseNetwork, SecondLookNetwork
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import DataConfig
@@ -159,6 +159,7 @@ class FrameTask:
     def terms(self, model: PoseNetwork, batch: Sample, device: torch.device) -> LossTerms:
         """Return the joint loss of a batch."""
         t, q = batch.translation.to(device), batch.orientation.to(device)
+        assert isinstance(model, FrameNetwork)
         found = model.regress(batch.image.to(device))
         with torch.autocast(device.type, enabled=False):  # half precision is the network's alone
             t_hat, raw = (part.float() for part in found)
@@ -230,7 +231,7 @@ class ObjectTask:
 
     def terms(self, model: PoseNetwork, batch: ViewBatch, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
-        assert isinstance(model, FilterformerPose)
+        assert isinstance(model, SecondLookNetwork)
         result: LossTerms = self.loss(model, ViewBatch(*(part.to(device) for part in batch)))
         return result
 

@@ -3,7 +3,9 @@
 Each sample is augmented anew: the camera of the first look is rotated about its boresight; the
 virtual camera of the second look is pointed to where a first look might have found the object, and
 rotated about the viewing ray by any angle. Each is one homography of the stored pixels, and the
-label changes exactly with it (`ffpose.models.virtual_camera`). Brightness, blur and noise follow.
+label changes exactly with it (`ffpose.models.virtual_camera`). Brightness, blur and noise are
+varied before, in the stored pixels, as a camera makes them: a polar view has a seam and rings of
+other resolutions, which they do not know.
 
 Some samples are negatives, so that the network learns whether the object is in view: empty scenes,
 and images that are not scenes at all.
@@ -21,14 +23,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from ffpose.models import FilterformerPose
-from ffpose.models.object_look import offset_of
+from ffpose.config import looks_twice
+from ffpose.models import SecondLookNetwork
+from ffpose.models.object_look import in_front, offset_of
 from ffpose.models.virtual_camera import (
     VirtualCamera,
     sample,
     source_pixels,
     toward,
-    turn_to,
     turned_about_axis,
 )
 from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
@@ -49,20 +51,20 @@ class ViewBatch(NamedTuple):
 
     Attributes:
         frames: ``(F, 3, h, w)``, standardized input of the first look for the first F samples.
-        location: ``(F, 3)``, target of the first look, as `FilterformerPose.location`.
+        translation: ``(F, 3)``, where they show the object, meters.
         crops: ``(B, 3, h, w)``, standardized input of the second look.
         orientation: ``(B, 4)``, unit quaternions in the virtual camera's frame.
         offset: ``(B, 3)``, as `ffpose.models.object_look.offset_of`.
         coordinates: ``(B, 4, rows, columns)``: object coordinates in [-1, 1], and a mask of the
             object, 0 or 1.
-        keypoints: ``(B, K, 2)``, places (u, v) of the object's keypoints relative to the view's
-            width and height: outside of 0 to 1 where the view does not show them.
+        keypoints: ``(B, K, 2)``, places of the object's keypoints, column and row relative to the
+            view's width and height: outside of 0 to 1 where the view does not show them.
         present: ``(B,)`` bool, whether the sample shows the object.
         index: ``(B,)``, indices of the samples in the set.
     """
 
     frames: Tensor
-    location: Tensor
+    translation: Tensor
     crops: Tensor
     orientation: Tensor
     offset: Tensor
@@ -91,7 +93,7 @@ class ViewBatches:
 
     def __init__(
         self,
-        model: FilterformerPose,
+        model: SecondLookNetwork,
         arrays: Sequence[Arrays],
         empty: Sequence[Arrays],
         augmentation: ViewAugmentation,
@@ -107,10 +109,8 @@ class ViewBatches:
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
         config = model.config
-        if config.orientation_view != "object" or config.camera is None:
-            raise ValueError(
-                f"model: expected orientation_view 'object', got {config.orientation_view!r}"
-            )
+        if not looks_twice(config) or config.camera is None:
+            raise ValueError("model: expected one with a second look, got one that sees the frame")
         self.supply = torch.randn(SUPPLY, generator=torch.Generator().manual_seed(0))
         self.frame_camera = torch.tensor(config.camera) / config.first_stride
 
@@ -145,25 +145,23 @@ class ViewBatches:
         frames, t_frame = self._turned_frames(index[:first], t[:first], generator)
         points = self._looked_at(t, generator)
         twist = math.radians(a.twist_deg) * (2 * torch.rand(count, generator=generator) - 1)
-        config = self.model.config
-        view = turn_to(points, config.object_radius_m, config.object_size, twist)
-        windows = _images(self._gather("windows", index))
+        view = self.model.view_at(points, twist)
         intrinsics = labels[:, 7:11]
-        crops = sample(windows, source_pixels(view, intrinsics)) * self.scale
-        present = torch.ones(count, dtype=torch.bool)
         empty = min(round(a.empty * count), count - 1)
+        shown = view.from_row(empty)
+        windows = self._varied(_images(self._gather("windows", index[empty:])), generator)
+        crops = sample(windows, source_pixels(shown, intrinsics[empty:]))
         if empty:
-            crops[:empty] = self._empty_crops(empty, generator)
-            present[:empty] = False
+            crops = torch.cat((self._negatives(empty, view, generator), crops))
         return ViewBatch(
-            self._varied(frames, generator),
-            self.model.location(t_frame),
-            self._varied(crops, generator),
+            self._varied(frames, generator).contiguous(memory_format=torch.channels_last),
+            t_frame,
+            crops.contiguous(memory_format=torch.channels_last),
             matrix_to_quaternion(view.rotation @ rotation),
             offset_of(view.points(t), view),
             self._coordinates(index, view, intrinsics),
-            places_in_view(view, t[:, None] + self.keypoints @ rotation.mT),
-            present,
+            view.places(t[:, None] + self.keypoints @ rotation.mT),
+            torch.arange(count) >= empty,
             index,
         )
 
@@ -186,7 +184,7 @@ class ViewBatches:
         inside = (u > room) & (u < width - room) & (v > room) & (v < height - room)
         turn = torch.where(inside[:, None, None], turn, torch.eye(3))
         pixels = _rolled_pixels(turn, self.frame_camera, (height, width))
-        return sample(frames, pixels) * self.scale, torch.where(inside[:, None], moved, t)
+        return sample(frames, pixels), torch.where(inside[:, None], moved, t)
 
     def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
         """Return positions where a first look might have found objects at ``t (B, 3)``."""
@@ -197,39 +195,39 @@ class ViewBatches:
         lateral = a.look_lateral * self.model.config.object_radius_m * error[:, :2]
         distance = t.norm(dim=-1, keepdim=True)
         points = (toward(t) @ torch.cat((lateral, distance), dim=1)[:, :, None])[..., 0]
-        return self.model.in_front(points * torch.exp(a.look_distance * error[:, 2:]))
+        return in_front(points * torch.exp(a.look_distance * error[:, 2:]))
 
-    def _empty_crops(self, count: int, generator: torch.Generator) -> Tensor:
+    def _negatives(self, count: int, view: VirtualCamera, generator: torch.Generator) -> Tensor:
         """Return views without an object: half empty scenes, half images that are not scenes."""
-        size = self.model.config.object_size
-        crops = clutter(count, size, generator) * self.unit
+        # Places of the view's pixels relative to half its width.
+        plane = view.image_plane().permute(1, 2, 0).float() * (2 / view.width)
         scenes = count - count // 2 if self.empty else 0
+        pictures = 255 * clutter(count - scenes, (view.width, view.width), generator)
+        pixels = (plane + 1).expand(len(pictures), -1, -1, -1) * (view.width / 2)
+        crops = [sample(self._varied(pictures, generator), pixels)]
         if scenes:
             index = torch.randint(len(self.empty_places), (scenes,), generator=generator)
             windows = _images(_rows(self.empty, self.empty_places, "windows", index))
-            side = windows.shape[-1]
-            # A square of the window, of about the size that the virtual camera cuts from it.
+            # A part of the window of about the size that the virtual camera cuts from it.
             zoom = 0.35 + 0.35 * torch.rand(scenes, generator=generator)
             shift = (1 - zoom)[:, None] * (2 * torch.rand(scenes, 2, generator=generator) - 1)
-            y = (torch.arange(size[0]) + 0.5) / size[0] * 2 - 1
-            x = (torch.arange(size[1]) + 0.5) / size[1] * 2 - 1
-            grid = torch.stack([x.expand(size), y[:, None].expand(size)], dim=-1)
-            grid = grid * zoom[:, None, None, None] + shift[:, None, None, :]
-            crops[:scenes] = sample(windows, (grid + 1) * side / 2) * self.scale
-        return crops
+            part = plane * zoom[:, None, None, None] + shift[:, None, None, :]
+            pixels = (part + 1) * windows.shape[-1] / 2
+            crops.insert(0, sample(self._varied(windows, generator), pixels))
+        return torch.cat(crops)
 
     def _coordinates(self, index: Tensor, view: VirtualCamera, intrinsics: Tensor) -> Tensor:
         stored = torch.from_numpy(self._gather("coordinates", index)).permute(0, 3, 1, 2).float()
-        scale = self.cells[1] / view.size[1]
-        coarse = view._replace(focal=view.focal * scale, size=self.cells)
+        coarse = view.resized(self.cells)
         values = sample(stored / 127.5, source_pixels(coarse, intrinsics / 2), mode="nearest")
         values[:, :3] -= 1
         values[:, 3] /= 2
         return values
 
     def _varied(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Vary brightness, blur and noise of standardized images whose black is zero."""
+        """Standardize images in [0, 255] whose black is zero; vary brightness, blur and noise."""
         a, shape = self.augmentation, (len(images), 1, 1, 1)
+        images = images * self.scale
         if a.blur > 0:
             share = a.blur * torch.rand(shape, generator=generator).square()
             coarse = F.interpolate(images, scale_factor=0.5, mode="bilinear")
@@ -240,7 +238,7 @@ class ViewBatches:
         if a.noise > 0:
             sigma = a.noise * self.unit * torch.rand(shape, generator=generator).square()
             images = images + sigma * self._normal(images.shape, generator)
-        return images.contiguous(memory_format=torch.channels_last)
+        return images
 
     def _normal(self, shape: torch.Size, generator: torch.Generator) -> Tensor:
         """Return a slice of the stored normal random numbers, which is cheaper than drawing."""
@@ -249,19 +247,6 @@ class ViewBatches:
             return torch.randn(shape, generator=generator)
         start = int(torch.randint(len(self.supply) - count, (), generator=generator))
         return self.supply[start : start + count].view(shape)
-
-
-def places_in_view(view: VirtualCamera, points: Tensor) -> Tensor:
-    """Return where virtual cameras see points ``(B, K, 3)`` of the camera frame.
-
-    Returns:
-        ``(B, K, 2)``, (u, v) relative to the view's width and height; -1 for those behind it.
-    """
-    x, y, z = (points @ view.rotation.mT).unbind(-1)
-    height, width = view.size
-    scale = view.focal[:, None] / z
-    places = torch.stack([x * scale / width, y * scale / height], dim=-1) + 0.5
-    return torch.where(z[..., None] > 0, places, -1.0)
 
 
 def _rolled_pixels(turn: Tensor, camera: Tensor, size: tuple[int, int]) -> Tensor:

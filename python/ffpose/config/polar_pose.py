@@ -1,0 +1,143 @@
+"""Configuration of PolarPose; nothing here needs torch."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, get_args
+
+from ffpose.choices import PolarMixer
+from ffpose.config.network import is_whole
+from ffpose.config.second_look import SecondLookConfig
+
+STEM_STRIDE = 4
+"""Rays of the second look per cell of its first feature map, along the radius and the angle."""
+
+LAST_STRIDE = 2
+"""Cells of the first feature map per cell of the last along the radius; along the angle one."""
+
+DENSE = 2
+"""Cells of the first look's heat map per cell of its feature map, along each side."""
+
+
+@dataclass(frozen=True)
+class PolarPoseConfig(SecondLookConfig):
+    """Architecture of `ffpose.models.PolarPose`; sizes are ``(height, width)``.
+
+    Attributes:
+        image_size: Size of the network's input in pixels.
+        backbone: Name of the first look's backbone, a timm model or one of
+            `ffpose.models.compact_resnet`.
+        translation_mean: As every network has it; not used.
+        translation_std: As every network has it; not used.
+        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``.
+        first_stride: Downsampling factor from the network's input to the first look.
+        first_reduction: Stride of the first look's feature map, pixels per cell.
+        first_channels: Number of channels between that feature map and the heat map.
+        candidates: Number of peaks of the heat map at which the network looks; the likelier is
+            kept.
+        object_size: ``(radii, angles)`` of the second look's polar image.
+        object_width: Diameter of the polar image's outermost ring in pixels of the virtual camera.
+        object_radius_m: Distance that the polar image covers, meters at the object.
+        channels: Channels of the stem, of the first feature map and of the last.
+        blocks: Number of blocks at the first feature map and at the last.
+        mixer: What mixes the cells of a map in its blocks: ``"filter"``, the spectral filter;
+            ``"depthwise3"`` and ``"depthwise7"``, convolutions of so many cells; ``"attention"``;
+            ``"filterformer"``, attention and filter.
+        expansion: Width of a block's perceptron relative to its channels.
+        latent: Number of features of each angle, from which the head computes all of its outputs.
+        angles: Number of angles of the orientation bins, rotations about the viewing ray.
+        directions: Number of viewing directions of the orientation bins.
+        bins_width_deg: Standard deviation of the bins' soft labels, degrees.
+        distance_m: Smallest and largest distance in training, meters.
+        distance_scale: Factor on the predicted translation, found by calibration, that removes the
+            median error of the distance.
+        hidden_sigma: Growth of the standard deviations of translation and rotation with the share
+            ``h`` of the object outside of the frame, ``1 + hidden_sigma h``; found by calibration.
+        looks: Number of second looks; each but the first is pointed by the one before.
+
+    Raises:
+        ValueError: A value is out of range, or sizes are inconsistent.
+    """
+
+    architecture: ClassVar[str] = "PolarPose"
+    TUPLES: ClassVar[dict[str, int]] = SecondLookConfig.TUPLES | {
+        "channels": 3,
+        "blocks": 2,
+    }
+    CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {"mixer": get_args(PolarMixer)}
+    COUNTS: ClassVar[tuple[str, ...]] = (
+        *("first_reduction", "first_channels", "candidates", "object_width"),
+        *("expansion", "latent", "angles", "directions"),
+        *SecondLookConfig.COUNTS,
+    )
+
+    image_size: tuple[int, int] = (384, 512)
+    backbone: str = "compact_resnet_narrow"
+    camera: tuple[float, float, float, float] | None = (256.0, 256.1852, 256.0, 192.0)  # URSO's
+    first_stride: int = 8
+    first_reduction: int = 8
+    first_channels: int = 64
+    candidates: int = 2
+    object_size: tuple[int, int] = (32, 96)
+    object_width: int = 96
+    channels: tuple[int, int, int] = (16, 64, 96)
+    blocks: tuple[int, int] = (2, 3)
+    mixer: PolarMixer = "filter"
+    expansion: int = 2
+    latent: int = 128
+    angles: int = 48
+    directions: int = 500
+    bins_width_deg: float = 8.0
+
+    def _check_values(self) -> None:
+        super()._check_values()
+        for name, least in (("channels", 1), ("blocks", 0)):
+            values = getattr(self, name)
+            if not all(is_whole(value) and value >= least for value in values):
+                raise ValueError(f"{name}: expected whole numbers, at least {least}, got {values}")
+        radii, angles = self.object_size
+        if radii % (STEM_STRIDE * LAST_STRIDE) or angles % (2 * STEM_STRIDE):
+            raise ValueError(
+                f"object_size: expected radii and angles that are multiples of"
+                f" {STEM_STRIDE * LAST_STRIDE} and {2 * STEM_STRIDE}, got {self.object_size}"
+            )
+        if self.angles % self.object_grid[1]:
+            raise ValueError(
+                f"angles: expected a multiple of {self.object_grid[1]}, the angles of the last"
+                f" feature map, got {self.angles}"
+            )
+        if not 0 < self.bins_width_deg < math.inf:
+            raise ValueError(f"bins_width_deg: expected above 0, got {self.bins_width_deg}")
+
+    @property
+    def coarsest_reduction(self) -> int:
+        """Stride of the first look's feature map, pixels of the network's input per cell."""
+        return self.first_stride * self.first_reduction
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the submodules that a training stage may freeze."""
+        return ("backbone", "heat_map", "object_backbone", "object_head")
+
+    @property
+    def free_fields(self) -> tuple[str, ...]:
+        """The numbers of second looks and of candidates."""
+        return ("looks", "candidates")
+
+    @property
+    def looks_twice(self) -> bool:
+        """True: the network always looks twice."""
+        return True
+
+    @property
+    def heat_grid(self) -> tuple[int, int]:
+        """Size ``(rows, columns)`` of the first look's heat map."""
+        rows, columns = self.grid(self.coarsest_reduction)
+        return rows * DENSE, columns * DENSE
+
+    @property
+    def object_grid(self) -> tuple[int, int]:
+        """Size ``(radii, angles)`` of the second look's last feature map."""
+        radii, angles = self.object_size
+        return radii // (STEM_STRIDE * LAST_STRIDE), angles // STEM_STRIDE

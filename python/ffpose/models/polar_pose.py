@@ -1,0 +1,176 @@
+"""PolarPose: pose by a first look at the frame, and equivariant second looks of spectral filters.
+
+The first look is a heat map of the downsampled frame (`ffpose.models.heat_map`): its highest peaks
+are candidates. A virtual camera is pointed at each (`ffpose.models.virtual_camera`), and its view,
+sampled in polar coordinates about the viewing ray, gives attitude, offset, uncertainty and whether
+the object is there (`ffpose.models.polar_look`). The likelier candidate is kept, and looked at
+again where its offset says that the object is.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar, Self
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ffpose.config import PolarPoseConfig
+from ffpose.models.backbone import Backbone, build_backbone
+from ffpose.models.heat_map import HeatMap
+from ffpose.models.network import PoseNetwork, UncertainPose
+from ffpose.models.object_look import (
+    LookNumbers,
+    calibrated,
+    covariances,
+    hidden_disk,
+    in_front,
+    points_at,
+)
+from ffpose.models.polar_look import PolarBackbone, PolarHead, map_angles
+from ffpose.models.virtual_camera import Pyramid, VirtualCamera, look_into, pyramid, turn_to
+from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
+from ffpose.nn.polar_bins import PolarBinsHead
+
+DISTANCE_SMOOTH = 0.05
+"""Errors of the first look's log distance below it count by their square (Huber)."""
+
+
+class PolarPose(PoseNetwork):
+    """Pose network; `from_config` builds it, `from_pretrained` reads a file.
+
+    It can be exported by `torch.export`, with any batch size if ``dynamic_shapes`` says so. Import
+    `ffpose.models` before loading a saved program, to register its operators and result types.
+
+    Args:
+        config: Architecture of the network.
+        backbone: Backbone of the first look, with one feature map of stride
+            ``config.first_reduction``.
+
+    Attributes:
+        config: The argument.
+        backbone: The argument.
+        heat_map: Heat map of the first look.
+        object_backbone: Backbone of the second look.
+        object_head: Head of the second look.
+        orientation: Orientation head.
+    """
+
+    config_type: ClassVar[type[PolarPoseConfig]] = PolarPoseConfig
+
+    config: PolarPoseConfig
+    intrinsics: Tensor
+    variance_scales: Tensor
+
+    def __init__(self, config: PolarPoseConfig, backbone: Backbone) -> None:
+        super().__init__(config)
+        self.backbone = backbone
+        self.heat_map = HeatMap(config, backbone.channels[0])
+        self.object_backbone = PolarBackbone(config)
+        self.object_head = PolarHead(config)
+        self.orientation = PolarBinsHead(
+            config.latent,
+            map_angles(config),
+            config.angles,
+            config.directions,
+            config.bins_width_deg,
+        )
+        self.register_buffer("intrinsics", torch.tensor(config.camera), persistent=False)
+        self.register_buffer("variance_scales", torch.ones(2))
+
+    def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Refuse: the network does not look at the frame alone."""
+        raise NotImplementedError("PolarPose looks twice; call it")
+
+    def forward(self, images: Tensor) -> UncertainPose:
+        """Predict the pose of the object in each image.
+
+        Args:
+            images: ``(B, 3, H, W)`` with ``(H, W)`` = ``config.image_size``, standardized as in
+                training.
+
+        Raises:
+            ValueError: The shape of ``images`` is not as above.
+        """
+        self.check_images(images)
+        levels = pyramid(images)
+        maps = self.locate(F.avg_pool2d(images, self.config.first_stride))
+        count = self.config.candidates
+        points, log_mass = self.heat_map.candidates(*maps, count)
+        poses, in_view = self._look(levels, points.flatten(0, 1), count)
+        if count > 1:
+            score = F.logsigmoid(torch.unflatten(in_view, 0, (-1, count))) + log_mass
+            best = score.argmax(-1) + count * torch.arange(images.shape[0], device=images.device)
+            poses = UncertainPose(*(field[best] for field in poses))
+        for _ in range(1, self.config.looks):
+            poses, _ = self._look(levels, poses.translation)
+        hidden = self.hidden(poses.translation * self.config.distance_scale)
+        return calibrated(poses, self.config, hidden)
+
+    def _look(
+        self, levels: Pyramid, points: Tensor, views: int = 1
+    ) -> tuple[UncertainPose, Tensor]:
+        """Look at points ``(B * views, 3)``; return the poses, and their logits of being in view.
+
+        The ``views`` of the first image come first.
+        """
+        view = self.view_at(points)
+        numbers = self.read(self.see(look_into(levels, view, points, self.intrinsics, views)))
+        matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
+        translation, rotation = covariances(numbers, view)
+        pose = UncertainPose(
+            in_front(view.points_back(points_at(numbers.offset, view))),
+            matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix),
+            translation * self.variance_scales[0],
+            rotation * self.variance_scales[1],
+            numbers.in_view.sigmoid(),
+        )
+        return pose, numbers.in_view
+
+    def hidden(self, points: Tensor) -> Tensor:
+        """Return the share ``(B,)`` of objects at ``points (B, 3)`` that the frame does not show.
+
+        An object is taken for a disk of half the radius that the virtual camera's image covers.
+        """
+        return hidden_disk(points, self.config, self.intrinsics)
+
+    def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
+        """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
+        c = self.config
+        return turn_to(points, c.object_radius_m, c.object_size, twist, polar_width=c.object_width)
+
+    def locate(self, frames: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute the first look's heat map and distances, as `HeatMap.forward`.
+
+        Args:
+            frames: ``(B, 3, h, w)``, images downsampled by ``config.first_stride``.
+        """
+        maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
+        logits, distances = self.heat_map(maps[0])
+        return logits, distances
+
+    def first_loss(self, frames: Tensor, translation: Tensor) -> Tensor:
+        """Return the loss of the first look at ``frames (B, 3, h, w)`` of objects at ``(B, 3)``."""
+        logits, distances = self.locate(frames)
+        with torch.autocast(frames.device.type, enabled=False):
+            return self.heat_map.loss(
+                logits.float(), distances.float(), translation, DISTANCE_SMOOTH
+            )
+
+    def see(self, views: Tensor) -> Tensor:
+        """Compute the feature map ``(B, C, radii, angles)`` of polar views of the object."""
+        feature_map: Tensor = self.object_backbone(views)
+        return feature_map
+
+    def read(self, feature_map: Tensor) -> LookNumbers:
+        """Compute the second look's outputs for its feature map."""
+        numbers: LookNumbers = self.object_head(feature_map)
+        return numbers
+
+    @classmethod
+    def build(cls, config: PolarPoseConfig, backbone_weights: str | Path) -> Self:
+        """Build a network with new weights."""
+        return cls(
+            config, build_backbone(config.backbone, (config.first_reduction,), backbone_weights)
+        )

@@ -1,0 +1,113 @@
+"""Orientation bins that are products of a rotation about the viewing ray and a viewing direction.
+
+The bins are attitudes ``R_z(a_k) R_j``. ``R_j`` is the least rotation that takes direction ``j`` of
+the object's frame to the z axis of the (virtual) camera; the rotation about that axis follows. All
+angles share their weights: the features of an angle of the map are scored against each direction,
+and interpolated to more angles by the Fourier series. So a rotation of the camera about its axis by
+a cell of the map shifts the distribution by as much: it is equivariant by construction.
+
+Directions are spread evenly over the sphere (Vogel's spiral); decoding is that of `BinsHead`. Soft
+labels are matrix Fisher distributions about the true attitude, ``exp(k <q, b>^2)`` with ``k = 2 /
+width^2`` (Mohlin et al., "Probabilistic Orientation Estimation with Matrix Fisher Distributions",
+NeurIPS 2020), which near it are Gaussians of that standard deviation of the angle.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from ffpose.nn.orientation import mean_near_mode
+
+WEIGHT_STD = 0.02
+
+
+class PolarBinsHead(nn.Module):
+    """Logits over attitudes, products of angles and directions, from the features of angles.
+
+    Args:
+        latent: Number of features of each angle of the map.
+        map_angles: The map's angles ``(A,)``, radians, in equal steps of a turn.
+        angles: Number of angles of the bins, a multiple of ``A``.
+        directions: Number of viewing directions.
+        width_deg: Standard deviation of the soft labels, degrees.
+
+    Attributes:
+        features: Number of inputs, ``A * latent``.
+    """
+
+    start = None
+    bins: Tensor
+    outer: Tensor
+    interpolation: Tensor
+
+    def __init__(
+        self, latent: int, map_angles: Tensor, angles: int, directions: int, width_deg: float
+    ) -> None:
+        super().__init__()
+        self.latent, self.features = latent, len(map_angles) * latent
+        self.concentration = 2 / math.radians(width_deg) ** 2
+        bins = attitudes(cell_centers(angles), sphere(directions)).flatten(0, 1)
+        outer = (bins[:, :, None] * bins[:, None]).flatten(1)  # (bins, 16)
+        self.register_buffer("bins", bins.float(), persistent=False)
+        self.register_buffer("outer", outer.float(), persistent=False)
+        series = interpolation(map_angles.double(), cell_centers(angles))
+        self.register_buffer("interpolation", series.float(), persistent=False)
+        self.weight = nn.Parameter(torch.randn(latent, directions) * WEIGHT_STD)
+        self.bias = nn.Parameter(torch.zeros(directions))
+
+    def logits(self, raw: Tensor) -> Tensor:
+        """Return logits ``(B, angles * directions)`` for ``raw (B, A * latent)``."""
+        scores = torch.unflatten(raw, 1, (-1, self.latent)) @ self.weight + self.bias
+        return (self.interpolation @ scores).flatten(1)
+
+    def decode(self, raw: Tensor) -> Tensor:
+        """Return unit quaternions ``(B, 4)``: the weighted mean near the most likely bin."""
+        return mean_near_mode(self.logits(raw), self.bins, self.outer)
+
+    def loss(self, raw: Tensor, q: Tensor) -> Tensor:
+        """Return the cross-entropy with soft labels for each sample ``(B,)``."""
+        target = (self.concentration * (q @ self.bins.T).square()).softmax(-1)
+        logits = self.logits(raw)
+        return logits.logsumexp(-1) - (target * logits).sum(-1)
+
+
+def cell_centers(count: int) -> Tensor:
+    """Return the angles ``(count,)`` of the centers of equal cells of a turn, radians, float64."""
+    return (torch.arange(count, dtype=torch.float64) + 0.5) * (2 * math.pi / count)
+
+
+def sphere(count: int) -> Tensor:
+    """Return unit vectors ``(count, 3)`` spread evenly over the sphere, float64."""
+    number = torch.arange(count, dtype=torch.float64) + 0.5
+    z = 1 - 2 * number / count
+    radius, turn = (1 - z * z).sqrt(), number * (math.pi * (3 - math.sqrt(5)))
+    return torch.stack([radius * turn.cos(), radius * turn.sin(), z], dim=-1)
+
+
+def attitudes(angles: Tensor, directions: Tensor) -> Tensor:
+    """Return the unit quaternions ``(K, J, 4)`` of ``R_z(angle) R``.
+
+    Args:
+        angles: ``(K,)``, radians.
+        directions: Unit vectors ``(J, 3)``, none of them -z; ``R`` is the least rotation that takes
+            one to the z axis.
+    """
+    x, y, z = directions.unbind(-1)
+    least = torch.stack([1 + z, y, -x, torch.zeros_like(z)], dim=-1)
+    w, i, j, _ = (least / least.norm(dim=-1, keepdim=True)).unbind(-1)
+    c, s = (angles[:, None] / 2).cos(), (angles[:, None] / 2).sin()
+    return torch.stack([c * w, c * i - s * j, c * j + s * i, s * w], dim=-1)
+
+
+def interpolation(at: Tensor, to: Tensor) -> Tensor:
+    """Return the matrix ``(to, at)`` of the Fourier series through values at equal angles ``at``.
+
+    The highest frequency of an even number of values, whose phase they do not determine, is left
+    out.
+    """
+    count, highest = len(at), (len(at) - 1) // 2
+    orders = torch.arange(-highest, highest + 1)
+    return torch.cos(orders * (to[:, None, None] - at[:, None])).sum(-1) / count

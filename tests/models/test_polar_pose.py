@@ -1,0 +1,262 @@
+"""PolarPose: its second look turns with the camera for any weights; candidates; files; export."""
+
+import math
+
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from ffpose.config import PolarPoseConfig
+from ffpose.models import PolarPose, build_network, load_network
+from ffpose.models.heat_map import Candidates
+from ffpose.models.network import UncertainPose
+from ffpose.models.object_look import covariances, offset_of, points_at
+from ffpose.models.virtual_camera import look_into, pyramid
+from ffpose.nn.orientation import quaternion_to_matrix
+from ffpose.training.config import ObjectLossConfig
+from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.views import ViewBatch
+
+FIELDS = {
+    "image_size": (96, 128),
+    "camera": (64.0, 66.0, 64.0, 48.0),
+    "first_stride": 4,
+    "first_reduction": 4,
+    "first_channels": 16,
+    "object_size": (16, 48),
+    "object_width": 32,
+    "channels": (4, 8, 12),
+    "blocks": (1, 1),
+    "latent": 16,
+    "angles": 24,
+    "directions": 50,
+}
+CELL = 2 * math.pi / 12
+"""Angle of a cell of the last map."""
+
+POINTS = torch.tensor([[1.0, -2.0, 14.0], [0.5, 1.0, 20.0], [-6.0, 3.0, 22.0]])
+
+
+def build(**fields):
+    torch.manual_seed(0)
+    model = build_network("polar", backbone_weights="none", **(FIELDS | fields)).eval()
+    for module in model.modules():  # so that nothing is nearly zero
+        if isinstance(module, torch.nn.Linear):
+            torch.nn.init.normal_(module.weight, std=1.5 * module.in_features**-0.5)
+    with torch.no_grad():
+        model.orientation.weight.normal_()
+    return model
+
+
+@pytest.fixture
+def model():
+    return build()
+
+
+def images(count=3):
+    """Images without fine detail, whose interpolation is nearly exact."""
+    coarse = torch.rand(count, 3, 12, 16, generator=torch.Generator().manual_seed(1))
+    return torch.nn.functional.interpolate(coarse, (96, 128), mode="bicubic")
+
+
+def looked(model, twist):
+    """Offset, attitude and covariances in the camera's frame, and the plain numbers."""
+    view = model.view_at(POINTS, torch.full((3,), twist))
+    with torch.no_grad():
+        crops = look_into(pyramid(images()), view, POINTS, model.intrinsics)
+        numbers = model.read(model.see(crops))
+        matrix = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
+    return {
+        "t": view.points_back(points_at(numbers.offset, view)),
+        "R": view.rotation.mT @ matrix,
+        "covariances": torch.stack(covariances(numbers, view)),
+        "log_sigma": numbers.log_sigma,
+        "in_view": numbers.in_view,
+    }
+
+
+@pytest.mark.parametrize("cells", [1, 5])
+def test_random_weights_turn_with_the_camera_by_cells_of_the_last_map(model, cells):
+    plain, turned = looked(model, 0.3), looked(model, 0.3 + cells * CELL)
+    for name, value in plain.items():
+        torch.testing.assert_close(turned[name], value, rtol=1e-4, atol=1e-5, msg=name)
+    assert plain["log_sigma"].std() > 0.05
+    across = plain["covariances"][1]
+    spread = torch.linalg.eigvalsh(across)
+    assert (spread[:, 2] / spread[:, 0]).min() > 1.2
+
+
+def test_offsets_turn_but_those_of_a_part_of_a_cell_only_nearly(model):
+    plain, turned = looked(model, 0.0), looked(model, CELL / 2)
+    assert (plain["in_view"] - turned["in_view"]).abs().max() > 1e-5
+
+
+def test_logits_are_shifted_by_a_turn(model):
+    """Two bins of 15 degrees for a cell of 30."""
+    logits = []
+    for twist in (0.0, CELL):
+        view = model.view_at(POINTS, torch.full((3,), twist))
+        with torch.no_grad():
+            crops = look_into(pyramid(images()), view, POINTS, model.intrinsics)
+            raw = model.read(model.see(crops)).orientation
+            logits.append(model.orientation.logits(raw).unflatten(1, (24, 50)))
+    torch.testing.assert_close(logits[1], logits[0].roll(2, 1), rtol=1e-4, atol=1e-4)
+    assert (logits[1] - logits[0]).abs().max() > 0.1
+
+
+def test_the_polar_view_shows_rays_at_their_angles():
+    """A ray to the right is at angle zero, one below at a quarter of a turn."""
+    model = build(object_radius_m=5.0)
+    view = model.view_at(torch.tensor([[0.0, 0.0, 20.0]]))
+    points = torch.tensor([[[2.5, 0.0, 20.0], [0.0, 5.0, 20.0], [-1.0, -1e-6, 20.0]]])
+    expected = torch.tensor([[[0.0, 0.5], [0.25, 1.0], [0.5, 0.2]]])
+    torch.testing.assert_close(view.places(points), expected, rtol=0, atol=1e-5)
+
+
+def test_a_pose_of_each_image_whatever_the_weights(model):
+    pose = model(images())
+    assert isinstance(pose, UncertainPose)
+    assert pose.translation.shape == (3, 3)
+    torch.testing.assert_close(pose.orientation.norm(dim=1), torch.ones(3))
+    for covariance in (pose.translation_covariance, pose.rotation_covariance):
+        assert (torch.linalg.eigvalsh(covariance) > 0).all()
+    assert ((pose.in_view > 0) & (pose.in_view < 1)).all()
+    with pytest.raises(ValueError, match=r"images: expected shape \(B, 3, 96, 128\)"):
+        model(torch.zeros(1, 3, 96, 100))
+
+
+def answers(model, monkeypatch, in_view, log_mass):
+    """Let the looks at two candidates an image say how likely they are, and find no offset."""
+    points = torch.tensor([[[2.0, 0.0, 20.0], [-2.0, 1.0, 15.0]], [[1.0, 1.0, 12.0], [0, 0, 30.0]]])
+    monkeypatch.setattr(
+        model.heat_map,
+        "candidates",
+        lambda *_: Candidates(points, torch.tensor(log_mass)),
+    )
+    read = model.read
+
+    def said(feature_map):
+        numbers = read(feature_map)
+        logits = torch.tensor(in_view).flatten() if len(numbers.offset) == 4 else numbers.in_view
+        return numbers._replace(offset=torch.zeros_like(numbers.offset), in_view=logits)
+
+    monkeypatch.setattr(model, "read", said)
+    return points, model(images(2))
+
+
+@pytest.mark.parametrize(
+    ("in_view", "log_mass", "kept"),
+    [
+        ([[5.0, -5.0], [-5.0, 5.0]], [[0.0, 0.0], [0.0, 0.0]], [0, 1]),
+        ([[9.0, 9.0], [9.0, 9.0]], [[-1.0, -3.0], [-0.5, -2.0]], [0, 0]),
+        ([[-6.0, 6.0], [3.0, 3.5]], [[-0.2, -2.0], [-0.2, -2.0]], [1, 0]),
+    ],
+)
+def test_the_likelier_candidate_is_kept(model, monkeypatch, in_view, log_mass, kept):
+    points, pose = answers(model, monkeypatch, in_view, log_mass)
+    expected = points[torch.arange(2), torch.tensor(kept)]
+    torch.testing.assert_close(pose.translation, expected, rtol=1e-5, atol=1e-4)
+
+
+def test_one_candidate_and_one_look_are_one_view(tmp_path):
+    model = build()
+    model.save_pretrained(tmp_path / "polar.safetensors")
+    quick = load_network(tmp_path / "polar.safetensors", looks=1, candidates=1)
+    assert isinstance(quick, PolarPose)
+    views = []
+    quick.object_backbone.register_forward_hook(lambda _, inputs, __: views.append(len(inputs[0])))
+    quick(images(2))
+    assert views == [2]
+    model.object_backbone.register_forward_hook(lambda _, inputs, __: views.append(len(inputs[0])))
+    model(images(2))
+    assert views[1:] == [4, 2]
+
+
+def test_weights_there_and_back(model, tmp_path):
+    model.save_pretrained(tmp_path / "polar.safetensors")
+    loaded = load_network(tmp_path / "polar.safetensors")
+    assert loaded.config == model.config
+    for got, expected in zip(loaded(images()), model(images()), strict=True):
+        assert torch.equal(got, expected)
+    assert not [name for name in model.state_dict() if name.endswith(("bins", "turns", "around"))]
+
+
+def test_an_exported_network_takes_batches_of_any_size(model):
+    shapes = ({0: torch.export.Dim("batch")},)
+    program = torch.export.export(model, (images(2),), dynamic_shapes=shapes).module()
+    for count in (1, 3):
+        for got, expected in zip(program(images(count)), model(images(count)), strict=True):
+            torch.testing.assert_close(got, expected, rtol=1e-3, atol=1e-4)
+
+
+def test_the_objective_trains_every_weight():
+    model = build().train()
+    objective = ObjectObjective(model, ObjectLossConfig(keypoints=1.0), 3)
+    assert objective.cells == (4, 24)
+    both = torch.nn.ModuleList([model, objective])
+    t = POINTS[torch.arange(4) % 3]
+    view = model.view_at(t + 0.1)
+    coordinates = torch.rand(4, 4, *objective.cells) * 2 - 1
+    coordinates[:, 3] = (coordinates[:, 3] > 0).float()
+    batch = ViewBatch(
+        frames=torch.randn(2, 3, 24, 32),
+        translation=t[:2],
+        crops=torch.randn(4, 3, 16, 48),
+        orientation=torch.nn.functional.normalize(torch.randn(4, 4), dim=1),
+        offset=offset_of(view.points(t), view),
+        coordinates=coordinates,
+        keypoints=torch.rand(4, 3, 2),
+        present=torch.arange(4) > 0,
+        index=torch.arange(4),
+    )
+    before = {name: value.clone() for name, value in both.named_parameters()}
+    optimizer = torch.optim.Adam(both.parameters(), 1e-3)
+    losses = []
+    for _ in range(30):
+        optimizer.zero_grad()
+        terms = objective(model, batch)
+        terms.total.backward()
+        losses.append(terms.total.item())
+        assert all(p.grad.isfinite().all() for p in both.parameters())
+        optimizer.step()
+    assert not [name for name, value in both.named_parameters() if torch.equal(value, before[name])]
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_turned_attitudes_are_scipys(model):
+    """The attitude of a turned camera is that of the first, turned about the axis."""
+    attitudes = []
+    for twist in (0.0, 2 * CELL):
+        view = model.view_at(POINTS, torch.full((3,), twist))
+        with torch.no_grad():
+            crops = look_into(pyramid(images()), view, POINTS, model.intrinsics)
+            q = model.orientation.decode(model.read(model.see(crops)).orientation)
+        attitudes.append(Rotation.from_quat(q.double().numpy(), scalar_first=True))
+    turn = Rotation.from_rotvec([0, 0, 2 * CELL])
+    assert ((turn * attitudes[0]).inv() * attitudes[1]).magnitude().max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"camera": None}, "camera: the second look needs it, got None"),
+        ({"object_size": (20, 48)}, "object_size: expected radii and angles that are multiples of"),
+        ({"object_size": (16, 44)}, "multiples of 8 and 8, got"),
+        ({"channels": (4, 8)}, "channels: expected 3 numbers"),
+        ({"channels": (4, 0, 8)}, "channels: expected whole numbers, at least 1"),
+        ({"blocks": (1, -1)}, "blocks: expected whole numbers, at least 0"),
+        ({"angles": 30}, "angles: expected a multiple of 12, .* got 30"),
+        ({"bins_width_deg": 0.0}, "bins_width_deg: expected above 0, got 0"),
+        ({"candidates": 0}, "candidates: expected a whole number, at least 1, got 0"),
+        ({"image_size": (12, 16)}, "image_size: expected each at least 16"),
+    ],
+)
+def test_refused_fields(fields, text):
+    with pytest.raises(ValueError, match=text):
+        build(**fields)
+
+
+def test_the_last_map_has_cells_of_fifteen_degrees():
+    config = PolarPoseConfig()
+    assert (config.object_grid, config.heat_grid) == ((4, 24), (12, 16))
+    assert config.free_fields == ("looks", "candidates")
