@@ -175,7 +175,9 @@ impl<T: Real> SpectralFilter<T> {
     ///
     /// The weight's gradient is `c_v / N · Σ_b conj(X_b) · G_b` with N points in a plane and `c_v` = 1 in the columns
     /// of DC and Nyquist, 2 between them: what autograd gives for the real tensor of parts. The order of the sum
-    /// follows from shapes alone, never from `pool`.
+    /// follows from the shapes and, where images of few channels fill vectors together, from the lanes of the instruction set:
+    /// image by image within a part of the batch, of those that lie in the same lanes; part by part; then across the lanes. It
+    /// never follows from `pool`, or from the caches. Processors of other instruction sets round, and may sum, differently.
     ///
     /// # Errors
     /// [`Error::Shape`], [`Error::Strides`] or [`Error::Memory`]; the gradients are then untouched.

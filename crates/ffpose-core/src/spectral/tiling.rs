@@ -55,7 +55,8 @@ impl Tiling {
         Self::new(shape, tile, images, groups_each * grain.together)
     }
 
-    /// As [`even`](Self::even), with the parts that a gradient is summed in, which follow from shapes alone.
+    /// As [`even`](Self::even), with the parts that a gradient is summed in, which follow from shapes and the images that stay
+    /// together alone.
     pub(crate) fn summed(shape: Shape, images: usize, grain: Grain, threads: usize) -> Self {
         let images_each = images.div_ceil(sum_parts(shape, images, grain.tuning));
         let images_each = images_each.next_multiple_of(grain.together);
@@ -169,7 +170,8 @@ fn even_parts(tiles: usize, groups: usize, threads: usize, pieces_each: usize) -
     (1..many).find(is_even).unwrap_or(many)
 }
 
-/// Parts in which a gradient is summed over `images`. They follow from shapes alone, so that the order of the sum does.
+/// Parts in which a gradient is summed over `images`. They follow from shapes alone, so that the order of the sum depends on
+/// neither threads nor caches.
 fn sum_parts(shape: Shape, images: usize, tuning: &Tuning) -> usize {
     let apart = match shape.layout {
         Layout::Tokens => 1,

@@ -2,6 +2,9 @@
 //!
 //! Images that go together are copied side by side, to one image `(points, lanes)` of as many lanes as a vector has, and another
 //! kernel filters that. Lanes do not see each other, so that an image is filtered the same way in any company.
+//!
+//! Gradients of the weight that lie in other lanes are added at the end, so that the order of that sum follows from the number of
+//! lanes. To add them image by image, in the same order everywhere, took 1.06 to 1.31 times as long (backward passes of 64 images).
 
 pub(super) mod spread;
 

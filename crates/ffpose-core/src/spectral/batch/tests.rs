@@ -251,12 +251,60 @@ fn weight_gradient(isa: Isa, shape: Shape, cache: usize, threads: usize) -> Arra
 
 #[test]
 fn the_order_of_a_sum_does_not_depend_on_the_size_of_a_cache() {
-    for lanes in [40, 260] {
-        let shape = Shape::of_images(Layout::Grid, &[14, 14, lanes]).unwrap();
+    for dim in [[14, 14, 40], [14, 14, 260], [14, 14, 3], [1, 49, 5], [1, 50, 1]] {
+        let shape = Shape::of_images(Layout::Grid, &dim).unwrap();
         for isa in Isa::available() {
             let expected = weight_gradient(isa, shape, 1 << 20, 1);
             for (cache, threads) in [(1 << 16, 1), (1 << 18, 2), (1 << 22, 1), (1 << 24, 3)] {
                 assert_eq!(weight_gradient(isa, shape, cache, threads), expected);
+            }
+        }
+    }
+}
+
+/// Sums in the order that [`SpectralFilter::backward`] tells, of images that go `together`: planes of one point, whose spectrum is
+/// the point, so that every rounding is one of the sum.
+fn summed_in_order(points: &[f32], together: usize) -> f32 {
+    let parts = 8.min(points.len().div_ceil(4));
+    let each = points.len().div_ceil(parts).next_multiple_of(together);
+    let mut totals = vec![0.0; together];
+    for part in points.chunks(each) {
+        let mut sums = vec![0.0; together];
+        for group in part.chunks(together) {
+            sums.iter_mut().zip(group).for_each(|(sum, point)| *sum += point);
+        }
+        totals.iter_mut().zip(sums).for_each(|(total, sum)| *total += sum);
+    }
+    totals.into_iter().reduce(|total, sum| total + sum).unwrap()
+}
+
+#[test]
+fn the_order_of_a_sum_follows_from_shape_and_lanes() {
+    let number = |i: usize| (i as f32 * 12.9898).sin() * [1.0, 1e4, 1e-3][i % 3];
+    for (channels, images) in [(1, 37), (1, 100), (2, 37), (3, 37), (3, 64), (5, 23), (7, 32)] {
+        let shape = Shape::of_images(Layout::Grid, &[1, 1, channels]).unwrap();
+        let dim = vec![images, 1, 1, channels];
+        let x = ArrayD::from_elem(dim.clone(), 1.0);
+        let numbers: Vec<f32> = (0..images * channels).map(number).collect();
+        let grad = ArrayD::from_shape_vec(dim, numbers).unwrap();
+        for isa in Isa::available() {
+            let filter = SpectralFilter::<f32>::new(isa, shape);
+            let expected: Vec<f32> = (0..channels)
+                .map(|c| {
+                    let points: Vec<f32> = grad.iter().copied().skip(c).step_by(channels).collect();
+                    summed_in_order(&points, (isa.lanes::<f32>() / channels).max(1))
+                })
+                .collect();
+            for threads in [1, 2, 5] {
+                let weight = ArrayD::zeros(shape.weight());
+                let mut grad_weight = weight.clone();
+                let gradients = Gradients { x: None, weight: Some(grad_weight.view_mut()) };
+                let (pool, scratch) = (StdThreads(threads), &mut Scratch::default());
+                filter
+                    .backward(grad.view(), x.view(), weight.view(), gradients, &pool, scratch)
+                    .unwrap();
+                let got: Vec<f32> = grad_weight.iter().copied().step_by(2).collect();
+                assert_eq!(got, expected, "{} {channels} {images}", isa.name());
             }
         }
     }
