@@ -119,6 +119,32 @@ def second_look(config):
     )
 
 
+def test_no_image_of_a_set_trains_selects_and_calibrates(own):
+    small = replace(CONFIGS["compact"], image_size=(64, 64))
+    config = DataConfig("csv", own, holdout=2)
+    data = open_training_data(config, small, Preprocessing((64, 64)), coordinates=False)
+    assert data.train_set.names == ["1.png", "3.png", "5.png"]
+    assert data.val_set.names == ["0.png", "4.png"]
+    assert data.calibration.whole.names == ["2.png"]
+    assert data.calibration.cut is data.calibration.empty is None
+    (about,) = data.calibration.about
+    assert {name: about[name] for name in ("name", "split", "start", "step", "count")} == {
+        "name": "own",
+        "split": "train",
+        "start": 2,
+        "step": 4,
+        "count": 1,
+    }
+
+
+def test_a_set_without_an_image_that_could_calibrate_is_refused(own):
+    small = replace(CONFIGS["compact"], image_size=(64, 64))
+    config = DataConfig("csv", own, holdout=IMAGES)
+    message = "calibration: expected more than 6 images in train, every 12th .* got 6"
+    with pytest.raises(ValueError, match=message):
+        open_training_data(config, small, Preprocessing((64, 64)), coordinates=False)
+
+
 def test_a_second_look_needs_an_object_and_a_pinhole(scene, own):
     with pytest.raises(ValueError, match=r"locate an object, got .*locate the camera"):
         second_look(DataConfig("cambridge", scene, val_split="test"))

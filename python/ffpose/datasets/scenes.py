@@ -151,4 +151,4 @@ def open_empty_images(
         root.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as temporary:
             np.save(temporary, np.stack(images))
-    return np.asarray(np.load(path))
+    return np.asarray(np.load(path, mmap_mode="r"))
