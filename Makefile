@@ -10,7 +10,7 @@ ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml -
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-arm test-onboard docs bench figures ort onboard weights wheel clean tools
+.PHONY: help demo test all format lint typecheck test-rust test-python test-arm test-onboard docs bench figures ort onboard weights wheel clean tools cards
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -57,6 +57,12 @@ test-onboard: tools ## the Rust tests of the program without Python
 
 bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
+
+cards: $(VENV)/.user ## measure the final cards of the shipped weights and fill the pages: an hour; cards that are there stay
+	for name in dragon-hard soyuz-easy soyuz-hard; do \
+		$(BIN)/ffpose card $$name --scene $$(echo $$name | tr - _) --final --count $(or $(COUNT),500) --images runs/cards \
+			--out cards/$$name --page docs/models.md README.md > /dev/null || exit 1; \
+	done
 
 figures: $(VENV)/.dev ## measure the figures of the pages, NAME being this machine's: ten minutes
 	$(BIN)/python -m ffpose.bench.pages --all $(if $(NAME),--machine "$(NAME)") $(if $(NOTE),--note "$(NOTE)")

@@ -438,8 +438,8 @@ def card_arguments(parser: ArgumentParser) -> None:
     )
     text = "folder for card.json and card.md; one that holds this card is not measured again"
     parser.add_argument("--out", type=Path, help=text)
-    text = "page whose parts after <!-- card: NAME --> are filled with the cards beside --out"
-    parser.add_argument("--page", type=Path, help=text)
+    text = "pages whose parts after <!-- card: NAME --> are filled with the cards beside --out"
+    parser.add_argument("--page", type=Path, nargs="+", default=[], help=text)
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
@@ -460,7 +460,7 @@ def card(options: Namespace) -> None:
         "final": options.final,
         "second_renderer": options.mitsuba,
     }
-    if options.page is not None and options.out is None:
+    if options.page and options.out is None:
         raise ValueError("--page: expected with --out, the folder of the card")
     document = None
     if options.out is not None:
@@ -477,8 +477,8 @@ def card(options: Namespace) -> None:
         )
     if options.out is not None:
         write_card(document, options.out)
-    if options.page is not None:
-        fill_page(options.page, options.out.parent)
+    for page in options.page:
+        fill_page(page, options.out.parent)
     if options.json:
         show(document)
     else:

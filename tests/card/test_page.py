@@ -7,6 +7,10 @@ import pytest
 from ffpose.card.page import fill_page, filled, parts_of, read_cards
 from ffpose.card.tables import format_card
 from ffpose.errors import DataError
+from ffpose.files import sha256
+from ffpose.models import zoo
+from ffpose.seeds import FINAL
+from pages import ROOT
 
 ERRORS = {
     "rotation_error_deg": 2.0,
@@ -99,11 +103,34 @@ def test_the_cards_are_compared_column_by_column():
     assert region in lines
 
 
+def test_the_summary_has_two_rows_a_card():
+    text = filled("<!-- card: summary -->\n<!-- end of card -->\n", {"a": card("a")})
+    expected = "| `a`, 8–22 m, from the image alone | 2.00° | 0.25 m, 1.5 % of the distance | 500 |"
+    assert expected in text.splitlines()
+    assert "| … mean pose of `soyuz_easy` | 2.00° |" in text
+
+
+def test_the_pages_have_the_cards_of_the_shipped_weights():
+    """`ffpose card NAME --scene SET --final --out cards/NAME --page ...` made them all."""
+    cards = read_cards(ROOT / "cards")
+    assert list(cards) == zoo.names()
+    for name, document in cards.items():
+        assert document["sha256"] == sha256(zoo.resolve(name))
+        assert (document["final"], document["seed"]) == (True, FINAL.start)
+        assert document["scene"] == name.replace("-", "_")
+    parts = []
+    for page in ("docs/models.md", "README.md"):
+        text = (ROOT / page).read_text()
+        assert filled(text, cards) == text
+        parts += parts_of(text)
+    assert sorted(parts) == sorted([*zoo.names(), "accuracy", "summary"])
+
+
 def test_a_card_says_whether_training_had_a_condition():
     text = format_card(card("a"))
     assert "| condition | in training | images |" in text
     assert "| cut | partly | 500 |" in text
-    assert "Partly in training: cut, in an earlier training." in text
+    assert "Partly in training: cut (in an earlier training)." in text
     assert "seed 5000000 (final)" in text
 
 

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ffpose.card.tables import accuracy_table, format_card
+from ffpose.card.tables import accuracy_table, format_card, summary_table
 from ffpose.files import atomic_write, read_json
 
 Document = Mapping[str, Any]
 
 PART = re.compile(r"(<!-- card: (\S+) -->\n).*?(<!-- end of card -->)", re.DOTALL)
-ACCURACY = "accuracy"
-"""Name of the part with the table that compares all cards."""
+OF_ALL = {"accuracy": accuracy_table, "summary": summary_table}
+"""Names of the parts with a table of all cards, and what makes it."""
 
 
 def read_cards(folder: Path) -> dict[str, Document]:
@@ -30,7 +30,7 @@ def filled(page: str, cards: Mapping[str, Document]) -> str:
     """Return a page with its parts as the cards have them.
 
     A part begins with the line ``<!-- card: NAME -->``, where NAME is that of a card or
-    "accuracy", and ends before ``<!-- end of card -->``. Parts of other names stay.
+    of `OF_ALL`, and ends before ``<!-- end of card -->``. Parts of other names stay.
 
     Args:
         page: The page, Markdown.
@@ -39,8 +39,8 @@ def filled(page: str, cards: Mapping[str, Document]) -> str:
 
     def part(match: re.Match[str]) -> str:
         begin, name, end = match.groups()
-        if name == ACCURACY:
-            return f"{begin}\n{accuracy_table(cards)}\n\n{end}"
+        if name in OF_ALL:
+            return f"{begin}\n{OF_ALL[name](cards)}\n\n{end}"
         return f"{begin}\n{format_card(cards[name])}\n{end}" if name in cards else match[0]
 
     return PART.sub(part, page)

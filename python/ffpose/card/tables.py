@@ -67,6 +67,28 @@ def accuracy_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
     return _table(["", *(f"`{name}`" for name in cards), "constant"], lines)
 
 
+def summary_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a table of the medians of each card, by name, and of the mean poses of their sets."""
+
+    def cells(name: str, row: Row) -> list[str]:
+        relative = _percent(row["median_relative_translation_error"])
+        return [
+            name,
+            _degrees(row["median_rotation_error_deg"]),
+            f"{_meters(row['median_translation_error_m'])}, {relative} of the distance",
+            str(row["images"]),
+        ]
+
+    lines = []
+    for name, card in cards.items():
+        near, far = card["distance_m"]
+        lines.append(
+            cells(f"`{name}`, {near:g}–{far:g} m, from the image alone", card["conditions"][0])
+        )
+        lines.append(cells(f"… mean pose of `{card['scene']}`", card["mean_pose_baseline"]))
+    return _table(["", "attitude", "position", "images"], lines)
+
+
 def errors_table(document: Mapping[str, Any]) -> str:
     """Return the table of errors of each condition, and of the constant pose.
 
@@ -124,7 +146,7 @@ def _conditions(rows: Sequence[Row]) -> str:
 
 def _partly(rows: Sequence[Row]) -> str:
     """Say in what way a training had the conditions that it had in part; empty for none."""
-    parts = [f"{row['name']}, {row['seen_how']}" for row in rows if row.get("seen_how")]
+    parts = [f"{row['name']} ({row['seen_how']})" for row in rows if row.get("seen_how")]
     return f"Partly in training: {'; '.join(parts)}." if parts else ""
 
 
