@@ -675,7 +675,7 @@ def words_of(name: str, words: Sequence[str]) -> list[str]:
     Raises:
         argparse.ArgumentError: An option is spelled in another style.
     """
-    if name == "train":
+    if name in ("train", "calibrate"):
         from ffpose.training.options import read_words
 
         return read_words(words)

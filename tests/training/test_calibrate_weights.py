@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from ffpose.cli import build_parser, main
+from ffpose.cli import build_parser, main, words_of
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.seeds import CALIBRATION, CHOICES
 from ffpose.training.calibrate_weights import calibrate_weights
@@ -70,7 +70,9 @@ def test_the_command_in_the_header_calibrates_to_the_same_values(trained, tmp_pa
 )
 def test_the_command_of_images_is_parsed_to_these_images(config):
     words = shlex.split(command_of("a.safetensors", config, [4, 8]))
-    options = build_parser("calibrate").instantiate(build_parser("calibrate").parse_args(words[2:]))
+    assert not any(word.startswith("[") for word in words)
+    parser = build_parser("calibrate")
+    options = parser.instantiate(parser.parse_args(words_of("calibrate", words[2:])))
     assert CalibrationImages(**vars(options.data)) == config
     assert (options.weights, options.turns) == (Path("a.safetensors"), [4, 8])
 

@@ -95,6 +95,6 @@ def command_of(weights: str, config: CalibrationImages, turns: list[int]) -> str
             if config.kind != "scenes":
                 words.append(f"--data.root {config.root.resolve().name}")
         elif field.name != "workers" and value != field.default:
-            shown = f"[{','.join(map(str, value))}]" if isinstance(value, tuple) else value
+            shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
             words.append(f"--data.{field.name.replace('_', '-')} {shown}")
     return " ".join([*words, *(["--turns", *map(str, turns)] if turns else [])])
