@@ -129,7 +129,7 @@ def answers(model, monkeypatch, in_view, log_mass):
     """Let the looks at two candidates an image say how likely they are, and find no offset."""
     points = torch.tensor([[[2.0, 0.0, 20.0], [-2.0, 1.0, 15.0]], [[1.0, 1.0, 12.0], [0, 0, 30.0]]])
     monkeypatch.setattr(
-        model.heat_map,
+        model.translation_branch,
         "candidates",
         lambda *_: Candidates(points, torch.tensor(log_mass)),
     )

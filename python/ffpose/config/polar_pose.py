@@ -118,7 +118,7 @@ class PolarPoseConfig(SecondLookConfig):
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the submodules that a training stage may freeze."""
-        return ("backbone", "heat_map", "object_backbone", "object_head")
+        return ("backbone", "object_backbone", "translation_branch", "orientation_branch")
 
     @property
     def free_fields(self) -> tuple[str, ...]:

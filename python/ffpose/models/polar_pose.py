@@ -51,9 +51,9 @@ class PolarPose(PoseNetwork):
     Attributes:
         config: The argument.
         backbone: The argument.
-        heat_map: Heat map of the first look.
+        translation_branch: Heat map of the first look.
         object_backbone: Backbone of the second look.
-        object_head: Head of the second look.
+        orientation_branch: Head of the second look.
         orientation: Orientation head.
     """
 
@@ -66,9 +66,9 @@ class PolarPose(PoseNetwork):
     def __init__(self, config: PolarPoseConfig, backbone: Backbone) -> None:
         super().__init__(config)
         self.backbone = backbone
-        self.heat_map = HeatMap(config, backbone.channels[0])
+        self.translation_branch = HeatMap(config, backbone.channels[0])
         self.object_backbone = PolarBackbone(config)
-        self.object_head = PolarHead(config)
+        self.orientation_branch = PolarHead(config)
         self.orientation = PolarBinsHead(
             config.latent,
             map_angles(config),
@@ -97,7 +97,7 @@ class PolarPose(PoseNetwork):
         levels = pyramid(images)
         maps = self.locate(F.avg_pool2d(images, self.config.first_stride))
         count = self.config.candidates
-        points, log_mass = self.heat_map.candidates(*maps, count)
+        points, log_mass = self.translation_branch.candidates(*maps, count)
         poses, in_view = self._look(levels, points.flatten(0, 1), count)
         if count > 1:
             score = F.logsigmoid(torch.unflatten(in_view, 0, (-1, count))) + log_mass
@@ -147,14 +147,14 @@ class PolarPose(PoseNetwork):
             frames: ``(B, 3, h, w)``, images downsampled by ``config.first_stride``.
         """
         maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
-        logits, distances = self.heat_map(maps[0])
+        logits, distances = self.translation_branch(maps[0])
         return logits, distances
 
     def first_loss(self, frames: Tensor, translation: Tensor) -> Tensor:
         """Return the loss of the first look at ``frames (B, 3, h, w)`` of objects at ``(B, 3)``."""
         logits, distances = self.locate(frames)
         with torch.autocast(frames.device.type, enabled=False):
-            return self.heat_map.loss(
+            return self.translation_branch.loss(
                 logits.float(), distances.float(), translation, DISTANCE_SMOOTH
             )
 
@@ -165,7 +165,7 @@ class PolarPose(PoseNetwork):
 
     def read(self, feature_map: Tensor) -> LookNumbers:
         """Compute the second look's outputs for its feature map."""
-        numbers: LookNumbers = self.object_head(feature_map)
+        numbers: LookNumbers = self.orientation_branch(feature_map)
         return numbers
 
     @classmethod

@@ -101,7 +101,7 @@ def test_an_interrupted_benchmark_leaves_nothing(tmp_path):
         time.sleep(0.1)
     os.killpg(child.pid, signal.SIGINT)  # as a terminal does: to parent and child
     printed, told = child.communicate(timeout=30)
-    assert child.returncode == 1
+    assert child.returncode == 130
     assert "interrupted" in told
     assert "Traceback" not in told
     assert printed == ""
