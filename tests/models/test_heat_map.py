@@ -69,6 +69,14 @@ def test_a_second_candidate_of_one_peak_has_no_weight(heat_map):
     assert found.points.isfinite().all()
 
 
+def test_a_second_candidate_is_finite_where_all_else_has_no_probability_in_float32(heat_map):
+    logits = torch.full((1, ROWS, COLUMNS), -200.0)
+    logits[0, 5, 5] = 200.0
+    found = heat_map.candidates(logits, torch.zeros_like(logits), 2)
+    assert found.points.isfinite().all()
+    assert found.log_mass[0].tolist() == pytest.approx([0, math.log(1e-12)])
+
+
 def test_distances_are_kept_near_those_of_training(heat_map):
     logits, _ = peaks((70.0, 30.0, 10.0, 1.0))
     for relative, distance in ((50.0, 84.0), (-50.0, 4.0)):

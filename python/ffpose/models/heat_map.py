@@ -83,7 +83,8 @@ class HeatMap(nn.Module):
         for _ in range(count):
             peak = free.argmax(-1)
             weight = p * self.around[peak]
-            mass = weight.sum(-1, keepdim=True)
+            # Zero where all else is less likely than the least number.
+            mass = weight.sum(-1, keepdim=True).clamp_min(torch.finfo(weight.dtype).tiny)
             place = weight @ self.centers / mass
             relative = (weight * distances).sum(-1, keepdim=True) / mass
             points.append(self._points(place, relative))
