@@ -79,10 +79,6 @@ class PolarPose(PoseNetwork):
         self.register_buffer("intrinsics", torch.tensor(config.camera), persistent=False)
         self.register_buffer("variance_scales", torch.ones(2))
 
-    def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Refuse: the network does not look at the frame alone."""
-        raise NotImplementedError("PolarPose looks twice; call it")
-
     def forward(self, images: Tensor) -> UncertainPose:
         """Predict the pose of the object in each image.
 
