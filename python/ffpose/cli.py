@@ -494,7 +494,8 @@ def calibrate_arguments(parser: ArgumentParser) -> None:
     restyle(parser)
     text = "numbers of rotated views to choose from, on other rendered images (default: as it is)"
     parser.add_argument("--turns", type=int, nargs="+", default=[], help=text)
-    parser.add_argument("--out", type=Path, help="file to write (default: the weights file)")
+    text = "file to write (default: the weights file; of weights by name there is none)"
+    parser.add_argument("--out", type=Path, help=text)
     parser.add_argument("--json", action="store_true", help="print what was found as JSON")
 
 

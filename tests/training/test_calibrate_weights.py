@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import load_file
 
 from ffpose.cli import build_parser, main, words_of
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import FilterformerPose, PolarPose, read_metadata
 from ffpose.seeds import CALIBRATION, CHOICES
 from ffpose.training.calibrate_weights import calibrate_weights
 from ffpose.training.calibration_images import command_of
@@ -70,7 +70,7 @@ def test_the_command_in_the_header_calibrates_to_the_same_values(trained, tmp_pa
 )
 def test_the_command_of_images_is_parsed_to_these_images(config):
     words = shlex.split(command_of("a.safetensors", config, [4, 8]))
-    assert not any(word.startswith("[") for word in words)
+    assert not any(word.startswith("[") or word == "True" for word in words)
     parser = build_parser("calibrate")
     options = parser.instantiate(parser.parse_args(words_of("calibrate", words[2:])))
     assert CalibrationImages(**vars(options.data)) == config
@@ -100,6 +100,22 @@ def test_a_network_that_looks_once_is_refused(tmp_path):
     model.save_pretrained(path)
     with pytest.raises(ValueError, match="expected a network with a second look"):
         calibrate_weights(path, CalibrationImages(root=tmp_path))
+
+
+def test_weights_by_name_are_not_written_to(tmp_path, capsys):
+    """They are the package's, and all who use it would get others."""
+    assert main(["calibrate", "soyuz-easy", "--data.root", str(tmp_path)]) == 2
+    assert "out: expected a file, as soyuz-easy is installed for all" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_network_without_rotated_views_has_no_number_of_them_to_choose(tmp_path):
+    path = tmp_path / "polar.safetensors"
+    model = PolarPose.from_config("polar", backbone_weights="none")
+    model.save_pretrained(path)
+    images = CalibrationImages(root=tmp_path, count=2)
+    with pytest.raises(ValueError, match=r"may change .*\(looks, candidates\), got turns"):
+        calibrate_weights(path, images, turns=[1])
 
 
 def test_views_are_chosen_on_rendered_images_alone(trained, tmp_path):

@@ -18,7 +18,7 @@ from ffpose.config import looks_twice
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.datasets.scenes import find_scene, open_frames
 from ffpose.metrics import pose_error
-from ffpose.models import FilterformerPose, SecondLookNetwork, load_network, read_metadata
+from ffpose.models import PoseNetwork, SecondLookNetwork, load_network, read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.models.zoo import resolve
 from ffpose.preprocessing import Preprocessing
@@ -43,15 +43,16 @@ def calibrate_weights(
         images: The images.
         turns: Numbers of rotated views to choose from, by the median rotation error on as many
             rendered images of `ffpose.seeds.CHOICES`; none to keep the number.
-        out: File to write; None for that which was read.
+        out: File to write; None for that which was read, if ``weights`` is no name.
 
     Returns:
         What was found; the file's other tensors stay bit for bit.
 
     Raises:
         FileNotFoundError: No such file, name or image set.
-        ValueError: The network has no second look, there are no images, ``turns`` are given for
-            images on disk, or a growth reaches its limit.
+        ValueError: The network has no second look or no rotated views to choose from, there are no
+            images, ``turns`` are given for images on disk, ``weights`` is a name and there is no
+            ``out``, or a growth reaches its limit.
         ffpose.DataError: The weights or an image cannot be used.
     """
     metadata = read_metadata(weights)
@@ -59,6 +60,8 @@ def calibrate_weights(
         raise ValueError(
             "weights: expected a network with a second look, which alone is calibrated"
         )
+    if out is None and resolve(weights) != Path(weights):
+        raise ValueError(f"out: expected a file, as {weights} is installed for all; got none")
     chosen: dict[str, Any] = {}
     if turns:
         chosen = choose_turns(weights, images, turns, metadata.preprocessing)
@@ -134,13 +137,13 @@ def choose_turns(
     )
     medians = {}
     for number in turns:
-        model = FilterformerPose.from_pretrained(weights, turns=number)
+        model = load_network(weights, turns=number)
         medians[number] = float(np.median(np.concatenate(list(_rotation_errors(model, shown)))))
     about = {"scene": images.scene, "seed": seed, "count": images.count}
     return {"turns": min(medians, key=medians.__getitem__), "medians": medians, "images": about}
 
 
-def _rotation_errors(model: FilterformerPose, images: PoseDataset) -> Iterator[NDArray[Any]]:
+def _rotation_errors(model: PoseNetwork, images: PoseDataset) -> Iterator[NDArray[Any]]:
     """Yield the rotation errors of each batch, degrees."""
     for batch in _batches(images):
         with torch.inference_mode():

@@ -96,5 +96,6 @@ def command_of(weights: str, config: CalibrationImages, turns: list[int]) -> str
                 words.append(f"--data.root {config.root.resolve().name}")
         elif field.name != "workers" and value != field.default:
             shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
-            words.append(f"--data.{field.name.replace('_', '-')} {shown}")
+            option = f"--data.{field.name.replace('_', '-')}"
+            words.append(option if value is True else f"{option} {shown}")
     return " ".join([*words, *(["--turns", *map(str, turns)] if turns else [])])
