@@ -63,7 +63,7 @@ def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
         their ``median_intervals_95``; ``percentile_90_rotation_error_deg``; ``share_over_30_deg``.
         For a network that predicts its uncertainty also ``translation`` and ``rotation``: coverage
         of the 50, 90 and 99 % confidence regions; ``median_sigma_distance_m`` and
-        ``median_sigma_rotation_deg``, medians of `ffpose.prediction.standard_deviations`;
+        ``median_sigma_rotation_deg``, medians of `ffpose.geometry.standard_deviations`;
         ``median_in_view``; and ``flagged``, the share of images below the threshold.
 
     Raises:
