@@ -2,7 +2,7 @@
 
 import pytest
 
-from ffpose.card.seen import BEFORE, Seen, picture_seen, seen_in_training, trainings
+from ffpose.card.seen import AS_OBJECT, BEFORE, Seen, picture_seen, seen_in_training, trainings
 from ffpose.models import read_metadata, zoo
 from ffpose.render import SCENES
 from ffpose.render.variations import variations, without_object
@@ -58,6 +58,17 @@ def test_a_set_of_nearer_scenes_has_not_the_farther_ones(tmp_path):
     both = recipe_of(tmp_path, scene="soyuz_easy+soyuz_hard")
     assert conditions(both, "soyuz_easy", 22.0)["beyond range"] == Seen("yes")
     assert conditions(both, "dragon_hard")["as trained"].answer == "partly"
+
+
+def test_another_spacecraft_may_have_been_the_object_of_an_earlier_training(tmp_path):
+    for decoys, how in ((1, f"spacecraft of random parts, and {AS_OBJECT}"), (0, AS_OBJECT)):
+        soyuz = recipe_of(tmp_path, decoys=decoys)
+        dragon = recipe_of(tmp_path, soyuz, scene="dragon_hard", decoys=decoys)
+        found = conditions(dragon, "dragon_hard")
+        assert found["another spacecraft"] == Seen("partly", how)
+        assert found["as trained"] == Seen("yes")
+    again = recipe_of(tmp_path, dragon)
+    assert conditions(again)["another spacecraft"].how.endswith(AS_OBJECT)
 
 
 def test_weights_that_do_not_know_their_recipe_do_not_know_what_they_saw(tmp_path):

@@ -22,6 +22,7 @@ Recipe = Mapping[str, Any]
 Answer = Literal["yes", "partly", "no", "unknown"]
 
 BEFORE = "in a training before the last"
+AS_OBJECT = f"as the object {BEFORE}"
 
 
 class Seen(NamedTuple):
@@ -56,9 +57,13 @@ def seen_in_training(recipe: Recipe | None, variation: Variation) -> Seen:
         recipe: Of the weights' header.
         variation: The set.
     """
-    if recipe is not None and variation.scene.craft not in _crafts(recipe):
-        return _over_all(recipe, _other_spacecraft)
-    return _over_all(recipe, lambda each: _had(each, variation))
+    craft = variation.scene.craft
+    if recipe is None or craft in _crafts(recipe):
+        return _over_all(recipe, lambda each: _had(each, variation))
+    other, before = _over_all(recipe, _other_spacecraft), trainings(recipe)[1:]
+    if any(each is not None and craft in _crafts(each) for each in before):
+        return Seen("partly", f"{other.how}, and {AS_OBJECT}" if other.how else AS_OBJECT)
+    return other
 
 
 def picture_seen(recipe: Recipe | None, kind: str) -> Seen:
