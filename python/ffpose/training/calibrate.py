@@ -230,7 +230,7 @@ def _distances(
 
 
 def _see(model: SecondLookNetwork, images: Tensor) -> list[FloatArray]:
-    """Return the fields of `ffpose.models.UncertainPose` for a batch, in float64."""
+    """Return the fields of `ffpose.models.network.UncertainPose` for a batch, in float64."""
     with torch.inference_mode():
         return [_array(field) for field in model(images.to(model.variance_scales.device))]
 
