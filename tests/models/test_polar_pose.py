@@ -86,7 +86,8 @@ def test_random_weights_turn_with_the_camera_by_cells_of_the_last_map(model, cel
     assert (spread[:, 2] / spread[:, 0]).min() > 1.2
 
 
-def test_offsets_turn_but_those_of_a_part_of_a_cell_only_nearly(model):
+def test_a_turn_by_a_part_of_a_cell_is_not_one_of_the_symmetry(model):
+    """So what turns with whole cells is not constant."""
     plain, turned = looked(model, 0.0), looked(model, CELL / 2)
     assert (plain["in_view"] - turned["in_view"]).abs().max() > 1e-5
 
