@@ -81,6 +81,12 @@ def test_weights_that_do_not_know_their_recipe_do_not_know_what_they_saw(tmp_pat
     assert conditions(chain)["JPEG 50"] == Seen("unknown")
 
 
+def test_a_recipe_of_another_program_says_nothing():
+    for foreign in ({"optimizer": "sgd"}, {"init": {"recipe": None}}):
+        assert {seen.answer for seen in conditions(foreign).values()} == {"unknown"}
+        assert picture_seen(foreign, "noise") == Seen("unknown")
+
+
 def test_pictures_are_seen_where_samples_without_the_object_are(tmp_path):
     known = recipe_of(tmp_path)
     assert picture_seen(known, "noise") == Seen("yes")

@@ -40,14 +40,19 @@ class Seen(NamedTuple):
 def trainings(recipe: Recipe | None) -> list[Recipe | None]:
     """Return the recipes of the whole chain, the last training first; None for an unknown one."""
     found: list[Recipe | None] = []
-    here = recipe
+    here = _known(recipe)
     while here is not None:
         found.append(here)
         init = here.get("init")
         if init is None:
             return found
-        here = init["recipe"]
+        here = _known(init["recipe"])
     return [*found, None]
+
+
+def _known(recipe: Recipe | None) -> Recipe | None:
+    """Return a recipe, or None for one of another program, which says nothing of these images."""
+    return None if recipe is None or not {"data", "views"} <= recipe.keys() else recipe
 
 
 def seen_in_training(recipe: Recipe | None, variation: Variation) -> Seen:
@@ -57,7 +62,7 @@ def seen_in_training(recipe: Recipe | None, variation: Variation) -> Seen:
         recipe: Of the weights' header.
         variation: The set.
     """
-    craft = variation.scene.craft
+    craft, recipe = variation.scene.craft, _known(recipe)
     if recipe is None or craft in _crafts(recipe):
         return _over_all(recipe, lambda each: _had(each, variation))
     other, before = _over_all(recipe, _other_spacecraft), trainings(recipe)[1:]

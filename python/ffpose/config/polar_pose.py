@@ -131,6 +131,11 @@ class PolarPoseConfig(SecondLookConfig):
         return True
 
     @property
+    def polar(self) -> bool:
+        """True: the pixels of the second look lie on rings."""
+        return True
+
+    @property
     def heat_grid(self) -> tuple[int, int]:
         """Size ``(rows, columns)`` of the first look's heat map."""
         rows, columns = self.grid(self.coarsest_reduction)

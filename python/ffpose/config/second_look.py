@@ -53,6 +53,11 @@ class SecondLookConfig(NetworkConfig):
         """Whether the network takes a second look."""
 
     @property
+    def polar(self) -> bool:
+        """Whether the virtual camera's image is polar."""
+        return False
+
+    @property
     @abstractmethod
     def object_grid(self) -> tuple[int, int]:
         """Size ``(rows, columns)`` of the second look's feature map."""

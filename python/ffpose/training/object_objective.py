@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ffpose.config import PolarPoseConfig, looks_twice
+from ffpose.config import looks_twice
 from ffpose.losses import LossTerms
 from ffpose.models import SecondLookNetwork
 from ffpose.models.object_look import LookNumbers, rotation_between, rotation_vector, sigma_loss
@@ -48,7 +48,7 @@ class ObjectObjective(nn.Module):
             raise ValueError("model: expected one with a second look, got one that sees the frame")
         self.config = config
         rows, columns = model.config.object_grid
-        self.cyclic = isinstance(model.config, PolarPoseConfig)
+        self.cyclic = model.config.polar
         self.cells = (rows * CELLS_PER_SIDE, columns * CELLS_PER_SIDE)
         channels = model.object_backbone.channels[0]
         maps = {"coordinates": 4 if config.renders else 0, "heatmaps": keypoints}
