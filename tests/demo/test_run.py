@@ -32,6 +32,14 @@ FIELDS = {
     "bins_degree": 1,
     "bins_width_deg": 30.0,
 }
+POLAR_FIELDS = {
+    "image_size": [48, 64],
+    "first_stride": 4,
+    "first_reduction": 4,
+    "object_size": [16, 48],
+    "directions": 50,
+    "latent": 16,
+}
 POSE = DemoConfig(images=12, size=SIZE)
 TRAIN = DemoConfig(
     images=12,
@@ -41,7 +49,7 @@ TRAIN = DemoConfig(
     validation=2,
     calibration=4,
     epochs=2,
-    model_fields=tuple(FIELDS.items()),
+    model_fields=tuple(POLAR_FIELDS.items()),
 )
 
 
