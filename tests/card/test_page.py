@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from ffpose.card.page import fill_page, filled, parts_of, read_cards
+from ffpose.card.page import PART, fill_page, filled, read_cards
 from ffpose.card.tables import format_card
 from ffpose.errors import DataError
 from ffpose.files import sha256
@@ -89,7 +89,7 @@ def test_parts_are_replaced_and_the_rest_stays():
     assert text.endswith("<!-- card: unknown -->\nstays\n<!-- end of card -->\n")
     assert format_card(cards["a"]) in text
     assert filled(text, cards) == text
-    assert parts_of(text) == ["accuracy", "a", "unknown"]
+    assert [name for _, name, _ in PART.findall(text)] == ["accuracy", "a", "unknown"]
 
 
 def test_the_cards_are_compared_column_by_column():
@@ -122,7 +122,7 @@ def test_the_pages_have_the_cards_of_the_shipped_weights():
     for page in ("docs/models.md", "README.md"):
         text = (ROOT / page).read_text()
         assert filled(text, cards) == text
-        parts += parts_of(text)
+        parts += [name for _, name, _ in PART.findall(text)]
     assert sorted(parts) == sorted([*zoo.names(), "accuracy", "summary"])
 
 

@@ -16,9 +16,9 @@ const NAMES: [&str; 6] = ["width", "height", "fx", "fy", "cx", "cy"];
 /// A camera, in pixels: the image covers `[0, width] x [0, height]`, its first pixel has its center at `(0.5, 0.5)`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Of the image.
+    /// Width of the image.
     pub width: usize,
-    /// Of the image.
+    /// Height of the image.
     pub height: usize,
     /// Focal length across.
     pub fx: f64,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,11 +44,6 @@ def filled(page: str, cards: Mapping[str, Document]) -> str:
         return f"{begin}\n{format_card(cards[name])}\n{end}" if name in cards else match[0]
 
     return PART.sub(part, page)
-
-
-def parts_of(page: str) -> Sequence[str]:
-    """Return the names of a page's parts, in order."""
-    return [name for _, name, _ in PART.findall(page)]
 
 
 def fill_page(path: Path, folder: Path) -> None:

@@ -253,7 +253,7 @@ class ObjectLossConfig:
     """Weights of the loss terms of a network with a second look.
 
     Attributes:
-        location: Weight of the first look's location error.
+        location: Weight of the first look's loss.
         orientation: Weight of the orientation head's loss.
         angle: Weight of the sine of half the rotation error of the decoded attitude. It reduces
             errors smaller than the width of the soft labels, which those hardly distinguish.

@@ -6,6 +6,7 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from ffpose.bench.model.contenders import (
     COMPILED_ALONE,
     CUSTOM,
     DFT,
-    GRAPH_KINDS,
     INT8,
     MATMUL,
     OPENVINO,
@@ -30,6 +30,7 @@ from ffpose.bench.model.contenders import (
     TORCH_BEFORE,
     TORCH_BFLOAT16,
     WITHOUT,
+    GraphKind,
     with_torch_fft,
     write_graphs,
 )
@@ -119,7 +120,9 @@ def test_run_prints_tables_or_a_document_and_draws(tmp_path, monkeypatch, capsys
 def test_every_graph_computes_what_it_says(tmp_path):
     """The graph without filters is the network with filters that let everything pass."""
     measured = subject(GFNET, tmp_path)
-    kinds = [kind for kind in GRAPH_KINDS if kind != "int8" and (HAS_LIBRARY or kind != "custom")]
+    kinds = [
+        kind for kind in get_args(GraphKind) if kind != "int8" and (HAS_LIBRARY or kind != "custom")
+    ]
     graphs = write_graphs(measured.model, measured.images(2), tmp_path, kinds)
     operators = {
         kind: {node.op_type for node in onnx.load(graph.path).graph.node}

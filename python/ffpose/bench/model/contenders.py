@@ -9,7 +9,7 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -168,8 +168,6 @@ GraphKind = Literal["custom", "matmul", "dft", "without", "int8"]
 """``"custom"`` and ``"matmul"`` are `ffpose.onnx.export`'s; ``"dft"`` is what torch's own exporter
 makes of ``torch.fft``; ``"without"`` has its filters left out, and computes something else;
 ``"int8"`` is ``"custom"`` quantized, calibrated with the images that it is recorded with."""
-
-GRAPH_KINDS: tuple[GraphKind, ...] = get_args(GraphKind)
 
 
 @dataclass(frozen=True)
