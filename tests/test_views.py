@@ -6,7 +6,6 @@ import pytest
 from ffpose.geometry import Camera, Pose
 from ffpose.views import (
     LABELS,
-    WINDOW,
     ViewSpec,
     averaged,
     cut,
@@ -18,6 +17,7 @@ from ffpose.views import (
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)
 SPEC = ViewSpec(CAMERA, first_stride=4, object_width=32, object_radius_m=3.0)
 UNTURNED = (1, 0, 0, 0)
+SIDE = 80  # of a window: twice the virtual camera's 32 pixels, and 16
 
 
 @pytest.fixture
@@ -53,8 +53,8 @@ def test_a_window_is_black_outside_the_image(generator, corner):
     left, top = corner
     around = 500
     padded = np.pad(image, ((around, around), (around, around), (0, 0)))
-    expected = padded[around + top :, around + left :][:WINDOW, :WINDOW]
-    np.testing.assert_array_equal(cut(image, left, top), expected)
+    expected = padded[around + top :, around + left :][:48, :48]
+    np.testing.assert_array_equal(cut(image, left, top, 48), expected)
 
 
 @pytest.mark.parametrize(
@@ -98,13 +98,13 @@ def test_a_window_shows_what_its_camera_says(generator, size, t, level):
     arrays = empty_arrays(spec)
     cut_pieces(named_pixels(camera), Pose(t, UNTURNED), spec).store(arrays, 0)
     assert label(arrays, "level") == level
-    window = Camera(WINDOW, WINDOW, *(label(arrays, name) for name in ("fx", "fy", "cx", "cy")))
+    window = Camera(SIDE, SIDE, *(label(arrays, name) for name in ("fx", "fy", "cx", "cy")))
 
     middle = window.project(t)
-    assert np.abs(middle - WINDOW / 2).max() <= 0.5 + 1e-9
+    assert np.abs(middle - SIDE / 2).max() <= 0.5 + 1e-9
     points = t + generator.uniform(-0.3, 0.3, (4000, 3)) * t[2]
     column, row = np.floor(window.project(points)).astype(int).T
-    inside = (column >= 0) & (column < WINDOW) & (row >= 0) & (row < WINDOW)
+    inside = (column >= 0) & (column < SIDE) & (row >= 0) & (row < SIDE)
     source = camera.project(points[inside])
     seen = arrays["windows"][0, row[inside], column[inside]].astype(np.float64)
     side = 2**level
@@ -134,7 +134,7 @@ def test_a_row_holds_frame_labels_and_coordinates(generator):
     ((asked_pose, camera),) = asked
     assert asked_pose is pose
     # The camera of the window, its pixels two by two.
-    assert (camera.width, camera.height) == (WINDOW // 2, WINDOW // 2)
+    assert (camera.width, camera.height) == (SIDE // 2, SIDE // 2)
     np.testing.assert_allclose(
         [camera.fx, camera.fy, camera.cx, camera.cy], arrays["labels"][1, 7:11] / 2
     )

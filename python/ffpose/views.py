@@ -33,9 +33,10 @@ Arrays = Mapping[str, NDArray[Any]]
 Content = Literal["object", "empty", "decoy"]
 """Content of a view: the object, nothing, or another object in its place."""
 
-WINDOW = 144
-"""Side of the window, pixels: the virtual camera's 64 at up to twice the resolution, and a margin
-for rotation and displacement."""
+WINDOW_MARGIN = 16
+"""Pixels by which a window is wider than twice the virtual camera's image.
+
+Its resolution is up to 1.6 times as high: there is room for rotation and displacement too."""
 
 LEVELS = 4
 SHARPNESS = 0.8
@@ -61,6 +62,11 @@ class ViewSpec:
     object_radius_m: float
 
     @property
+    def window(self) -> int:
+        """Side of the window, pixels."""
+        return 2 * self.object_width + WINDOW_MARGIN
+
+    @property
     def frame_size(self) -> tuple[int, int]:
         """Size ``(height, width)`` of a frame."""
         return self.camera.height // self.first_stride, self.camera.width // self.first_stride
@@ -69,8 +75,8 @@ class ViewSpec:
         """Return shape and dtype of each array for ``count`` images."""
         return {
             "frames": ((count, *self.frame_size, 3), np.uint8),
-            "windows": ((count, WINDOW, WINDOW, 3), np.uint8),
-            "coordinates": ((count, WINDOW // 2, WINDOW // 2, 4), np.uint8),
+            "windows": ((count, self.window, self.window, 3), np.uint8),
+            "coordinates": ((count, self.window // 2, self.window // 2, 4), np.uint8),
             "labels": ((count, len(LABELS)), np.float64),
         }
 
@@ -97,8 +103,8 @@ class ViewSpec:
         """Return the camera of the window around an object at ``translation``, on a level."""
         camera = self.level_camera(level)
         u, v = camera.project(translation)
-        left, top = round(u - WINDOW / 2), round(v - WINDOW / 2)
-        return camera.cropped(left, top, WINDOW, WINDOW)
+        left, top = round(u - self.window / 2), round(v - self.window / 2)
+        return camera.cropped(left, top, self.window, self.window)
 
 
 def averaged(image: Bytes, side: int) -> Bytes:
@@ -110,12 +116,12 @@ def averaged(image: Bytes, side: int) -> Bytes:
     return ((sums + area // 2) // area).astype(np.uint8)
 
 
-def cut(image: Bytes, left: int, top: int) -> Bytes:
+def cut(image: Bytes, left: int, top: int, side: int) -> Bytes:
     """Cut the window with corner (left, top) from an image ``(H, W, 3)``, black outside."""
-    window = np.zeros((WINDOW, WINDOW, 3), np.uint8)
+    window = np.zeros((side, side, 3), np.uint8)
     height, width = image.shape[:2]
-    rows = slice(max(0, top), min(height, top + WINDOW))
-    columns = slice(max(0, left), min(width, left + WINDOW))
+    rows = slice(max(0, top), min(height, top + side))
+    columns = slice(max(0, left), min(width, left + side))
     if rows.start < rows.stop and columns.start < columns.stop:
         part = image[rows, columns]
         y, x = rows.start - top, columns.start - left
@@ -126,7 +132,7 @@ def cut(image: Bytes, left: int, top: int) -> Bytes:
 def in_frame(window: Camera, whole: Camera) -> NDArray[np.bool_]:
     """Return which pixels of a window from `ViewSpec.window_camera` lie in the image."""
     left, top = round(whole.cx - window.cx), round(whole.cy - window.cy)
-    columns, rows = np.arange(WINDOW) + left, np.arange(WINDOW) + top
+    columns, rows = np.arange(window.width) + left, np.arange(window.height) + top
     inside_columns = (columns >= 0) & (columns < whole.width)
     inside_rows = (rows >= 0) & (rows < whole.height)
     return np.asarray(inside_rows[:, None] & inside_columns)
@@ -159,8 +165,8 @@ class Pieces(NamedTuple):
 
     Attributes:
         frame: ``(h, w, 3)`` uint8.
-        window: ``(WINDOW, WINDOW, 3)`` uint8.
-        coordinates: ``(WINDOW / 2, WINDOW / 2, 4)`` uint8, zero where unknown.
+        window: ``(S, S, 3)`` uint8, S being `ViewSpec.window`.
+        coordinates: ``(S / 2, S / 2, 4)`` uint8, zero where unknown.
         pose: Pose of the object; without an object, the pose that the window was cut around.
         camera: Camera of the window.
         level: Pyramid level of the window, 0 the finest.
@@ -215,10 +221,10 @@ def cut_pieces(
     camera = spec.window_camera(pose.t, level)
     whole = spec.level_camera(level)
     left, top = round(whole.cx - camera.cx), round(whole.cy - camera.cy)
-    half = WINDOW // 2
+    half = spec.window // 2
     return Pieces(
         averaged(image, spec.first_stride >> halved),
-        cut(averaged(image, 1 << (level - halved)), left, top),
+        cut(averaged(image, 1 << (level - halved)), left, top, spec.window),
         np.zeros((half, half, 4), np.uint8)
         if coordinates is None
         else coordinates(pose, camera.resized(half, half)),

@@ -65,7 +65,7 @@ NETWORKS = {
             "image_size": SMALL["image_size"],
             "camera": SMALL["camera"],
             "first_stride": 2,
-            "object_size": (16, 48),
+            "object_size": (16, 96),
             "directions": 50,
             "hidden_sigma": (3.0, 2.0),
         },

@@ -7,7 +7,7 @@ import torch
 from torch.nn import functional as F
 
 from ffpose.choices import PolarMixer
-from ffpose.nn.polar import PolarBlock, PolarConv, half_turned, through_origin
+from ffpose.nn.polar import PolarBlock, PolarConv, SpectralPool, half_turned, through_origin
 
 
 @pytest.fixture(autouse=True)
@@ -102,3 +102,20 @@ def test_attention_is_torchs_with_the_bias_of_radii_and_turn():
     weights = (q @ k.mT / 2 + bias).softmax(-1)
     expected = x + attention.out((weights @ v).permute(1, 0, 2).reshape(48, 16)).view_as(x)
     torch.testing.assert_close(attention(x), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_pooling_keeps_the_lower_half_of_the_frequencies_by_the_fft():
+    x = torch.randn(2, 3, 24, 5, dtype=torch.float64)
+    spectrum = torch.fft.rfft(x, dim=2)[:, :, :6]
+    expected = torch.fft.irfft(F.pad(spectrum, (0, 0, 0, 1)), 12, dim=2) / 2
+    torch.testing.assert_close(SpectralPool(24).double()(x), expected, atol=1e-6, rtol=1e-6)
+
+
+def test_pooling_commutes_with_a_rotation_by_any_angle():
+    """A shift by one of 24 angles is one by half an angle of 12, which the spectrum can tell."""
+    x = torch.randn(1, 1, 24, 1)
+    pool = SpectralPool(24)
+    spectrum = torch.fft.rfft(pool(x), dim=2)
+    half = torch.exp(-2j * torch.pi * torch.arange(7) * 0.5 / 12)[:, None]
+    expected = torch.fft.irfft(spectrum * half, 12, dim=2)
+    torch.testing.assert_close(pool(x.roll(1, 2)), expected, atol=1e-5, rtol=1e-5)

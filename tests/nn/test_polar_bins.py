@@ -7,7 +7,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ffpose.nn.polar_bins import PolarBinsHead, attitudes, cell_centers, interpolation, sphere
+from ffpose.nn.polar import interpolation
+from ffpose.nn.polar_bins import PolarBinsHead, attitudes, cell_centers, sphere
 
 LATENT, MAP, ANGLES, DIRECTIONS = 8, 6, 12, 40
 

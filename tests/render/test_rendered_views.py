@@ -13,7 +13,7 @@ from ffpose.render.shading.sensor import expose
 from ffpose.render.shading.sky import draw_stars, sun_disk
 from ffpose.render.shading.view import pixel_rays
 from ffpose.render.views import render_view, render_views
-from ffpose.views import WINDOW, ViewSpec, averaged, cut_pieces, in_frame
+from ffpose.views import ViewSpec, averaged, cut_pieces, in_frame
 
 SILENT = Sensor(vignette=0, bloom=0, full_well=1e12, read_noise=0, exposure_spread=0)
 SCENE = replace(SCENES["soyuz_easy"], sensor=SILENT)
@@ -107,7 +107,7 @@ def test_coordinates_are_of_the_surface_that_their_place_shows(index):
     assert len(rows) > 30
     codes = view.coordinates[rows, columns, :3].astype(float)
     points = (2 * codes / 255 - 1) * coordinates_limit(SCENE.build())
-    half = view.camera.resized(WINDOW // 2, WINDOW // 2)
+    half = view.camera.resized(view.window.shape[0] // 2, view.window.shape[1] // 2)
     found = half.project(view.pose.transform(points))
     np.testing.assert_allclose(found, np.stack([columns, rows], axis=1) + 0.5, atol=0.5)
 

@@ -105,7 +105,7 @@ def test_position_terms_by_hand(batch):
 
 
 def test_likelihood_by_hand(batch):
-    """Both errors under their sigmas; the rotation's as SciPy's vector in the virtual frame."""
+    """Both errors as t distributed; the rotation's as SciPy's vector in the virtual frame."""
     answers = Answers(batch)
     truth = Rotation.from_quat(batch.orientation.numpy().astype(np.float64), scalar_first=True)
     vectors = np.random.default_rng(0).normal(size=(COUNT, 3))
@@ -116,7 +116,8 @@ def test_likelihood_by_hand(batch):
         answers.numbers.log_sigma.normal_()
     log_sigma = answers.numbers.log_sigma.detach().numpy().astype(np.float64)
     residual = np.concatenate([np.tile([0.1, 0.2, 0.3], (COUNT, 1)), vectors], axis=1)
-    expected = (0.5 * (residual / np.exp(log_sigma)) ** 2 + log_sigma)[1:].mean()
+    far = ((residual / np.exp(log_sigma)) ** 2).reshape(COUNT, 2, 3).sum(-1)
+    expected = (3.5 * np.log1p(far / 4).sum(-1) + log_sigma.sum(-1))[1:].mean() / 6
     assert loss(answers, batch, sigma=2).total.item() == pytest.approx(2 * expected, rel=1e-4)
 
 

@@ -268,7 +268,8 @@ def test_empty_polar_views_are_sampled_as_those_of_the_object(polar, dotted):
     pictures = batch.crops[scenes:half, :, 0]  # the innermost rings, of half a pixel
     seam = (pictures[..., 0] - pictures[..., -1]).abs().mean()
     assert seam < 2 * (pictures[..., 1:] - pictures[..., :-1]).abs().mean()
-    assert (pictures.std(-1) < 0.3 * batch.crops[scenes:half].std((2, 3))).float().mean() > 0.7
+    outermost = batch.crops[scenes:half, :, -1]
+    assert (pictures.std(-1) < outermost.std(-1)).float().mean() > 0.7
 
 
 def test_noise_of_polar_views_is_the_images(polar, dotted):
@@ -277,7 +278,10 @@ def test_noise_of_polar_views_is_the_images(polar, dotted):
         all_of(batches(polar, [dotted], cells=POLAR_CELLS, noise=noise)).crops
         for noise in (0.0, 0.2)
     ]
-    noise = (views[1] - views[0]) / (views[1] - views[0]).std((1, 2, 3), keepdim=True)
+    noise = views[1] - views[0]
+    noise = noise[noise.std((1, 2, 3)) > 1e-3]
+    assert len(noise) > COUNT / 2
+    noise = noise / noise.std((1, 2, 3), keepdim=True)
     inner, outer = (
         (noise[:, :, row] * noise[:, :, row].roll(1, -1)).mean() / noise[:, :, row].square().mean()
         for row in (0, -1)

@@ -10,7 +10,7 @@ from ffpose.choices import PolarMixer
 from ffpose.config.network import is_whole
 from ffpose.config.second_look import SecondLookConfig
 
-STEM_STRIDE = 4
+STEM_STRIDE = (4, 8)
 """Rays of the second look per cell of its first feature map, along the radius and the angle."""
 
 LAST_STRIDE = 2
@@ -79,10 +79,10 @@ class PolarPoseConfig(SecondLookConfig):
     first_reduction: int = 8
     first_channels: int = 64
     candidates: int = 2
-    object_size: tuple[int, int] = (32, 96)
+    object_size: tuple[int, int] = (32, 192)
     object_width: int = 96
     channels: tuple[int, int, int] = (16, 64, 96)
-    blocks: tuple[int, int] = (2, 3)
+    blocks: tuple[int, int] = (2, 4)
     mixer: PolarMixer = "filter"
     expansion: int = 2
     latent: int = 128
@@ -97,10 +97,11 @@ class PolarPoseConfig(SecondLookConfig):
             if not all(is_whole(value) and value >= least for value in values):
                 raise ValueError(f"{name}: expected whole numbers, at least {least}, got {values}")
         radii, angles = self.object_size
-        if radii % (STEM_STRIDE * LAST_STRIDE) or angles % (2 * STEM_STRIDE):
+        multiples = (STEM_STRIDE[0] * LAST_STRIDE, 2 * STEM_STRIDE[1])
+        if radii % multiples[0] or angles % multiples[1]:
             raise ValueError(
-                f"object_size: expected radii and angles that are multiples of"
-                f" {STEM_STRIDE * LAST_STRIDE} and {2 * STEM_STRIDE}, got {self.object_size}"
+                f"object_size: expected radii and angles that are multiples of {multiples[0]} and"
+                f" {multiples[1]}, got {self.object_size}"
             )
         if self.angles % self.object_grid[1]:
             raise ValueError(
@@ -145,4 +146,4 @@ class PolarPoseConfig(SecondLookConfig):
     def object_grid(self) -> tuple[int, int]:
         """Size ``(radii, angles)`` of the second look's last feature map."""
         radii, angles = self.object_size
-        return radii // (STEM_STRIDE * LAST_STRIDE), angles // STEM_STRIDE
+        return radii // (STEM_STRIDE[0] * LAST_STRIDE), angles // STEM_STRIDE[1]

@@ -37,6 +37,9 @@ SMALL_NUMBERS = 3 + 6 + 1
 """Number of outputs besides the orientation's: offset, log standard deviations, logit."""
 
 
+TAIL = 4.0
+"""Degrees of freedom of the errors' t distribution in training."""
+
 DISK_POINTS = 256
 """Number of points for which the share of the object outside of the frame is counted."""
 
@@ -64,6 +67,10 @@ class LookNumbers(NamedTuple):
     log_sigma: Tensor
     in_view: Tensor
     shear: Tensor | None = None
+
+    def of(self, rows: Tensor) -> LookNumbers:
+        """Return the numbers of some views, ``rows`` being indices or a mask."""
+        return LookNumbers(*(None if part is None else part[rows] for part in self))
 
     def float(self) -> LookNumbers:
         """Return the numbers in float32."""
@@ -267,7 +274,12 @@ def hidden_share(
 
 
 def sigma_loss(numbers: LookNumbers, residual: Tensor) -> Tensor:
-    """Return the Gaussian negative log likelihood ``(B,)`` of residuals, a sixth of it.
+    """Return the negative log likelihood ``(B,)`` of residuals, a sixth of it.
+
+    The offset and the rotation vector have a multivariate t distribution each, of `TAIL`
+    degrees of freedom: errors are now and then far larger than usual, and a Gaussian's scale would
+    follow those (Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution",
+    JASA 1989).
 
     Args:
         numbers: Outputs of the second look.
@@ -279,4 +291,5 @@ def sigma_loss(numbers: LookNumbers, residual: Tensor) -> Tensor:
         halves = torch.unflatten(-numbers.shear / 2, 1, (2, 2)).flatten(0, 1)
         root = covariance_of(torch.zeros_like(scaled).flatten(0, 1), halves)
         scaled = (root @ scaled.flatten(0, 1)[:, :, None]).view_as(scaled)
-    return (0.5 * scaled.flatten(1).square() + numbers.log_sigma).mean(-1)
+    far = (TAIL + 3) / 2 * torch.log1p(scaled.square().sum(-1) / TAIL)
+    return (far.sum(-1) + numbers.log_sigma.sum(-1)) / 6

@@ -25,7 +25,7 @@ from torch.nn import functional as F
 
 from ffpose.config import PolarPoseConfig
 from ffpose.models.object_look import LOG_SIGMA_LIMITS, LookNumbers
-from ffpose.nn.polar import PolarBlock, PolarConv
+from ffpose.nn.polar import PolarBlock, PolarConv, SpectralPool
 
 SHEAR_LIMIT = 1.5
 """Bound on the log ratio of the standard deviations across the ray to their geometric mean."""
@@ -51,7 +51,11 @@ class PolarBackbone(nn.Module):
             each = (PolarBlock(size, config.mixer, config.expansion) for _ in range(count))
             return nn.Sequential(*each)
 
-        self.stem = nn.Sequential(PolarConv(3, stem, (2, 2)), PolarConv(stem, first, (2, 2)))
+        rays = config.object_size[1]
+        self.begin = PolarConv(3, stem, (2, 2))
+        self.pool = SpectralPool(rays // 2)
+        self.widen = PolarConv(stem, first, (2, 1))
+        self.pool_again = SpectralPool(rays // 4)
         self.first = blocks(before, (2 * radii, angles, first))
         self.down = PolarConv(first, last, (2, 1))
         self.last = blocks(after, (radii, angles, last))
@@ -60,8 +64,9 @@ class PolarBackbone(nn.Module):
 
     def forward(self, views: Tensor) -> Tensor:
         """Return the map ``(B, C, radii', angles')`` of polar images ``(B, 3, radii, angles)``."""
-        x = self.stem(views.contiguous(memory_format=torch.channels_last))
-        x = self.first(x.permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
+        x = self.begin(views.contiguous(memory_format=torch.channels_last))
+        x = self.widen(self.pool(x.permute(0, 2, 3, 1)).permute(0, 3, 1, 2))
+        x = self.first(self.pool_again(x.permute(0, 2, 3, 1))).permute(0, 3, 1, 2)
         result: Tensor = self.last(self.down(x).permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
         return result
 

@@ -11,6 +11,8 @@ columns is a cyclic shift along the angle, with which every layer here commutes 
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -41,6 +43,31 @@ class PolarConv(nn.Module):
         x = torch.cat((inner, x, torch.zeros_like(inner)), dim=2)
         x = torch.cat((x[..., -1:], x, x[..., :1]), dim=3)
         return F.relu(self.norm(self.conv(x)), inplace=True)
+
+
+class SpectralPool(nn.Module):
+    """Halves the number of angles of a map by leaving out the upper half of their frequencies.
+
+    No frequency is taken for another, so it commutes with rotations by any angle, not only by whole
+    cells (Rippel et al., "Spectral Representations for Convolutional Neural Networks", NeurIPS
+    2015). It is one product with a matrix, the real transform and its inverse in one.
+
+    Args:
+        angles: Number of angles of the input, a multiple of 4.
+    """
+
+    matrix: Tensor
+
+    def __init__(self, angles: int) -> None:
+        super().__init__()
+        kept = torch.arange(angles // 2, dtype=torch.float64) * (4 * math.pi / angles)
+        given = torch.arange(angles, dtype=torch.float64) * (2 * math.pi / angles)
+        matrix = interpolation(given, kept, (angles // 2 - 1) // 2)
+        self.register_buffer("matrix", matrix.float(), persistent=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return ``(B, radii, angles / 2, channels)`` for ``x (B, radii, angles, channels)``."""
+        return self.matrix.to(x.dtype) @ x
 
 
 class PolarFilter(nn.Module):
@@ -188,3 +215,18 @@ def half_turned(x: Tensor, dim: int) -> Tensor:
 def through_origin(x: Tensor, radii: int) -> Tensor:
     """Continue a map ``(B, R, A, C)`` to some negative radii: ``(B, radii + R, A, C)``."""
     return torch.cat((half_turned(x[:, :radii].flip(1), 2), x), dim=1)
+
+
+def interpolation(at: Tensor, to: Tensor, highest: int | None = None) -> Tensor:
+    """Return the matrix ``(to, at)`` of the Fourier series through values at equal angles ``at``.
+
+    Args:
+        at: Angles of the values, radians.
+        to: Angles at which the series is evaluated, radians.
+        highest: Highest frequency of the series. By default all but the highest of an even number
+            of values, whose phase they do not determine.
+    """
+    count = len(at)
+    highest = (count - 1) // 2 if highest is None else highest
+    orders = torch.arange(-highest, highest + 1)
+    return torch.cos(orders * (to[:, None, None] - at[:, None])).sum(-1) / count

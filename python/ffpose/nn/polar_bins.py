@@ -18,8 +18,10 @@ import math
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from ffpose.nn.orientation import mean_near_mode
+from ffpose.nn.polar import interpolation
 
 WEIGHT_STD = 0.02
 
@@ -69,9 +71,9 @@ class PolarBinsHead(nn.Module):
 
     def loss(self, raw: Tensor, q: Tensor) -> Tensor:
         """Return the cross-entropy with soft labels for each sample ``(B,)``."""
-        target = (self.concentration * (q @ self.bins.T).square()).softmax(-1)
-        logits = self.logits(raw)
-        return logits.logsumexp(-1) - (target * logits).sum(-1)
+        pairs = (q[:, :, None] * q[:, None]).flatten(1)
+        target = (self.concentration * pairs @ self.outer.T).softmax(-1)  # of <q, b>^2
+        return F.cross_entropy(self.logits(raw), target, reduction="none")
 
 
 def cell_centers(count: int) -> Tensor:
@@ -100,14 +102,3 @@ def attitudes(angles: Tensor, directions: Tensor) -> Tensor:
     w, i, j, _ = (least / least.norm(dim=-1, keepdim=True)).unbind(-1)
     c, s = (angles[:, None] / 2).cos(), (angles[:, None] / 2).sin()
     return torch.stack([c * w, c * i - s * j, c * j + s * i, s * w], dim=-1)
-
-
-def interpolation(at: Tensor, to: Tensor) -> Tensor:
-    """Return the matrix ``(to, at)`` of the Fourier series through values at equal angles ``at``.
-
-    The highest frequency of an even number of values, whose phase they do not determine, is left
-    out.
-    """
-    count, highest = len(at), (len(at) - 1) // 2
-    orders = torch.arange(-highest, highest + 1)
-    return torch.cos(orders * (to[:, None, None] - at[:, None])).sum(-1) / count

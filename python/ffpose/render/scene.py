@@ -92,6 +92,11 @@ class Scene:
         lateral_m = self.distance_m[1]  # as far off the axis as the frame goes
         return replace(self, min_visible=least, max_visible=most, lateral_m=lateral_m)
 
+    def scaled(self, near: float, far: float) -> Scene:
+        """The set with its least and greatest distance times ``near`` and ``far``."""
+        least, most = self.distance_m
+        return replace(self, distance_m=(least * near, most * far))
+
     def randomized(self, strength: float) -> Scene:
         """The set with `ffpose.render.shading.randomization.Randomization.of_strength`."""
         return replace(self, randomization=Randomization.of_strength(strength))

@@ -107,6 +107,8 @@ class DataConfig:
         cut: For kind "scenes": number of images of each set whose spacecraft the border cuts.
         randomized: For kind "scenes": number of images of each set with domain randomization of
             light, materials and backgrounds.
+        distance: For kind "scenes": factors on the least and the greatest distance of the sets,
+            which training sees beyond; validation and calibration do not.
         seed: For kind "scenes": seed of the first set, of `ffpose.seeds.TRAINING`; those of the
             others count on from it (`seeds`), so that no two sets show one scene.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
@@ -133,6 +135,7 @@ class DataConfig:
     decoys: int = 1000
     cut: int = 0
     randomized: int = 0
+    distance: tuple[float, float] = (1.0, 1.0)
     seed: int = 0
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
 
@@ -149,6 +152,8 @@ class DataConfig:
         _expect(self.calibration >= 2, "data.calibration", "2 or more", self.calibration)
         for name in ("empty", "decoys", "cut", "randomized"):
             _expect(getattr(self, name) >= 0, f"data.{name}", "0 or more", getattr(self, name))
+        near, far = self.distance
+        _expect(0 < near <= 1 <= far, "data.distance", "0 < near <= 1 <= far", self.distance)
         expected = f"0 to {TRAINING.stop - 1}, as later seeds are not for training"
         _expect(self.seed in TRAINING, "data.seed", expected, self.seed)
 
@@ -300,6 +305,8 @@ class ViewAugmentation:
         brightness: Standard deviation of the base-2 logarithm of the brightness factor.
         noise: Largest standard deviation of Gaussian noise on pixel values in [0, 1].
         blur: Largest weight of a copy at half the resolution that is blended in.
+        jpeg: Fraction of the second look's images that went through a JPEG file, of a quality from
+            30 to 90.
         empty: Fraction of samples without the object.
         frames: Fraction of samples whose frame trains the first look, which learns sooner.
     """
@@ -312,6 +319,7 @@ class ViewAugmentation:
     brightness: float = 0.25
     noise: float = 0.04
     blur: float = 0.5
+    jpeg: float = 0.0
     empty: float = 0.1
     frames: float = 0.25
 

@@ -45,7 +45,7 @@ RANDOMIZED_SEEDS = 400_000
 
 NO_KEYPOINTS = np.zeros((0, 3))
 
-RANDOMIZATION = 0.5
+RANDOMIZATION = 0.7
 """Strength of the randomized images, as `ffpose render --randomize` has it."""
 
 
@@ -157,12 +157,13 @@ def _open_splits(
 
 def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing) -> TrainingData:
     """Render what is not there yet."""
-    scenes = [find_scene(name, config.attitude_range_deg) for name in config.scenes]
+    shown = [find_scene(name, config.attitude_range_deg) for name in config.scenes]
+    scenes = [scene.scaled(*config.distance) for scene in shown]
     camera = preprocessing.camera(scenes[0].camera)
     workers = config.workers
     val_seed = matching(VALIDATION, config.seed)
     val_set = open_frames(
-        config.root, scenes[0], val_seed, config.validation, preprocessing, workers=workers
+        config.root, shown[0], val_seed, config.validation, preprocessing, workers=workers
     )
     seeded = list(zip(scenes, config.seeds, strict=True))
     counted = zip(seeded, config.counts, strict=True)

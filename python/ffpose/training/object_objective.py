@@ -77,14 +77,16 @@ class ObjectObjective(nn.Module):
         numbers: LookNumbers,
     ) -> LossTerms:
         c, present = self.config, batch.present
-        offset = F.smooth_l1_loss(numbers.offset[present], batch.offset[present], beta=SMOOTH)
-        orientation = model.orientation.loss(numbers.orientation, batch.orientation)[present].mean()
-        q_hat = self._decoded(model, numbers)
-        angle = half_angle(q_hat[present], batch.orientation[present]).mean()
+        shown, truth = numbers.of(present), batch.orientation[present]
+        error = shown.offset - batch.offset[present]
+        offset = F.smooth_l1_loss(shown.offset, batch.offset[present], beta=SMOOTH)
+        orientation = model.orientation.loss(shown.orientation, truth).mean()
+        q_hat = self._decoded(model, shown)
+        angle = half_angle(q_hat, truth).mean()
         with torch.no_grad():
-            turned = rotation_vector(rotation_between(q_hat, batch.orientation))
-            residual = torch.cat((numbers.offset - batch.offset, turned), dim=1)
-        sigma = sigma_loss(numbers, residual)[present].mean()
+            turned = rotation_vector(rotation_between(q_hat, truth))
+            residual = torch.cat((error, turned), dim=1)
+        sigma = sigma_loss(shown, residual).mean()
         in_view = F.binary_cross_entropy_with_logits(numbers.in_view, present.float())
         total = (
             c.location * first

@@ -13,6 +13,7 @@ and images that are not scenes at all.
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -20,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -41,6 +43,9 @@ from ffpose.views import Arrays
 
 SUPPLY = 1 << 21
 """Number of stored normal random numbers, from which noise is taken."""
+
+LEAST_BLUR, LEAST_NOISE = 0.02, 0.001
+"""Blur and noise below these are left out: they change nothing, and cost as much as any."""
 
 FRAME_MARGIN = 0.02
 """Least distance of the object's origin from the border after a rotation, relative to the frame."""
@@ -149,12 +154,13 @@ class ViewBatches:
         intrinsics = labels[:, 7:11]
         empty = min(round(a.empty * count), count - 1)
         shown = view.from_row(empty)
-        windows = self._varied(_images(self._gather("windows", index[empty:])), generator)
-        crops = sample(windows, source_pixels(shown, intrinsics[empty:]))
+        windows = [self.sets[n]["windows"][row] for n, row in self.places[index[empty:].numpy()]]
+        crops = self._seen(windows, source_pixels(shown, intrinsics[empty:]), generator)
         if empty:
             crops = torch.cat((self._negatives(empty, view, generator), crops))
+        frames = torch.cat([self._varied(frame, generator) for frame in frames.split(1)])
         return ViewBatch(
-            self._varied(frames, generator).contiguous(memory_format=torch.channels_last),
+            frames.contiguous(memory_format=torch.channels_last),
             t_frame,
             crops.contiguous(memory_format=torch.channels_last),
             matrix_to_quaternion(view.rotation @ rotation),
@@ -197,48 +203,70 @@ class ViewBatches:
         points = (toward(t) @ torch.cat((lateral, distance), dim=1)[:, :, None])[..., 0]
         return in_front(points * torch.exp(a.look_distance * error[:, 2:]))
 
+    def _seen(
+        self, windows: Sequence[NDArray[np.uint8]], pixels: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        """Return the views ``(B, 3, h, w)`` of windows ``(H, W, 3)`` at ``pixels (B, h, w, 2)``.
+
+        Of each window only the part that is seen is varied, which is a third in the mean.
+        """
+        seen = []
+        for window, places in zip(windows, pixels, strict=True):
+            (left, right), (top, bottom) = (
+                _span(axis, window.shape[0]) for axis in places.unbind(-1)
+            )
+            part = np.array(window[top:bottom, left:right])
+            if self.augmentation.jpeg > 0 and _draw(generator) < self.augmentation.jpeg:
+                part = _compressed(part, round(30 + 60 * _draw(generator)))
+            image = self._varied(_images(part[None]), generator)
+            seen.append(sample(image, places[None] - torch.tensor([left, top])))
+        return torch.cat(seen)
+
     def _negatives(self, count: int, view: VirtualCamera, generator: torch.Generator) -> Tensor:
         """Return views without an object: half empty scenes, half images that are not scenes."""
         # Places of the view's pixels relative to half its width.
         plane = view.image_plane().permute(1, 2, 0).float() * (2 / view.width)
         scenes = count - count // 2 if self.empty else 0
         pictures = 255 * clutter(count - scenes, (view.width, view.width), generator)
-        pixels = (plane + 1).expand(len(pictures), -1, -1, -1) * (view.width / 2)
-        crops = [sample(self._varied(pictures, generator), pixels)]
+        pixels = ((plane + 1) * (view.width / 2))[None]
+        crops = [sample(self._varied(picture, generator), pixels) for picture in pictures.split(1)]
         if scenes:
             index = torch.randint(len(self.empty_places), (scenes,), generator=generator)
-            windows = _images(_rows(self.empty, self.empty_places, "windows", index))
+            windows = [self.empty[n]["windows"][row] for n, row in self.empty_places[index.numpy()]]
             # A part of the window of about the size that the virtual camera cuts from it.
             zoom = 0.35 + 0.35 * torch.rand(scenes, generator=generator)
             shift = (1 - zoom)[:, None] * (2 * torch.rand(scenes, 2, generator=generator) - 1)
             part = plane * zoom[:, None, None, None] + shift[:, None, None, :]
-            pixels = (part + 1) * windows.shape[-1] / 2
-            crops.insert(0, sample(self._varied(windows, generator), pixels))
+            crops.insert(0, self._seen(windows, (part + 1) * windows[0].shape[0] / 2, generator))
         return torch.cat(crops)
 
     def _coordinates(self, index: Tensor, view: VirtualCamera, intrinsics: Tensor) -> Tensor:
-        stored = torch.from_numpy(self._gather("coordinates", index)).permute(0, 3, 1, 2).float()
-        coarse = view.resized(self.cells)
-        values = sample(stored / 127.5, source_pixels(coarse, intrinsics / 2), mode="nearest")
-        values[:, :3] -= 1
-        values[:, 3] /= 2
-        return values
+        """Look up coordinates and mask ``(B, 4, rows, columns)`` at the cells' centers."""
+        cells = source_pixels(view.resized(self.cells), intrinsics / 2).floor().numpy()
+        values = np.zeros((*cells.shape[:3], 4), np.float32)
+        for value, places, (n, row) in zip(values, cells, self.places[index.numpy()], strict=True):
+            stored = self.sets[n]["coordinates"][row]
+            inside = ((places >= 0) & (places < len(stored))).all(-1)
+            u, v = places[inside].astype(np.intp).T
+            value[inside] = stored[v, u]
+        found = torch.from_numpy(values).permute(0, 3, 1, 2) / 127.5
+        found[:, :3] -= 1
+        found[:, 3] /= 2
+        return found
 
-    def _varied(self, images: Tensor, generator: torch.Generator) -> Tensor:
-        """Standardize images in [0, 255] whose black is zero; vary brightness, blur and noise."""
-        a, shape = self.augmentation, (len(images), 1, 1, 1)
-        images = images * self.scale
-        if a.blur > 0:
-            share = a.blur * torch.rand(shape, generator=generator).square()
-            coarse = F.interpolate(images, scale_factor=0.5, mode="bilinear")
-            smooth = F.interpolate(coarse, images.shape[-2:], mode="bilinear")
-            images = torch.lerp(images, smooth, share)
-        if a.brightness > 0:
-            images = images * torch.exp2(a.brightness * torch.randn(shape, generator=generator))
-        if a.noise > 0:
-            sigma = a.noise * self.unit * torch.rand(shape, generator=generator).square()
-            images = images + sigma * self._normal(images.shape, generator)
-        return images
+    def _varied(self, image: Tensor, generator: torch.Generator) -> Tensor:
+        """Standardize an image in [0, 255], black being zero; vary brightness, blur and noise."""
+        a = self.augmentation
+        stops = a.brightness * float(torch.randn((), generator=generator))
+        image = image * (self.scale * 2**stops)
+        if a.blur > 0 and (share := a.blur * _draw(generator) ** 2) > LEAST_BLUR:
+            coarse = F.avg_pool2d(image, 2)
+            smooth = F.interpolate(coarse, image.shape[-2:], mode="bilinear")
+            image = torch.lerp(image, smooth, share)
+        if a.noise > 0 and (sigma := a.noise * _draw(generator) ** 2) > LEAST_NOISE:
+            noise = self._normal(image.shape, generator)
+            image = torch.addcmul(image, noise, sigma * self.unit)
+        return image
 
     def _normal(self, shape: torch.Size, generator: torch.Generator) -> Tensor:
         """Return a slice of the stored normal random numbers, which is cheaper than drawing."""
@@ -247,6 +275,27 @@ class ViewBatches:
             return torch.randn(shape, generator=generator)
         start = int(torch.randint(len(self.supply) - count, (), generator=generator))
         return self.supply[start : start + count].view(shape)
+
+
+def _draw(generator: torch.Generator) -> float:
+    return float(torch.rand((), generator=generator))
+
+
+def _span(places: Tensor, side: int) -> tuple[int, int]:
+    """Return the range of an image's rows or columns from which ``places`` are interpolated.
+
+    Its ends are even, so that halving loses nothing; ``side`` is.
+    """
+    least, most = (int(edge.floor()) // 2 * 2 for edge in places.aminmax())
+    first = min(max(least - 2, 0), side - 2)
+    return first, max(min(most + 4, side), first + 2)
+
+
+def _compressed(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    """Return an image ``(H, W, 3)`` as a JPEG file of a quality has it."""
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "JPEG", quality=quality)
+    return np.asarray(Image.open(file))
 
 
 def _rolled_pixels(turn: Tensor, camera: Tensor, size: tuple[int, int]) -> Tensor:
