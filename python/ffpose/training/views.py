@@ -295,7 +295,7 @@ def _compressed(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     """Return an image ``(H, W, 3)`` as a JPEG file of a quality has it."""
     file = io.BytesIO()
     Image.fromarray(image).save(file, "JPEG", quality=quality)
-    return np.asarray(Image.open(file))
+    return np.array(Image.open(file))
 
 
 def _rolled_pixels(turn: Tensor, camera: Tensor, size: tuple[int, int]) -> Tensor:
