@@ -14,9 +14,9 @@ from PIL import Image
 
 from ffpose.config import CONFIGS
 from ffpose.geometry import Camera
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.inference.prediction import Prediction
 from ffpose.onnx.metadata import ModelMetadata
-from ffpose.prediction import Prediction
-from ffpose.preprocessing import Preprocessing
 
 ROOT = Path(__file__).parents[1]
 CRATE = ROOT / "crates" / "ffpose-onboard"

@@ -16,8 +16,8 @@ from PIL import Image
 
 from cambridge_sets import write_landmarks
 from ffpose.geometry import URSO_CAMERA
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import build_network
-from ffpose.preprocessing import Preprocessing
 from speedplus_sets import write_speedplus
 from tiny_runs import SIZE, write_set
 

@@ -13,9 +13,9 @@ from dataclasses import fields
 
 import pytest
 
+from ffpose._internal.info import main as info
 from ffpose.cli import COMMANDS, build_parser, words_of
-from ffpose.info import main as info
-from ffpose.transforms import Augmentation
+from ffpose.imaging.transforms import Augmentation
 from pages import DOCS, ROOT, TEXTS, code_blocks
 from shell_lines import calls
 

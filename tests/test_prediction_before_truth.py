@@ -9,7 +9,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import ffpose
-from ffpose import arrays, attitude, baseline, metrics
+from ffpose import arrays
+from ffpose.evaluation import attitude, baseline, metrics
 
 SOURCES = sorted(Path(ffpose.__file__).parent.rglob("*.py*"))
 TRUE_NAMES = {"t_hat": {"t", "q"}, "q_hat": {"t", "q"}, "predicted": {"truth"}, "found": {"truth"}}

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from ffpose.config import PRESETS
-from ffpose.figures import new_figure, save_figure
+from ffpose._internal.figures import new_figure, save_figure
 from ffpose.models.virtual_camera import look, turn_to
 from ffpose.render import render
 

@@ -19,9 +19,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
+from ffpose._internal.files import expect_folder
+from ffpose._internal.options import advice, check_spelling, restyle
 from ffpose.errors import DataError, MissingExtraError, explain, require
-from ffpose.files import expect_folder
-from ffpose.options import advice, check_spelling, restyle
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
@@ -181,8 +181,8 @@ def train(options: Namespace) -> None:
     resume = fields.pop("resume")
     del fields["config"]  # it has become fields
     config = to_config(fields)
-    from ffpose.figures import save_figure
-    from ffpose.report.plots import training_curves
+    from ffpose._internal.figures import save_figure
+    from ffpose.evaluation.report.plots import training_curves
     from ffpose.training.engine import train as run
 
     try:
@@ -241,9 +241,9 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
 def evaluate(options: Namespace) -> None:
     """Measure a model against labels and against the mean pose."""
     from ffpose.datasets import Decoding
-    from ffpose.evaluation import evaluate as run
-    from ffpose.report.plots import write_evaluation_figures
-    from ffpose.report.results import format_table, write_results
+    from ffpose.evaluation.evaluate import evaluate as run
+    from ffpose.evaluation.report.plots import write_evaluation_figures
+    from ffpose.evaluation.report.results import format_table, write_results
 
     expect_folder(options.out)
     data = options.data
@@ -290,10 +290,15 @@ def predict(options: Namespace) -> None:
     Images are those of the weights' camera, or --camera or --resize says what becomes of them.
     """
     from ffpose.geometry import Camera
-    from ffpose.images import find_images
+    from ffpose.imaging.images import find_images
     from ffpose.inference.load import load
-    from ffpose.prediction import Failure, expect_axes, expect_distinct_overlays, write_overlay
-    from ffpose.prediction import predict as run
+    from ffpose.inference.prediction import (
+        Failure,
+        expect_axes,
+        expect_distinct_overlays,
+        write_overlay,
+    )
+    from ffpose.inference.prediction import predict as run
 
     images = find_images(options.images)
     if options.overlay is not None:
@@ -361,7 +366,7 @@ def export(options: Namespace) -> None:
 
     With --int8, the differences of poses from float32 on the calibration images are printed too.
     """
-    from ffpose.images import image_files
+    from ffpose.imaging.images import image_files
     from ffpose.onnx.pose_graph import export_weights
     from ffpose.onnx.pose_int8 import quantize_graph
 
@@ -397,7 +402,7 @@ def inspect(options: Namespace) -> None:
     first file that cannot be used is named, with the line that lists it.
     """
     from ffpose.datasets import Decoding
-    from ffpose.inspection import inspect_folder
+    from ffpose.datasets.inspection import inspect_folder
 
     expect_folder(options.out)
     data = options.data
@@ -416,7 +421,7 @@ def inspect(options: Namespace) -> None:
 
 def card_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `card`."""
-    from ffpose.seeds import CHOICES
+    from ffpose._internal.seeds import CHOICES
 
     weights = "weights file, a name such as soyuz-easy, or an exported .onnx graph"
     parser.add_argument("weights", type=Path, help=weights)
@@ -449,9 +454,9 @@ def card(options: Namespace) -> None:
     Errors, coverage of the uncertainty, and how well images without the object are flagged. An
     image takes a third of a second of one core to render, half of them far less.
     """
-    from ffpose.card.measurement import kept_card, measure, write_card
-    from ffpose.card.page import fill_page
-    from ffpose.card.tables import format_card
+    from ffpose.evaluation.card.measurement import kept_card, measure, write_card
+    from ffpose.evaluation.card.page import fill_page
+    from ffpose.evaluation.card.tables import format_card
 
     settings = {
         "count": options.count,
@@ -726,7 +731,7 @@ def run_command(words: list[str]) -> int:
         raise SystemExit(2)
     name = overview().parse_args(words[:1]).command
     if name == "info":
-        from ffpose.info import main as info
+        from ffpose._internal.info import main as info
 
         return info(words[1:])
     parser = None

@@ -16,7 +16,7 @@ from ffpose.datasets import PoseDataset, Record, open_dataset
 from ffpose.datasets.cache import MappedFrames, cache_folder, cached_frames
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, DistortedCamera, Pose
-from ffpose.preprocessing import Preprocessing
+from ffpose.imaging.preprocessing import Preprocessing
 from urso_sets import write_set
 
 PREPROCESSING = Preprocessing((24, 32))
@@ -84,7 +84,7 @@ def test_the_file_is_an_array_of_the_frames(records, folder):
 
 
 def test_many_frames_are_written_in_order(records, monkeypatch):
-    monkeypatch.setattr("ffpose.images.WAITING", 2)
+    monkeypatch.setattr("ffpose.imaging.images.WAITING", 2)
     order = [2, 0, 1, 1, 2]
     frames = cached_frames([records[number] for number in order], PREPROCESSING)
     for index, number in enumerate(order):

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.datasets import list_splits, open_dataset
 from ffpose.errors import DataError
-from ffpose.preprocessing import Preprocessing
-from ffpose.transforms import Augmentation
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.transforms import Augmentation
 
 PREPROCESSING = Preprocessing(size=(24, 32))
 HEADER = (

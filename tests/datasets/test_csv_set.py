@@ -8,7 +8,7 @@ from PIL import Image
 
 from ffpose.datasets import Decoding, list_splits, open_dataset, read_records
 from ffpose.errors import DataError
-from ffpose.preprocessing import Preprocessing
+from ffpose.imaging.preprocessing import Preprocessing
 
 PREPROCESSING = Preprocessing(size=(24, 32))
 CAMERA = {"width": 64, "height": 48, "fx": 50.0, "fy": 51.0, "cx": 30.5, "cy": 25.0}

@@ -11,8 +11,8 @@ from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample, open_dataset
 from ffpose.geometry import Camera, Pose
-from ffpose.preprocessing import Preprocessing
-from ffpose.transforms import Augmentation
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.transforms import Augmentation
 from urso_sets import POSES, SPLITS, write_set
 
 SIZE = (24, 32)

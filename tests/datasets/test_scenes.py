@@ -9,9 +9,9 @@ import pytest
 
 from ffpose.datasets.scenes import find_scene, open_frames, open_views
 from ffpose.errors import DataError
-from ffpose.preprocessing import Preprocessing
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.views import LABELS, ViewSpec
 from ffpose.render import label, views
-from ffpose.views import LABELS, ViewSpec
 
 ALL = (180.0, 90.0, 180.0)
 COUNT, SEED = 3, 7

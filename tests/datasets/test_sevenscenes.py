@@ -6,7 +6,7 @@ from PIL import Image
 
 from ffpose.datasets import list_splits, open_dataset
 from ffpose.errors import DataError
-from ffpose.preprocessing import Preprocessing
+from ffpose.imaging.preprocessing import Preprocessing
 
 PREPROCESSING = Preprocessing(size=(24, 32))
 # From the camera to the world: its x, y and z axes are the world's x, -z and y, as for a camera

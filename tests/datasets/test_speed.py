@@ -9,7 +9,7 @@ from PIL import Image
 from ffpose.datasets import list_splits, open_dataset, read_records
 from ffpose.errors import DataError
 from ffpose.geometry import Pose
-from ffpose.preprocessing import Preprocessing
+from ffpose.imaging.preprocessing import Preprocessing
 
 PREPROCESSING = Preprocessing(size=(24, 32))
 HALF = 0.5**0.5

@@ -9,8 +9,8 @@ from PIL import Image
 from ffpose.datasets import Decoding, list_splits, open_dataset
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, DistortedCamera
-from ffpose.preprocessing import Preprocessing
-from ffpose.transforms import Augmentation
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.transforms import Augmentation
 from speedplus_sets import CAMERA, write_speedplus
 
 PREPROCESSING = Preprocessing(size=(24, 32))

@@ -12,7 +12,7 @@ from PIL import Image
 from ffpose.datasets import list_splits, open_dataset
 from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA, Camera, Pose
-from ffpose.preprocessing import Preprocessing
+from ffpose.imaging.preprocessing import Preprocessing
 from urso_sets import PIXELS, POSES, SPLITS, table, write_set
 
 PREPROCESSING = Preprocessing(size=(24, 32))

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import torch
 
+from ffpose._internal.seeds import CHOICES
 from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import FOLDERS
 from ffpose.demo.run import run
 from ffpose.geometry import URSO_CAMERA, Pose
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.views import LABELS
 from ffpose.models import FilterformerPose, zoo
-from ffpose.preprocessing import Preprocessing
 from ffpose.render.renderer import label
-from ffpose.seeds import CHOICES
-from ffpose.views import LABELS
 
 pytestmark = pytest.mark.slow
 

@@ -11,9 +11,10 @@ import torch
 from PIL import Image
 
 from ffpose.cli import main
-from ffpose.evaluation import evaluate
+from ffpose.evaluation.evaluate import evaluate
 from ffpose.geometry import Camera
-from ffpose.images import read_rgb
+from ffpose.imaging.images import read_rgb
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.in_torch import TorchSession
 from ffpose.inference.load import load
@@ -21,7 +22,6 @@ from ffpose.models import FilterformerPose, build_network, read_metadata
 from ffpose.models.zoo import names
 from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.metadata import read_model_metadata
-from ffpose.preprocessing import Preprocessing
 from tiny_runs import write_set
 
 pytest.importorskip("onnxscript")

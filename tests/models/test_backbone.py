@@ -8,8 +8,8 @@ import timm
 import torch
 
 from ffpose import DataError
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import backbone_preprocessing, build_backbone
-from ffpose.preprocessing import Preprocessing
 
 NAME = "test_efficientnet"
 

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from ffpose.config import PRESETS, UrsoNetConfig, config_type
-from ffpose.losses import PoseLoss
 from ffpose.models import (
     FilterformerPose,
     PoseNet,
@@ -18,6 +17,7 @@ from ffpose.models import (
     read_metadata,
 )
 from ffpose.models.registry import NETWORKS as CLASSES
+from ffpose.training.losses import PoseLoss
 from ffpose.training.stages import Stage, enter_stage
 from networks import MODEL_FIELDS, NETWORKS, SIZE
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffpose.baseline import mean_pose
-from ffpose.card.seen import trainings
+from ffpose._internal.seeds import CALIBRATION, CHOICES, TRAINING
 from ffpose.cli import build_parser
+from ffpose.evaluation.baseline import mean_pose
+from ffpose.evaluation.card.seen import trainings
 from ffpose.models import read_metadata, zoo
 from ffpose.render import label
-from ffpose.seeds import CALIBRATION, CHOICES, TRAINING
 from ffpose.training.calibration_images import CUT_SEEDS, EMPTY_SEEDS
 from ffpose.training.config_file import load_config
 from ffpose.training.data import find_scene

@@ -13,6 +13,7 @@ from safetensors import safe_open
 import ffpose
 from ffpose import DataError
 from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import (
     FilterformerPose,
     PoseNetConfig,
@@ -22,7 +23,6 @@ from ffpose.models import (
     zoo,
 )
 from ffpose.models.weights import checksum_path, load_weights
-from ffpose.preprocessing import Preprocessing
 
 FIELDS = {
     "backbone": "test_efficientnet",

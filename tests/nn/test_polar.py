@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from ffpose.choices import PolarMixer
+from ffpose._internal.choices import PolarMixer
 from ffpose.nn.polar import PolarBlock, PolarConv, SpectralPool, half_turned, through_origin
 
 

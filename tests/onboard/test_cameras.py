@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from ffpose.geometry import Camera, DistortedCamera
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
 from ffpose.onnx.metadata import sealed
-from ffpose.preprocessing import Preprocessing
 from onboard_program import CAMERA, PILLOW, SIZE, assert_same, expected, picture, png, projections
 
 LENS = (-0.3, 0.1, 0.01, -0.005, 0.02)

@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 
 from ffpose.errors import DataError
-from ffpose.images import image_files
+from ffpose.imaging.images import image_files
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
 from ffpose.onnx.metadata import sealed
-from ffpose.preprocessing import Preprocessing
 from onboard_program import (
     PILLOW,
     SIZE,

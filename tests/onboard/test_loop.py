@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
 from ffpose.onnx.metadata import sealed
-from ffpose.preprocessing import Preprocessing
 from onboard_program import (
     SIZE,
     ask,

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
 from ffpose.onnx.library import get_library_path
-from ffpose.preprocessing import Preprocessing
 from networks import MODEL_FIELDS
 from onboard_program import CRATE, assert_same, expected, picture, png
 

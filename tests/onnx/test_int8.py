@@ -10,10 +10,10 @@ from PIL import Image
 from ffpose.cli import main
 from ffpose.config import CONFIGS
 from ffpose.errors import DataError
-from ffpose.images import image_files
+from ffpose.imaging.images import image_files
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
 from ffpose.onnx.metadata import ModelMetadata, read_model_metadata, sealed
-from ffpose.preprocessing import Preprocessing
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from ffpose.config import CONFIGS
 from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.onnx.metadata import ModelMetadata, read_entries, read_model_metadata, sealed
-from ffpose.preprocessing import Preprocessing
 
 onnx = pytest.importorskip("onnx")
 

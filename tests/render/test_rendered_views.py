@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ffpose.geometry import URSO_CAMERA
+from ffpose.imaging.views import ViewSpec, averaged, cut_pieces, in_frame
 from ffpose.render import SCENES, Sensor, render_layers, renderer
 from ffpose.render.layers import coordinates_limit
 from ffpose.render.renderer import shoot
@@ -13,7 +14,6 @@ from ffpose.render.shading.sensor import expose
 from ffpose.render.shading.sky import draw_stars, sun_disk
 from ffpose.render.shading.view import pixel_rays
 from ffpose.render.views import render_view, render_views
-from ffpose.views import ViewSpec, averaged, cut_pieces, in_frame
 
 SILENT = Sensor(vignette=0, bloom=0, full_well=1e12, read_noise=0, exposure_spread=0)
 SCENE = replace(SCENES["soyuz_easy"], sensor=SILENT)

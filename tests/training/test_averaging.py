@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import load_file
 from torch import nn
 
-from ffpose.evaluation import evaluate
+from ffpose.evaluation.evaluate import evaluate
 from ffpose.training.averaging import WARM_UP, AveragedModel
 from ffpose.training.engine import train
 from tiny_runs import train_config, write_set

@@ -8,9 +8,9 @@ import torch
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from ffpose.calibration import coverage, region_probability, squared_mahalanobis
 from ffpose.config import FilterformerPoseConfig
 from ffpose.datasets import Sample
+from ffpose.evaluation.calibration import coverage, region_probability, squared_mahalanobis
 from ffpose.training.calibrate import (
     CHI_SQUARE_90,
     GROWTH_LIMIT,

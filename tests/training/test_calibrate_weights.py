@@ -8,9 +8,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from ffpose._internal.seeds import CALIBRATION, CHOICES
 from ffpose.cli import build_parser, main, words_of
 from ffpose.models import FilterformerPose, PolarPose, read_metadata
-from ffpose.seeds import CALIBRATION, CHOICES
 from ffpose.training.calibrate_weights import calibrate_weights
 from ffpose.training.calibration_images import command_of
 from ffpose.training.config import CalibrationImages

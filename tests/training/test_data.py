@@ -11,9 +11,9 @@ from safetensors.torch import load_file
 
 from ffpose import DataError
 from ffpose.datasets import cut_views
-from ffpose.evaluation import evaluate
+from ffpose.evaluation.evaluate import evaluate
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import CONFIGS, read_metadata
-from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import DataConfig, ObjectLossConfig, TrainConfig, ViewAugmentation
 from ffpose.training.data import open_training_data
 from ffpose.training.engine import train

@@ -11,11 +11,11 @@ from PIL import Image
 from safetensors.torch import load_file
 
 from ffpose.errors import DataError
-from ffpose.losses import PoseLoss
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training import DataConfig, OptimizerConfig, Stage
 from ffpose.training.checkpoint import RunFolder, read_results
 from ffpose.training.engine import NonFiniteLossError, cpu_seconds, train, train_epoch
+from ffpose.training.losses import PoseLoss
 from ffpose.training.progress import Reporter
 from ffpose.training.run import build_optimizer, build_run, translation_statistics
 from ffpose.training.stages import Epoch

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ffpose.evaluation import evaluate
+from ffpose._internal.seeds import CHOICES
+from ffpose.evaluation.evaluate import evaluate
 from ffpose.render import get_scene
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.render.scene import SCENES
-from ffpose.seeds import CHOICES
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
 from ffpose.training.engine import train
 

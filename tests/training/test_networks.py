@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from ffpose.evaluation import evaluate
+from ffpose.evaluation.evaluate import evaluate
 from ffpose.inference.load import load
 from ffpose.models import read_metadata
 from ffpose.training import OptimizerConfig, Stage

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from ffpose.cli import main
-from ffpose.evaluation import evaluate
+from ffpose.evaluation.evaluate import evaluate
 from ffpose.render import get_scene
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig

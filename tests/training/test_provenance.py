@@ -11,9 +11,9 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from ffpose.baseline import mean_pose
 from ffpose.datasets import open_dataset
-from ffpose.evaluation import evaluate
+from ffpose.evaluation.baseline import mean_pose
+from ffpose.evaluation.evaluate import evaluate
 from ffpose.models import read_metadata
 from ffpose.training.engine import train
 from ffpose.training.provenance import describe_data, recipe

@@ -9,6 +9,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from ffpose._internal.seeds import CALIBRATION, CHOICES, TRAINING, VALIDATION
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import (
     CONFIGS,
     FilterformerPose,
@@ -16,11 +18,9 @@ from ffpose.models import (
     load_network,
     read_metadata,
 )
-from ffpose.preprocessing import Preprocessing
 from ffpose.render import label, views
 from ffpose.render.dataset import writer
 from ffpose.render.renderer import situation
-from ffpose.seeds import CALIBRATION, CHOICES, TRAINING, VALIDATION
 from ffpose.training import DataConfig, data
 from ffpose.training.engine import train
 from ffpose.training.run import build_run

@@ -4,7 +4,7 @@ import pytest
 from torch import nn
 
 from ffpose.config import CONFIGS, PRESETS
-from ffpose.losses import PoseLoss
+from ffpose.training.losses import PoseLoss
 from ffpose.training.stages import (
     PAPER_STAGES,
     Stage,

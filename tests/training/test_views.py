@@ -6,12 +6,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera, Pose
+from ffpose.imaging.views import ViewSpec, cut_pieces
 from ffpose.models import FilterformerPose, build_network
 from ffpose.models.virtual_camera import turn_to
 from ffpose.training.clutter import clutter
 from ffpose.training.config import ViewAugmentation
 from ffpose.training.views import ViewBatches
-from ffpose.views import ViewSpec, cut_pieces
 
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)  # neither square pixels nor centered
 RADIUS, SIDE, CELLS, STRIDE, STD = 3.0, 64, 16, 4, 0.5

@@ -1,4 +1,4 @@
-//! Gray images of more than 8 bits, whose white level the model's weights state, as `ffpose.images` in Python reads them.
+//! Gray images of more than 8 bits, whose white level the model's weights state, as `ffpose.imaging.images` in Python reads them.
 
 #![allow(
     clippy::cast_possible_truncation, // of numbers from 0 to 255, and of places among the pixels

@@ -1,4 +1,4 @@
-//! From an image to the network's input, as `ffpose.preprocessing` in Python does it, to the bit.
+//! From an image to the network's input, as `ffpose.imaging.preprocessing` in Python does it, to the bit.
 
 use serde_json::Value;
 

@@ -1,4 +1,4 @@
-//! Images of one camera as another one at the same place sees them, as `ffpose.reprojection` in Python computes them, to the bit.
+//! Images of one camera as another one at the same place sees them, as `ffpose.imaging.reprojection` in Python computes them, to the bit.
 //!
 //! Without rotation that is a scale and a shift of each axis: a resize of a piece.
 

@@ -1,4 +1,4 @@
-//! Images without the distortion of the lens, as `ffpose.undistortion` in Python computes them, to the bit.
+//! Images without the distortion of the lens, as `ffpose.imaging.undistortion` in Python computes them, to the bit.
 
 #![allow(
     clippy::cast_possible_truncation, // toward zero, of places within an image

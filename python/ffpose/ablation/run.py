@@ -21,17 +21,17 @@ from typing import Any
 import torch
 
 import ffpose
+from ffpose._internal.files import atomic_write, remove_leftovers
+from ffpose._internal.seeds import CHOICES
 from ffpose.ablation.claims import claimed, claimed_in_turn
 from ffpose.ablation.study import Study, Variant, changed
 from ffpose.ablation.table import RESULTS, read_run, write_tables
 from ffpose.config import NetworkConfig
 from ffpose.datasets import Decoding, Part
 from ffpose.datasets.scenes import find_scene, render_images
-from ffpose.evaluation import evaluate
-from ffpose.files import atomic_write, remove_leftovers
+from ffpose.evaluation.evaluate import evaluate
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import PoseNetwork, find_config, load_network
-from ffpose.preprocessing import Preprocessing
-from ffpose.seeds import CHOICES
 from ffpose.training import Stage, TrainConfig
 from ffpose.training.checkpoint import FREE_FIELDS
 from ffpose.training.config_file import flatten

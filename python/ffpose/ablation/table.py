@@ -14,10 +14,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ffpose._internal.files import atomic_write
 from ffpose.ablation.claims import guarded
 from ffpose.ablation.study import Study, Variant
 from ffpose.errors import DataError
-from ffpose.files import atomic_write
 from ffpose.training.checkpoint import Row, read_results
 
 RESULTS = "results.json"
@@ -29,7 +29,7 @@ Result = dict[str, Any]
 
 
 class Error(NamedTuple):
-    """An error of the tables: its name in `ffpose.metrics.PoseError`, heading, unit and scale."""
+    """An error of the tables: its name in `PoseError`, heading, unit and scale."""
 
     key: str
     heading: str

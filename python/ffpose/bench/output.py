@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ffpose.figures import save_figure
+from ffpose._internal.figures import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

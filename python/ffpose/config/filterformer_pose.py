@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
-from ffpose.choices import FilterKind, NormPlace, PositionKind
+from ffpose._internal.choices import FilterKind, NormPlace, PositionKind
 from ffpose.config.network import is_whole
 from ffpose.config.second_look import SecondLookConfig
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, get_args
 
-from ffpose.choices import PolarMixer
+from ffpose._internal.choices import PolarMixer
 from ffpose.config.network import is_whole
 from ffpose.config.second_look import SecondLookConfig
 

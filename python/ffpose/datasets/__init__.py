@@ -9,8 +9,8 @@ from ffpose.datasets.base import Part, PoseDataset, Reader, Sample
 from ffpose.datasets.conditions import Conditions, read_conditions
 from ffpose.datasets.records import AS_ON_DISK, Decoding, Record
 from ffpose.datasets.targets import Target
-from ffpose.preprocessing import Preprocessing
-from ffpose.transforms import Augmentation
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.transforms import Augmentation
 
 __all__ = [
     "AS_ON_DISK",

@@ -17,8 +17,14 @@ from ffpose.datasets.cache import cached_frames
 from ffpose.datasets.records import Record
 from ffpose.datasets.targets import Target, to_pose, to_vector
 from ffpose.geometry import Camera, DistortedCamera, Pose
-from ffpose.preprocessing import Preprocessing, planes
-from ffpose.transforms import Augmentation, crop_turn, random_window, standardize, turn_camera
+from ffpose.imaging.preprocessing import Preprocessing, planes
+from ffpose.imaging.transforms import (
+    Augmentation,
+    crop_turn,
+    random_window,
+    standardize,
+    turn_camera,
+)
 
 Part = str
 """Part of a set: the name of a split, or ``"all"`` for all of its splits joined."""

@@ -22,10 +22,10 @@ import numpy as np
 import PIL
 from numpy.typing import NDArray
 
+from ffpose._internal.files import atomic_write, expect_room, remove_leftovers
 from ffpose.datasets.records import Record
-from ffpose.files import atomic_write, expect_room, remove_leftovers
-from ffpose.images import decode_all
-from ffpose.preprocessing import Preprocessing
+from ffpose.imaging.images import decode_all
+from ffpose.imaging.preprocessing import Preprocessing
 
 FOLDER_VARIABLE = "FFPOSE_CACHE"
 

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose._internal.files import shortened
+from ffpose._internal.urso import CONDITIONS
 from ffpose.datasets.parsing import Entry, read_table
 from ffpose.errors import DataError
-from ffpose.files import shortened
-from ffpose.urso import CONDITIONS
 
 LIMITS = {
     "eclipsed": 1.0,

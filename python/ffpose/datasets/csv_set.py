@@ -18,12 +18,12 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+from ffpose._internal.urso import CONDITIONS
 from ffpose.datasets.parsing import Entry, Names, expect_set, find_image, read_table
 from ffpose.datasets.records import Record
 from ffpose.datasets.targets import Target
 from ffpose.errors import DataError
 from ffpose.geometry import CAMERA_FILE, Camera
-from ffpose.urso import CONDITIONS
 
 TARGET: Target = "object"
 

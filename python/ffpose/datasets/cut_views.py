@@ -19,8 +19,8 @@ from ffpose.datasets.records import Record
 from ffpose.datasets.view_cache import cached_views, digest
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
-from ffpose.images import decode_all, open_image
-from ffpose.views import Arrays, Bytes, Pieces, ViewSpec, cut_pieces, nearest_pixels
+from ffpose.imaging.images import decode_all, open_image
+from ffpose.imaging.views import Arrays, Bytes, Pieces, ViewSpec, cut_pieces, nearest_pixels
 
 
 def cut_views(

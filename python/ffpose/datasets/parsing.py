@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
+from ffpose._internal.files import expect_folder, json_errors, read_json, read_text, shortened
 from ffpose.errors import DataError
-from ffpose.files import expect_folder, json_errors, read_json, read_text, shortened
 from ffpose.geometry import Pose
 
 

@@ -11,8 +11,8 @@ from PIL import Image
 
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, DistortedCamera, Pose
-from ffpose.images import DEEP_MODES, MODES, check_white, open_image, to_rgb
-from ffpose.undistortion import undistort
+from ffpose.imaging.images import DEEP_MODES, MODES, check_white, open_image, to_rgb
+from ffpose.imaging.undistortion import undistort
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose._internal.files import atomic_write
 from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.datasets.view_cache import cached_views, digest
 from ffpose.errors import require
-from ffpose.files import atomic_write
-from ffpose.preprocessing import Preprocessing
-from ffpose.views import Content, ViewSpec
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.views import Content, ViewSpec
 
 if TYPE_CHECKING:
     from ffpose.render import Scene

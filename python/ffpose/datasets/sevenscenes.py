@@ -18,12 +18,12 @@ import numpy as np
 import roma
 import torch
 
+from ffpose._internal.files import read_text
 from ffpose.datasets.cameras import read_camera
 from ffpose.datasets.parsing import existing_splits, split_file
 from ffpose.datasets.records import Record
 from ffpose.datasets.targets import Target, camera_pose
 from ffpose.errors import DataError
-from ffpose.files import read_text
 from ffpose.geometry import Camera, FloatArray, Pose
 
 TARGET: Target = "camera"

@@ -15,11 +15,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from ffpose._internal.files import shortened
 from ffpose.datasets.parsing import Entry, existing_splits, read_object, split_file
 from ffpose.datasets.records import Record
 from ffpose.datasets.speed import read_images
 from ffpose.datasets.targets import Target
-from ffpose.files import shortened
 from ffpose.geometry import DistortedCamera
 
 TARGET: Target = "object"

@@ -1,7 +1,7 @@
 """Reader of URSO: spacecraft over Earth, rendered by Unreal Engine 4 (Proença and Gao, ICRA 2020).
 
-`ffpose.urso` describes the format. Images lie in the set's folder or in its ``images`` folder, and
-the columns of the tables stand in any order.
+`ffpose._internal.urso` describes the format. Images lie in the set's folder or in its ``images``
+folder, and the columns of the tables stand in any order.
 
 The camera is URSO's, unless a ``camera.json`` beside the labels holds another (``width``,
 ``height``, ``fx``, ``fy``, ``cx``, ``cy``), as the sets of ``ffpose render`` have it. Without that
@@ -16,14 +16,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ffpose._internal.files import expect_folder, read_text
+from ffpose._internal.urso import (
+    COLUMNS,
+    SPLITS,
+    TABLE,
+    from_label,
+    images_file,
+    index_of,
+    poses_file,
+)
 from ffpose.datasets.cameras import read_camera
 from ffpose.datasets.parsing import read_rows
 from ffpose.datasets.records import Record
 from ffpose.datasets.targets import Target
 from ffpose.errors import DataError
-from ffpose.files import expect_folder, read_text
 from ffpose.geometry import URSO_CAMERA, Pose
-from ffpose.urso import COLUMNS, SPLITS, TABLE, from_label, images_file, index_of, poses_file
 
 TARGET: Target = "object"
 

@@ -1,7 +1,7 @@
 """A cache of the views of a network with a second look, in folders of memory-mapped arrays.
 
-The views of a set (`ffpose.views`) lie in one folder, whose name is a digest of all that they
-depend on; any number of runs and processes map one copy.
+The views of a set (`ffpose.imaging.views`) lie in one folder, whose name is a digest of all that
+they depend on; any number of runs and processes map one copy.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose import __version__
+from ffpose._internal.files import expect_room, remove_leftovers
 from ffpose.errors import DataError
-from ffpose.files import expect_room, remove_leftovers
-from ffpose.views import Pieces, ViewSpec, make_arrays, open_arrays
+from ffpose.imaging.views import Pieces, ViewSpec, make_arrays, open_arrays
 
 BUILD_LIMIT_S = 86_400.0
 """Age in seconds beyond which unfinished views are taken to be left by a killed process."""

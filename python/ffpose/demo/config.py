@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ffpose._internal.seeds import CHOICES
 from ffpose.datasets.scenes import find_scene
 from ffpose.render import Scene
-from ffpose.seeds import CHOICES
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
 from ffpose.training.config import ViewAugmentation
 

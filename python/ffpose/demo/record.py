@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from ffpose._internal.files import atomic_write
 from ffpose.errors import DataError
-from ffpose.files import atomic_write
 
 FILE_NAME = "demo.json"
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import ffpose
+from ffpose._internal.machine import package_versions
 from ffpose.arrays import instruction_set
 from ffpose.demo.config import DemoConfig
-from ffpose.evaluation import Evaluation
-from ffpose.machine import package_versions
-from ffpose.report.page import Report
+from ffpose.evaluation.evaluate import Evaluation
+from ffpose.evaluation.report.page import Report
 from ffpose.training.checkpoint import Row
 
 SHIPPED = "soyuz-easy"

@@ -1,6 +1,6 @@
 """The demo: render unseen images, predict their poses, evaluate them, and write a report.
 
-The images have held-out seeds (`ffpose.seeds.CHOICES`), all attitudes, and the set's
+The images have held-out seeds (`ffpose._internal.seeds.CHOICES`), all attitudes, and the set's
 own distances. The poses come from the weights that ship with ffpose or, with `DemoConfig.train`,
 from a network trained from scratch in minutes on two cores, which shows what so short a training
 achieves and checks that every part of the network learns.
@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Any
 
 import ffpose
+from ffpose._internal.figures import save_figure
+from ffpose._internal.files import atomic_write
 from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import DemoRecord
 from ffpose.demo.report import SHIPPED, Outcome, Weights, document, page
-from ffpose.evaluation import evaluate
-from ffpose.figures import save_figure
-from ffpose.files import atomic_write
+from ffpose.evaluation.evaluate import evaluate
+from ffpose.evaluation.report.page import write_report
+from ffpose.evaluation.report.plots import training_curves, write_evaluation_figures
+from ffpose.evaluation.report.results import write_results
 from ffpose.models.zoo import resolve
 from ffpose.render.dataset.writer import write_dataset
-from ffpose.report.page import write_report
-from ffpose.report.plots import training_curves, write_evaluation_figures
-from ffpose.report.results import write_results
 from ffpose.training import TrainConfig
 from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import train

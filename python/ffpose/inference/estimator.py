@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ffpose.geometry import Camera, Pose, poses
-from ffpose.images import read_rgb
-from ffpose.reprojection import expect_aspect, for_images
+from ffpose.imaging.images import read_rgb
+from ffpose.imaging.reprojection import expect_aspect, for_images
 
 if TYPE_CHECKING:
     from ffpose.inference.network import Description

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 from ffpose.geometry import Camera
-from ffpose.preprocessing import Preprocessing
-from ffpose.reprojection import Reprojection, agree
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.reprojection import Reprojection, agree
 
 if TYPE_CHECKING:
     from ffpose.models import WeightsMetadata

@@ -15,9 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from ffpose.errors import require
+from ffpose.imaging.preprocessing import Mode, Preprocessing
 from ffpose.models.compact_resnet import EXTRA_BLOCKS, REDUCTIONS, WIDTHS, CompactResNet
 from ffpose.models.pretrained import BackboneSource, load_backbone_weights
-from ffpose.preprocessing import Mode, Preprocessing
 
 COMPACT_STD = (0.25, 0.25, 0.25)
 """Standard deviation of the input of `ffpose.models.compact_resnet`, whose mean is zero."""
@@ -106,7 +106,7 @@ def backbone_preprocessing(
     Args:
         name: timm's name of the model.
         size: ``(height, width)`` of the network's input.
-        mode: Mode of `ffpose.transforms.Preprocessing`.
+        mode: Mode of `ffpose.imaging.transforms.Preprocessing`.
     """
     if name in WIDTHS:  # black is zero, as is everything outside an image
         return Preprocessing(size, mode, (0.0, 0.0, 0.0), COMPACT_STD)

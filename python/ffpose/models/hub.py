@@ -14,8 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
+from ffpose._internal.files import sha256
 from ffpose.errors import DataError, explain, require
-from ffpose.files import sha256
 
 logger = logging.getLogger(__name__)
 

@@ -17,15 +17,15 @@ from typing import Any, ClassVar, NamedTuple, Self
 import torch
 from torch import Tensor, nn
 
+from ffpose._internal.torch_internals import register_named_tuple
 from ffpose.config import PRESETS, NetworkConfig
 from ffpose.errors import DataError
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.backbone import Backbone, backbone_preprocessing
 from ffpose.models.pretrained import BackboneSource
 from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
 from ffpose.models.zoo import resolve
 from ffpose.nn.orientation import OrientationHead
-from ffpose.preprocessing import Preprocessing
-from ffpose.torch_internals import register_named_tuple
 
 
 class PosePrediction(NamedTuple):

@@ -70,7 +70,9 @@ class LookNumbers(NamedTuple):
 
     def of(self, rows: Tensor) -> LookNumbers:
         """Return the numbers of some views, ``rows`` being indices or a mask."""
-        return LookNumbers(*(None if part is None else part[rows] for part in self))
+        shear = None if self.shear is None else self.shear[rows]
+        orientation, offset, log_sigma, in_view = (part[rows] for part in self[:4])
+        return LookNumbers(orientation, offset, log_sigma, in_view, shear)
 
     def float(self) -> LookNumbers:
         """Return the numbers in float32."""

@@ -4,9 +4,9 @@ Kendall et al., "PoseNet: A Convolutional Network for Real-Time 6-DOF Camera Rel
 2015: translation and quaternion are regressed from the pooled features of a classifier, with the
 loss ``||t - t_hat|| + beta ||q - q_hat / ||q_hat|| ||``. Kendall and Cipolla, "Geometric Loss
 Functions for Camera Pose Regression with Deep Learning", CVPR 2017, learn both weights instead
-(`ffpose.losses`), which is the default here. As later comparisons do, it takes any backbone in
-place of GoogLeNet, and has no layer of 2,048 features between backbone and outputs: a ResNet's
-pooled features are as many.
+(`ffpose.training.losses`), which is the default here. As later comparisons do, it takes any
+backbone in place of GoogLeNet, and has no layer of 2,048 features between backbone and outputs: a
+ResNet's pooled features are as many.
 
 The last bias of the orientation is initialized to the identity quaternion, so that the norm to
 divide by is not close to zero at first.

@@ -13,8 +13,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
+from ffpose._internal.files import sha256
 from ffpose.errors import DataError, require
-from ffpose.files import sha256
 from ffpose.models.hub import find_pretrained
 
 BackboneSource = Mapping[str, str] | Literal["none"]

@@ -23,14 +23,14 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from ffpose import __version__
+from ffpose._internal.files import atomic_write, sha256
 from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type
 from ffpose.errors import DataError
-from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Camera, Target
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.compact_resnet import EXTRA_PART
 from ffpose.models.pretrained import BackboneSource
 from ffpose.models.zoo import resolve
-from ffpose.preprocessing import Preprocessing
 
 logger = logging.getLogger(__name__)
 
@@ -97,7 +97,7 @@ class WeightsMetadata:
 
     @property
     def mean_pose(self) -> NDArray[np.float64] | None:
-        """Mean pose of the training labels ``(7,)`` (`ffpose.baseline`); None if not stored."""
+        """Mean pose of the training labels ``(7,)``; None if not stored."""
         stored = (self.data or {}).get("mean_pose")
         return None if stored is None else np.asarray(stored, np.float64)
 

@@ -1,6 +1,6 @@
 """Layers: the spectral filter as a module, and the parts of the filterformer built on it."""
 
-from ffpose.choices import FilterKind, NormPlace, PositionKind
+from ffpose._internal.choices import FilterKind, NormPlace, PositionKind
 from ffpose.nn.filterformer import (
     FILTERS,
     Filterformer,

@@ -16,7 +16,7 @@ from typing import get_args
 import torch
 from torch import Tensor, nn
 
-from ffpose.choices import FilterKind, NormPlace
+from ffpose._internal.choices import FilterKind, NormPlace
 from ffpose.nn.attention import SelfAttention
 from ffpose.nn.spectral import INIT_STD, SpectralFilter
 

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ffpose.choices import PolarMixer
+from ffpose._internal.choices import PolarMixer
 from ffpose.nn.spectral import SpectralFilter
 
 KERNEL = 3

@@ -11,7 +11,7 @@ from typing import get_args
 import torch
 from torch import Tensor, nn
 
-from ffpose.choices import PositionKind
+from ffpose._internal.choices import PositionKind
 
 LEARNED_STD = 0.02
 LONGEST_WAVE = 10_000.0  # Vaswani et al., 2017, section 3.5

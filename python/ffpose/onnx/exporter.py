@@ -21,8 +21,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from ffpose._internal.files import atomic_write
 from ffpose.errors import require
-from ffpose.files import atomic_write
 from ffpose.onnx.attention import replace_attention
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.matmul import filters_of, replace_filters

@@ -26,7 +26,7 @@ from ffpose import __version__
 from ffpose.config import NetworkConfig, config_type
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
-from ffpose.preprocessing import Preprocessing
+from ffpose.imaging.preprocessing import Preprocessing
 
 FORMAT = 1
 """Version of the entries; one more whenever older code could not read them rightly."""

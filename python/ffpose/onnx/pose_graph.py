@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from ffpose._internal.files import sha256
 from ffpose.config import NetworkConfig, looks_twice
-from ffpose.files import sha256
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import PosePrediction, load_network, read_metadata
 from ffpose.models.network import UncertainPose
 from ffpose.models.zoo import resolve
@@ -24,7 +25,6 @@ from ffpose.onnx.exporter import (
     write_graph,
 )
 from ffpose.onnx.metadata import Filter, ModelMetadata
-from ffpose.preprocessing import Preprocessing
 
 BATCHES = (2, 1, 3)
 """Sizes of the batches that graph and network are compared on; the first is exported with."""

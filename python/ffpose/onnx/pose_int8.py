@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose._internal.files import atomic_write, sha256
 from ffpose.arrays import rotation_error, translation_error
 from ffpose.errors import require
-from ffpose.files import atomic_write, sha256
 from ffpose.geometry import Pose, poses
-from ffpose.images import read_rgb
+from ffpose.imaging.images import read_rgb
+from ffpose.imaging.reprojection import expect_aspect, for_images
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import quantize
 from ffpose.onnx.metadata import ModelMetadata, read_model_metadata, sealed
-from ffpose.reprojection import expect_aspect, for_images
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,13 @@ from torch import Tensor
 from torch.autograd import Function
 
 from ffpose import _rust
+from ffpose._internal.torch_internals import (
+    below_autograd,
+    is_plain,
+    is_recording,
+    transforms_at_work,
+)
 from ffpose.ops.bridge import arithmetic_dtype, check_alike, check_tensor, to_array, to_tensor
-from ffpose.torch_internals import below_autograd, is_plain, is_recording, transforms_at_work
 
 FORWARD = "ffpose::normalize_quaternion"
 BACKWARD = "ffpose::normalize_quaternion_backward"

@@ -25,6 +25,12 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.graph import increment_version
 
+from ffpose._internal.torch_internals import (
+    below_autograd,
+    is_plain,
+    is_recording,
+    transforms_at_work,
+)
 from ffpose.ops.bridge import add, rebatch, unbatch
 from ffpose.ops.layout import Layout, check_filter, check_gradient
 from ffpose.ops.spectral_kernels import (
@@ -37,7 +43,6 @@ from ffpose.ops.spectral_kernels import (
     forward_rust,
     out_op,
 )
-from ffpose.torch_internals import below_autograd, is_plain, is_recording, transforms_at_work
 
 Gradients = tuple[Tensor | None, Tensor | None]
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.files import atomic_write
+from ffpose._internal.files import atomic_write
 from ffpose.geometry import Camera, Pose
 from ffpose.render.renderer import camera_of, label, prepared
 from ffpose.render.scene import Scene, get_scene

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
-from ffpose.files import atomic_write
+from ffpose._internal.files import atomic_write
 from ffpose.geometry import Camera
-from ffpose.images import read_rgb
+from ffpose.imaging.images import read_rgb
 from ffpose.render.dataset.pool import one_thread_each
 from ffpose.render.renderer import Frame, camera_of, label, shoot_each
 from ffpose.render.scene import Scene

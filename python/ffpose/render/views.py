@@ -1,11 +1,11 @@
-"""Rendering training views: the pieces that `ffpose.views` would cut out of the whole image.
+"""Rendering training views: the pieces that would be cut out of the whole image.
 
-A network with a second look reads two pieces of an image (`ffpose.views`). A window of the finest
-pyramid level is cut out of the whole image, bit for bit. Of the coarser windows and of the frame,
-which average at least two pixels each way, the pixels are averaged anyway: they are cut out of the
-whole image rendered at half its resolution, in a third of the time. Sun, stars, glare, vignette,
-exposure and the noise of averaged pixels are those of the whole image there too; what differs is
-what a pixel of twice the width does to edges and highlights.
+A network with a second look reads two pieces of an image (`ffpose.imaging.views`). A window of the
+finest pyramid level is cut out of the whole image, bit for bit. Of the coarser windows and of the
+frame, which average at least two pixels each way, the pixels are averaged anyway: they are cut out
+of the whole image rendered at half its resolution, in a third of the time. Sun, stars, glare,
+vignette, exposure and the noise of averaged pixels are those of the whole image there too; what
+differs is what a pixel of twice the width does to edges and highlights.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from functools import partial
 from typing import get_args
 
 from ffpose.geometry import Camera, Pose
+from ffpose.imaging.views import Bytes, Content, Pieces, ViewSpec, cut_pieces, in_frame
 from ffpose.render.layers import object_coordinates
 from ffpose.render.renderer import label, prepared, shoot
 from ffpose.render.scene import Scene
 from ffpose.render.spacecraft.decoys import build_decoy
-from ffpose.views import Bytes, Content, Pieces, ViewSpec, cut_pieces, in_frame
 
 CHUNK = 8
 """Views per task of a worker process."""

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import torch
 from torch import nn
 
-from ffpose.torch_internals import move_toward
+from ffpose._internal.torch_internals import move_toward
 
 WARM_UP = 10.0
 

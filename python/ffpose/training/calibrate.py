@@ -20,10 +20,10 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from ffpose.attitude import rotation_vector
-from ffpose.calibration import choose_threshold, squared_mahalanobis
 from ffpose.config import looks_twice
 from ffpose.datasets import Sample
+from ffpose.evaluation.attitude import rotation_vector
+from ffpose.evaluation.calibration import choose_threshold, squared_mahalanobis
 from ffpose.models import SecondLookNetwork
 
 FloatArray = NDArray[np.float64]
@@ -84,8 +84,8 @@ def calibrate(
 
     New scales are the current ones times what was found, that of a variance by `variance_scale`, so
     a network that is already calibrated keeps them. The threshold is that of
-    `ffpose.calibration.choose_threshold`: the smallest sum of false-alarm and miss rates. The
-    network is put in evaluation mode and otherwise left as it is.
+    `ffpose.evaluation.calibration.choose_threshold`: the smallest sum of false-alarm and miss
+    rates. The network is put in evaluation mode and otherwise left as it is.
 
     Args:
         model: A network with a second look.

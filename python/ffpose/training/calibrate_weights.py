@@ -14,15 +14,15 @@ from safetensors.torch import load_file
 from torch.utils.data import DataLoader
 
 from ffpose import __version__
+from ffpose._internal.seeds import CHOICES, matching
 from ffpose.config import looks_twice
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.datasets.scenes import find_scene, open_frames
-from ffpose.metrics import pose_error
+from ffpose.evaluation.metrics import pose_error
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import PoseNetwork, SecondLookNetwork, load_network, read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.models.zoo import resolve
-from ffpose.preprocessing import Preprocessing
-from ffpose.seeds import CHOICES, matching
 from ffpose.training.calibrate import Calibration, calibrate
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
 from ffpose.training.config import CalibrationImages
@@ -42,7 +42,7 @@ def calibrate_weights(
         weights: Weights file, or name of shipped weights.
         images: The images.
         turns: Numbers of rotated views to choose from, by the median rotation error on as many
-            rendered images of `ffpose.seeds.CHOICES`; none to keep the number.
+            rendered images of `ffpose._internal.seeds.CHOICES`; none to keep the number.
         out: File to write; None for that which was read, if ``weights`` is no name.
 
     Returns:

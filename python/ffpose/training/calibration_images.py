@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any, NamedTuple
 
+from ffpose._internal.seeds import CALIBRATION, matching
 from ffpose.datasets import Decoding, PoseDataset, find_target, read_records
 from ffpose.datasets.scenes import find_scene, open_empty_images, open_frames
-from ffpose.preprocessing import Preprocessing
-from ffpose.seeds import CALIBRATION, matching
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.views import Bytes
 from ffpose.training.config import CalibrationImages
-from ffpose.views import Bytes
 
 EMPTY_SEEDS, CUT_SEEDS = 500_000, 300_000
 """Added, among the seeds of one purpose, to a set's seed: no two kinds of images show one scene."""

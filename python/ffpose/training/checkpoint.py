@@ -17,8 +17,8 @@ from typing import Any
 
 import torch
 
+from ffpose._internal.files import atomic_write, remove_leftovers
 from ffpose.errors import DataError
-from ffpose.files import atomic_write, remove_leftovers
 from ffpose.training.config import TrainConfig
 from ffpose.training.config_file import dump_config, flatten, load_config
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ffpose.images import check_white
-from ffpose.seeds import CALIBRATION, TRAINING, matching
+from ffpose._internal.seeds import CALIBRATION, TRAINING, matching
+from ffpose.imaging.images import check_white
 from ffpose.training.stages import JOINT_STAGE, Stage
 
 ModelName = Literal[
@@ -35,7 +35,7 @@ class CalibrationImages:
             kind (whole, cut by the border, without the object) ``count`` are rendered.
         root: Folder of the image set; for kind "scenes" that which keeps the images.
         scene: For kind "scenes": name of the rendered set.
-        seed: For kind "scenes": seed of the set, one of `ffpose.seeds.CALIBRATION`.
+        seed: For kind "scenes": seed of the set, one of `ffpose._internal.seeds.CALIBRATION`.
         count: For kind "scenes": number of images of each kind, 2 or more.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
         split: Name of the split of a set on disk.
@@ -80,7 +80,8 @@ class DataConfig:
         mode: Conversion of an image to the network's input: "resize", the whole frame, or
             "center_crop", the paper's resize and center crop.
         augment: Whether to augment the training images.
-        augmentation: Fields of `ffpose.transforms.Augmentation` to change, as in ``{roll: 10}``.
+        augmentation: Fields of `ffpose.imaging.transforms.Augmentation` to change, as in ``{roll:
+            10}``.
         cache: Whether to store decoded and resized images in a file that later runs share.
         workers: Number of processes that read or render images beside the training process.
         train_split: Name of the training split, or "all" with ``holdout``.
@@ -109,8 +110,8 @@ class DataConfig:
             light, materials and backgrounds.
         distance: For kind "scenes": factors on the least and the greatest distance of the sets,
             which training sees beyond; validation and calibration do not.
-        seed: For kind "scenes": seed of the first set, of `ffpose.seeds.TRAINING`; those of the
-            others count on from it (`seeds`), so that no two sets show one scene.
+        seed: For kind "scenes": seed of the first set, of `ffpose._internal.seeds.TRAINING`; those
+            of the others count on from it (`seeds`), so that no two sets show one scene.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
     """
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose._internal.seeds import TRAINING, VALIDATION, matching
 from ffpose.config import NetworkConfig, SecondLookConfig, looks_twice
 from ffpose.datasets import (
     Decoding,
@@ -27,8 +28,9 @@ from ffpose.datasets.scenes import (
 )
 from ffpose.errors import hint
 from ffpose.geometry import Camera, DistortedCamera
-from ffpose.preprocessing import Preprocessing
-from ffpose.seeds import TRAINING, VALIDATION, matching
+from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.transforms import Augmentation
+from ffpose.imaging.views import Arrays, Content, ViewSpec
 from ffpose.training.calibration_images import (
     CUT_SEEDS,
     CUT_SHARE,
@@ -37,8 +39,6 @@ from ffpose.training.calibration_images import (
     open_calibration,
 )
 from ffpose.training.config import DataConfig
-from ffpose.transforms import Augmentation
-from ffpose.views import Arrays, Content, ViewSpec
 
 RANDOMIZED_SEEDS = 400_000
 """Added to a set's seed, as `EMPTY_SEEDS` and `CUT_SEEDS`."""

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from ffpose.config import looks_twice
 from ffpose.datasets.targets import Target, spread
 from ffpose.errors import require
-from ffpose.metrics import PoseError
+from ffpose.evaluation.metrics import PoseError
 from ffpose.models import read_metadata
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibrate_weights import write_calibrated

@@ -15,10 +15,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose.config import looks_twice
-from ffpose.losses import LossTerms
 from ffpose.models import SecondLookNetwork
 from ffpose.models.object_look import LookNumbers, rotation_between, rotation_vector, sigma_loss
 from ffpose.training.config import ObjectLossConfig
+from ffpose.training.losses import LossTerms
 from ffpose.training.views import ViewBatch
 
 CELLS_PER_SIDE = 2

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any, cast
 
+from ffpose._internal.options import check_spelling, join, restyle, split, wrong
 from ffpose.config import PRESETS
 from ffpose.errors import require
-from ffpose.options import check_spelling, join, restyle, split, wrong
 from ffpose.training import configs
 from ffpose.training.config import DataConfig, TrainConfig
 

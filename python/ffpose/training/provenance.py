@@ -7,9 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ffpose.baseline import mean_pose
+from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
-from ffpose.files import sha256
+from ffpose.evaluation.baseline import mean_pose
 from ffpose.models import read_metadata
 from ffpose.training.config import DataConfig, TrainConfig
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from torch import nn
 
 from ffpose.config import looks_twice
-from ffpose.losses import FixedLoss, JointLoss, PoseLoss
 from ffpose.models import (
     PoseNetwork,
     SecondLookNetwork,
@@ -25,6 +24,7 @@ from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibration_images import CalibrationSet
 from ffpose.training.config import LossConfig, OptimizerConfig, TrainConfig
 from ffpose.training.data import NO_KEYPOINTS, TrainingData, open_training_data
+from ffpose.training.losses import FixedLoss, JointLoss, PoseLoss
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
 from ffpose.training.provenance import origin

@@ -20,13 +20,13 @@ from PIL import Image
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from ffpose.baseline import mean_pose
 from ffpose.datasets import PoseDataset, Sample
-from ffpose.losses import JointLoss, LossTerms
+from ffpose.evaluation.baseline import mean_pose
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import FrameNetwork, PoseNetwork, SecondLookNetwork
 from ffpose.nn.orientation import QuaternionHead
-from ffpose.preprocessing import Preprocessing
 from ffpose.training.config import DataConfig
+from ffpose.training.losses import JointLoss, LossTerms
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.processes import ALONE, Processes
 from ffpose.training.provenance import describe_data, rendered_sets, set_name

@@ -26,6 +26,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ffpose.config import looks_twice
+from ffpose.imaging.views import Arrays
 from ffpose.models import SecondLookNetwork
 from ffpose.models.object_look import in_front, offset_of
 from ffpose.models.virtual_camera import (
@@ -39,7 +40,6 @@ from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
 from ffpose.training.config import ViewAugmentation
 from ffpose.training.processes import ALONE, Processes
-from ffpose.views import Arrays
 
 SUPPLY = 1 << 21
 """Number of stored normal random numbers, from which noise is taken."""
@@ -84,7 +84,7 @@ class ViewBatches:
 
     Args:
         model: The network; its configuration gives the geometry of both looks.
-        arrays: Views of one or several sets, as `ffpose.views.open_arrays` returns them.
+        arrays: Views of one or several sets, as `ffpose.imaging.views.open_arrays` returns them.
         empty: Views without an object; may be empty.
         augmentation: Ranges of the augmentation.
         std: Standard deviation of the input's preprocessing, whose mean is zero, so that pixels
@@ -158,7 +158,7 @@ class ViewBatches:
         crops = self._seen(windows, source_pixels(shown, intrinsics[empty:]), generator)
         if empty:
             crops = torch.cat((self._negatives(empty, view, generator), crops))
-        frames = torch.cat([self._varied(frame, generator) for frame in frames.split(1)])
+        frames = torch.cat([self._varied(frame, generator) for frame in frames[:, None]])
         return ViewBatch(
             frames.contiguous(memory_format=torch.channels_last),
             t_frame,
@@ -229,7 +229,7 @@ class ViewBatches:
         scenes = count - count // 2 if self.empty else 0
         pictures = 255 * clutter(count - scenes, (view.width, view.width), generator)
         pixels = ((plane + 1) * (view.width / 2))[None]
-        crops = [sample(self._varied(picture, generator), pixels) for picture in pictures.split(1)]
+        crops = [sample(self._varied(picture, generator), pixels) for picture in pictures[:, None]]
         if scenes:
             index = torch.randint(len(self.empty_places), (scenes,), generator=generator)
             windows = [self.empty[n]["windows"][row] for n, row in self.empty_places[index.numpy()]]

@@ -11,9 +11,9 @@ from PIL import Image
 
 from ffpose.datasets.view_cache import digest
 from ffpose.errors import DataError
+from ffpose.imaging.views import ViewSpec
 from ffpose.render import SCENES, Scene, load_craft, render, render_layers, write_dataset
 from ffpose.render.views import describe
-from ffpose.views import ViewSpec
 
 RED, BLUE = (200, 0, 0), (0, 40, 240)
 CODES = 5

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
+from ffpose._internal.machine import cores
 from ffpose.arrays import instruction_set
 from ffpose.bench.timing import OURS
-from ffpose.machine import cores
 
 Kind = Literal["grid", "tokens", "sequence"]
 Work = Literal["forward", "forward+backward", "recorded"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
+from ffpose._internal.figures import new_figure, style_axes
 from ffpose.bench.filter.cases import (
     BATCHES,
     CHANNELS_FIRST,
@@ -34,7 +35,6 @@ from ffpose.bench.filter.results import (
 )
 from ffpose.bench.output import in_threads, make_console, make_table, print_notes, save_plot
 from ffpose.bench.timing import OURS, Timing
-from ffpose.figures import new_figure, style_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,6 +16,7 @@ from typing import Any
 
 from rich.table import Table
 
+from ffpose._internal.machine import bfloat16_instructions, cores
 from ffpose.bench.machine import environment
 from ffpose.bench.model.networks import (
     BASELINES,
@@ -36,7 +37,6 @@ from ffpose.bench.output import (
     print_notes,
 )
 from ffpose.bench.timing import OURS, Timing, interleave, torch_threads
-from ffpose.machine import bfloat16_instructions, cores
 
 MODELS = ("base", "small", "tiny")
 THREADS = (1, 2)

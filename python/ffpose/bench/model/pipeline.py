@@ -21,7 +21,7 @@ from PIL import Image
 
 from ffpose.bench.timing import Latency, percentiles, take_turns
 from ffpose.geometry import poses
-from ffpose.images import read_rgb
+from ffpose.imaging.images import read_rgb
 from ffpose.inference.load import load
 from ffpose.inference.source import Backend
 

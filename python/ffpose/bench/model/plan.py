@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ffpose._internal.machine import bfloat16_instructions, cores
 from ffpose.bench.model.contenders import (
     COMPILED,
     COMPILED_ALONE,
@@ -26,7 +27,6 @@ from ffpose.bench.model.contenders import (
     WITHOUT,
 )
 from ffpose.bench.model.subjects import Subject
-from ffpose.machine import bfloat16_instructions, cores
 from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.library import get_library_path
 

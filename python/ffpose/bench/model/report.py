@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
+from ffpose._internal.figures import new_figure, style_axes
 from ffpose.bench.machine import environment
 from ffpose.bench.model.contenders import WITHOUT
 from ffpose.bench.model.pipeline import STAGES, TOTAL
 from ffpose.bench.output import in_threads, make_console, make_table, print_notes, save_plot
-from ffpose.figures import new_figure, style_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from ffpose.bench.model.networks import network
 from ffpose.config import CONFIGS
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.models.zoo import resolve
@@ -25,7 +26,6 @@ from ffpose.nn import GlobalFilter, PositionCode, SpectralFilter
 from ffpose.nn.attention import SelfAttention
 from ffpose.onnx.metadata import Filter
 from ffpose.onnx.pose_graph import graph_entries, output_names, random_images
-from ffpose.preprocessing import Preprocessing
 
 GFNET = "gfnet"
 

@@ -10,11 +10,11 @@ import sys
 import time
 from pathlib import Path
 
+from ffpose._internal.machine import cores, processor
 from ffpose.bench.output import in_threads
 from ffpose.bench.pages.blocks import write_pages
 from ffpose.bench.pages.documents import DOCUMENTS, Effort, measure, write
 from ffpose.errors import DataError
-from ffpose.machine import cores, processor
 
 
 def main() -> int:

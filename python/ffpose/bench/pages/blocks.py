@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial
 from pathlib import Path
 
+from ffpose._internal.files import atomic_write
 from ffpose.bench.pages import filter_blocks, network_blocks
 from ffpose.bench.pages.documents import read
 from ffpose.bench.pages.markdown import Source
 from ffpose.bench.pages.marks import fill
-from ffpose.files import atomic_write
 
 PAGES = ("README.md", "docs/index.md", "docs/filter.md", "docs/benchmarks.md", "docs/deployment.md")
 """The pages that show figures; outside of marks they have none."""

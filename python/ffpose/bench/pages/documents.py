@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from ffpose._internal.files import atomic_write
 from ffpose.bench.filter import report as filter_report
 from ffpose.bench.filter import run as filter_run
 from ffpose.bench.filter.cases import GRID, TOKENS
@@ -31,7 +32,6 @@ from ffpose.bench.model.subjects import Subject, subject
 from ffpose.bench.pages.vector_code import vector_code
 from ffpose.bench.timing import percentiles, take_turns, timed, torch_threads
 from ffpose.errors import DataError
-from ffpose.files import atomic_write
 
 FOLDER = Path("docs/figures")
 IMAGES = Path("docs/images")

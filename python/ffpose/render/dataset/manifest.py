@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ffpose._internal.files import atomic_write
+from ffpose._internal.machine import package_versions
 from ffpose.errors import DataError
-from ffpose.files import atomic_write
-from ffpose.machine import package_versions
 from ffpose.render.layers import coordinates_limit
 from ffpose.render.scene import Scene
 

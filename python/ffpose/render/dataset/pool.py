@@ -17,12 +17,12 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ffpose._internal.files import atomic_write, sha256
+from ffpose._internal.urso import image_name
 from ffpose.errors import require
-from ffpose.files import atomic_write, sha256
 from ffpose.render.layers import render_layers, write_layers
 from ffpose.render.renderer import render
 from ffpose.render.scene import Scene
-from ffpose.urso import image_name
 
 PNG_LEVEL = 3
 """Compression level of the PNG files; noise hardly compresses, so more costs time alone."""

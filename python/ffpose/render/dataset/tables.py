@@ -1,7 +1,7 @@
 """Label files in URSO's layout: a table of all poses, and names and poses of each split.
 
-Labels are in URSO's own frame (`ffpose.urso`) and keep every digit. A table of each image's
-conditions, which URSO's layout does not have, stands beside them.
+Labels are in URSO's own frame (`ffpose._internal.urso`) and keep every digit. A table of each
+image's conditions, which URSO's layout does not have, stands beside them.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import csv
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from ffpose import urso
-from ffpose.files import atomic_write
+from ffpose._internal import urso
+from ffpose._internal.files import atomic_write
 from ffpose.geometry import CAMERA_FILE, Camera, Pose
 from ffpose.render.dataset.conditions import Conditions
 

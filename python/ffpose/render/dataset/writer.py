@@ -17,8 +17,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from ffpose._internal.files import expect_room, remove_leftovers, sha256
+from ffpose._internal.seeds import refuse_final
+from ffpose._internal.urso import image_name, index_of
 from ffpose.errors import require
-from ffpose.files import expect_room, remove_leftovers, sha256
 from ffpose.geometry import Camera
 from ffpose.render.dataset.conditions import conditions_of
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
@@ -27,8 +29,6 @@ from ffpose.render.dataset.tables import write_conditions, write_tables
 from ffpose.render.layers import check_labels, label_files
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene
-from ffpose.seeds import refuse_final
-from ffpose.urso import image_name, index_of
 
 MAX_COUNT = 10_000_000
 LEAST_BYTES_PER_PIXEL = 0.4
@@ -80,7 +80,7 @@ def write_dataset(
         scene: A set, or the name of one (`ffpose.render.SCENES`).
         out: Folder to write to; created if it does not exist.
         count: Number of images, at least 1.
-        seed: Seed of the set, at least 0 and none of `ffpose.seeds.FINAL`.
+        seed: Seed of the set, at least 0 and none of `ffpose._internal.seeds.FINAL`.
         start: Index of the first image.
         size: (width, height) in pixels; default is that of the scene's camera.
         workers: Number of processes; 1 renders in the calling process.

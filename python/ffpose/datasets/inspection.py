@@ -1,0 +1,286 @@
+"""Inspection of a dataset before training on it.
+
+Counts, checks of labels and images, distributions as in the paper (Ye et al., Sensors 2023, 23,
+8633: translation in Figure 6, orientation in Figure 7), and a contact sheet of images with the
+labeled axes, where a wrong convention is visible at once.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ffpose import arrays
+from ffpose._internal.figures import new_figure, save_figure, style_axes
+from ffpose._internal.files import atomic_write
+from ffpose.datasets import (
+    AS_ON_DISK,
+    Decoding,
+    PoseDataset,
+    Record,
+    find_target,
+    list_splits,
+    read_records,
+)
+from ffpose.geometry import FloatArray
+from ffpose.imaging.images import decode_all
+from ffpose.imaging.overlay import draw_axes
+from ffpose.imaging.preprocessing import Preprocessing
+
+_TILE_WIDTH = 320
+_CAPTION_HEIGHT = 22
+_COLUMNS = 4
+_GAP = 6
+_AXIS_LENGTH = 3.0
+_NORM_TOLERANCE = 1e-5
+"""Tolerated deviation of a quaternion's norm from one, for labels printed with five digits."""
+_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
+"""Colors of the splits, distinguishable with color blindness (Okabe and Ito)."""
+
+
+class _Quantity(NamedTuple):
+    """Quantity of a histogram: name, unit and bin edges (None: from the values)."""
+
+    name: str
+    unit: str
+    edges: FloatArray | None = None
+
+
+_TRANSLATION = (
+    _Quantity("distance", "m"),
+    _Quantity("x (right)", "m"),
+    _Quantity("y (down)", "m"),
+    _Quantity("z (depth)", "m"),
+)
+_CENTER = tuple(_Quantity(name, "m") for name in ("distance", "x", "y", "z"))
+"""As `_TRANSLATION`, of a camera in a world, whose axes point anywhere."""
+_ORIENTATION = (
+    _Quantity("roll", "degrees", np.arange(-180.0, 181.0, 15.0)),
+    _Quantity("pitch", "degrees", np.arange(-90.0, 91.0, 7.5)),
+    _Quantity("yaw", "degrees", np.arange(-180.0, 181.0, 15.0)),
+)
+
+
+def inspect_folder(
+    kind: str, root: str | Path, out: str | Path, decoding: Decoding = AS_ON_DISK
+) -> dict[str, Any]:
+    """Check all splits of a dataset on disk, as `inspect_dataset`.
+
+    Args:
+        kind: One of `ffpose.datasets.KINDS`.
+        root: The dataset's folder.
+        out: The folder to write; created if missing.
+        decoding: Conversion from image files to images.
+
+    Raises:
+        ValueError: ``kind`` is unknown, or the set has no labels at all, or more than seven splits.
+        FileNotFoundError: The folder, or a file that lists a split, does not exist.
+        DataError: A file is invalid; nothing is written.
+    """
+    records = {
+        split: read_records(kind, root, split, decoding) for split in list_splits(kind, root)
+    }
+    labeled = {
+        split: PoseDataset(each, Preprocessing(), target=find_target(kind))
+        for split, each in records.items()
+        if each[0].pose is not None
+    }
+    others = {split: each for split, each in records.items() if split not in labeled}
+    return inspect_dataset(labeled, out, unlabeled=others)
+
+
+def inspect_dataset(
+    datasets: Mapping[str, PoseDataset],
+    out: str | Path,
+    sheet_images: int = 16,
+    unlabeled: Mapping[str, Sequence[Record]] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Check a dataset, and write a summary, histograms and contact sheets.
+
+    Writes ``summary.json``, ``translation.png``, ``orientation.png`` and, for each split,
+    ``samples_{split}.png``. Every image is decoded as in training, on all cores.
+
+    Args:
+        datasets: The labeled splits by name, at most seven.
+        out: The folder to write; created if missing.
+        sheet_images: Number of images on each sheet, spread evenly over the split.
+        unlabeled: The splits without labels by name, whose images are counted and decoded.
+
+    Returns:
+        The contents of ``summary.json``. ``splits`` holds for each labeled split ``images``,
+        ``camera`` (None where there are several), ``failed`` (names of the images whose label, as
+        in the file, fails each check), ``origin_in_image`` (the share of images that contain the
+        object's origin; None where labels locate the camera) and ``ranges`` (minimum, median and
+        maximum). Besides, ``unlabeled`` (images of each split without labels), ``shared_images``
+        (files in more than one split) and ``files``.
+
+    Raises:
+        ValueError: There are no splits or more than seven, or ``sheet_images`` is less than one.
+        DataError: An image is damaged, or its size differs from the camera's; nothing is written.
+    """
+    if not 1 <= len(datasets) <= len(_COLORS):
+        raise ValueError(f"datasets: expected 1 to {len(_COLORS)} splits, got {len(datasets)}")
+    if sheet_images < 1:
+        raise ValueError(f"sheet_images: expected at least 1, got {sheet_images}")
+    splits = {name: dataset.records for name, dataset in datasets.items()} | {**unlabeled}
+    for records in splits.values():
+        _decode_all(records)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    sheets = {f"samples_{split}.png": dataset for split, dataset in datasets.items()}
+    summary = {
+        "splits": {split: _summarize(dataset) for split, dataset in datasets.items()},
+        "unlabeled": {split: len(records) for split, records in unlabeled.items()},
+        "shared_images": _shared_images(splits.values()),
+        "files": ["translation.png", "orientation.png", *sheets],
+    }
+    translations = {split: _translation(dataset.poses) for split, dataset in datasets.items()}
+    orientations = {split: _orientation(dataset.poses) for split, dataset in datasets.items()}
+    _write_histograms(folder / "translation.png", _position(datasets), translations)
+    _write_histograms(folder / "orientation.png", _ORIENTATION, orientations)
+    for name, dataset in sheets.items():
+        with atomic_write(folder / name) as path:
+            contact_sheet(dataset, sheet_images).save(path)
+    with atomic_write(folder / "summary.json") as path:
+        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return summary
+
+
+def _position(datasets: Mapping[str, PoseDataset]) -> tuple[_Quantity, ...]:
+    """Return the quantities of the positions of splits of one kind."""
+    targets = {dataset.target for dataset in datasets.values()}
+    return _TRANSLATION if targets == {"object"} else _CENTER
+
+
+def _decode_all(records: Sequence[Record]) -> None:
+    """Decode every image, as a header does not reveal a truncated file."""
+    for _ in decode_all(Record.decode, records):
+        pass
+
+
+def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
+    """Return up to ``count`` images, spread evenly over a dataset, with their labeled axes."""
+    indices = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(int)).tolist()
+    tiles = [_tile(dataset, index) for index in indices]
+    width, height = tiles[0].width + _GAP, max(tile.height for tile in tiles) + _GAP
+    rows = -(-len(tiles) // _COLUMNS)
+    sheet = Image.new("RGB", (_COLUMNS * width + _GAP, rows * height + _GAP), "white")
+    for place, tile in enumerate(tiles):
+        row, column = divmod(place, _COLUMNS)
+        sheet.paste(tile, (column * width + _GAP, row * height + _GAP))
+    return sheet
+
+
+def _tile(dataset: PoseDataset, index: int) -> Image.Image:
+    """Return a thumbnail of image ``index`` with its axes, and its name and distance below."""
+    record = dataset.records[index]
+    pose, camera = record.label, record.camera
+    size = (_TILE_WIDTH, round(_TILE_WIDTH * camera.height / camera.width))
+    image = dataset.load_image(index).resize(size, Image.Resampling.BILINEAR)
+    tile = Image.new("RGB", (size[0], size[1] + _CAPTION_HEIGHT), "white")
+    tile.paste(draw_axes(image, pose, camera, _AXIS_LENGTH))
+    caption = f"{record.name}   {np.linalg.norm(dataset.poses[index, :3]):.1f} m"
+    font = ImageFont.load_default(13)
+    ImageDraw.Draw(tile).text((2, size[1] + 3), caption, fill="black", font=font)
+    return tile
+
+
+def _translation(poses: FloatArray) -> FloatArray:
+    """Return the quantities of `_TRANSLATION` (N, 4) of poses (N, 7)."""
+    return np.column_stack([np.linalg.norm(poses[:, :3], axis=1), poses[:, :3]])
+
+
+def _orientation(poses: FloatArray) -> FloatArray:
+    """Return the quantities of `_ORIENTATION` (N, 3) of poses (N, 7)."""
+    return np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])))
+
+
+def _raw_quaternions(dataset: PoseDataset) -> FloatArray:
+    """Return the quaternions (N, 4) as in the files; those of a `Pose` are already normalized."""
+    return np.array(
+        [
+            record.label.q if record.raw_quaternion is None else record.raw_quaternion
+            for record in dataset.records
+        ]
+    )
+
+
+def _summarize(dataset: PoseDataset) -> dict[str, Any]:
+    """Return the statistics and checks of one split."""
+    poses, camera, raw = dataset.poses, dataset.camera, _raw_quaternions(dataset)
+    locates_object = dataset.target == "object"
+    quantities = (*_position({"": dataset}), *_ORIENTATION)
+    values = np.column_stack([_translation(poses), _orientation(poses)])
+    failures = {
+        "unit_quaternion": np.abs(np.linalg.norm(raw, axis=1) - 1) > _NORM_TOLERANCE,
+        "scalar_not_negative": raw[:, 0] < 0,
+    }
+    if locates_object:
+        failures["in_front_of_camera"] = poses[:, 2] <= 0
+    return {
+        "images": len(dataset),
+        "camera": None if camera is None else asdict(camera),
+        "failed": {
+            check: [dataset.names[index] for index in np.nonzero(failed)[0]]
+            for check, failed in failures.items()
+        },
+        "origin_in_image": _origin_share(dataset) if locates_object else None,
+        "ranges": {
+            quantity.name: {
+                "unit": quantity.unit,
+                "least": float(column.min()),
+                "median": float(np.median(column)),
+                "greatest": float(column.max()),
+            }
+            for quantity, column in zip(quantities, values.T, strict=True)
+        },
+    }
+
+
+def _origin_share(dataset: PoseDataset) -> float:
+    """Return the share of images that contain the object's origin."""
+    inside = []
+    for record in dataset.records:
+        u, v = record.label.project(np.zeros(3), record.camera)
+        inside.append(0 <= u <= record.camera.width and 0 <= v <= record.camera.height)
+    return float(np.mean(inside))
+
+
+def _shared_images(splits: Iterable[Sequence[Record]]) -> list[str]:
+    """Return the images in more than one split, which would bias an evaluation."""
+    names = {record.image: record.name for records in splits for record in records}
+    counts = Counter(record.image for records in splits for record in records)
+    return sorted(names[path] for path, count in counts.items() if count > 1)
+
+
+def _write_histograms(
+    path: Path, quantities: Sequence[_Quantity], values: Mapping[str, FloatArray]
+) -> None:
+    """Draw a histogram of each quantity with the splits stacked; values are (N, quantities)."""
+    figure = new_figure(3.4 * len(quantities), 3.2)
+    for place, (quantity, axes) in enumerate(
+        zip(quantities, figure.subplots(1, len(quantities)), strict=True)
+    ):
+        axes.hist(
+            [split[:, place] for split in values.values()],
+            bins=24 if quantity.edges is None else quantity.edges,
+            stacked=True,
+            label=[f"{name} ({len(split)})" for name, split in values.items()],
+            color=_COLORS[: len(values)],
+        )
+        if quantity.edges is not None:
+            axes.set_xticks(quantity.edges[::4])
+        axes.set_xlabel(f"{quantity.name} [{quantity.unit}]")
+        style_axes(axes, grid=None)
+    figure.axes[0].set_ylabel("images")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+    save_figure(figure, path, dpi=150)

@@ -1,0 +1,56 @@
+"""Baselines that ignore the image: the mean pose, and two oracles that know part of the truth.
+
+A model that does not beat the mean pose has learned nothing from the image. One whose rotation
+error equals that of an oracle has learned at most the part that the oracle knows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.arrays import canonical_quaternion
+from ffpose.evaluation.attitude import remove_in_plane_error, remove_out_of_plane_error
+
+FloatArray = NDArray[np.float64]
+
+
+def mean_pose(poses: FloatArray) -> FloatArray:
+    """Return the mean pose ``(7,)`` of poses ``(N, 7)``, with ``qw >= 0``.
+
+    The orientation minimizes the sum of squared chordal distances to all quaternions regardless of
+    their signs: it is the principal eigenvector of the sum of ``q qᵀ`` (Markley et al., "Averaging
+    Quaternions", 2007).
+
+    Raises:
+        ValueError: There are no poses.
+    """
+    if len(poses) == 0:
+        raise ValueError("mean pose: expected at least one pose, got none")
+    q = poses[:, 3:]
+    _, vectors = np.linalg.eigh(q.T @ q)
+    orientation = np.asarray(canonical_quaternion(vectors[:, -1].copy()))
+    return np.concatenate([poses[:, :3].mean(axis=0), orientation])
+
+
+def oracles(constant: FloatArray, truth: FloatArray) -> dict[str, FloatArray]:
+    """Return the poses of two oracles: a constant attitude corrected by one part of the truth.
+
+    Args:
+        constant: The constant pose ``(7,)``.
+        truth: True poses ``(N, 7)``.
+
+    Returns:
+        Poses ``(N, 7)`` with the true translations, by name. ``in_plane_known``: the constant
+        attitude rotated about the true viewing ray so that its in-plane error vanishes; its
+        rotation error is the constant's out-of-plane error. ``out_of_plane_known``: the true
+        attitude rotated about the true viewing ray by the constant's in-plane error, which is its
+        rotation error.
+    """
+    t, q = truth[:, :3], truth[:, 3:]
+    attitude = np.broadcast_to(constant[3:], q.shape)
+    answers = {
+        "in_plane_known": remove_in_plane_error(attitude, t, q),
+        "out_of_plane_known": remove_out_of_plane_error(attitude, t, q),
+    }
+    return {name: np.concatenate([t, answer], axis=1) for name, answer in answers.items()}

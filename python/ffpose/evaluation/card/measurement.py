@@ -1,0 +1,350 @@
+"""Measurements for a model card: weights under the conditions of their training and others.
+
+Each condition is a set of held-out rendered scenes (`ffpose.render.variations`), whose images pass
+through `ffpose.load` like any other. Where errors grow, the predicted uncertainty
+should grow, and images that do not show the object should be flagged; so coverage and flag rates
+are reported with the errors. Rendering needs the extra `render`.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from ffpose import __version__
+from ffpose._internal.files import atomic_write, read_json, sha256
+from ffpose._internal.seeds import CHOICES, FINAL
+from ffpose.config import looks_twice
+from ffpose.errors import require
+from ffpose.evaluation.baseline import mean_pose
+from ffpose.evaluation.card.pictures import PICTURES, draw_picture
+from ffpose.evaluation.card.seen import picture_seen, seen_in_training
+from ffpose.evaluation.card.statistics import Answers, refuse, summarize
+from ffpose.evaluation.card.tables import format_card
+from ffpose.geometry import Pose
+from ffpose.inference.estimator import PoseEstimator
+from ffpose.inference.load import load
+from ffpose.inference.source import find_source
+from ffpose.models import WeightsMetadata
+from ffpose.onnx.metadata import ModelMetadata
+
+if TYPE_CHECKING:
+    from ffpose.render import Scene
+    from ffpose.render.variations import Variation
+
+BATCH = 16
+
+BASELINE_SEED, BASELINE_LABELS = 0, 1000
+"""Seed and number of labels whose mean is the constant pose; the seed is one of training's."""
+
+ONE_RENDERER = "No images of a second renderer; ffpose card --mitsuba adds them."
+
+
+class Shown(NamedTuple):
+    """An image that a network is evaluated on.
+
+    Attributes:
+        condition: Name of the condition.
+        image: RGB image.
+        pose: The true pose; None where the image does not show the object.
+    """
+
+    condition: str
+    image: Image.Image
+    pose: Pose | None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The images of a model card.
+
+    Attributes:
+        with_object: Sets with the object, the first as trained.
+        without: Sets without it.
+        pictures: Kinds of out-of-distribution images, names in
+            `ffpose.evaluation.card.pictures.PICTURES`.
+        count: Number of images per condition.
+        size: ``(width, height)`` of the images.
+        seed: Seed of all images.
+        workers: Number of processes that render.
+        keep: Folder that keeps the rendered images; None for none.
+    """
+
+    with_object: Sequence[Variation]
+    without: Sequence[Variation]
+    pictures: Sequence[str]
+    count: int
+    size: tuple[int, int]
+    seed: int
+    workers: int
+    keep: Path | None = None
+
+    @property
+    def trained(self) -> Variation:
+        """Set with the conditions of training."""
+        return self.with_object[0]
+
+    @property
+    def about(self) -> dict[str, str]:
+        """Description of each condition, by name."""
+        scenes = {v.name: v.about for v in (*self.with_object, *self.without)}
+        return scenes | {name: PICTURES[name][0] for name in self.pictures}
+
+    def show(self) -> Iterator[Shown]:
+        """Yield the images; those of one condition are in order, interleaved with others."""
+        from ffpose.render.variations import render_variations
+
+        scenes = (*self.with_object, *self.without)
+        frames = render_variations(
+            scenes, self.seed, self.count, self.size, self.workers, self.keep
+        )
+        for variation, frame in frames:
+            pose = frame.pose if variation in self.with_object else None
+            yield Shown(variation.name, Image.fromarray(frame.image), pose)
+        for name in self.pictures:
+            for index in range(self.count):
+                yield Shown(name, draw_picture(name, self.seed, index, self.size), None)
+
+
+def measure(
+    weights: str | Path,
+    scene: str | Scene,
+    *,
+    count: int = 500,
+    size: tuple[int, int] = (640, 480),
+    seed: int = CHOICES.start,
+    final: bool = False,
+    workers: int = 1,
+    second_renderer: bool = False,
+    keep: Path | None = None,
+    progress: bool = False,
+) -> dict[str, Any]:
+    """Measure weights under each condition.
+
+    Args:
+        weights: Weights file, name of shipped weights, or exported ``.onnx`` graph.
+        scene: The set of scenes, or its name; its attitudes are widened to all.
+        count: Number of images per condition.
+        size: ``(width, height)`` of the images before preprocessing.
+        seed: Seed of the scenes, one of `ffpose._internal.seeds.CHOICES`.
+        final: Whether to show scenes of `ffpose._internal.seeds.FINAL`, which no choice has seen,
+            instead.
+        workers: Number of processes that render.
+        second_renderer: Add images of Mitsuba (`ffpose.render.mitsuba`), which takes seconds for
+            each.
+        keep: Folder that keeps the rendered images, so that an interrupted run goes on.
+        progress: Show progress on standard error.
+
+    Returns:
+        A JSON document. ``conditions``: a list, each with ``name``, ``about``, whether training had
+        it (``seen`` and ``seen_how``, of `ffpose.evaluation.card.seen`) and the statistics of
+        `ffpose.evaluation.card.statistics.summarize`. ``mean_pose_baseline``: the same statistics
+        for a constant pose on the scenes as trained. ``without_object``: a list of
+        `ffpose.evaluation.card.statistics.refuse`, with the same, empty for a network without
+        uncertainty. ``notes``: what was left out.
+
+    Raises:
+        FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
+        ValueError: The weights cannot be used, the set is unknown, ``seed`` is of another purpose,
+            or a number is out of range.
+        MissingExtraError: The extra `render`, or `mitsuba`, is not installed.
+    """
+    _check_numbers(count, seed, workers)
+    seed = FINAL.start if final else seed
+    if second_renderer:
+        require("mitsuba", "mitsuba")
+    scene = require("ffpose.render", "render").get_scene(scene) if isinstance(scene, str) else scene
+    camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
+    estimator = load(weights, camera=camera, warm_up=0)
+    metadata = estimator.metadata
+    recipe = metadata.recipe if isinstance(metadata, WeightsMetadata) else None
+    plan = replace(_plan(scene, metadata, count, size, seed, workers, second_renderer), keep=keep)
+    began = time.perf_counter()
+    answers = answer(estimator, _with_bar(plan, show=progress))
+    return {
+        "weights": str(weights),
+        "sha256": sha256(find_source(weights).path),
+        "ffpose": __version__,
+        "scene": scene.name,
+        "distance_m": list(scene.distance_m),
+        "count": count,
+        "size": list(size),
+        "seed": seed,
+        "final": final,
+        "in_view_threshold": metadata.in_view_threshold,
+        "seconds": time.perf_counter() - began,
+        **_results(plan, answers, metadata.in_view_threshold, seen_of(plan, recipe)),
+        "notes": [] if second_renderer else [ONE_RENDERER],
+    }
+
+
+def _check_numbers(count: int, seed: int, workers: int) -> None:
+    for name, value, least in (("count", count, 1), ("workers", workers, 1)):
+        if value < least:
+            raise ValueError(f"{name}: expected at least {least}, got {value}")
+    if seed not in CHOICES:
+        raise ValueError(
+            f"seed: expected {CHOICES.start} to {CHOICES.stop - 1}, as others are not for"
+            f" choices; got {seed}"
+        )
+
+
+def _plan(
+    scene: Scene,
+    metadata: WeightsMetadata | ModelMetadata,
+    count: int,
+    size: tuple[int, int],
+    seed: int,
+    workers: int,
+    second_renderer: bool,
+) -> Plan:
+    """Plan the images for a network; only one with a second look is tested for the flag."""
+    from ffpose.render.variations import variations, without_object
+
+    config = metadata.config
+    vary = partial(variations, scene, second_renderer=second_renderer)
+    if not looks_twice(config):
+        return Plan(vary(scene.distance_m[1]), [], [], count, size, seed, workers)
+    with_object, without = vary(config.distance_m[1]), without_object(scene)
+    return Plan(with_object, without, list(PICTURES), count, size, seed, workers)
+
+
+def _with_bar(plan: Plan, *, show: bool) -> Iterable[Shown]:
+    if not show:
+        return plan.show()
+    progress, console = require("rich.progress", "pose"), require("rich.console", "pose")
+    total = plan.count * len(plan.about)
+    screen = console.Console(stderr=True)
+    bar: Iterable[Shown] = progress.track(plan.show(), "images", total, console=screen)
+    return bar
+
+
+def answer(estimator: PoseEstimator, shown: Iterable[Shown]) -> dict[str, Answers]:
+    """Return the predictions for the images, by condition, in batches of `BATCH`."""
+    answers: dict[str, Answers] = defaultdict(lambda: Answers([], []))
+    pictures = iter(shown)
+    while batch := list(islice(pictures, BATCH)):
+        for picture, pose in zip(batch, estimator([p.image for p in batch]), strict=True):
+            answers[picture.condition].found.append(pose)
+            if picture.pose is not None:
+                answers[picture.condition].truth.append(picture.pose)
+    return dict(answers)
+
+
+def _results(
+    plan: Plan,
+    answers: Mapping[str, Answers],
+    threshold: float | None,
+    seen: Mapping[str, dict[str, str]],
+) -> dict[str, list[dict[str, Any]] | dict[str, Any]]:
+    """Return the part of the document that follows from the predictions."""
+    trained = answers[plan.trained.name]
+    light = _by_light(plan, trained)
+    groups = [(plan.trained.name, plan.trained.about, trained), *light]
+    groups += [(v.name, v.about, answers[v.name]) for v in plan.with_object[1:]]
+    seen = {name: seen[plan.trained.name] for name, *_ in light} | dict(seen)
+    constant = Answers([_mean_pose(plan.trained.scene)] * len(trained.truth), trained.truth)
+    others = {name: found.found for name, found in answers.items() if not found.truth}
+    if others:
+        others["all of them"] = [pose for found in others.values() for pose in found]
+    about = plan.about | {"all of them": "each kind as often as the others"}
+    return {
+        "conditions": [
+            {"name": name, "about": words, **seen[name], **summarize(group, threshold)}
+            for name, words, group in groups
+        ],
+        "mean_pose_baseline": summarize(constant, None),
+        "without_object": [
+            {
+                "name": name,
+                "about": about[name],
+                **seen.get(name, {}),
+                **refuse(trained.found, found, threshold),
+            }
+            for name, found in others.items()
+        ],
+    }
+
+
+def seen_of(plan: Plan, recipe: Mapping[str, Any] | None) -> dict[str, dict[str, str]]:
+    """Return ``seen`` and ``seen_how`` of each condition by name, for a training's recipe."""
+    found = {v.name: seen_in_training(recipe, v) for v in (*plan.with_object, *plan.without)}
+    found |= {name: picture_seen(recipe, name) for name in plan.pictures}
+    return {name: {"seen": seen.answer, "seen_how": seen.how} for name, seen in found.items()}
+
+
+def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
+    """Split the scenes as trained into those in sunlight and those in eclipse."""
+    from ffpose.render.dataset.conditions import conditions_of
+
+    dark = np.array(
+        [conditions_of(plan.trained.scene, plan.seed, i).eclipsed for i in range(plan.count)]
+    )
+    groups = [("sunlit only", "of those as trained", ~dark), ("eclipse only", "the others", dark)]
+    return [(name, words, trained.of(rows)) for name, words, rows in groups if rows.any()]
+
+
+def _mean_pose(scene: Scene) -> Pose:
+    from ffpose.render import label
+
+    labels = [label(scene, BASELINE_SEED, index).vector for index in range(BASELINE_LABELS)]
+    return Pose.from_vector(mean_pose(np.stack(labels)))
+
+
+def kept_card(
+    out: Path,
+    weights: str | Path,
+    scene: str,
+    *,
+    count: int,
+    size: tuple[int, int],
+    seed: int,
+    final: bool,
+    second_renderer: bool,
+) -> dict[str, Any] | None:
+    """Return the card in a folder, if it is one of these weights with these settings.
+
+    Args:
+        out: Folder that `write_card` wrote, or any other.
+        weights: As for `measure`, and so are the others.
+        scene: Name of the set.
+        count: Number of images per condition.
+        size: ``(width, height)`` of the images.
+        seed: Seed of the scenes, unless final.
+        final: Whether it is of the seed of final figures.
+        second_renderer: Whether it has images of Mitsuba.
+    """
+    path = out / "card.json"
+    if not path.exists():
+        return None
+    card: dict[str, Any] = read_json(path)
+    wanted = {
+        "sha256": sha256(find_source(weights).path),
+        "ffpose": __version__,
+        "scene": scene,
+        "count": count,
+        "size": list(size),
+        "seed": FINAL.start if final else seed,
+        "final": final,
+        "notes": [] if second_renderer else [ONE_RENDERER],
+    }
+    return card if all(card.get(name) == value for name, value in wanted.items()) else None
+
+
+def write_card(document: Mapping[str, Any], out: Path) -> None:
+    """Write ``card.json``, and its tables as ``card.md``, to a folder; created if missing."""
+    out.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out / "card.json") as path:
+        path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
+    with atomic_write(out / "card.md") as path:
+        path.write_text(format_card(document), encoding="utf-8")

@@ -1,0 +1,141 @@
+"""Which conditions of a model card the training had, from the recipes in the weights' header.
+
+The header holds the recipe of the weights, of those that they start from, and so on. A condition
+that a training had is "seen"; one that only an earlier training had, or to which its augmentation
+is akin, is "partly" seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from ffpose.render.scene import SCENES
+from ffpose.render.shading.randomization import Randomization
+from ffpose.training.calibration_images import CUT_SHARE
+from ffpose.training.data import RANDOMIZATION
+
+if TYPE_CHECKING:
+    from ffpose.render.variations import Variation
+
+Recipe = Mapping[str, Any]
+Answer = Literal["yes", "partly", "no", "unknown"]
+
+BEFORE = "in a training before the last"
+AS_OBJECT = f"as the object {BEFORE}"
+
+
+class Seen(NamedTuple):
+    """Whether training had a condition.
+
+    Attributes:
+        answer: "unknown" where the weights do not know their recipe, or that of a set on disk.
+        how: In what way, for "partly"; else empty.
+    """
+
+    answer: Answer
+    how: str = ""
+
+
+def trainings(recipe: Recipe | None) -> list[Recipe | None]:
+    """Return the recipes of the whole chain, the last training first; None for an unknown one."""
+    found: list[Recipe | None] = []
+    here = _known(recipe)
+    while here is not None:
+        found.append(here)
+        init = here.get("init")
+        if init is None:
+            return found
+        here = _known(init["recipe"])
+    return [*found, None]
+
+
+def _known(recipe: Recipe | None) -> Recipe | None:
+    """Return a recipe, or None for one of another program, which says nothing of these images."""
+    return None if recipe is None or not {"data", "views"} <= recipe.keys() else recipe
+
+
+def seen_in_training(recipe: Recipe | None, variation: Variation) -> Seen:
+    """Return whether the trainings had a set of rendered scenes, with the object or without.
+
+    Args:
+        recipe: Of the weights' header.
+        variation: The set.
+    """
+    craft, recipe = variation.scene.craft, _known(recipe)
+    if recipe is None or craft in _crafts(recipe):
+        return _over_all(recipe, lambda each: _had(each, variation))
+    other, before = _over_all(recipe, _other_spacecraft), trainings(recipe)[1:]
+    if any(each is not None and craft in _crafts(each) for each in before):
+        return Seen("partly", f"{other.how}, and {AS_OBJECT}" if other.how else AS_OBJECT)
+    return other
+
+
+def picture_seen(recipe: Recipe | None, kind: str) -> Seen:
+    """Return whether the trainings had a kind of images of `PICTURES`."""
+
+    def had(each: Recipe) -> Seen:
+        if kind == "clutter" or each["views"]["empty"] == 0:
+            return Seen("no")
+        return (
+            Seen("partly", "gradients, blocks, bars and noise") if kind == "charts" else Seen("yes")
+        )
+
+    return _over_all(recipe, had)
+
+
+def _over_all(recipe: Recipe | None, had: Any) -> Seen:
+    """Return what the last training had, or else what those before it had."""
+    answers = [Seen("unknown") if each is None else had(each) for each in trainings(recipe)]
+    last, *before = answers
+    if last.answer in ("yes", "partly", "unknown"):
+        return last
+    if any(each.answer == "yes" for each in before):
+        return Seen("partly", BEFORE)
+    return next((each for each in before if each.answer in ("partly", "unknown")), last)
+
+
+def _had(recipe: Recipe, variation: Variation) -> Seen:
+    """Return whether one training had a set."""
+    data, views, scene = recipe["data"], recipe["views"], variation.scene
+    if data["kind"] != "scenes":
+        return Seen("unknown")
+    trained = [SCENES[name] for name in data["scene"].split("+")]
+    if variation.empty:
+        return Seen("yes" if data["empty"] > 0 else "no")
+    if scene.craft not in _crafts(recipe) or scene.renderer != "ffpose":
+        return Seen("no")
+    if scene.randomization != Randomization():
+        same = scene.randomization == Randomization.of_strength(RANDOMIZATION)
+        return Seen("yes" if same and data.get("randomized", 0) > 0 else "no")
+    if scene.max_visible < trained[0].min_visible:
+        inside = CUT_SHARE[0] <= scene.min_visible and scene.max_visible <= CUT_SHARE[1]
+        return Seen("yes" if inside and data.get("cut", 0) > 0 else "no")
+    near, far = scene.distance_m
+    if not any(each.distance_m[0] <= near and far <= each.distance_m[1] for each in trained):
+        return Seen("no")
+    if variation.blur_px > 0:
+        return _augmented(views["blur"], "half the resolution blended in")
+    if scene.sensor.jpeg_quality != trained[0].sensor.jpeg_quality:
+        return Seen("no")
+    if scene.sensor != trained[0].sensor:
+        return _augmented(views["noise"], "Gaussian noise")
+    return Seen("yes")
+
+
+def _crafts(recipe: Recipe) -> list[Any]:
+    """Return the spacecraft of a training's rendered sets; none of a set on disk."""
+    data = recipe["data"]
+    names = data["scene"].split("+") if data["kind"] == "scenes" else []
+    return [SCENES[name].craft for name in names]
+
+
+def _other_spacecraft(recipe: Recipe) -> Seen:
+    if recipe["data"]["kind"] != "scenes":
+        return Seen("unknown")
+    like = recipe["data"]["decoys"] > 0
+    return Seen("partly", "spacecraft of random parts") if like else Seen("no")
+
+
+def _augmented(strength: float, how: str) -> Seen:
+    return Seen("partly", f"augmentation: {how}") if strength > 0 else Seen("no")

@@ -1,0 +1,156 @@
+"""Statistics of one condition of a model card: errors, and calibration of the uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ffpose.evaluation.attitude import rotation_vector
+from ffpose.evaluation.calibration import (
+    LEVELS,
+    auroc,
+    coverage,
+    flag_rates,
+    region_probability,
+    squared_mahalanobis,
+)
+from ffpose.evaluation.metrics import SUMMARIZED, PoseErrors, pose_error
+from ffpose.evaluation.significance import median_interval
+from ffpose.geometry import Pose, PoseUncertainty, standard_deviations
+
+FloatArray = NDArray[np.float64]
+
+LARGE_DEG = 30.0
+"""Rotation error above which a pose is a failure, such as a flipped object."""
+
+
+class Answers(NamedTuple):
+    """A network's predictions for the images of one condition.
+
+    Attributes:
+        found: Predicted poses.
+        truth: True poses; empty where the images do not show the object.
+    """
+
+    found: list[Pose]
+    truth: list[Pose]
+
+    def of(self, rows: NDArray[np.bool_]) -> Answers:
+        """Select the images of a mask ``rows (N,)``."""
+        places = np.flatnonzero(rows).tolist()
+        return Answers([self.found[i] for i in places], [self.truth[i] for i in places])
+
+    @property
+    def uncertainties(self) -> list[PoseUncertainty]:
+        """Predicted uncertainties; empty for a network that predicts none."""
+        return [pose.uncertainty for pose in self.found if pose.uncertainty is not None]
+
+
+def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
+    """Return the statistics of images that show the object.
+
+    Args:
+        answers: Predictions with truth, at least one.
+        threshold: Images with a lower probability of the object being in view are flagged; None
+            where the weights have no threshold.
+
+    Returns:
+        ``images``; ``median_`` and ``mean_`` of the errors in
+        `ffpose.evaluation.metrics.SUMMARIZED`, and their ``median_intervals_95``;
+        ``percentile_90_rotation_error_deg``; ``share_over_30_deg``. For a network that predicts its
+        uncertainty also ``translation`` and ``rotation``: coverage of the 50, 90 and 99 %
+        confidence regions; ``median_sigma_distance_m`` and ``median_sigma_rotation_deg``, medians
+        of `ffpose.geometry.standard_deviations`; ``median_in_view``; and ``flagged``, the share of
+        images below the threshold.
+
+    Raises:
+        ValueError: There are no answers, or a covariance is invalid.
+    """
+    errors = _errors(answers)
+    rotation = errors.rotation_deg.numpy()
+    named = {name: getattr(errors, field).numpy() for name, field in SUMMARIZED.items()}
+    return {
+        "images": len(rotation),
+        **{f"median_{name}": float(np.median(values)) for name, values in named.items()},
+        **{f"mean_{name}": float(values.mean()) for name, values in named.items()},
+        "median_intervals_95": {
+            f"median_{name}": list(median_interval(values)) for name, values in named.items()
+        },
+        "percentile_90_rotation_error_deg": float(np.quantile(rotation, 0.9)),
+        f"share_over_{LARGE_DEG:.0f}_deg": float((rotation > LARGE_DEG).mean()),
+        **(_trust(answers, threshold) if answers.uncertainties else {}),
+    }
+
+
+def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
+    """Return the statistics of the uncertainties."""
+    found, truth = _vectors(answers.found), _vectors(answers.truth)
+    said = answers.uncertainties
+    residuals = {
+        "translation": truth[:, :3] - found[:, :3],
+        "rotation": rotation_vector(found[:, 3:], truth[:, 3:]),
+    }
+    result: dict[str, Any] = {}
+    for name, residual in residuals.items():
+        covariance = np.stack([getattr(u, f"{name}_covariance") for u in said])
+        probability = region_probability(squared_mahalanobis(residual, covariance))
+        shares = zip(LEVELS, coverage(probability).tolist(), strict=True)
+        result[name] = {f"coverage_{100 * level:.0f}": share for level, share in shares}
+    pairs = zip(answers.found, said, strict=True)
+    distances, in_plane, out_of_plane = np.transpose(
+        [standard_deviations(pose.t, u) for pose, u in pairs]
+    )
+    result["median_sigma_distance_m"] = float(np.median(distances))
+    result["median_sigma_rotation_deg"] = float(np.median(np.hypot(in_plane, out_of_plane)))
+    in_view = np.array([u.in_view for u in said])
+    result["median_in_view"] = float(np.median(in_view))
+    if threshold is not None:
+        result["flagged"] = float((in_view < threshold).mean())
+    return result
+
+
+def refuse(
+    with_object: Sequence[Pose], without: Sequence[Pose], threshold: float | None
+) -> dict[str, Any]:
+    """Return how well images without the object are distinguished from images with it.
+
+    Args:
+        with_object: Predictions, with uncertainty, for images that show the object.
+        without: Predictions, with uncertainty, for images that do not.
+        threshold: Probability below which an image is flagged, or None.
+
+    Returns:
+        ``images`` (without the object), their ``median_in_view``, ``auroc``, and, with a threshold,
+        ``false_alarm_rate`` and ``miss_rate`` as in `ffpose.evaluation.calibration.FlagRates`.
+
+    Raises:
+        ValueError: ``with_object`` or ``without`` is empty or has no uncertainty.
+    """
+    positive, negative = (
+        [pose.uncertainty.in_view for pose in poses if pose.uncertainty is not None]
+        for poses in (with_object, without)
+    )
+    result = {
+        "images": len(negative),
+        "median_in_view": float(np.median(negative)),
+        "auroc": auroc(positive, negative),
+    }
+    if threshold is not None:
+        rates = flag_rates(positive, negative, threshold)
+        result["false_alarm_rate"], result["miss_rate"] = rates.false_alarm_rate, rates.miss_rate
+    return result
+
+
+def _errors(answers: Answers) -> PoseErrors:
+    if not answers.truth:
+        raise ValueError("answers: expected at least one with the truth, got none")
+    found, truth = (torch.from_numpy(_vectors(poses)) for poses in answers)
+    return pose_error(found[:, :3], found[:, 3:], truth[:, :3], truth[:, 3:])
+
+
+def _vectors(poses: Sequence[Pose]) -> FloatArray:
+    return np.stack([pose.vector for pose in poses])

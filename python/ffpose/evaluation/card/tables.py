@@ -1,0 +1,223 @@
+"""Markdown tables of a model card, from what `measurement.measure` returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+Row = Mapping[str, Any]
+
+NONE = "–"
+"""Placeholder for a missing value."""
+
+
+def format_card(document: Mapping[str, Any]) -> str:
+    """Return the whole card in Markdown: setup, tables and notes."""
+    width, height = document["size"]
+    near, far = document["distance_m"]
+    head = (
+        f"`{document['weights']}` (SHA-256 {document['sha256'][:12]}…) on `{document['scene']}`: "
+        f"{document['count']} images of {width}x{height} per condition, seed {document['seed']}"
+        f"{' (final)' if document['final'] else ''}, "
+        f"{near:g} to {far:g} m, all attitudes; ffpose {document['ffpose']}."
+    )
+    parts = [head, errors_table(document)]
+    if any("rotation" in row for row in document["conditions"]):
+        parts.append(uncertainty_table(document["conditions"]))
+    if document["without_object"]:
+        parts.append(refusal_table(document))
+    return "\n\n".join([*parts, *document["notes"]]) + "\n"
+
+
+def accuracy_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the table that compares cards, by name, on the scenes as trained.
+
+    The last column is the constant pose of the first card.
+    """
+    rows = [card["conditions"][0] for card in cards.values()]
+    constant = next(iter(cards.values()))["mean_pose_baseline"]
+
+    def median(name: str, show: Any) -> list[str]:
+        found = [show(row[f"median_{name}"]) for row in rows]
+        between = [map(show, row["median_intervals_95"][f"median_{name}"]) for row in rows]
+        cells = [f"{value} [{', '.join(ends)}]" for value, ends in zip(found, between, strict=True)]
+        return [*cells, show(constant[f"median_{name}"])]
+
+    def both(row: Row) -> str:
+        rotation, translation = row["mean_rotation_error_deg"], row["mean_translation_error_m"]
+        return f"{_degrees(rotation)}, {_meters(translation)}"
+
+    lines = [
+        ["E_q", *median("rotation_error_deg", _degrees)],
+        ["in-plane", *median("in_plane_error_deg", _degrees)],
+        ["out-of-plane", *median("out_of_plane_error_deg", _degrees)],
+        ["E_t", *median("translation_error_m", _meters)],
+        ["E_t / ‖t‖", *median("relative_translation_error", _percent)],
+        ["mean E_q, E_t", *map(both, rows), both(constant)],
+        *(
+            [f"{name} in the 50 / 90 / 99 % region", *(_coverage(row[name]) for row in rows), NONE]
+            for name in ("rotation", "translation")
+        ),
+        [
+            "object in view or not, AUROC",
+            *(f"{card['without_object'][-1]['auroc']:.4f}" for card in cards.values()),
+            NONE,
+        ],
+    ]
+    return _table(["", *(f"`{name}`" for name in cards), "constant"], lines)
+
+
+def summary_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a table of the medians of each card, by name, and of the mean poses of their sets."""
+
+    def cells(name: str, row: Row) -> list[str]:
+        relative = _percent(row["median_relative_translation_error"])
+        return [
+            name,
+            _degrees(row["median_rotation_error_deg"]),
+            f"{_meters(row['median_translation_error_m'])}, {relative} of the distance",
+            str(row["images"]),
+        ]
+
+    lines = []
+    for name, card in cards.items():
+        near, far = card["distance_m"]
+        lines.append(
+            cells(f"`{name}`, {near:g}–{far:g} m, from the image alone", card["conditions"][0])
+        )
+        lines.append(cells(f"… mean pose of `{card['scene']}`", card["mean_pose_baseline"]))
+    return _table(["", "attitude", "position", "images"], lines)
+
+
+def errors_table(document: Mapping[str, Any]) -> str:
+    """Return the table of errors of each condition, and of the constant pose.
+
+    A row below the first condition shows the bootstrap intervals of its medians.
+    """
+    header = ["condition", "in training", "images", "E_q", "mean", "90 %", "> 30°"]
+    header += ["in-plane", "out-of-plane", "E_t", "mean", "E_t/‖t‖"]
+    first, *others = document["conditions"]
+    constant = {"name": "constant pose", **document["mean_pose_baseline"]}
+    rows = [_errors(first), _intervals(first), *map(_errors, others), _errors(constant)]
+    caption = "Medians, where no other is named; in brackets their bootstrap intervals of 95 %."
+    about = f"{_conditions(document['conditions'])} {_partly(document['conditions'])}".rstrip()
+    return f"{_table(header, rows)}\n\n{caption} {about}"
+
+
+def _errors(row: Row) -> list[str]:
+    return [
+        row["name"],
+        row.get("seen", ""),
+        str(row["images"]),
+        _degrees(row["median_rotation_error_deg"]),
+        _degrees(row["mean_rotation_error_deg"]),
+        _degrees(row["percentile_90_rotation_error_deg"]),
+        _percent(row["share_over_30_deg"]),
+        _degrees(row["median_in_plane_error_deg"]),
+        _degrees(row["median_out_of_plane_error_deg"]),
+        _meters(row["median_translation_error_m"]),
+        _meters(row["mean_translation_error_m"]),
+        _percent(row["median_relative_translation_error"]),
+    ]
+
+
+def _intervals(row: Row) -> list[str]:
+    """Return the row of bootstrap intervals of the medians in `_errors`."""
+    intervals = row["median_intervals_95"]
+
+    def between(name: str, show: Any) -> str:
+        low, high = intervals[f"median_{name}"]
+        return f"[{show(low)}, {show(high)}]"
+
+    return [
+        *("", "", "", between("rotation_error_deg", _degrees), "", "", ""),
+        between("in_plane_error_deg", _degrees),
+        between("out_of_plane_error_deg", _degrees),
+        between("translation_error_m", _meters),
+        "",
+        between("relative_translation_error", _percent),
+    ]
+
+
+def _conditions(rows: Sequence[Row]) -> str:
+    """Describe each condition in one sentence."""
+    return "; ".join(f"{row['name']}: {row['about']}" for row in rows) + "."
+
+
+def _partly(rows: Sequence[Row]) -> str:
+    """Say in what way a training had the conditions that it had in part; empty for none."""
+    parts = [f"{row['name']} ({row['seen_how']})" for row in rows if row.get("seen_how")]
+    return f"Partly in training: {'; '.join(parts)}." if parts else ""
+
+
+def uncertainty_table(rows: Sequence[Row]) -> str:
+    """Return the table of coverage, predicted standard deviations and flag, by condition."""
+    header = ["condition", "E_q", "σ rotation", "E_t", "σ distance"]
+    header += ["rotation in 50 / 90 / 99 %", "translation in 50 / 90 / 99 %", "in view", "flagged"]
+    lines = [
+        [
+            row["name"],
+            _degrees(row["median_rotation_error_deg"]),
+            _degrees(row["median_sigma_rotation_deg"]),
+            _meters(row["median_translation_error_m"]),
+            _meters(row["median_sigma_distance_m"]),
+            _coverage(row["rotation"]),
+            _coverage(row["translation"]),
+            f"{row['median_in_view']:.4g}",
+            _percent(row["flagged"]) if "flagged" in row else NONE,
+        ]
+        for row in rows
+    ]
+    caption = (
+        "Medians of errors, of predicted standard deviations (rotation: of the whole angle; "
+        "distance: along the ray) and of the probability of being in view; shares of the truths "
+        "in the regions of 50, 90 and 99 %."
+    )
+    return f"{_table(header, lines)}\n\n{caption}"
+
+
+def refusal_table(document: Mapping[str, Any]) -> str:
+    """Return the table of how well images without the object are detected."""
+    rows = document["without_object"]
+    lines = [
+        [
+            row["name"],
+            row["about"],
+            row.get("seen", ""),
+            str(row["images"]),
+            f"{row['auroc']:.4f}",
+            _percent(row["miss_rate"]) if "miss_rate" in row else NONE,
+            f"{row['median_in_view']:.4g}",
+        ]
+        for row in rows
+    ]
+    header = ["without the object", "", "in training", "images", "AUROC", "missed", "in view"]
+    threshold = document["in_view_threshold"]
+    caption = "The weights hold no threshold to flag by."
+    if threshold is not None:
+        caption = (
+            f"Flagged below {threshold:.4g}; false alarms on the scenes as trained: "
+            f"{_percent(rows[0]['false_alarm_rate'])}."
+        )
+    return f"{_table(header, lines)}\n\n{caption} {_partly(rows)}".rstrip()
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _coverage(shares: Mapping[str, float]) -> str:
+    return " / ".join(f"{100 * shares[f'coverage_{level}']:.0f}" for level in (50, 90, 99))
+
+
+def _degrees(value: float) -> str:
+    return f"{value:.2f}°"
+
+
+def _meters(value: float) -> str:
+    return f"{value:.2f} m"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"

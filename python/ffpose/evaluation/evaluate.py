@@ -1,0 +1,327 @@
+"""Evaluation of trained weights on held-out images, compared with baselines that ignore the image.
+
+The metrics are those of the paper's tables: errors of translation (Eq. 13) and orientation (Eq.
+14), always as mean and median, and the scores of the ESA 2019 and SPEED+ 2021 challenges. The
+rotation error is also split into in-plane and out-of-plane parts (`ffpose.evaluation.attitude`), as
+a network may learn one and not the other.
+
+The baselines are those of `ffpose.evaluation.baseline`: the mean pose of the training split,
+predicted for every image, and oracles that know one part of the truth.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import DataLoader
+
+from ffpose import arrays
+from ffpose.datasets import (
+    Conditions,
+    Decoding,
+    Part,
+    PoseDataset,
+    open_dataset,
+    read_conditions,
+)
+from ffpose.datasets.targets import spread
+from ffpose.evaluation.attitude import rotation_vector
+from ffpose.evaluation.baseline import mean_pose, oracles
+from ffpose.evaluation.breakdown import breakdown
+from ffpose.evaluation.calibration import (
+    check_covariance,
+    check_probability,
+    region_probability,
+    squared_mahalanobis,
+    summarize_flag,
+    summarize_regions,
+)
+from ffpose.evaluation.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
+from ffpose.evaluation.significance import circular_correlation, correlation, median_interval
+from ffpose.geometry import Pose
+from ffpose.imaging.images import image_files, read_rgb
+from ffpose.inference.load import load
+from ffpose.inference.network import choose_preprocessing
+from ffpose.models import PosePrediction, WeightsMetadata
+
+FloatArray = NDArray[np.float64]
+
+UNCERTAINTY = ("translation_covariance", "rotation_covariance", "in_view")
+"""Uncertainty outputs that a network may have besides its poses."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Predictions on the images of one split, and the baseline on the same images.
+
+    Attributes:
+        dataset: Images and labels.
+        predicted: Predicted poses ``(N, 7)``, ``[t, q]``.
+        baseline: Constant pose ``(7,)`` of the baseline.
+        seconds_per_image: Mean time from image file to pose.
+        conditions: Conditions of the images, where the set has them.
+        translation_covariance: ``(N, 3, 3)`` square meters, camera frame; None, like the next two,
+            for a network without uncertainty.
+        rotation_covariance: ``(N, 3, 3)`` square radians, covariance of the rotation vector ``r``,
+            camera frame, with ``R_true = exp([r]x) R_predicted``.
+        in_view: Probabilities ``(N,)`` that the object is in the image at all.
+        in_view_empty: Probabilities ``(M,)`` for images without the object, if there are any.
+        in_view_threshold: Images with a lower probability are flagged as not showing the object.
+
+    Raises:
+        ValueError: A covariance is not symmetric and positive definite, a probability is outside
+            0…1, or shapes do not match.
+    """
+
+    dataset: PoseDataset
+    predicted: FloatArray
+    baseline: FloatArray
+    seconds_per_image: float
+    conditions: Conditions | None = None
+    translation_covariance: FloatArray | None = None
+    rotation_covariance: FloatArray | None = None
+    in_view: FloatArray | None = None
+    in_view_empty: FloatArray | None = None
+    in_view_threshold: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("translation_covariance", "rotation_covariance"):
+            if (covariance := getattr(self, name)) is not None:
+                check_covariance(name, covariance, len(self.dataset))
+        for name, count in (("in_view", len(self.dataset)), ("in_view_empty", None)):
+            if (probability := getattr(self, name)) is not None:
+                check_probability(name, probability, count)
+
+    @cached_property
+    def errors(self) -> PoseErrors:
+        """Errors of the predictions, image by image."""
+        return _errors(self.predicted, self.dataset.poses)
+
+    @cached_property
+    def baseline_errors(self) -> PoseErrors:
+        """Errors of the baseline, image by image."""
+        return _errors(self._constant, self.dataset.poses)
+
+    @cached_property
+    def angles(self) -> tuple[FloatArray, FloatArray]:
+        """Predicted and true roll, pitch and yaw ``(N, 3)`` each, degrees."""
+        predicted, truth = (
+            np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])), np.float64)
+            for poses in (self.predicted, self.dataset.poses)
+        )
+        return predicted, truth
+
+    @cached_property
+    def region_probabilities(self) -> dict[str, FloatArray]:
+        """Probability ``(N,)`` of the smallest confidence region that contains each truth.
+
+        Keys are ``translation`` and ``rotation``, where the network predicts their covariance.
+        """
+        truth, predicted = self.dataset.poses, self.predicted
+        pairs = {
+            "translation": (truth[:, :3] - predicted[:, :3], self.translation_covariance),
+            "rotation": (rotation_vector(predicted[:, 3:], truth[:, 3:]), self.rotation_covariance),
+        }
+        return {
+            name: region_probability(squared_mahalanobis(error, covariance))
+            for name, (error, covariance) in pairs.items()
+            if covariance is not None
+        }
+
+    @cached_property
+    def ranking(self) -> NDArray[np.intp]:
+        """Indices of the images from best to worst.
+
+        By their ESA score; where labels locate the camera, the position error is divided by the
+        spread of the positions instead of the distance.
+        """
+        score = self.errors.esa_score.numpy()
+        if self.dataset.target == "camera":
+            position = self.errors.translation_m.numpy() / spread(self.dataset.poses)
+            score = position + np.radians(self.errors.rotation_deg.numpy())
+        return np.argsort(score, kind="stable")
+
+    def typical(self, count: int) -> list[int]:
+        """Return the indices of the ``count`` images in the middle of the ranking, or of all."""
+        begin = max(0, len(self.ranking) - count) // 2
+        chosen: list[int] = self.ranking[begin : begin + count].tolist()
+        return chosen
+
+    def pose(self, index: int) -> Pose:
+        """Return the predicted pose of image ``index``."""
+        return self.dataset.to_pose(self.predicted[index])
+
+    def summary(self) -> dict[str, Any]:
+        """Return the metrics of the model, the baseline and the oracles.
+
+        Metrics are named as in `PoseError`. ``median_intervals_95`` holds bootstrap intervals of
+        the medians; ``mean_pose_baseline`` the metrics of the constant pose; ``oracles`` the
+        rotation errors of `ffpose.evaluation.baseline.oracles`; ``correlation`` the correlation of
+        predicted and true roll, pitch and yaw (circular for roll and yaw; None where one is
+        constant); ``groups`` the medians by condition (`ffpose.evaluation.breakdown`);
+        ``uncertainty``, for a network that predicts it, its calibration
+        (`ffpose.evaluation.calibration`).
+        """
+        distance = np.linalg.norm(self.dataset.poses[:, :3], axis=1)
+        uncertainty = self._uncertainty()
+        return {
+            "images": len(self.dataset),
+            **figures(self.predicted, self.dataset.poses),
+            "median_intervals_95": _intervals(self.errors),
+            "seconds_per_image": self.seconds_per_image,
+            "mean_pose_baseline": {
+                "pose": self.baseline.tolist(),
+                **figures(self._constant, self.dataset.poses),
+                "median_intervals_95": _intervals(self.baseline_errors),
+            },
+            "oracles": self._oracles(),
+            "correlation": self._correlations(),
+            "groups": breakdown(self.errors, distance, self.conditions),
+            **({"uncertainty": uncertainty} if uncertainty else {}),
+        }
+
+    @property
+    def _constant(self) -> FloatArray:
+        return np.broadcast_to(self.baseline, self.dataset.poses.shape)
+
+    def _oracles(self) -> dict[str, dict[str, float]]:
+        truth = self.dataset.poses
+        return {
+            name: {
+                key: value for key, value in figures(answer, truth).items() if key.endswith("_deg")
+            }
+            for name, answer in oracles(self.baseline, truth).items()
+        }
+
+    def _correlations(self) -> dict[str, float | None]:
+        (roll_hat, pitch_hat, yaw_hat), (roll, pitch, yaw) = (angles.T for angles in self.angles)
+        return {
+            "roll": circular_correlation(roll_hat, roll),
+            "pitch": correlation(pitch_hat, pitch),
+            "yaw": circular_correlation(yaw_hat, yaw),
+        }
+
+    def _uncertainty(self) -> dict[str, Any]:
+        """Return the calibration of covariances and flag; empty without them."""
+        result: dict[str, Any] = {
+            name: summarize_regions(probability)
+            for name, probability in self.region_probabilities.items()
+        }
+        if self.translation_covariance is not None:
+            result["translation"]["median_sigma_m"] = _median_sigma(self.translation_covariance)
+        if self.rotation_covariance is not None:
+            sigma = _median_sigma(self.rotation_covariance)
+            result["rotation"]["median_sigma_deg"] = float(np.degrees(sigma))
+        if self.in_view is not None:
+            flag = summarize_flag(self.in_view, self.in_view_empty, self.in_view_threshold)
+            result["in_view"] = flag
+        return result
+
+
+def evaluate(
+    weights: str | Path,
+    kind: str,
+    root: Path,
+    split: Part = "test",
+    *,
+    batch_size: int = 32,
+    reproject: bool = False,
+    decoding: Decoding | None = None,
+    device: str = "auto",
+    empty: Path | None = None,
+) -> Evaluation:
+    """Evaluate weights on the images of a split.
+
+    Args:
+        weights: Weights file, exported ``.onnx`` graph (float32 or int8), a folder that holds one,
+            or a name of shipped weights; its header defines the preprocessing.
+        kind: Kind of the dataset.
+        root: Folder of the dataset. Its training split gives the baseline, if the weights do not.
+        split: The split to evaluate; ``"all"`` for every split.
+        batch_size: Images per batch.
+        reproject: Reproject images of a camera other than the weights' into the network's view
+            (`ffpose.imaging.reprojection`).
+        decoding: Conversion from image files to images; None for that of the training.
+        device: "auto" (a GPU if there is one) or a device that torch knows; graphs run on the CPU.
+        empty: Folder of images (PNG, JPEG, PGM) that do not show the object, for the miss rate and
+            the AUROC of ``in_view``.
+
+    Returns:
+        Predictions and labels.
+
+    Raises:
+        FileNotFoundError: The weights or a file of the dataset are missing.
+        ValueError: The weights were altered or are of another kind of network, or their camera is
+            not that of the images, or the device cannot be had, or the network does not predict
+            whether the object is in view and ``empty`` is given.
+        ffpose.DataError: An image or a label cannot be used.
+    """
+    empty_images = [] if empty is None else image_files(empty, "empty")
+    estimator = load(weights, resize=True, device=device, warm_up=0)
+    metadata = estimator.metadata
+    decoding = decoding or Decoding(metadata.undistorted, metadata.white)
+    dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
+    dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
+    baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
+    if baseline is None:
+        baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
+    loader = DataLoader(dataset, batch_size=batch_size)
+    began = time.perf_counter()
+    batches = [estimator.run(batch.image.numpy()) for batch in loader]
+    seconds = (time.perf_counter() - began) / len(dataset)
+    outputs = {
+        name: np.concatenate([batch[name] for batch in batches]).astype(np.float64)
+        for name in batches[0]
+    }
+    predicted = np.concatenate([outputs[name] for name in PosePrediction._fields], axis=1)
+    conditions = read_conditions(root, dataset.names)
+    told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
+    if metadata.in_view_threshold is not None:
+        told["in_view_threshold"] = metadata.in_view_threshold
+    if empty_images:
+        if "in_view" not in told:
+            raise ValueError(
+                "empty: expected weights that predict whether the object is in view, got others"
+            )
+        pictures = (read_rgb(image, decoding.white) for image in empty_images)
+        inputs = (dataset.preprocessing.array(picture)[None] for picture in pictures)
+        empty_in_view = [estimator.run(each)["in_view"] for each in inputs]
+        told["in_view_empty"] = np.concatenate(empty_in_view).astype(np.float64)
+    return Evaluation(dataset, predicted, baseline, seconds, conditions, **told)
+
+
+def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:
+    """Return means, medians and scores of predictions ``(N, 7)``, named as in `PoseError`."""
+    metric = PoseError()
+    metric.update(*_tensors(predicted), *_tensors(truth))
+    return {name: float(value) for name, value in metric.compute().items()}
+
+
+def _intervals(errors: PoseErrors) -> dict[str, list[float]]:
+    """Return bootstrap intervals of the medians, named as in `PoseError`."""
+    return {
+        f"median_{name}": list(median_interval(getattr(errors, field).numpy()))
+        for name, field in SUMMARIZED.items()
+    }
+
+
+def _median_sigma(covariance: FloatArray) -> float:
+    """Return the median over covariances ``(N, 3, 3)`` of the RMS standard deviation."""
+    return float(np.median(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)))
+
+
+def _errors(predicted: FloatArray, truth: FloatArray) -> PoseErrors:
+    return pose_error(*_tensors(predicted), *_tensors(truth))
+
+
+def _tensors(poses: FloatArray) -> tuple[torch.Tensor, torch.Tensor]:
+    """Split poses ``(N, 7)`` into translations ``(N, 3)`` and orientations ``(N, 4)``."""
+    tensor = torch.from_numpy(np.array(poses, order="C"))  # torch warns of what is read-only
+    return tensor[:, :3], tensor[:, 3:]

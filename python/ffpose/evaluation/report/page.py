@@ -1,0 +1,159 @@
+"""Report of an evaluation as one self-contained HTML page."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Any
+
+from PIL import Image
+
+from ffpose._internal.files import atomic_write
+from ffpose.evaluation.evaluate import Evaluation
+from ffpose.evaluation.report.plots import (
+    GALLERY_TILE,
+    caption,
+    draw_prediction,
+    error_cdf,
+    error_histograms,
+    errors_by_distance,
+    predicted_angles,
+    reliability_diagram,
+    training_curves,
+)
+from ffpose.evaluation.report.tables import (
+    conditions_table,
+    correlation_text,
+    figures_table,
+    headline,
+    parts_table,
+    uncertainty_table,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DISTRIBUTIONS = (
+    (error_cdf, "share of the images below each error, model and mean pose"),
+    (error_histograms, "histograms of the errors, model and mean pose"),
+    (errors_by_distance, "each image's errors over the distance of the spacecraft"),
+    (predicted_angles, "predicted roll, pitch and yaw over the true angles"),
+)
+"""Figures of the errors, with their alternative texts."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Contents of a report page.
+
+    Attributes:
+        title: Heading of the page.
+        subtitle: One sentence below the heading.
+        evaluation: Predictions on held-out images.
+        history: Rows of ``results.csv``; empty without training.
+        facts: Names and values for the table at the end.
+        command: Command that reproduces the report.
+    """
+
+    title: str
+    subtitle: str
+    evaluation: Evaluation
+    history: Sequence[Mapping[str, float | str]]
+    facts: Mapping[str, str]
+    command: str
+
+
+def write_report(report: Report, path: Path) -> None:
+    """Write ``report`` as one self-contained HTML file."""
+    template = (
+        resources.files("ffpose.evaluation.report")
+        .joinpath("page.html")
+        .read_text(encoding="utf-8")
+    )
+    evaluation = report.evaluation
+    summary = evaluation.summary()
+    page = Template(template).substitute(
+        title=html.escape(report.title),
+        subtitle=html.escape(report.subtitle),
+        headline=headline(summary),
+        figures=figures_table(summary),
+        parts=parts_table(summary),
+        correlation=html.escape(correlation_text(summary)),
+        conditions=conditions_table(summary),
+        uncertainty=_uncertainty(evaluation, summary),
+        galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
+        training=_training(report.history),
+        distributions="".join(
+            _embed_figure(draw(evaluation), text) for draw, text in DISTRIBUTIONS
+        ),
+        facts="".join(
+            f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
+            for name, value in report.facts.items()
+        ),
+        command=html.escape(report.command),
+    )
+    with atomic_write(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _training(history: Sequence[Mapping[str, float | str]]) -> str:
+    """Return the section on the training; empty without training."""
+    if not history:
+        return ""
+    text = "loss and validation errors over the epochs"
+    return f"<h2>Training</h2>{_embed_figure(training_curves(history), text)}"
+
+
+def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:
+    """Return the section on the predicted uncertainty; empty for a network without it."""
+    if "uncertainty" not in summary:
+        return ""
+    diagram = ""
+    if evaluation.region_probabilities:
+        text = "share of the truths in the predicted regions over the regions' probability"
+        diagram = _embed_figure(reliability_diagram(evaluation), text)
+    return f"<h2>Predicted uncertainty</h2><table>{uncertainty_table(summary)}</table>{diagram}"
+
+
+def _groups(evaluation: Evaluation, size: int = 8) -> list[tuple[str, list[int]]]:
+    """Return headings and images: the best, those around the median, and the worst."""
+    ranking = evaluation.ranking.tolist()
+    return [
+        ("The best", ranking[:size]),
+        ("About the median", evaluation.typical(size)),
+        ("The worst", ranking[::-1][:size]),
+    ]
+
+
+def _gallery(evaluation: Evaluation, heading: str, indices: list[int]) -> str:
+    tiles = "".join(
+        f"<figure>{_embed_image(draw_prediction(evaluation, index), caption(evaluation, index))}"
+        f"<figcaption>{html.escape(evaluation.dataset.names[index])}: "
+        f"{caption(evaluation, index)}</figcaption></figure>"
+        for index in indices
+    )
+    return f'<h3>{heading}</h3><div class="gallery">{tiles}</div>'
+
+
+def _embed_image(image: Image.Image, text: str) -> str:
+    buffer = io.BytesIO()
+    image.thumbnail(GALLERY_TILE)
+    image.save(buffer, "JPEG", quality=88)
+    return _tag("image/jpeg", buffer.getvalue(), text)
+
+
+def _embed_figure(figure: Figure, text: str) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="svg")
+    return _tag("image/svg+xml", buffer.getvalue(), text)
+
+
+def _tag(kind: str, data: bytes, text: str) -> str:
+    encoded = base64.b64encode(data).decode("ascii")
+    return f'<img src="data:{kind};base64,{encoded}" alt="{html.escape(text)}">'

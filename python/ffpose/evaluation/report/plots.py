@@ -1,0 +1,231 @@
+"""Figures of training and evaluation; each function returns a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from ffpose._internal.figures import new_figure, save_figure, style_axes
+from ffpose.evaluation.calibration import CURVE, coverage
+from ffpose.evaluation.evaluate import Evaluation
+from ffpose.geometry import FloatArray
+from ffpose.imaging.overlay import draw_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MODEL_COLOR = "#2f6fdf"
+BASELINE_COLOR = "#9aa3af"
+TRUTH_COLORS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
+"""Colors of the true axes, pale because the predicted ones are drawn over them."""
+
+GALLERY_TILE = (480, 360)
+
+
+def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
+    """Plot the loss and the validation errors over the epochs.
+
+    Args:
+        history: Rows of ``results.csv``, in order of the epochs.
+
+    Raises:
+        ValueError: ``history`` is empty.
+    """
+    if not history:
+        raise ValueError("training curves: expected at least one epoch, got none")
+    figure = new_figure(10.5, 2.9)
+    epochs = [float(row["epoch"]) for row in history]
+    panels = (
+        ("train_loss", "training loss"),
+        ("val_median_translation_error_m", "median translation error, m"),
+        ("val_median_rotation_error_deg", "median rotation error, degrees"),
+    )
+    for axes, (column, title) in zip(figure.subplots(1, 3), panels, strict=True):
+        values = [float(row[column]) for row in history]
+        axes.plot(epochs, values, color=MODEL_COLOR, marker="." if len(epochs) < 40 else "")
+        axes.set_xlabel("epoch")
+        _title(axes, title)
+        if column.startswith("val"):
+            axes.set_ylim(bottom=0)
+    return figure
+
+
+def error_cdf(evaluation: Evaluation) -> Figure:
+    """Plot the cumulative distribution of each error, for model and baseline."""
+    figure = new_figure(9.0, 6.4)
+    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
+        for values, label, color in (
+            (pair.model, "model", MODEL_COLOR),
+            (pair.baseline, "mean pose", BASELINE_COLOR),
+        ):
+            share = np.arange(1, len(values) + 1) / len(values)
+            axes.step(np.sort(values), share, where="post", label=label, color=color)
+            axes.plot(np.median(values), 0.5, "o", color=color)
+        axes.set_xlabel(f"{pair.name} error, {pair.unit}")
+        axes.set_ylim(0, 1)
+        axes.set_xlim(left=0)
+        _title(axes, f"images below a {pair.name} error (dot: median)")
+        axes.legend(frameon=False, loc="lower right")
+    return figure
+
+
+def error_histograms(evaluation: Evaluation) -> Figure:
+    """Plot histograms of the errors, as in the paper's Figure 8."""
+    figure = new_figure(9.0, 6.0)
+    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
+        edges = np.linspace(0.0, max(pair.model.max(), pair.baseline.max()), 41)
+        axes.hist(pair.baseline, edges, color=BASELINE_COLOR, alpha=0.55, label="mean pose")
+        axes.hist(pair.model, edges, color=MODEL_COLOR, alpha=0.85, label="model")
+        axes.set_xlabel(f"{pair.name} error, {pair.unit}")
+        axes.set_ylabel("images")
+        _title(axes, f"distribution of the {pair.name} error")
+        axes.legend(frameon=False, loc="upper right")
+    return figure
+
+
+def errors_by_distance(evaluation: Evaluation) -> Figure:
+    """Plot each image's errors over the distance of the object."""
+    figure = new_figure(9.0, 6.0)
+    distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
+    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
+        axes.scatter(distance, pair.model, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
+        axes.set_xlabel("true distance, m")
+        axes.set_ylabel(f"{pair.name} error, {pair.unit}")
+        axes.set_ylim(bottom=0)
+        _title(axes, f"{pair.name} error over distance")
+    return figure
+
+
+def predicted_angles(evaluation: Evaluation) -> Figure:
+    """Plot predicted over true roll, pitch and yaw: a line if they are learned, else a band."""
+    figure = new_figure(10.5, 3.6)
+    limits = {"roll": 180, "pitch": 90, "yaw": 180}
+    panels = zip(
+        figure.subplots(1, 3), limits.items(), *(a.T for a in evaluation.angles), strict=True
+    )
+    for axes, (name, limit), predicted, truth in panels:
+        axes.plot([-limit, limit], [-limit, limit], color=BASELINE_COLOR, linewidth=0.8)
+        axes.scatter(truth, predicted, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
+        axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+        axes.set_xlabel(f"true {name}, degrees")
+        axes.set_ylabel(f"predicted {name}, degrees")
+        _title(axes, name)
+    return figure
+
+
+def reliability_diagram(evaluation: Evaluation) -> Figure:
+    """Plot the coverage of confidence regions over their probability; diagonal if calibrated.
+
+    Raises:
+        ValueError: The evaluation holds no covariance.
+    """
+    if not evaluation.region_probabilities:
+        raise ValueError("reliability diagram: expected an evaluation with covariances, got none")
+    figure = new_figure(4.6, 4.2)
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color=BASELINE_COLOR, linewidth=0.8, label="calibrated")
+    for (name, probability), style in zip(
+        evaluation.region_probabilities.items(), ("-", "--"), strict=False
+    ):
+        empirical = coverage(probability, CURVE)
+        axes.plot(CURVE, empirical, style, color=MODEL_COLOR, marker=".", label=name)
+    axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
+    axes.set_xlabel("probability of the predicted region")
+    axes.set_ylabel("share of the truths within it")
+    _title(axes, "reliability of the covariances")
+    axes.legend(frameon=False, loc="upper left")
+    return figure
+
+
+def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
+    """Return image ``index`` with the predicted axes drawn over the pale true ones."""
+    dataset = evaluation.dataset
+    image = dataset.load_image(index)
+    if image.width < GALLERY_TILE[0]:
+        scale = GALLERY_TILE[0] / image.width
+        image = image.resize((GALLERY_TILE[0], round(image.height * scale)))
+    record, wide = dataset.records[index], max(4, image.width // 80)
+    camera = record.camera
+    image = draw_axes(image, record.label, camera, colors=TRUTH_COLORS, width=wide)
+    return draw_axes(image, evaluation.pose(index), camera, width=max(2, wide // 3))
+
+
+def caption(evaluation: Evaluation, index: int) -> str:
+    """Return the errors of image ``index`` in words."""
+    errors = evaluation.errors
+    return f"{float(errors.translation_m[index]):.2f} m, {float(errors.rotation_deg[index]):.1f}°"
+
+
+def worst_gallery(evaluation: Evaluation, count: int = 16) -> Figure:
+    """Draw the ``count`` worst predictions on their images, worst first."""
+    return _gallery(evaluation, evaluation.ranking[::-1][:count].tolist())
+
+
+def typical_gallery(evaluation: Evaluation, count: int = 8) -> Figure:
+    """Draw the ``count`` predictions around the median of the ranking."""
+    return _gallery(evaluation, evaluation.typical(count))
+
+
+def _gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) -> Figure:
+    rows = -(-len(indices) // columns)
+    figure = new_figure(3.0 * columns, 2.5 * rows)
+    grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes in grid:
+        axes.set_axis_off()
+    for axes, index in zip(grid, indices, strict=False):
+        axes.imshow(np.asarray(draw_prediction(evaluation, index)))
+        axes.set_title(
+            f"{evaluation.dataset.names[index]}\n{caption(evaluation, index)}", fontsize=8
+        )
+    return figure
+
+
+def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
+    """Write all figures of an evaluation to the folder ``out`` and return their paths."""
+    figures = {
+        "error_cdf.png": error_cdf,
+        "error_histograms.png": error_histograms,
+        "errors_by_distance.png": errors_by_distance,
+        "predicted_angles.png": predicted_angles,
+        "typical.png": typical_gallery,
+        "worst.png": worst_gallery,
+    }
+    if evaluation.region_probabilities:
+        figures["reliability.png"] = reliability_diagram
+    for name, draw in figures.items():
+        save_figure(draw(evaluation), out / name)
+    return [out / name for name in figures]
+
+
+class _ErrorPair(NamedTuple):
+    """An error of model and baseline, ``(N,)`` each."""
+
+    name: str
+    unit: str
+    model: FloatArray
+    baseline: FloatArray
+
+
+def _error_pairs(evaluation: Evaluation) -> list[_ErrorPair]:
+    """Return the errors that the figures show."""
+    fields = (
+        ("translation", "m", "translation_m"),
+        ("rotation", "degrees", "rotation_deg"),
+        ("in-plane", "degrees", "in_plane_deg"),
+        ("out-of-plane", "degrees", "out_of_plane_deg"),
+    )
+    pair = (evaluation.errors, evaluation.baseline_errors)
+    return [
+        _ErrorPair(name, unit, *(getattr(errors, field).numpy() for errors in pair))
+        for name, unit, field in fields
+    ]
+
+
+def _title(axes: Axes, text: str) -> None:
+    axes.set_title(text, fontsize=10, loc="left")
+    style_axes(axes)

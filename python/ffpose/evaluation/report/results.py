@@ -1,0 +1,73 @@
+"""Result files of an evaluation, and the table that it prints."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose._internal.files import atomic_write
+from ffpose.evaluation.evaluate import Evaluation
+
+FloatArray = NDArray[np.float64]
+
+VECTOR = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
+
+ERRORS = {
+    "translation_error_m": "translation_m",
+    "rotation_error_deg": "rotation_deg",
+    "esa_score": "esa_score",
+    "speed_plus_score": "speed_plus_score",
+    "relative_translation_error": "relative_translation",
+    "in_plane_error_deg": "in_plane_deg",
+    "out_of_plane_error_deg": "out_of_plane_deg",
+}
+"""Error columns of ``predictions.csv``: name, and field of `PoseErrors`."""
+
+
+def format_table(summary: dict[str, Any]) -> str:
+    """Format the metrics of `Evaluation.summary` as a text table: name, model, baseline."""
+    baseline = summary["mean_pose_baseline"]
+    lines = [f"{summary['images']} images".ljust(34) + "model".rjust(12) + "mean pose".rjust(12)]
+    for name, value in baseline.items():
+        if isinstance(value, float):
+            lines.append(f"{name:34}{summary[name]:12.4f}{value:12.4f}")
+    return "\n".join(lines)
+
+
+def write_results(evaluation: Evaluation, out: Path) -> None:
+    """Write ``results.json`` and ``predictions.csv`` (one row per image) to the folder ``out``."""
+    out.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out / "results.json") as path:
+        path.write_text(json.dumps(evaluation.summary(), indent=2) + "\n")
+    columns = _columns(evaluation)
+    table = np.stack(list(columns.values()), axis=1)
+    with atomic_write(out / "predictions.csv") as path, path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["image", *columns])
+        for name, row in zip(evaluation.dataset.names, table.tolist(), strict=True):
+            writer.writerow([name, *row])
+
+
+def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
+    """Return the columns ``(N,)`` of ``predictions.csv`` after the name."""
+    columns = dict(zip(VECTOR, evaluation.dataset.poses.T, strict=True))
+    columns |= {f"predicted_{n}": c for n, c in zip(VECTOR, evaluation.predicted.T, strict=True)}
+    columns |= {n: getattr(evaluation.errors, field).numpy() for n, field in ERRORS.items()}
+    if evaluation.translation_covariance is not None:
+        columns |= _deviations("t{}_m", evaluation.translation_covariance)
+    if evaluation.rotation_covariance is not None:
+        columns |= _deviations("r{}_deg", evaluation.rotation_covariance * np.degrees(1.0) ** 2)
+    if evaluation.in_view is not None:
+        columns["in_view"] = evaluation.in_view
+    return columns
+
+
+def _deviations(name: str, covariance: FloatArray) -> dict[str, FloatArray]:
+    """Return the standard deviations along x, y and z."""
+    deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
+    return {f"sigma_{name.format(axis)}": c for axis, c in zip("xyz", deviations, strict=True)}

@@ -1,0 +1,449 @@
+"""Cameras and poses, in the conventions of `ffpose.geometry`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from itertools import repeat
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ffpose._internal import urso
+from ffpose._internal.files import atomic_write, read_json, shortened
+from ffpose.arrays import canonical_quaternion
+from ffpose.errors import DataError
+
+FloatArray = NDArray[np.float64]
+
+CAMERA_FILE = "camera.json"
+"""Name of the file with the camera of all images in a folder (`Camera.read`, `Camera.write`)."""
+
+Target = Literal["object", "camera"]
+"""What labels and networks locate: the object in the camera frame, or the camera in the world."""
+
+QUATERNION_TOLERANCE = 1e-3
+"""Deviation of a quaternion's norm from one (rounding in a printed label) that is normalized."""
+
+
+def _real_array(name: str, values: ArrayLike, size: int) -> FloatArray:
+    """Convert to a finite float64 array whose last axis has ``size``, or raise."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"{name}: expected real numbers, got dtype {array.dtype}")
+    if array.ndim < 1 or array.shape[-1] != size:
+        raise ValueError(f"{name}: expected shape (..., {size}), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {array.tolist()}")
+    return array.astype(np.float64)
+
+
+def _unit_quaternion(q: ArrayLike) -> FloatArray:
+    """Normalize ``q (..., 4)``, whose norm must be one within `QUATERNION_TOLERANCE`."""
+    array = _real_array("quaternion", q, 4)
+    norm = np.linalg.norm(array, axis=-1, keepdims=True)
+    worst = float(np.max(np.abs(norm - 1), initial=0.0))
+    if worst > QUATERNION_TOLERANCE:
+        raise ValueError(
+            f"quaternion: expected norm 1 within {QUATERNION_TOLERANCE}, "
+            f"got {norm.flat[np.argmax(np.abs(norm - 1))]:.6g}"
+        )
+    return np.asarray(array / norm)
+
+
+def rotation_matrix(q: ArrayLike) -> FloatArray:
+    """Return the rotation matrices of Hamilton quaternions, scalar first.
+
+    Args:
+        q: Unit quaternions ``(..., 4)``, ``(w, x, y, z)``.
+
+    Returns:
+        Matrices ``(..., 3, 3)``, float64, such that ``matrix @ p`` rotates the point ``p``.
+
+    Raises:
+        TypeError: The values are not real numbers.
+        ValueError: Wrong shape, a value that is not finite, or a norm other than one.
+
+    Examples:
+        >>> rotation_matrix([0.0, 0.0, 0.0, 1.0]).tolist()  # half a turn about z
+        [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    w, x, y, z = np.moveaxis(_unit_quaternion(q), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera without distortion, in continuous pixel coordinates.
+
+    Attributes:
+        width: Image width in pixels.
+        height: Image height in pixels.
+        fx: Focal length along u, in pixels.
+        fy: Focal length along v, in pixels.
+        cx: u coordinate of the principal point.
+        cy: v coordinate of the principal point.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"camera: expected a positive size, got {self.width}x{self.height}")
+        if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))):
+            raise ValueError(f"camera: expected finite intrinsics, got {self}")
+        if self.fx <= 0 or self.fy <= 0:
+            raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.fx}, {self.fy}")
+
+    @staticmethod
+    def read(path: str | Path) -> Camera:
+        """Read a camera from a JSON file whose keys are the attributes.
+
+        With a key ``distortion``, five numbers, the camera is a `DistortedCamera`.
+
+        Raises:
+            FileNotFoundError: The file does not exist.
+            DataError: The file is not JSON, has other keys, or the values are not a valid camera.
+        """
+        values = read_json(Path(path))
+        names = [field.name for field in fields(Camera)]
+        if not isinstance(values, dict) or sorted(set(values) - {"distortion"}) != sorted(names):
+            raise DataError(f"expected the keys {', '.join(names)}, got {shortened(values)}", path)
+        for name in names:
+            kinds = (int,) if name in ("width", "height") else (int, float)
+            if type(values[name]) not in kinds:
+                raise DataError(f"{name}: expected a number, got {shortened(values[name])}", path)
+        try:
+            return DistortedCamera(**values) if "distortion" in values else Camera(**values)
+        except OverflowError as error:  # an integer of hundreds of digits
+            raise DataError(f"expected finite numbers: {error}", path) from error
+        except (TypeError, ValueError) as error:
+            raise DataError(str(error), path) from error
+
+    def write(self, path: str | Path) -> None:
+        """Write the camera as `read` takes it."""
+        with atomic_write(path) as temporary:
+            temporary.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+
+    @property
+    def matrix(self) -> FloatArray:
+        """Calibration matrix ``(3, 3)``: ``matrix @ p_camera`` is ``depth * (u, v, 1)``."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def has_aspect(self, width: int, height: int) -> bool:
+        """Return whether ``width`` x ``height`` has the aspect ratio of this camera's images."""
+        return width * self.height == height * self.width
+
+    def resized(self, width: int, height: int) -> Camera:
+        """Return the camera of this camera's image resized to ``width`` x ``height``."""
+        x, y = width / self.width, height / self.height
+        fx, fy, cx, cy = self.fx * x, self.fy * y, self.cx * x, self.cy * y
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """Return the camera of a crop whose top left corner is the pixel (left, top)."""
+        cx, cy = self.cx - left, self.cy - top
+        return replace(self, width=width, height=height, cx=cx, cy=cy)
+
+    def project(self, points: ArrayLike) -> FloatArray:
+        """Project points of the camera frame onto the image.
+
+        Args:
+            points: ``(..., 3)``, meters.
+
+        Returns:
+            Pixels ``(..., 2)``, float64, which may lie outside the image; NaN for a point that is
+            not in front of the camera (z <= 0).
+
+        Raises:
+            TypeError: The values are not real numbers.
+            ValueError: Wrong shape, or a value that is not finite.
+        """
+        p = _real_array("points", points, 3)
+        depth = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
+        return self.bend(p[..., :2] / depth) * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def bend(self, rays: FloatArray) -> FloatArray:
+        """Return where the lens sends rays ``(x/z, y/z)`` ``(..., 2)``: a pinhole, as they are."""
+        return rays
+
+
+@dataclass(frozen=True, slots=True)
+class DistortedCamera(Camera):
+    """A camera whose lens distorts, in OpenCV's model of radial and tangential distortion.
+
+    A ray ``(x, y)``, ``r² = x² + y²``, is seen where a pinhole sees ``x' = x d + 2 p1 x y +
+    p2 (r² + 2 x²)``, ``y' = y d + p1 (r² + 2 y²) + 2 p2 x y``, ``d = 1 + k1 r² + k2 r⁴ + k3 r⁶``.
+    The polynomial was fitted to the image: far outside, it may bend points back into view.
+
+    Attributes:
+        distortion: ``(k1, k2, p1, p2, k3)``, the order of OpenCV.
+    """
+
+    distortion: tuple[float, float, float, float, float]
+
+    def __post_init__(self) -> None:
+        Camera.__post_init__(self)
+        values = _real_array("distortion", self.distortion, 5).tolist()
+        object.__setattr__(self, "distortion", tuple(values))
+
+    @property
+    def pinhole(self) -> Camera:
+        """The camera of this camera's undistorted images: the same without the lens."""
+        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+
+    def bend(self, rays: FloatArray) -> FloatArray:
+        """Return where the lens sends rays ``(x/z, y/z)`` ``(..., 2)``."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = rays[..., 0], rays[..., 1]
+        square = x * x + y * y
+        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        u = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+        v = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([u, v], axis=-1)
+
+
+URSO_CAMERA = Camera(*urso.SIZE, *urso.FOCAL_LENGTHS, *urso.CENTER)
+"""The camera of URSO's published image sets."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseUncertainty:
+    """Predicted uncertainty of a pose: covariances, and the probability that the object is in view.
+
+    Equality is by value.
+
+    Attributes:
+        translation_covariance: ``(3, 3)`` square meters, camera frame; float64.
+        rotation_covariance: ``(3, 3)`` square radians, covariance of the rotation vector ``r``,
+            camera frame, with ``R_true = exp([r]x) @ R_predicted``; float64.
+        in_view: Probability that the object is in the image at all.
+        in_view_threshold: Probability below which the object counts as not in view; None where the
+            network has none.
+
+    Raises:
+        TypeError: A covariance does not hold real numbers.
+        ValueError: A shape is wrong, a value not finite, or a probability outside 0…1.
+    """
+
+    translation_covariance: FloatArray
+    rotation_covariance: FloatArray
+    in_view: float
+    in_view_threshold: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("translation_covariance", "rotation_covariance"):
+            matrix = _real_array(name, getattr(self, name), 3)
+            if matrix.shape != (3, 3):
+                raise ValueError(f"{name}: expected shape (3, 3), got {matrix.shape}")
+            matrix.setflags(write=False)
+            object.__setattr__(self, name, matrix)
+        if not 0 <= self.in_view <= 1:
+            raise ValueError(f"in_view: expected a probability, got {self.in_view}")
+        if self.in_view_threshold is not None and not 0 <= self.in_view_threshold <= 1:
+            got = self.in_view_threshold
+            raise ValueError(f"in_view_threshold: expected a probability, got {got}")
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, PoseUncertainty):
+            return NotImplemented
+        return self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def _values(self) -> tuple[float | None, ...]:
+        covariances = (self.translation_covariance, self.rotation_covariance)
+        return (*np.ravel(covariances).tolist(), self.in_view, self.in_view_threshold)
+
+
+@dataclass(frozen=True, slots=True, init=False, eq=False)
+class Pose:
+    """Position and orientation of an object: ``p_camera = R(q) @ p_object + t``.
+
+    Equality is exact and by value: two poses are equal, and have equal hashes, if translation,
+    rotation and uncertainty are equal. ``q`` and ``-q`` make equal poses.
+
+    Attributes:
+        t: Translation ``(3,)``, meters, camera frame; read-only float64.
+        q: Orientation ``(4,)``, Hamilton quaternion ``(w, x, y, z)`` with unit norm and canonical
+            sign; read-only float64.
+        uncertainty: Uncertainty of a prediction; None for a label, or if the network has none.
+
+    Examples:
+        >>> Pose([1, 2, 10], [-0.6, 0.8, 0, 0]).q.tolist() == [0.6, -0.8, 0, 0]
+        True
+        >>> Pose([1, 2, 10], [0, 0, 0, -1]) == Pose([1, 2, 10], [0, 0, 0, 1])
+        True
+    """
+
+    t: FloatArray
+    q: FloatArray
+    uncertainty: PoseUncertainty | None
+
+    def __init__(
+        self, t: ArrayLike, q: ArrayLike, uncertainty: PoseUncertainty | None = None
+    ) -> None:
+        """Check and store a pose; the sign of q is made canonical.
+
+        Raises:
+            TypeError: The values are not real numbers.
+            ValueError: Wrong shape, a value that is not finite, or a quaternion whose norm is
+                farther than `QUATERNION_TOLERANCE` from one; a closer one is normalized.
+        """
+        translation = _real_array("translation", t, 3)
+        quaternion = _unit_quaternion(q)
+        if translation.ndim != 1 or quaternion.ndim != 1:
+            raise ValueError(
+                "pose: expected translation (3,) and quaternion (4,), "
+                f"got {translation.shape} and {quaternion.shape}"
+            )
+        for name, array in (("t", translation), ("q", canonical_quaternion(quaternion))):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "uncertainty", uncertainty)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return bool((self.vector == other.vector).all()) and self.uncertainty == other.uncertainty
+
+    def __hash__(self) -> int:
+        return hash((*self.vector.tolist(), self.uncertainty))
+
+    @classmethod
+    def from_vector(cls, vector: ArrayLike) -> Pose:
+        """Build a pose from ``[tx, ty, tz, qw, qx, qy, qz]``."""
+        array = _real_array("pose vector", vector, 7)
+        return cls(array[..., :3], array[..., 3:])
+
+    @classmethod
+    def from_urso(
+        cls, *, x: float, y: float, z: float, q1: float, q2: float, q3: float, q4: float
+    ) -> Pose:
+        """Build a pose from a row of URSO's labels, as `ffpose._internal.urso` converts it.
+
+        Examples:
+            >>> pose = Pose.from_urso(x=2, y=1, z=10, q1=0, q2=0, q3=0, q4=1)
+            >>> pose.project([0.0, 0.0, 0.0], URSO_CAMERA).round(2).tolist()
+            [768.0, 415.95]
+        """
+        return cls(*urso.from_label(x, y, z, q1, q2, q3, q4))
+
+    def to_urso(self) -> dict[str, float]:
+        """Return this pose as a row of URSO's labels: x, y, z, q1, q2, q3, q4."""
+        row = urso.to_label(self.t.tolist(), self.q.tolist())
+        return dict(zip(urso.COLUMNS, row, strict=True))
+
+    @property
+    def flagged(self) -> bool | None:
+        """Whether the object counts as not in view; None where the network does not say."""
+        said = self.uncertainty
+        if said is None or said.in_view_threshold is None:
+            return None
+        return said.in_view < said.in_view_threshold
+
+    @property
+    def vector(self) -> FloatArray:
+        """Flat vector ``(7,)``, ``[tx, ty, tz, qw, qx, qy, qz]``."""
+        return np.concatenate([self.t, self.q])
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rotation matrix ``(3, 3)`` from the object frame to the camera frame."""
+        return rotation_matrix(self.q)
+
+    def transform(self, points: ArrayLike) -> FloatArray:
+        """Transform points of the object ``(..., 3)`` to the camera frame, meters."""
+        return _real_array("points", points, 3) @ self.rotation.T + self.t
+
+    def project(self, points: ArrayLike, camera: Camera) -> FloatArray:
+        """Project points of the object ``(..., 3)`` to pixels ``(..., 2)``, as `Camera.project`."""
+        return camera.project(self.transform(points))
+
+
+def camera_pose(center: ArrayLike, q: ArrayLike) -> Pose:
+    """Return the pose of the world in the frame of a camera.
+
+    Args:
+        center: Center of the camera in the world ``(3,)``, meters.
+        q: Unit quaternion ``(4,)``, ``(w, x, y, z)``, from the world to the camera frame.
+
+    Raises:
+        TypeError: The values are not real numbers.
+        ValueError: As `Pose`.
+
+    Example:
+        >>> camera_pose([0, 0, -4], [1, 0, 0, 0]).transform([0.0, 0.0, 0.0]).tolist()
+        [0.0, 0.0, 4.0]
+    """
+    still = Pose(center, q)  # checks both
+    return Pose(-rotation_matrix(still.q) @ still.t, still.q)
+
+
+def standard_deviations(t: FloatArray, uncertainty: PoseUncertainty) -> tuple[float, float, float]:
+    """Return the standard deviations of the distance and of the rotation's two parts.
+
+    Along the viewing ray ``u`` to ``t``: ``sqrt(uᵀ C u)`` of the translation, meters, and of the
+    rotation vector, which is the rotation in plane, degrees; and out of plane, the root mean square
+    length of the rotation vector across the ray, ``sqrt(trace C - uᵀ C u)``, degrees.
+    """
+    ray = t / np.linalg.norm(t)
+    distance = np.sqrt(ray @ uncertainty.translation_covariance @ ray)
+    along = ray @ uncertainty.rotation_covariance @ ray
+    across = np.trace(uncertainty.rotation_covariance) - along
+    return float(distance), *np.degrees(np.sqrt([along, across])).tolist()
+
+
+def poses(
+    translation: ArrayLike,
+    orientation: ArrayLike,
+    translation_covariance: ArrayLike | None = None,
+    rotation_covariance: ArrayLike | None = None,
+    in_view: ArrayLike | None = None,
+    *,
+    locates: Target = "object",
+    in_view_threshold: float | None = None,
+) -> list[Pose]:
+    """Return the poses of a batch, as a network gives it.
+
+    Args:
+        translation: ``(B, 3)``, as `Pose`; from a network that locates the camera, its center.
+        orientation: ``(B, 4)``, as `Pose`.
+        translation_covariance: ``(B, 3, 3)``, as `PoseUncertainty`; None where the network has no
+            uncertainty, and so the next two.
+        rotation_covariance: ``(B, 3, 3)``, as `PoseUncertainty`.
+        in_view: ``(B,)``, as `PoseUncertainty`.
+        locates: What the network locates. Where it is the camera, the poses are those of the world
+            in the camera frame (`camera_pose`).
+        in_view_threshold: Of the network, as `PoseUncertainty`.
+
+    Raises:
+        TypeError: As `Pose`.
+        ValueError: As `Pose` and `PoseUncertainty`: a value that is not finite, for one.
+    """
+    rows = zip(np.asarray(translation), np.asarray(orientation), strict=True)
+    if translation_covariance is None or rotation_covariance is None or in_view is None:
+        pose = Pose if locates == "object" else camera_pose
+        return [pose(t, q) for t, q in rows]
+    uncertainties = map(
+        PoseUncertainty,
+        np.asarray(translation_covariance),
+        np.asarray(rotation_covariance),
+        np.asarray(in_view, np.float64).tolist(),
+        repeat(in_view_threshold),
+    )
+    return [Pose(t, q, u) for (t, q), u in zip(rows, uncertainties, strict=True)]

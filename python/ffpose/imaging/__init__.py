@@ -1,0 +1,1 @@
+"""Images: read, made a network's input, augmented, cut into views, drawn on."""

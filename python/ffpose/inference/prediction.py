@@ -1,0 +1,232 @@
+"""Poses of image files, as data and as text, and drawn on the images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose._internal.files import atomic_write
+from ffpose.arrays import quaternion_to_euler
+from ffpose.errors import DataError, explain
+from ffpose.geometry import Camera, FloatArray, Pose, Target, standard_deviations
+from ffpose.imaging.images import read_rgb
+from ffpose.imaging.overlay import draw_axes
+from ffpose.inference.estimator import PoseEstimator
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The pose seen in one image.
+
+    Attributes:
+        image: Path of the image file.
+        pose: The predicted pose of the object or, from a network that locates the camera, of the
+            world in the camera frame.
+        camera: The camera of the image, possibly for another image size; None where unknown.
+        locates: What the network locates.
+        white: Level of an image of more than 8 bits that becomes 255.
+    """
+
+    image: Path
+    pose: Pose
+    camera: Camera | None = None
+    locates: Target = "object"
+    white: float | str | None = None
+
+    @property
+    def center(self) -> FloatArray:
+        """The camera's center in the frame of the object or world ``(3,)``, meters."""
+        return np.asarray(-self.pose.rotation.T @ self.pose.t)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the prediction as a JSON document: meters, ``(w, x, y, z)``, degrees.
+
+        With predicted uncertainty also covariances in m² and rad², and the probability in view.
+        Where the network locates the camera, ``locates`` says so, the pose is the world's, and the
+        camera's center in the world is there too.
+        """
+        document: dict[str, Any] = {
+            "image": str(self.image),
+            "translation_m": self.pose.t.tolist(),
+            "orientation_wxyz": self.pose.q.tolist(),
+            "roll_pitch_yaw_deg": quaternion_to_euler(self.pose.q).tolist(),
+        }
+        if self.locates == "camera":
+            document |= {"locates": "camera", "camera_center_m": self.center.tolist()}
+        uncertainty = self.pose.uncertainty
+        if uncertainty is not None:
+            document["translation_covariance_m2"] = uncertainty.translation_covariance.tolist()
+            document["rotation_covariance_rad2"] = uncertainty.rotation_covariance.tolist()
+            document["in_view"] = uncertainty.in_view
+        if self.pose.flagged is not None:
+            document["flagged"] = self.pose.flagged
+        return document
+
+    def __str__(self) -> str:
+        uncertainty = self.pose.uncertainty
+        if uncertainty is not None and self.pose.flagged:
+            return f"{self.image}: no spacecraft in view (p = {uncertainty.in_view:.2g})"
+        roll, pitch, yaw = quaternion_to_euler(self.pose.q)
+        if self.locates == "camera":
+            x, y, z = self.center
+            return (
+                f"{self.image}: camera at ({x:.2f}, {y:.2f}, {z:.2f}) m in the world, "
+                f"world to camera: roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°"
+            )
+        x, y, z = self.pose.t
+        meters = degrees = ""
+        if uncertainty is not None:
+            distance, in_plane, out_of_plane = standard_deviations(self.pose.t, uncertainty)
+            meters = f" ± {distance:.2f} m along the ray"
+            degrees = f" ± {in_plane:.1f}° in plane, ± {out_of_plane:.1f}° out of plane"
+        return (
+            f"{self.image}: t = ({x:.2f}, {y:.2f}, {z:.2f}) m{meters}, "
+            f"roll {roll:.1f}°, pitch {pitch:.1f}°, yaw {yaw:.1f}°{degrees}"
+        )
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An image file that has no pose.
+
+    Attributes:
+        image: Path of the image file.
+        error: Why.
+    """
+
+    image: Path
+    error: Exception
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the failure as a JSON document."""
+        return {"image": str(self.image), "error": explain(self.error)}
+
+    def __str__(self) -> str:
+        return explain(self.error)
+
+
+def predict(
+    estimator: PoseEstimator, images: Iterable[Path], *, batch: int = 1
+) -> Iterator[Prediction | Failure]:
+    """Predict the pose in each image file, in order, as soon as it is known.
+
+    A file that cannot be used, as it is missing, damaged or of another camera, is a `Failure`, and
+    those after it are still predicted.
+
+    Args:
+        estimator: The network.
+        images: Image files.
+        batch: Number of images that are computed together.
+
+    Raises:
+        ValueError: ``batch`` is below one.
+    """
+    if batch < 1:
+        raise ValueError(f"batch: expected at least 1, got {batch}")
+    return _predictions(estimator, iter(images), batch)
+
+
+def _predictions(
+    estimator: PoseEstimator, images: Iterator[Path], batch: int
+) -> Iterator[Prediction | Failure]:
+    metadata = estimator.metadata
+    while paths := list(islice(images, batch)):
+        for path, answer in zip(paths, _answers(estimator, paths), strict=True):
+            if isinstance(answer, Exception):
+                yield Failure(path, answer)
+            else:
+                yield Prediction(path, answer, estimator.camera, metadata.locates, metadata.white)
+
+
+def _answers(estimator: PoseEstimator, paths: Sequence[Path]) -> list[Pose | Exception]:
+    """Return for each file its pose, or why it has none."""
+    inputs: dict[int, NDArray[np.float32]] = {}
+    answers: dict[int, Pose | Exception] = {}
+    for place, path in enumerate(paths):
+        try:
+            inputs[place] = estimator.preprocess(path)
+        except (OSError, DataError) as error:
+            answers[place] = error
+        except ValueError as error:
+            answers[place] = DataError(str(error), path)
+    if inputs:
+        try:
+            found: Sequence[Pose | Exception] = estimator.estimate(np.stack([*inputs.values()]))
+        except ValueError:  # a number that is not finite, of one image or more
+            found = [_alone(estimator, inputs[place], paths[place]) for place in inputs]
+        answers.update(zip(inputs, found, strict=True))
+    return [answers[place] for place in range(len(paths))]
+
+
+def _alone(estimator: PoseEstimator, inputs: NDArray[np.float32], path: Path) -> Pose | Exception:
+    try:
+        return estimator.estimate(inputs[None])[0]
+    except ValueError as error:
+        return DataError(str(error), path)
+
+
+def overlay_path(image: Path, folder: Path) -> Path:
+    """Return the path of an image's overlay, ``NAME_pose.png`` in ``folder``."""
+    return folder / f"{image.stem}_pose.png"
+
+
+def expect_axes(estimator: PoseEstimator) -> None:
+    """Check in advance that there is an object to draw axes on, and a camera to project them.
+
+    Raises:
+        ValueError: The network locates the camera, or the images' camera is not known.
+    """
+    if estimator.metadata.locates == "camera":
+        raise ValueError(
+            "overlay: expected weights that locate an object, got some that locate the camera"
+        )
+    if estimator.camera is None:
+        raise ValueError("overlay: expected --camera FILE, as these weights know no camera")
+
+
+def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
+    """Check in advance that no overlay would overwrite another.
+
+    Raises:
+        ValueError: Two images have the same name; the message says which.
+    """
+    first: dict[Path, Path] = {}
+    for image in images:
+        path = overlay_path(image, folder)
+        if path in first:
+            raise ValueError(
+                f"overlay: expected images of distinct names, got {first[path]} and {image}, "
+                f"both for {path}"
+            )
+        first[path] = image
+
+
+def write_overlay(prediction: Prediction, folder: Path) -> Path:
+    """Write the image with the predicted axes drawn on it, or without them if it is flagged.
+
+    Args:
+        prediction: Image, pose and camera.
+        folder: Folder to write `overlay_path` to; created if missing.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        ValueError: The prediction has no camera.
+    """
+    if prediction.camera is None:
+        raise ValueError("prediction: expected one with a camera, got camera None")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = overlay_path(prediction.image, folder)
+    drawn = read_rgb(prediction.image, prediction.white)
+    if not prediction.pose.flagged:
+        drawn = draw_axes(drawn, prediction.pose, prediction.camera)
+    with atomic_write(path) as temporary:
+        drawn.save(temporary)
+    return path

@@ -1,0 +1,103 @@
+"""Files appear whole or not at all."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ffpose._internal.files import atomic_write, expect_folder, remove_leftovers, sha256
+
+
+def test_contents_are_on_the_disk_before_the_name_and_the_name_at_the_end(tmp_path, monkeypatch):
+    """The calls in order: a file that is renamed before it is synced may come back empty."""
+    target, calls = tmp_path / "report.json", []
+    sync, replace = os.fsync, Path.replace
+
+    def recorded_sync(descriptor):
+        calls.append(("sync", Path(f"/proc/self/fd/{descriptor}").readlink().name))
+        sync(descriptor)
+
+    def recorded_replace(path, other):
+        calls.append(("rename", path.name))
+        return replace(path, other)
+
+    monkeypatch.setattr(os, "fsync", recorded_sync)
+    monkeypatch.setattr(Path, "replace", recorded_replace)
+    with atomic_write(target, durable=False) as temporary:
+        temporary.write_text("new")
+    assert calls == [("rename", "report.json")]
+    calls.clear()
+    with atomic_write(target) as temporary:
+        temporary.write_text("new")
+    names = [("sync", "report.json"), ("rename", "report.json"), ("sync", tmp_path.name)]
+    assert calls == names
+
+
+def write_and_fail(path):
+    with atomic_write(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError("interrupted")
+
+
+def test_the_file_appears_when_it_is_whole(tmp_path):
+    target = tmp_path / "report.json"
+    with atomic_write(target) as temporary:
+        temporary.write_text("new")
+        assert temporary.suffix == ".json"
+        assert not target.exists()
+    assert target.read_text() == "new"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_an_interruption_leaves_what_was_there(tmp_path):
+    target = tmp_path / "report.json"
+    target.write_text("old")
+    with pytest.raises(RuntimeError, match="interrupted"):
+        write_and_fail(target)
+    assert target.read_text() == "old"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
+
+
+KILLED = """
+import os, sys
+from ffpose._internal.files import atomic_write
+with atomic_write(sys.argv[1]) as path:
+    path.write_text("half")
+    os._exit(9)
+"""
+
+
+def test_what_a_killed_process_leaves_is_removed_when_it_is_old(tmp_path):
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "a.png")]
+    assert subprocess.run(command, check=False).returncode == 9
+    (left,) = tmp_path.iterdir()
+    (tmp_path / ".other").mkdir()
+    remove_leftovers(tmp_path)
+    assert left.exists()  # it may be written to now
+    for path in (left, tmp_path / ".other"):
+        os.utime(path, (0, 0))
+    remove_leftovers(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [".other"]
+
+
+def test_the_folder_must_exist(tmp_path):
+    with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "missing" / "report.json"):
+        pass
+
+
+def test_a_file_is_no_folder_to_write_to(tmp_path):
+    (tmp_path / "file").write_text("")
+    for good in (tmp_path, tmp_path / "new", tmp_path / "new" / "deep"):
+        expect_folder(good)
+    for bad in (tmp_path / "file", tmp_path / "file" / "set"):
+        with pytest.raises(NotADirectoryError, match=r"expected a folder, got the file .*file$"):
+            expect_folder(bad)
+
+
+def test_the_sha256_of_abc(tmp_path):
+    """The example of FIPS 180-2, appendix B.1."""
+    (tmp_path / "abc").write_bytes(b"abc")
+    expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert sha256(tmp_path / "abc") == expected

@@ -1,0 +1,114 @@
+"""What training had of a card's conditions, told from the recipes of the whole chain."""
+
+import pytest
+
+from ffpose.evaluation.card.seen import (
+    AS_OBJECT,
+    BEFORE,
+    Seen,
+    picture_seen,
+    seen_in_training,
+    trainings,
+)
+from ffpose.models import read_metadata, zoo
+from ffpose.render import SCENES
+from ffpose.render.variations import variations, without_object
+from ffpose.training import DataConfig, TrainConfig
+from ffpose.training.provenance import recipe
+
+PLAIN = {"scene": "soyuz_hard", "empty": 1, "decoys": 1}
+
+
+def recipe_of(tmp_path, init=None, **data):
+    config = TrainConfig(DataConfig("scenes", tmp_path, **(PLAIN | data)), tmp_path)
+    return recipe(config, None if init is None else {"sha256": "", "recipe": init, "data": None})
+
+
+def conditions(recipe, scene="soyuz_hard", farthest=42.0):
+    chosen = variations(SCENES[scene], farthest, second_renderer=True)
+    chosen += without_object(SCENES[scene])
+    return {v.name: seen_in_training(recipe, v) for v in chosen}
+
+
+def test_plain_scenes_are_seen_as_trained_and_by_augmentation(tmp_path):
+    found = conditions(recipe_of(tmp_path))
+    assert {name: seen.answer for name, seen in found.items()} == {
+        "as trained": "yes",
+        "noise doubled": "partly",
+        "blur": "partly",
+        "JPEG 50": "no",
+        "randomize 0.5": "no",
+        "cut by the border": "no",
+        "beyond range": "no",
+        "second renderer": "no",
+        "empty scenes": "yes",
+        "another spacecraft": "partly",
+    }
+    assert found["noise doubled"].how == "augmentation: Gaussian noise"
+
+
+@pytest.mark.parametrize(
+    ("field", "name"), [("cut", "cut by the border"), ("randomized", "randomize 0.5")]
+)
+def test_what_only_an_earlier_training_had_is_partly_seen(tmp_path, field, name):
+    robust = recipe_of(tmp_path, **{field: 900})
+    assert conditions(robust)[name] == Seen("yes")
+    after = recipe_of(tmp_path, recipe_of(tmp_path, robust))
+    assert conditions(after)[name] == Seen("partly", BEFORE)
+    assert trainings(after)[-1] == robust
+
+
+def test_a_set_of_nearer_scenes_has_not_the_farther_ones(tmp_path):
+    near = recipe_of(tmp_path, scene="soyuz_easy")
+    assert conditions(near)["as trained"] == Seen("no")
+    assert conditions(near, "soyuz_easy")["as trained"] == Seen("yes")
+    both = recipe_of(tmp_path, scene="soyuz_easy+soyuz_hard")
+    assert conditions(both, "soyuz_easy", 22.0)["beyond range"] == Seen("yes")
+    assert conditions(both, "dragon_hard")["as trained"].answer == "partly"
+
+
+def test_another_spacecraft_may_have_been_the_object_of_an_earlier_training(tmp_path):
+    for decoys, how in ((1, f"spacecraft of random parts, and {AS_OBJECT}"), (0, AS_OBJECT)):
+        soyuz = recipe_of(tmp_path, decoys=decoys)
+        dragon = recipe_of(tmp_path, soyuz, scene="dragon_hard", decoys=decoys)
+        found = conditions(dragon, "dragon_hard")
+        assert found["another spacecraft"] == Seen("partly", how)
+        assert found["as trained"] == Seen("yes")
+    again = recipe_of(tmp_path, dragon)
+    assert conditions(again)["another spacecraft"].how.endswith(AS_OBJECT)
+
+
+def test_weights_that_do_not_know_their_recipe_do_not_know_what_they_saw(tmp_path):
+    assert {seen.answer for seen in conditions(None).values()} == {"unknown"}
+    assert picture_seen(None, "noise") == Seen("unknown")
+    on_disk = recipe(TrainConfig(DataConfig("urso", tmp_path), tmp_path), None)
+    assert {seen.answer for seen in conditions(on_disk).values()} == {"unknown"}
+    chain = recipe_of(tmp_path) | {"init": {"sha256": "", "recipe": None, "data": None}}
+    assert conditions(chain)["as trained"] == Seen("yes")
+    assert conditions(chain)["JPEG 50"] == Seen("unknown")
+
+
+def test_a_recipe_of_another_program_says_nothing():
+    for foreign in ({"optimizer": "sgd"}, {"init": {"recipe": None}}):
+        assert {seen.answer for seen in conditions(foreign).values()} == {"unknown"}
+        assert picture_seen(foreign, "noise") == Seen("unknown")
+
+
+def test_pictures_are_seen_where_samples_without_the_object_are(tmp_path):
+    known = recipe_of(tmp_path)
+    assert picture_seen(known, "noise") == Seen("yes")
+    assert picture_seen(known, "charts").answer == "partly"
+    assert picture_seen(known, "clutter") == Seen("no")
+    never = known | {"views": known["views"] | {"empty": 0.0}}
+    assert picture_seen(never, "noise") == Seen("no")
+
+
+def test_soyuz_easy_starts_from_weights_that_saw_cut_and_randomized_scenes():
+    """Its card said that training had neither; those of the others say so rightly."""
+    partly = Seen("partly", BEFORE)
+    for name in zoo.names():
+        found = conditions(read_metadata(name).recipe, name.replace("-", "_"))
+        expected = partly if name == "soyuz-easy" else Seen("no")
+        assert (found["cut by the border"], found["randomize 0.5"]) == (expected, expected)
+        assert found["as trained"] == Seen("yes")
+        assert trainings(read_metadata(name).recipe)[-1]["init"] is None

@@ -1,0 +1,119 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from ffpose._internal.figures import save_figure
+from ffpose.datasets import open_dataset
+from ffpose.evaluation.evaluate import Evaluation
+from ffpose.evaluation.report.plots import (
+    GALLERY_TILE,
+    draw_prediction,
+    error_cdf,
+    error_histograms,
+    errors_by_distance,
+    predicted_angles,
+    reliability_diagram,
+    training_curves,
+    worst_gallery,
+    write_evaluation_figures,
+)
+from ffpose.imaging.preprocessing import Preprocessing
+from tiny_runs import write_set
+
+OFFSETS = np.array([0.5, 3.0, 1.0, 2.0])
+"""Error of each image's predicted translation, meters."""
+
+
+@pytest.fixture
+def evaluation(tmp_path):
+    root = write_set(tmp_path / "set", test=len(OFFSETS))
+    dataset = open_dataset("urso", root, "test", Preprocessing())
+    predicted = dataset.poses.copy()
+    predicted[:, 0] += OFFSETS
+    return Evaluation(dataset, predicted, dataset.poses.mean(axis=0), 0.0)
+
+
+def history(epochs):
+    names = ("train_loss", "val_median_translation_error_m", "val_median_rotation_error_deg")
+    return [{"epoch": n, **dict.fromkeys(names, 1 / n)} for n in range(1, epochs + 1)]
+
+
+def test_cdf_is_that_of_the_errors(evaluation):
+    axes = error_cdf(evaluation).axes[0]
+    line = next(line for line in axes.lines if line.get_label() == "model")
+    np.testing.assert_allclose(line.get_xdata(), np.sort(OFFSETS))
+    np.testing.assert_allclose(line.get_ydata(), [0.25, 0.5, 0.75, 1.0])
+
+
+def test_histograms_hold_every_image(evaluation):
+    for axes in error_histograms(evaluation).axes:
+        model, baseline = (sum(bar.get_height() for bar in group) for group in axes.containers)
+        assert model == baseline == len(OFFSETS)
+
+
+def test_angles_are_drawn_over_the_true_ones(evaluation):
+    truth = Rotation.from_quat(evaluation.dataset.poses[:, 3:], scalar_first=True)
+    for axes, angle in zip(
+        predicted_angles(evaluation).axes, truth.as_euler("ZYX", degrees=True).T[::-1], strict=True
+    ):
+        points = axes.collections[0].get_offsets()
+        np.testing.assert_allclose(points, np.stack([angle, angle], axis=1), atol=1e-9)
+
+
+def test_the_reliability_diagram_shows_the_share_within_each_region(evaluation):
+    with pytest.raises(ValueError, match="expected an evaluation with covariances"):
+        reliability_diagram(evaluation)
+    # Squared distances of 0.5² / 4, 3² / 4, 1 / 4 and 2² / 4 deviations along x.
+    told = replace(evaluation, translation_covariance=np.tile(4 * np.eye(3), (4, 1, 1)))
+    line = next(
+        n for n in reliability_diagram(told).axes[0].lines if n.get_label() == "translation"
+    )
+    within = chi2.cdf(OFFSETS**2 / 4, 3)
+    expected = [(within <= level).mean() for level in line.get_xdata()]
+    np.testing.assert_allclose(line.get_ydata(), expected)
+    assert 0 < np.mean(expected) < 1
+
+
+def test_distances_are_true_distances(evaluation):
+    points = errors_by_distance(evaluation).axes[0].collections[0].get_offsets()
+    distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
+    np.testing.assert_allclose(np.sort(points[:, 0]), np.sort(distance))
+
+
+def test_the_gallery_begins_with_the_worst(evaluation):
+    names = evaluation.dataset.names
+    order = np.argsort(-evaluation.errors.esa_score.numpy())
+    titles = [axes.get_title().splitlines()[0] for axes in worst_gallery(evaluation, 3).axes[:3]]
+    assert titles == [names[index] for index in order[:3]]
+
+
+def test_a_drawn_prediction_is_of_the_gallerys_size_and_shows_axes(evaluation):
+    drawn = draw_prediction(evaluation, 0)
+    plain = evaluation.dataset.load_image(0).resize(drawn.size)
+    assert drawn.width == GALLERY_TILE[0]
+    assert np.abs(np.asarray(drawn, int) - np.asarray(plain, int)).max() > 100
+
+
+def test_curves_show_each_epoch():
+    for axes in training_curves(history(5)).axes:
+        np.testing.assert_array_equal(axes.lines[0].get_xdata(), [1, 2, 3, 4, 5])
+
+
+def test_curves_need_an_epoch():
+    with pytest.raises(ValueError, match="at least one epoch"):
+        training_curves([])
+
+
+def test_figures_are_written_as_pictures(evaluation, tmp_path):
+    told = replace(evaluation, rotation_covariance=np.tile(np.eye(3), (4, 1, 1)))
+    paths = write_evaluation_figures(told, tmp_path)
+    for path in paths:
+        with Image.open(path) as image:
+            assert image.width > 300
+    assert tmp_path / "reliability.png" in paths
+    save_figure(training_curves(history(2)), tmp_path / "curves.svg")
+    assert "<svg" in (tmp_path / "curves.svg").read_text()

@@ -1,0 +1,142 @@
+"""Calibration against SciPy, pair counts and draws whose distribution is known."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import mahalanobis
+from scipy.stats import chi2, mannwhitneyu
+
+from ffpose.evaluation.calibration import (
+    CURVE,
+    auroc,
+    choose_threshold,
+    coverage,
+    flag_rates,
+    region_probability,
+    squared_mahalanobis,
+    summarize_flag,
+    summarize_regions,
+)
+
+
+def drawn(count=20_000, seed=0):
+    """Errors drawn from covariances that differ, and these."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(count, 3, 3)) + 2 * np.eye(3)
+    error = (root @ rng.normal(size=(count, 3, 1)))[..., 0]
+    return error, root @ root.transpose(0, 2, 1)
+
+
+def test_mahalanobis_distance_is_scipys():
+    error, covariance = drawn(20)
+    expected = [
+        mahalanobis(e, np.zeros(3), np.linalg.inv(c)) ** 2
+        for e, c in zip(error, covariance, strict=True)
+    ]
+    np.testing.assert_allclose(squared_mahalanobis(error, covariance), expected)
+
+
+def test_region_probability_is_chi_square_with_three_degrees_of_freedom():
+    x = np.array([0, 1e-9, 1e-3, 0.5, 2.366, 3, 6.251, 11.345, 40, 2000])
+    np.testing.assert_allclose(region_probability(x), chi2.cdf(x, 3), rtol=1e-9, atol=1e-15)
+
+
+def test_regions_of_the_true_covariance_cover_what_they_say():
+    probability = region_probability(squared_mahalanobis(*drawn()))
+    np.testing.assert_allclose(coverage(probability, CURVE), CURVE, atol=0.015)
+    summary = summarize_regions(probability)
+    assert summary["coverage_90"] == pytest.approx(0.9, abs=0.01)
+    assert summary["reliability"]["nominal"][2] == pytest.approx(0.1)
+    assert summary["reliability"]["empirical"][2] == pytest.approx(0.1, abs=0.01)
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_regions_of_another_size_cover_what_chi_square_says(scale):
+    error, covariance = drawn()
+    probability = region_probability(squared_mahalanobis(error, scale**2 * covariance))
+    for level in (0.5, 0.9, 0.99):
+        expected = chi2.cdf(scale**2 * chi2.ppf(level, 3), 3)
+        assert coverage(probability, [level])[0] == pytest.approx(expected, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (np.diag([1.0, 1.0, 0.0]), "symmetric, positive definite matrices, .* in row 1"),
+        (np.diag([1.0, 1.0, -1.0]), "symmetric, positive definite"),
+        (np.array([[1.0, 0.5, 0], [0, 1, 0], [0, 0, 1]]), "symmetric, positive definite"),
+        (np.full((3, 3), np.nan), "covariance: expected finite numbers"),
+    ],
+)
+def test_what_is_no_covariance_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        squared_mahalanobis(np.ones((2, 3)), np.stack([np.eye(3), change]))
+
+
+def test_shapes_are_not_broadcast():
+    with pytest.raises(ValueError, match=r"expected shape \(2, 3, 3\), got \(3, 3\)"):
+        squared_mahalanobis(np.ones((2, 3)), np.eye(3))
+    with pytest.raises(ValueError, match=r"error: expected shape \(N, 3\), got \(2, 2\)"):
+        squared_mahalanobis(np.ones((2, 2)), np.ones((2, 3, 3)))
+    with pytest.raises(ValueError, match="at least one truth"):
+        coverage([])
+
+
+def pair_count(positive, negative):
+    wins = [(p > n) + 0.5 * (p == n) for p in positive for n in negative]
+    return sum(wins) / len(wins)
+
+
+@pytest.mark.parametrize("levels", [3, 10, 10**9])
+def test_auroc_counts_pairs_and_half_of_the_ties(levels):
+    rng = np.random.default_rng(levels)
+    positive = rng.integers(levels // 4, levels, 40) / levels
+    negative = rng.integers(0, levels - levels // 4, 30) / levels
+    found = auroc(positive, negative)
+    assert found == pytest.approx(pair_count(positive, negative))
+    assert found == pytest.approx(mannwhitneyu(positive, negative).statistic / (40 * 30))
+    assert auroc(negative, positive) == pytest.approx(1 - found)
+
+
+def test_auroc_of_what_is_wholly_apart_and_of_what_is_alike():
+    assert auroc([0.8, 0.9], [0.1, 0.7]) == 1
+    assert auroc([0.5, 0.5], [0.5]) == 0.5
+
+
+def test_rates_of_a_threshold_by_hand():
+    rates = flag_rates([0.2, 0.5, 0.9, 1.0], [0.1, 0.5], threshold=0.5)
+    assert rates == (0.5, 0.25, 0.5)
+
+
+def test_the_chosen_threshold_is_the_best_of_all():
+    rng = np.random.default_rng(7)
+    positive, negative = rng.beta(5, 2, 200).round(2), rng.beta(2, 5, 100).round(2)
+    chosen = choose_threshold(positive, negative)
+    assert chosen == flag_rates(positive, negative, chosen.threshold)
+    for threshold in np.linspace(0, 1.01, 305):
+        rates = flag_rates(positive, negative, threshold)
+        cost = rates.false_alarm_rate + rates.miss_rate
+        assert chosen.false_alarm_rate + chosen.miss_rate <= cost + 1e-12
+
+
+def test_the_chosen_threshold_lies_amid_the_gap():
+    assert choose_threshold([0.8, 0.9], [0.1, 0.4]) == (pytest.approx(0.6), 0, 0)
+    nearly = math.nextafter(0.5, 1)
+    assert choose_threshold([nearly], [0.5]) == (nearly, 0, 0)
+
+
+def test_scores_that_tell_nothing_flag_nothing():
+    assert choose_threshold([0.1, 0.2], [0.8]) == (0.1, 0, 1)
+
+
+def test_the_summary_without_empty_images_has_no_miss_rate():
+    assert summarize_flag([0.2, 0.9], None, 0.5) == {"threshold": 0.5, "false_alarm_rate": 0.5}
+    whole = summarize_flag([0.2, 0.9], [0.1, 0.2], 0.5)
+    assert whole == {"threshold": 0.5, "false_alarm_rate": 0.5, "miss_rate": 0, "auroc": 0.875}
+
+
+@pytest.mark.parametrize(("one", "other"), [([], [0.5]), ([0.5], []), ([np.nan], [0.5])])
+def test_scores_that_are_none_are_refused(one, other):
+    with pytest.raises(ValueError, match="object: expected finite numbers"):
+        auroc(one, other)

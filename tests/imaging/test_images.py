@@ -1,0 +1,148 @@
+"""Image files: what becomes RGB, and what is refused."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ffpose.errors import DataError
+from ffpose.imaging.images import MAX_PIXELS, open_image, read_rgb, to_rgb
+
+RAMP = np.arange(12).reshape(3, 4)
+
+
+def written(folder, pixels, name="picture.png"):
+    Image.fromarray(pixels).save(folder / name)
+    return folder / name
+
+
+def test_eight_bits_a_channel_keep_their_values(tmp_path):
+    color = np.stack([RAMP, 2 * RAMP, 255 - RAMP, 40 + RAMP], axis=2).astype(np.uint8)
+    for kept in (color, color[..., :3]):
+        found = read_rgb(written(tmp_path, kept))
+        assert found.mode == "RGB"
+        np.testing.assert_array_equal(found, color[..., :3])
+    gray = np.asarray(read_rgb(written(tmp_path, RAMP.astype(np.uint8))))
+    np.testing.assert_array_equal(gray, np.repeat(RAMP[..., None], 3, axis=2))
+
+
+@pytest.mark.parametrize(
+    ("pixels", "name", "mode"),
+    [
+        ((RAMP * 5000).astype(np.uint16), "deep.png", "I;16"),
+        ((RAMP / 11).astype(np.float32), "real.tiff", "F"),
+        (RAMP % 2 == 0, "bits.png", "1"),
+    ],
+)
+def test_other_pixels_are_refused_not_clipped(tmp_path, pixels, name, mode):
+    with pytest.raises(DataError, match=rf"{name}: expected pixels of mode L, .*, got {mode}$"):
+        read_rgb(written(tmp_path, pixels, name))
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.png"):
+        read_rgb(tmp_path / "none.png")
+
+
+@pytest.mark.parametrize("content", [b"", b"not an image", b"\x89PNG\r\n\x1a\n broken"])
+def test_a_broken_image_is_named(tmp_path, content):
+    path = tmp_path / "broken.png"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=r"broken\.png: cannot be read as an image"):
+        read_rgb(path)
+
+
+def png(bits, kind, width, height, data=b""):
+    """A PNG by its specification: the header's last three bytes are the only methods there are."""
+
+    def chunk(name, content):
+        crc = zlib.crc32(name + content)
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", crc)
+
+    header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
+    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(data)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts)
+
+
+@pytest.mark.parametrize(("kind", "channels"), [(2, 3), (4, 2), (6, 4)])
+@pytest.mark.parametrize("white", [None, 4095, "p99"])
+def test_channels_of_sixteen_bits_are_refused_not_cut(tmp_path, kind, channels, white):
+    path = tmp_path / "deep.png"
+    path.write_bytes(png(16, kind, 1, 1, b"\0" + b"\x12\xff" * channels))
+    with (
+        pytest.raises(DataError, match=r"deep\.png: expected 8 bits per channel.*got more than 8"),
+        open_image(path) as image,
+    ):
+        to_rgb(image, path, white)
+    path.write_bytes(png(8, kind, 1, 1, b"\0" + b"\x12" * channels))
+    assert read_rgb(path).getpixel((0, 0)) == (0x12, 0x12, 0x12)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_color_tiff_of_sixteen_bits_is_refused(tmp_path, order):
+    """One pixel by the specification of TIFF 6.0; its three depths lie behind the tags."""
+    path, values = tmp_path / "deep.tiff", (0x1234, 0x5678, 0x9ABC)
+    depths = 8 + 2 + 9 * 12 + 4
+    tags = (
+        (256, 3, 1, 1), (257, 3, 1, 1), (258, 3, 3, depths), (259, 3, 1, 1), (262, 3, 1, 2),
+        (273, 4, 1, depths + 6), (277, 3, 1, 3), (278, 3, 1, 1), (279, 4, 1, 6),
+    )  # fmt: skip
+    content = (b"II" if order == "<" else b"MM") + struct.pack(f"{order}HIH", 42, 8, len(tags))
+    for tag, kind, count, value in tags:
+        form = "HHIH2x" if (kind, count) == (3, 1) else "HHII"
+        content += struct.pack(order + form, tag, kind, count, value)
+    path.write_bytes(content + struct.pack(f"{order}I3H3H", 0, 16, 16, 16, *values))
+    with pytest.raises(DataError, match=r"deep\.tiff: .*got more than 8 in mode RGB"):
+        read_rgb(path)
+
+
+def plain_levels(levels, maxval):
+    return f"P2 {len(levels)} 1 {maxval}\n{' '.join(map(str, levels))}\n".encode()
+
+
+def binary_levels(levels, maxval):
+    return f"P5 {len(levels)} 1\n# 12 bits\n{maxval}\n".encode() + struct.pack(
+        f">{len(levels)}H", *levels
+    )
+
+
+@pytest.mark.parametrize("form", [plain_levels, binary_levels])
+@pytest.mark.parametrize("maxval", [1023, 4095, 4096, 65534, 65535])
+def test_white_is_a_level_of_the_file_whatever_its_maxval(tmp_path, form, maxval):
+    """Levels as they stand in the file are compared, 1020 as white among others of the range."""
+    path = tmp_path / "levels.pgm"
+    levels = [0, 204, 205, 510, 1000, 1023, *range(0, maxval, 37), maxval]
+    path.write_bytes(form(levels, maxval))
+    for white in (1020, maxval):
+        with open_image(path) as image:
+            found = np.asarray(to_rgb(image, path, white))[0, :, 0]
+        expected = np.rint(np.minimum(np.array(levels) / white, 1) * 255)
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_color_of_more_than_eight_bits_in_ppm_is_refused(tmp_path):
+    path = tmp_path / "deep.ppm"
+    path.write_bytes(b"P6 1 1 4095\n" + struct.pack(">3H", 100, 200, 4095))
+    with pytest.raises(DataError, match=r"deep\.ppm: .*got more than 8 in mode RGB"):
+        read_rgb(path)
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+@pytest.mark.parametrize("height", [MAX_PIXELS // 1000 + 1, 10**7])
+def test_an_image_too_large_for_the_memory_is_refused_by_its_header(tmp_path, height):
+    path = tmp_path / "bomb.png"
+    path.write_bytes(png(8, 0, 1000, height))
+    words = (
+        rf"bomb\.png: expected an image of at most {MAX_PIXELS:,} pixels, got {1000 * height:,}$"
+    )
+    with pytest.raises(DataError, match=words), open_image(path):
+        pytest.fail("opened")
+
+
+def test_the_warning_as_an_error_says_the_same(tmp_path):
+    path = tmp_path / "bomb.png"
+    path.write_bytes(png(8, 0, 1000, 100_000))
+    with pytest.raises(DataError, match=r"at most 89,478,485 pixels, got 100,000,000$"):
+        read_rgb(path)
