@@ -18,10 +18,13 @@ from ffpose.cli import COMMANDS, build_parser, words_of
 from ffpose.imaging.transforms import Augmentation
 from pages import DOCS, ROOT, TEXTS, code_blocks
 from shell_lines import calls
+from studies.__main__ import build_parser as studies_parser
 
 MAKEFILE = (ROOT / "Makefile").read_text()
 OTHERS = {"--cpus-per-task", "--array", "--target"}
 """Options of other programs that the pages name."""
+PROGRAMS = {"studies": studies_parser()}
+"""Parsers of what ``python -m`` runs."""
 
 
 def blocks(*languages):
@@ -58,8 +61,12 @@ def test_python_blocks_run(code, tmp_path, monkeypatch):
 def test_shell_blocks_are_valid(block):
     subprocess.run(["bash", "-n"], input=block, text=True, check=True)
     for option, *programs in calls(block, "python"):
-        assert option == "-c"
-        compile(programs[0], "page.md", "exec")
+        if option == "-m":
+            module, *words = programs
+            PROGRAMS[module].parse_args(words)
+        else:
+            assert option == "-c"
+            compile(programs[0], "page.md", "exec")
 
 
 @pytest.mark.parametrize("block", blocks("sh"))
@@ -97,6 +104,8 @@ def test_options_in_the_text_exist():
         for option in re.findall(r"--[\w.-]+", build_parser(name).format_help())
     }
     known |= {f"--data.augmentation.{f.name.replace('_', '-')}" for f in fields(Augmentation)}
+    for parser in PROGRAMS.values():
+        known |= set(re.findall(r"--[\w.-]+", parser.format_help()))
     onboard = (ROOT / "crates/ffpose-onboard/src/options.rs").read_text()
     known |= set(re.findall(r"\"(--[\w-]+)\"", onboard))
     named = in_pages(lambda text: re.findall(r"`(--[a-z][\w.-]*)[^`]*`", prose(text)))

@@ -28,7 +28,6 @@ ALLOWED = {
     },
     "inference": {"models", "onnx", "geometry", "imaging", "arrays"},
     "onnx": {"ops", "models", "config", "geometry", "imaging", "arrays"},
-    "ablation": {"config", "datasets", "evaluation", "models", "imaging", "training"},
     "render": {"geometry", "arrays", "imaging"},
     "bench": {
         *("ops", "arrays", "models", "nn", "config", "onnx", "geometry", "imaging", "inference"),

@@ -20,6 +20,7 @@ from option_words import changes_of, options_of
 from pages import TEXTS, blocks_in_order, code_blocks
 from reader_files import FILTERFORMER, OF_PAGES, POSENET, write_files
 from shell_lines import commands
+from studies.__main__ import main as studies
 
 TRAINING = "--epochs 1 --backbone-weights none"
 VIEWS = (
@@ -95,6 +96,9 @@ SMALL_CODE = {"range(5000)": "range(4)"}
 NEEDED = {"import ray": "ray"}
 """Code of the pages that runs where a package is installed."""
 
+PROGRAMS = {"studies": studies}
+"""What ``python -m`` runs."""
+
 COMMANDS = {
     page: [words for block in code_blocks(text, "sh") for words in commands(block)]
     for page, text in TEXTS.items()
@@ -163,9 +167,12 @@ def test_the_commands_of_a_page_run_in_its_order(page, folder, capsys):
             continue
         program, *arguments = map(os.path.expandvars, in_small(step))
         if program == "python":
-            option, code = arguments
-            assert option == "-c"
-            run_code(code, page)
+            option, code, *words = arguments
+            if option == "-m":
+                assert PROGRAMS[code](words) == 0, f"{words}\n{capsys.readouterr().err}"
+            else:
+                assert option == "-c"
+                run_code(code, page)
         else:
             assert program == "ffpose"
             assert main(arguments) == 0, f"{shlex.join(step)}\n{capsys.readouterr().err}"

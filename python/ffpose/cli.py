@@ -523,54 +523,6 @@ def calibrate(options: Namespace) -> None:
         print(f"{name}: {value}")
 
 
-def ablate_arguments(parser: ArgumentParser) -> None:
-    """Declare the arguments of `ablate`."""
-    from ffpose.ablation import STUDIES
-
-    text = "; ".join(f"{study.name}: {study.about}" for study in STUDIES.values())
-    parser.add_argument("study", choices=list(STUDIES), help=text)
-    parser.add_argument("--out", type=Path, required=True, help="folder to write, or to go on with")
-    parser.add_argument("--seeds", type=int, default=2, help="runs a variant (default: 2)")
-    text = "budget of a run, in place of the study's"
-    parser.add_argument("--epochs", type=int, help=text)
-    parser.add_argument("--minutes", type=float, help="budget of a run, of the training's CPU time")
-    parser.add_argument("--variants", nargs="+", default=[], help="names of those to run")
-    text = "sets on disk, in URSO's layout, by name: DIR/soyuz_hard; without it scenes are rendered"
-    parser.add_argument("--sets", type=Path, metavar="DIR", help=text)
-    parser.add_argument("--test-images", type=int, default=500, help="of the rendered test set")
-    text = "fields of `ffpose train` to change in all runs, as data.count=1000 model.depth=4"
-    parser.add_argument("--changes", nargs="+", metavar="FIELD=VALUE", default=[], help=text)
-    parser.add_argument("--steal", action="store_true", help="take over the claims of other hosts")
-
-
-def ablate(options: Namespace) -> None:
-    """Train the variants of a study at an equal budget, and print the table.
-
-    Finished runs are skipped and interrupted ones taken up, so the same command goes on with a
-    study. Several processes, of one machine or more, may share the folder.
-    """
-    from ffpose.ablation import get_study
-    from ffpose.ablation.run import ablate as run
-    from ffpose.training.options import read_changes
-
-    expect_folder(options.out)
-    outcome = run(
-        get_study(options.study),
-        options.out,
-        seeds=options.seeds,
-        epochs=options.epochs,
-        cpu_minutes=options.minutes,
-        variants=options.variants,
-        changes=read_changes(options.changes),
-        sets=options.sets,
-        test_images=options.test_images,
-        steal=options.steal,
-    )
-    print(outcome.table.read_text(), end="")
-    if outcome.left:
-        say(f"claimed by other processes: {', '.join(outcome.left)}")
-
-
 def bench_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `bench`."""
     parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
@@ -630,9 +582,6 @@ COMMANDS = {
     "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
     "calibrate": Command("calibrate weights", calibrate_arguments, calibrate, "pose,render"),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
-    "ablate": Command(
-        "train the variants of a study, and compare", ablate_arguments, ablate, "pose,render"
-    ),
     "inspect": Command("count, check and draw a set of images", inspect_arguments, inspect),
     "bench": Command("measure the filter, or the networks", bench_arguments, bench),
 }

@@ -21,7 +21,7 @@ from ffpose.demo.config import DemoConfig
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.training import DataConfig
 
-PACKAGE = Path(seeds.__file__).parent
+PACKAGE = Path(seeds.__file__).parents[1]
 PURPOSES = {
     "TRAINING": TRAINING,
     "CHOICES": CHOICES,
@@ -52,7 +52,7 @@ def test_only_the_card_names_the_final_seeds():
             names = [node.name] if isinstance(node, ast.alias) else []
             if "FINAL" in [*names, getattr(node, "attr", None)]:
                 naming.add(path.relative_to(PACKAGE).as_posix())
-    assert naming == {"card/measurement.py"}
+    assert naming == {"evaluation/card/measurement.py"}
 
 
 FINAL_SEED = str(FINAL.start + 7)
@@ -64,7 +64,7 @@ TAKE_SEEDS = {
 }
 """Commands that take the seed of scenes as their last argument."""
 
-RENDER_NO_CHOSEN_SCENES = {"evaluate", "predict", "export", "inspect", "bench", "demo", "ablate"}
+RENDER_NO_CHOSEN_SCENES = {"evaluate", "predict", "export", "inspect", "bench", "demo"}
 
 
 def test_every_command_is_known_here():
@@ -88,7 +88,7 @@ def test_no_command_renders_a_final_seed_that_it_is_given(command, tmp_path, cap
 
 
 def test_the_seeds_of_demo_and_studies_are_for_choices():
-    from ffpose.ablation.run import TEST_SEED
+    from studies.run import TEST_SEED
 
     assert DemoConfig().seed in CHOICES
     assert TEST_SEED in CHOICES

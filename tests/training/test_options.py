@@ -130,20 +130,3 @@ def test_changes_of_a_study_are_fields_with_their_values():
     changed = read_changes(changes_of(fields))
     assert changed["batch_size"] == 4
     assert (changed["data"]["workers"], str(changed["data"]["root"])) == (0, "b")
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        (['{"data": {"count": 8}}'], "FIELD=VALUE, as data.count=8, got"),
-        (["data.count", "8"], "FIELD=VALUE, as data.count=8, got"),
-        (["batch_size=8"], "expected hyphens, --batch-size, got --batch_size"),
-        (["batch-size=many"], "batch_size"),
-        (["data.cuont=8"], "cuont"),
-    ],
-)
-def test_changes_in_another_style_are_refused(changes, expected, tmp_path, capsys):
-    with pytest.raises(SystemExit) as leaving:
-        main(["ablate", "filters", "--out", str(tmp_path / "a"), "--changes", *changes])
-    assert leaving.value.code == 2
-    assert expected in capsys.readouterr().err

@@ -1,9 +1,9 @@
-"""A study of two tiny networks on an image set of noise, for the tests of ablations."""
+"""A study of two tiny networks on an image set of noise, for the tests of studies."""
 
 from dataclasses import replace
 from pathlib import Path
 
-from ffpose.ablation import Study, Variant
+from studies import Study, Variant
 from tiny_runs import train_config, write_set
 
 SCENE = "soyuz_easy"

@@ -1,16 +1,16 @@
 """Ablations: one network changed in one place at a time, trained again at an equal budget.
 
-`ffpose.ablation.study` says what a study is, `attitude`, `networks` and `paper` which there are,
-`run` works one off, and `table` writes what it came to. Nothing here loads torch before a study
-runs.
+`studies.study` says what a study is, `attitude`, `networks` and `paper` which there are,
+`run` trains and tests its variants, `table` writes the results. From the root of the repository:
+``python -m studies NAME --out DIR``.
 """
 
 from __future__ import annotations
 
-from ffpose.ablation.attitude import ATTITUDE, FILTERS, MIXERS
-from ffpose.ablation.networks import NETWORKS
-from ffpose.ablation.paper import TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5
-from ffpose.ablation.study import Published, Study, Variant
+from studies.attitude import ATTITUDE, FILTERS, MIXERS
+from studies.networks import NETWORKS
+from studies.paper import TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5
+from studies.study import Published, Study, Variant
 
 __all__ = ["STUDIES", "Published", "Study", "Variant", "get_study"]
 

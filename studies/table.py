@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ffpose._internal.files import atomic_write
-from ffpose.ablation.claims import guarded
-from ffpose.ablation.study import Study, Variant
 from ffpose.errors import DataError
 from ffpose.training.checkpoint import Row, read_results
+from studies.study import Study, Variant
 
 RESULTS = "results.json"
 
@@ -72,15 +71,14 @@ def read_run(folder: Path) -> Result:
 
 def write_tables(study: Study, out: Path) -> Path:
     """Write both tables of the finished runs in a folder; return the one for people."""
-    with guarded(out):  # no process writes a table of fewer runs over one of more
-        results = list(_finished(study, out))
-        with atomic_write(out / "ablation.csv") as path, path.open("w", newline="") as file:
-            rows = [_row(result, shortest(results)) for result in results]
-            writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else ["variant"])
-            writer.writeheader()
-            writer.writerows(rows)
-        with atomic_write(out / "ablation.md") as path:
-            path.write_text(format_tables(study, results))
+    results = list(_finished(study, out))
+    with atomic_write(out / "ablation.csv") as path, path.open("w", newline="") as file:
+        rows = [_row(result, shortest(results)) for result in results]
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else ["variant"])
+        writer.writeheader()
+        writer.writerows(rows)
+    with atomic_write(out / "ablation.md") as path:
+        path.write_text(format_tables(study, results))
     return out / "ablation.md"
 
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from ffpose.ablation import STUDIES, Study, Variant, get_study
-from ffpose.ablation.run import network
-from ffpose.ablation.study import changed
 from ffpose.models import FilterformerPose, build_network
 from ffpose.training import DataConfig, TrainConfig
+from studies import STUDIES, Study, Variant, get_study
+from studies.run import network
+from studies.study import changed
 
 BASE = TrainConfig(DataConfig("urso", Path("a")), Path("b"), model_fields={"depth": 2})
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from ffpose.ablation.attitude import BASE as ATTITUDE_BASE
-from ffpose.ablation.study import Study, Variant
 from ffpose.training.config import LossConfig
+from studies.attitude import BASE as ATTITUDE_BASE
+from studies.study import Study, Variant
 
 IMAGE = {"image_size": [96, 128], "backbone": "compact_resnet_narrow"}
 

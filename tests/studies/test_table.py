@@ -5,9 +5,9 @@ import json
 
 import pytest
 
-from ffpose.ablation.table import epoch_within, read_run, write_tables
 from ffpose.errors import DataError
-from tiny_ablation import tiny_study
+from studies.table import epoch_within, read_run, write_tables
+from tiny_study import tiny_study
 
 NAMES = ("rotation_error_deg", "in_plane_error_deg", "out_of_plane_error_deg")
 
@@ -133,7 +133,7 @@ def test_what_has_not_run_is_named(tmp_path):
 
 
 def test_the_papers_numbers_stand_beside(tmp_path):
-    from ffpose.ablation import get_study
+    from studies import get_study
 
     write_result(tmp_path, "n3", 0, 6.0, [(1.0, 1.0)])
     text = write_tables(get_study("table2"), tmp_path).read_text()

@@ -10,8 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ffpose.ablation.study import Study, Variant
 from ffpose.training.config import DataConfig, OptimizerConfig, TrainConfig
+from studies.study import Study, Variant
 
 BASE = TrainConfig(
     data=DataConfig(

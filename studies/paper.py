@@ -1,7 +1,7 @@
 """The tables of the paper: Tables 1 to 5 of Ye et al., Sensors 2023, 23, 8633, sections 4.4 to 4.6.
 
 Whole images, the network and the three stages as published. The paper's numbers are of URSO
-(``sets`` of `ffpose.ablation.run.ablate`); on rendered scenes they stand beside for orientation.
+(``sets`` of `studies.run.ablate`); on rendered scenes they stand beside for orientation.
 Table 5 is of Cambridge Landmarks, which cannot be rendered.
 """
 
@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from ffpose.ablation.study import Published, Study, Variant
 from ffpose.training.config import DataConfig, TrainConfig
 from ffpose.training.stages import PAPER_STAGES
+from studies.study import Published, Study, Variant
 
 BASE = TrainConfig(
     data=DataConfig(

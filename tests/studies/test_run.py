@@ -1,9 +1,7 @@
-"""Studies are worked off run by run: stopped, gone on with, and shared."""
+"""Studies run variant by variant, and are stopped and continued."""
 
 import csv
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
@@ -11,12 +9,12 @@ import torch
 from safetensors.torch import load_file
 
 from cambridge_sets import write_landmarks
-from ffpose.ablation import get_study, run
-from ffpose.cli import main
 from ffpose.training import Stage
 from ffpose.training.checkpoint import read_results
 from ffpose.training.engine import train
-from tiny_ablation import tiny_study, write_sets
+from studies import get_study, run
+from studies.__main__ import main
+from tiny_study import tiny_study, write_sets
 
 RUNS = ("grid-seed0", "none-seed0", "grid-seed1", "none-seed1")
 
@@ -61,13 +59,12 @@ def test_a_study_is_gone_on_with_after_the_runs_that_are_there(tmp_path, sets, t
     assert ablated(out, sets, seeds=1).done == RUNS[:2]
     before = (out / "grid-seed0/results.json").read_bytes()
     outcome = ablated(out, sets, seeds=2)
-    assert (outcome.done, outcome.left) == (RUNS[2:], ())
+    assert outcome.done == RUNS[2:]
     assert tuple(trained) == RUNS
     assert (out / "grid-seed0/results.json").read_bytes() == before
     assert [f"{row['variant']}-seed{row['seed']}" for row in rows_of(out)] == sorted(RUNS)
     assert {row["samples"] for row in rows_of(out)} == {"20.0"}  # two epochs of ten images
     assert outcome.table.read_text().startswith("# Ablation: tiny")
-    assert not list(out.glob("*.lock"))
 
 
 def test_an_interrupted_run_is_taken_up_after_its_last_epoch(tmp_path, sets, monkeypatch):
@@ -90,53 +87,10 @@ def test_an_interrupted_run_is_taken_up_after_its_last_epoch(tmp_path, sets, mon
     assert all(torch.equal(value, other[name]) for name, value in one.items())
 
 
-def test_runs_that_another_process_has_claimed_are_left_to_it(tmp_path, sets, trained):
-    out = tmp_path / "study"
-    out.mkdir()
-    (out / "grid-seed0.lock").write_text(json.dumps({"host": "elsewhere", "pid": 1}))
-    outcome = ablated(out, sets, seeds=1)
-    assert (outcome.done, outcome.left) == (("none-seed0",), ("grid-seed0",))
-    assert ablated(out, sets, seeds=1, steal=True).left == ()
-    assert trained == ["none-seed0", "grid-seed0"]
-
-
-WORKER = """
-import sys, time
-from pathlib import Path
-sys.path[:0] = {path}
-import torch
-from ffpose.ablation import run
-from tiny_ablation import tiny_study
-torch.set_num_threads(1)
-out, train = Path({out!r}), run.train
-def counted(config, **options):
-    with (out.parent / "trained").open("a") as file:
-        file.write(config.out.name + chr(10))
-    return train(config, **options)
-run.train = counted
-(out.parent / "ready-{number}").touch()
-while len(list(out.parent.glob("ready-*"))) < 2:
-    time.sleep(0.01)
-run.ablate(tiny_study(), out, sets=Path({sets!r}), seeds=2, quiet=True)
-"""
-
-
-@pytest.mark.slow
-def test_two_processes_share_a_folder_and_do_no_run_twice(tmp_path, sets):
-    out = tmp_path / "study"
-    processes = [
-        subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                WORKER.format(path=sys.path, out=str(out), sets=str(sets), number=number),
-            ]
-        )
-        for number in range(2)
-    ]
-    assert [process.wait() for process in processes] == [0, 0]
-    assert sorted((tmp_path / "trained").read_text().split()) == sorted(RUNS)
-    assert len(rows_of(out)) == 4
+def test_the_images_alone_are_rendered_before_a_job_array(tmp_path, sets, trained):
+    outcome = ablated(tmp_path / "study", sets, seeds=1, prepare=True)
+    assert (outcome.done, trained) == ((), [])
+    assert "No run has finished" in outcome.table.read_text()
 
 
 @pytest.mark.parametrize(
@@ -250,8 +204,8 @@ def test_both_views_train_and_are_tested_on_the_same_scenes(tmp_path):
 
 def test_the_command_prints_the_table(tmp_path, sets, monkeypatch, capsys):
     study = tiny_study()
-    monkeypatch.setattr("ffpose.ablation.STUDIES", {"tiny": study})
-    words = ["ablate", "tiny", "--out", str(tmp_path / "study"), "--sets", str(sets)]
+    monkeypatch.setattr("studies.STUDIES", {"tiny": study})
+    words = ["tiny", "--out", str(tmp_path / "study"), "--sets", str(sets)]
     changes = ["--changes", "model.dropout=0.0", "data.workers=0"]
     assert main([*words, *changes, "--seeds", "1", "--epochs", "1", "--variants", "none"]) == 0
     said = capsys.readouterr()
@@ -263,8 +217,30 @@ def test_the_command_prints_the_table(tmp_path, sets, monkeypatch, capsys):
 
 def test_the_command_lists_the_studies(tmp_path, capsys):
     with pytest.raises(SystemExit) as leaving:
-        main(["ablate", "attitudes", "--out", str(tmp_path)])
+        main(["attitudes", "--out", str(tmp_path)])
     assert leaving.value.code == 2
     assert (
         "'attitude', 'filters', 'mixers', 'networks', 'table1', 'table2'" in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (['{"data": {"count": 8}}'], "FIELD=VALUE, as data.count=8, got"),
+        (["data.count", "8"], "FIELD=VALUE, as data.count=8, got"),
+        (["batch_size=8"], "expected hyphens, --batch-size, got --batch_size"),
+        (["batch-size=many"], "batch_size"),
+        (["data.cuont=8"], "cuont"),
+    ],
+)
+def test_changes_in_another_style_are_refused(changes, expected, tmp_path, capsys):
+    with pytest.raises(SystemExit) as leaving:
+        main(["filters", "--out", str(tmp_path / "a"), "--changes", *changes])
+    assert leaving.value.code == 2
+    assert expected in capsys.readouterr().err
+
+
+def test_a_value_that_cannot_be_is_one_line(tmp_path, capsys):
+    assert main(["filters", "--out", str(tmp_path / "a"), "--seeds", "0"]) == 1
+    assert capsys.readouterr().err == "studies: seeds: expected at least 1, got 0\n"

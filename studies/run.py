@@ -2,8 +2,8 @@
 
 A run is a folder, ``VARIANT-seedK``, with the files of a training and, once it is finished,
 ``results.json``. Finished runs are skipped and interrupted ones taken up after their last epoch, so
-a study may be stopped at any moment. Several processes, on one machine or more, may work on one
-folder: each claims a run before it begins (`ffpose.ablation.claims`).
+a study may be stopped at any moment. A job array runs one process for each variant, in one folder,
+after a first call that renders the images (``prepare``).
 """
 
 from __future__ import annotations
@@ -23,9 +23,6 @@ import torch
 import ffpose
 from ffpose._internal.files import atomic_write, remove_leftovers
 from ffpose._internal.seeds import CHOICES
-from ffpose.ablation.claims import claimed, claimed_in_turn
-from ffpose.ablation.study import Study, Variant, changed
-from ffpose.ablation.table import RESULTS, read_run, write_tables
 from ffpose.config import NetworkConfig
 from ffpose.datasets import Decoding, Part
 from ffpose.datasets.scenes import find_scene, render_images
@@ -38,6 +35,8 @@ from ffpose.training.config_file import flatten
 from ffpose.training.engine import TrainResult, train
 from ffpose.training.run import UNKNOWN_CAMERA, build_run
 from ffpose.training.stages import shortened
+from studies.study import Study, Variant, changed
+from studies.table import RESULTS, read_run, write_tables
 
 TEST_SEED = CHOICES.start + 100
 """Seed of the rendered test images, which no training, demo or model card shows."""
@@ -55,12 +54,10 @@ class Outcome:
     Attributes:
         table: The file ``ablation.md``.
         done: Runs that this call finished.
-        left: Runs that other processes have claimed and not finished.
     """
 
     table: Path
     done: tuple[str, ...]
-    left: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -122,7 +119,7 @@ def ablate(
     changes: Mapping[str, Any] | None = None,
     sets: Path | None = None,
     test_images: int = 500,
-    steal: bool = False,
+    prepare: bool = False,
     quiet: bool = False,
 ) -> Outcome:
     """Train and test what is not there yet, and write the table after each run.
@@ -139,7 +136,7 @@ def ablate(
         sets: Folder of sets, each named as its scene, to train and test on: in URSO's layout in
             place of rendered scenes, or of the kind that the study is about.
         test_images: How many images the rendered test set has.
-        steal: Take over the runs that other hosts have claimed.
+        prepare: Render and cache the images of all runs, and train nothing.
         quiet: Print nothing.
 
     Raises:
@@ -161,15 +158,15 @@ def ablate(
     remove_leftovers(out)
     done = []
     for number, run in enumerate(waiting, start=1):
-        with claimed(out / f"{run.folder.name}.lock", steal=steal) as mine:
-            if not mine or run.finished():
-                continue
-            _say(f"{number} of {len(waiting)}: {run.folder.name}, {run.variant.about}", quiet=quiet)
-            _finish(study, run, steal=steal, quiet=quiet)
+        if prepare:
+            _test_set(run)
+            build_run(run.config)
+            continue
+        _say(f"{number} of {len(waiting)}: {run.folder.name}, {run.variant.about}", quiet=quiet)
+        _finish(study, run, quiet=quiet)
         write_tables(study, out)
         done.append(run.folder.name)
-    left = tuple(run.folder.name for run in runs if not run.finished())
-    return Outcome(write_tables(study, out), tuple(done), left)
+    return Outcome(write_tables(study, out), tuple(done))
 
 
 def _say(text: str, *, quiet: bool) -> None:
@@ -223,11 +220,9 @@ def network(config: TrainConfig) -> NetworkConfig:
     return find_config(config.model).with_fields(fields)
 
 
-def _finish(study: Study, run: Run, *, steal: bool, quiet: bool) -> None:
+def _finish(study: Study, run: Run, *, quiet: bool) -> None:
     """Train what is left of a run, test its last weights, and write the result."""
-    with claimed_in_turn(run.folder.parent / "images.lock", steal=steal):
-        kind, root, split = _test_set(run)
-        build_run(run.config)  # renders and caches what is not there yet, for all processes once
+    kind, root, split = _test_set(run)
     trained = train(run.config, resume=True, quiet=quiet, cpu_minutes=run.cpu_minutes)
     decoding = Decoding(run.config.data.undistort, run.config.data.white)
     evaluation = evaluate(trained.folder.last, kind, root, split, decoding=decoding)
