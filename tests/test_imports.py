@@ -42,7 +42,7 @@ INNER = {
         *("evaluation.report", "evaluation.evaluate", "evaluation.calibration"),
     },
 }
-COMPOSE = {"cli", "demo"}  # these two put the others together
+COMPOSE = {"cli", "demo", "learn"}  # these put the others together
 LAZY = {
     "matplotlib",
     "timm",

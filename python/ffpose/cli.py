@@ -84,7 +84,9 @@ def render_arguments(parser: ArgumentParser) -> None:
     from ffpose.render.layers import LABELS
     from ffpose.render.scene import Renderer
 
-    parser.add_argument("scene", help="soyuz_easy, soyuz_hard or dragon_hard")
+    parser.add_argument(
+        "scene", help="soyuz_easy, soyuz_hard, dragon_hard, or a scene.json of ffpose learn"
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument("--count", type=int, required=True, help="how many images")
     parser.add_argument("--start", type=int, default=0, help="index of the first image")
@@ -125,12 +127,12 @@ def render_arguments(parser: ArgumentParser) -> None:
 def render(options: Namespace) -> None:
     """Render images with exact labels, in URSO's layout."""
     from ffpose.geometry import Camera
-    from ffpose.render import Randomization, get_scene, load_craft
+    from ffpose.render import Randomization, find_scene, load_craft
     from ffpose.render.dataset.writer import write_dataset
     from ffpose.render.layers import LAYERS
 
     expect_folder(options.out)
-    scene = get_scene(options.scene)
+    scene = find_scene(options.scene)
     sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
     limits = options.attitude_range
     scene = replace(
@@ -217,6 +219,59 @@ def weights_argument(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--device", default="auto", help="of weights; auto: a GPU if there is one, else the CPU"
     )
+
+
+def learn_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `learn`."""
+    parser.add_argument("mesh", type=Path, help="your spacecraft: .glb, .gltf, .obj, .ply, .stl")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument("--minutes", type=float, default=60.0, help="budget; more is better")
+    parser.add_argument("--mesh-scale", type=float, default=1.0, help="meters per unit of the mesh")
+    parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
+    parser.add_argument(
+        "--distance",
+        nargs=2,
+        type=float,
+        metavar=("NEAR", "FAR"),
+        help="meters; 1.5 to 8 diameters of the spacecraft by default",
+    )
+    parser.add_argument(
+        "--attitude-range",
+        nargs=3,
+        type=float,
+        default=[180.0, 90.0, 180.0],
+        metavar=("ROLL", "PITCH", "YAW"),
+        help="largest absolute angles, degrees",
+    )
+    parser.add_argument("--processes", type=int, default=0, help="0 for one a core")
+    parser.add_argument("--seed", type=int, default=0, help="seed of everything")
+    parser.add_argument("--device", default="auto", help="auto, cpu, cuda")
+
+
+def learn(options: Namespace) -> None:
+    """Learn to pose your own spacecraft from its mesh, test it, and write a report."""
+    from ffpose.geometry import Camera
+    from ffpose.learn.plan import DEFAULT_CAMERA
+    from ffpose.learn.run import LearnConfig
+    from ffpose.learn.run import learn as run
+
+    expect_folder(options.out)
+    run(
+        LearnConfig(
+            options.mesh,
+            options.out,
+            options.minutes,
+            options.mesh_scale,
+            Camera.read(options.camera) if options.camera else DEFAULT_CAMERA,
+            tuple(options.distance) if options.distance else None,
+            tuple(options.attitude_range),
+            options.processes,
+            options.seed,
+            options.device,
+        ),
+        say,
+    )
+    say(str(options.out / "report.html"))
 
 
 def evaluate_arguments(parser: ArgumentParser) -> None:
@@ -576,6 +631,7 @@ INTERRUPTED, CLOSED = 130, 141
 COMMANDS = {
     "demo": Command("predict poses of unseen images", demo_arguments, demo, "pose,render"),
     "render": Command("render images with exact labels", render_arguments, render, "render"),
+    "learn": Command("learn to pose your own mesh", learn_arguments, learn, "pose,render,export"),
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),

@@ -27,15 +27,19 @@ if TYPE_CHECKING:
 
 
 def find_scene(name: str, attitude_range_deg: tuple[float, float, float]) -> Scene:
-    """Return a set of `ffpose.render.SCENES`, with the given range of attitudes.
+    """Return a set, with the given range of attitudes.
+
+    Args:
+        name: One of `ffpose.render.SCENES`, or a file (`ffpose.render.scene_file`).
+        attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
 
     Raises:
         MissingExtraError: The extra `render` is not installed.
-        ValueError: ``name`` is not in `ffpose.render.SCENES`.
+        ValueError: There is no such set.
+        DataError: The file, or the mesh that it names, cannot be used.
     """
-    scenes = require("ffpose.render.scene", "render")
-    scene: Scene = replace(scenes.get_scene(name), attitude_range_deg=attitude_range_deg)
-    return scene
+    scene: Scene = require("ffpose.render", "render").find_scene(name)
+    return replace(scene, attitude_range_deg=attitude_range_deg)
 
 
 def open_views(

@@ -14,6 +14,7 @@ from ffpose.render.layers import (
 )
 from ffpose.render.renderer import Frame, label, render, render_empty
 from ffpose.render.scene import SCENES, Scene, get_scene
+from ffpose.render.scene_file import SceneFile, find_scene, read_scene_file
 from ffpose.render.shading.randomization import Randomization
 from ffpose.render.shading.sensor import Sensor
 from ffpose.render.spacecraft.meshfile import load_craft
@@ -25,13 +26,16 @@ __all__ = [
     "Layers",
     "Randomization",
     "Scene",
+    "SceneFile",
     "Sensor",
     "Written",
     "coordinates_limit",
+    "find_scene",
     "get_scene",
     "label",
     "load_craft",
     "object_coordinates",
+    "read_scene_file",
     "render",
     "render_empty",
     "render_layers",

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import partial
 from typing import get_args
@@ -90,9 +90,21 @@ def render_views(
         return
     prepared(scene.build())  # forked workers share the BVH
     context = multiprocessing.get_context("fork" if os.name == "posix" else "spawn")
-    with context.Pool(min(workers, len(indices))) as pool:
-        yield from pool.imap(make, indices, CHUNK)
+    with context.Pool(min(workers, len(indices)), _start_worker, (make,)) as pool:
+        yield from pool.imap(_render_next, indices, CHUNK)
 
 
 def _render_one(scene: Scene, seed: int, spec: ViewSpec, content: Content, index: int) -> Pieces:
     return render_view(scene, seed, index, spec, content)
+
+
+_worker_make: list[Callable[[int], Pieces]] = []
+"""What this worker process renders by; sent once, because a spacecraft may be a large mesh."""
+
+
+def _start_worker(make: Callable[[int], Pieces]) -> None:
+    _worker_make[:] = [make]
+
+
+def _render_next(index: int) -> Pieces:
+    return _worker_make[0](index)

@@ -77,7 +77,7 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
     empty = open_empty_images(config.root, scene, seeds[2], count, preprocessing)
     shows = ("object", "object that the border cuts", "no spacecraft, or another one")
     about = [
-        {"shows": what, "scene": config.scene, "seed": seed, "count": number}
+        {"shows": what, "scene": scene.name, "seed": seed, "count": number}
         for what, seed, number in zip(shows, seeds, (count, count, len(empty)), strict=True)
     ]
     return CalibrationSet(config, about, whole, cut, empty)

@@ -95,7 +95,8 @@ class DataConfig:
             12 bits, or the percentile of each image's own levels, such as "p99.5"; None for images
             of 8 bits.
         scene: For kind "scenes": name of the rendered set, or several joined by a plus; validation
-            uses the first. A name that stands twice is two sets, of other seeds.
+            uses the first; or the file of a set (`ffpose.render.scene_file`). A name that stands
+            twice is two sets, of other seeds.
         count: For kind "scenes": number of training images of each set, or a list of one number
             for each.
         validation: For kind "scenes": number of whole images that select the best epoch.
@@ -160,8 +161,8 @@ class DataConfig:
 
     @property
     def scenes(self) -> list[str]:
-        """Names of the rendered sets, in order."""
-        return self.scene.split("+")
+        """Names of the rendered sets, in order; or the one file of a set."""
+        return [self.scene] if self.scene.endswith(".json") else self.scene.split("+")
 
     @property
     def counts(self) -> list[int]:

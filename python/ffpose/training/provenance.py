@@ -9,9 +9,12 @@ from typing import Any
 
 from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
+from ffpose.datasets.scenes import find_scene
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.models import read_metadata
 from ffpose.training.config import DataConfig, TrainConfig
+
+ALL_ATTITUDES = (180.0, 90.0, 180.0)
 
 OF_THIS_MACHINE = ("out", "device", "backbone_weights")
 """Fields specific to this machine, left out; the header records the backbone's initial weights."""
@@ -42,13 +45,22 @@ def recipe(config: TrainConfig, init: dict[str, Any] | None) -> dict[str, Any]:
         name: value
         for name, value in fields["data"].items()
         if name not in ("root", "keypoints", "workers")
-    }
+    } | {"scene": set_name(config.data) if config.data.kind == "scenes" else config.data.scene}
     return fields
 
 
 def set_name(config: DataConfig) -> str:
     """Return the name of an image set: of its folder, or of the rendered scenes."""
-    return config.scene if config.kind == "scenes" else config.root.resolve().name
+    return (
+        "+".join(map(scene_name, config.scenes))
+        if config.kind == "scenes"
+        else config.root.resolve().name
+    )
+
+
+def scene_name(scene: str) -> str:
+    """Return the name of a set, which its file stands for."""
+    return find_scene(scene, ALL_ATTITUDES).name if scene.endswith(".json") else scene
 
 
 def rendered_sets(config: DataConfig) -> dict[str, Any]:
@@ -56,7 +68,9 @@ def rendered_sets(config: DataConfig) -> dict[str, Any]:
     if config.kind != "scenes":
         return {}
     parts = zip(config.scenes, config.seeds, config.counts, strict=True)
-    return {"sets": [{"scene": scene, "seed": seed, "count": n} for scene, seed, n in parts]}
+    return {
+        "sets": [{"scene": scene_name(scene), "seed": seed, "count": n} for scene, seed, n in parts]
+    }
 
 
 def describe_data(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:

@@ -163,7 +163,9 @@ def measure(
     seed = FINAL.start if final else seed
     if second_renderer:
         require("mitsuba", "mitsuba")
-    scene = require("ffpose.render", "render").get_scene(scene) if isinstance(scene, str) else scene
+    scene = (
+        require("ffpose.render", "render").find_scene(scene) if isinstance(scene, str) else scene
+    )
     camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
     estimator = load(weights, camera=camera, warm_up=0)
     metadata = estimator.metadata
@@ -278,7 +280,8 @@ def _results(
 
 def seen_of(plan: Plan, recipe: Mapping[str, Any] | None) -> dict[str, dict[str, str]]:
     """Return ``seen`` and ``seen_how`` of each condition by name, for a training's recipe."""
-    found = {v.name: seen_in_training(recipe, v) for v in (*plan.with_object, *plan.without)}
+    shown, own = (*plan.with_object, *plan.without), plan.trained.scene
+    found = {v.name: seen_in_training(recipe, v, own) for v in shown}
     found |= {name: picture_seen(recipe, name) for name in plan.pictures}
     return {name: {"seen": seen.answer, "seen_how": seen.how} for name, seen in found.items()}
 

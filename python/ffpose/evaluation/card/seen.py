@@ -8,9 +8,10 @@ is akin, is "partly" seen.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import astuple
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from ffpose.render.scene import SCENES
+from ffpose.render.scene import SCENES, Scene
 from ffpose.render.shading.randomization import Randomization
 from ffpose.training.calibration_images import CUT_SHARE
 from ffpose.training.data import RANDOMIZATION
@@ -55,18 +56,20 @@ def _known(recipe: Recipe | None) -> Recipe | None:
     return None if recipe is None or not {"data", "views"} <= recipe.keys() else recipe
 
 
-def seen_in_training(recipe: Recipe | None, variation: Variation) -> Seen:
+def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
     """Return whether the trainings had a set of rendered scenes, with the object or without.
 
     Args:
         recipe: Of the weights' header.
         variation: The set.
+        own: The set that the variation is of, which none of `SCENES` may be.
     """
+    sets = SCENES if own is None else {own.name: own} | SCENES
     craft, recipe = variation.scene.craft, _known(recipe)
-    if recipe is None or craft in _crafts(recipe):
-        return _over_all(recipe, lambda each: _had(each, variation))
+    if recipe is None or craft in _crafts(recipe, sets):
+        return _over_all(recipe, lambda each: _had(each, variation, sets))
     other, before = _over_all(recipe, _other_spacecraft), trainings(recipe)[1:]
-    if any(each is not None and craft in _crafts(each) for each in before):
+    if any(each is not None and craft in _crafts(each, sets) for each in before):
         return Seen("partly", f"{other.how}, and {AS_OBJECT}" if other.how else AS_OBJECT)
     return other
 
@@ -95,19 +98,20 @@ def _over_all(recipe: Recipe | None, had: Any) -> Seen:
     return next((each for each in before if each.answer in ("partly", "unknown")), last)
 
 
-def _had(recipe: Recipe, variation: Variation) -> Seen:
+def _had(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> Seen:
     """Return whether one training had a set."""
     data, views, scene = recipe["data"], recipe["views"], variation.scene
-    if data["kind"] != "scenes":
+    names = data["scene"].split("+")
+    if data["kind"] != "scenes" or not sets.keys() >= set(names):
         return Seen("unknown")
-    trained = [SCENES[name] for name in data["scene"].split("+")]
+    trained = [sets[name].scaled(*data.get("distance", (1.0, 1.0))) for name in names]
     if variation.empty:
         return Seen("yes" if data["empty"] > 0 else "no")
-    if scene.craft not in _crafts(recipe) or scene.renderer != "ffpose":
+    if scene.craft not in _crafts(recipe, sets) or scene.renderer != "ffpose":
         return Seen("no")
     if scene.randomization != Randomization():
-        same = scene.randomization == Randomization.of_strength(RANDOMIZATION)
-        return Seen("yes" if same and data.get("randomized", 0) > 0 else "no")
+        within = max(astuple(scene.randomization)) <= RANDOMIZATION
+        return Seen("yes" if within and data.get("randomized", 0) > 0 else "no")
     if scene.max_visible < trained[0].min_visible:
         inside = CUT_SHARE[0] <= scene.min_visible and scene.max_visible <= CUT_SHARE[1]
         return Seen("yes" if inside and data.get("cut", 0) > 0 else "no")
@@ -117,17 +121,17 @@ def _had(recipe: Recipe, variation: Variation) -> Seen:
     if variation.blur_px > 0:
         return _augmented(views["blur"], "half the resolution blended in")
     if scene.sensor.jpeg_quality != trained[0].sensor.jpeg_quality:
-        return Seen("no")
+        return _augmented(views.get("jpeg", 0), "JPEG files of a part of the image")
     if scene.sensor != trained[0].sensor:
         return _augmented(views["noise"], "Gaussian noise")
     return Seen("yes")
 
 
-def _crafts(recipe: Recipe) -> list[Any]:
-    """Return the spacecraft of a training's rendered sets; none of a set on disk."""
+def _crafts(recipe: Recipe, sets: Mapping[str, Scene]) -> list[Any]:
+    """Return the spacecraft of a training's rendered sets; none of a set that is not known here."""
     data = recipe["data"]
     names = data["scene"].split("+") if data["kind"] == "scenes" else []
-    return [SCENES[name].craft for name in names]
+    return [sets[name].craft for name in names if name in sets]
 
 
 def _other_spacecraft(recipe: Recipe) -> Seen:

@@ -1,0 +1,174 @@
+"""What is rendered and trained in a budget of minutes, chosen from the mesh and measured speed.
+
+Two trainings share the budget: a sixth of it goes to a first one, so that there is an answer early,
+and the rest to a second, on more views, that starts from the first one's weights. Each spends a
+third of its share on rendering and the rest on training.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ffpose._internal.seeds import TRAINING, matching
+from ffpose.geometry import Camera
+from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
+from ffpose.training.config import ObjectLossConfig, ViewAugmentation
+
+DEFAULT_CAMERA = Camera(512, 384, 256.0, 256.0, 256.0, 192.0)
+"""A pinhole camera of 90 degrees."""
+
+NEAR_DIAMETERS, FAR_DIAMETERS = 1.5, 8.0
+"""Default distances, in diameters of the sphere about the origin that holds the spacecraft."""
+
+VIEW_MARGIN = 1.1
+"""Radius of the virtual camera's view relative to that sphere's."""
+
+BEYOND = (0.7, 1.4)
+"""Training sees distances beyond the nearest and farthest by these factors."""
+
+FIRST_SHARE, RENDER_SHARE, TEST_SHARE = 1 / 6, 0.3, 0.12
+"""Shares of the budget: of the first training; of rendering in each; of calibration and test."""
+
+LEAST_VIEWS, MOST_VIEWS = 200, 16_000
+LEAST_HELD_OUT, MOST_HELD_OUT = 8, 200
+"""Validation images, and images of each kind that calibrate: a fortieth of the views, within."""
+
+LEAST_EPOCHS, MOST_EPOCHS = 4, 150
+
+BATCH = 32
+
+KINDS = {"count": 0.55, "cut": 0.11, "randomized": 0.2, "empty": 0.06, "decoys": 0.08}
+"""Shares of the views: plain, cut by the border, randomized, without it, of other spacecraft."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What this machine does with all processes together.
+
+    Attributes:
+        views: Rendered views per second.
+        samples: Training samples per second.
+    """
+
+    views: float
+    samples: float
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One of the two trainings.
+
+    Attributes:
+        name: Name of its folder.
+        views: Number of rendered views.
+        epochs: Number of passes over them.
+    """
+
+    name: str
+    views: int
+    epochs: int
+
+
+def stages(minutes: float, speed: Speed) -> tuple[Stage, Stage]:
+    """Return the two trainings that fit into a budget.
+
+    Args:
+        minutes: The budget, wall time.
+        speed: Of this machine.
+
+    Examples:
+        >>> stages(60, Speed(views=30, samples=400))
+        (Stage(name='first', views=4752, epochs=37), Stage(name='second', views=16000, epochs=49))
+    """
+    seconds = 60 * minutes * (1 - TEST_SHARE)
+    shares = {"first": FIRST_SHARE * seconds, "second": (1 - FIRST_SHARE) * seconds}
+    return tuple(_stage(name, share, speed) for name, share in shares.items())  # type: ignore[return-value]
+
+
+def _stage(name: str, seconds: float, speed: Speed) -> Stage:
+    views = round(min(max(RENDER_SHARE * seconds * speed.views, LEAST_VIEWS), MOST_VIEWS))
+    left = seconds - views / speed.views
+    epochs = int(left * speed.samples / views)
+    return Stage(name, views, min(max(epochs, LEAST_EPOCHS), MOST_EPOCHS))
+
+
+def image_size(camera: Camera) -> tuple[int, int]:
+    """Return height and width of the network's input: 512 wide, of the camera's shape."""
+    return 64 * max(1, round(8 * camera.height / camera.width)), 512
+
+
+def training(
+    out: Path,
+    scene: Path,
+    radius_m: float,
+    distance_m: tuple[float, float],
+    camera: Camera,
+    stage: Stage,
+    *,
+    attitude_range_deg: tuple[float, float, float],
+    seed: int,
+    processes: int,
+    device: str,
+    init: Path | None,
+) -> TrainConfig:
+    """Return the configuration of a training.
+
+    Args:
+        out: Folder of the whole run.
+        scene: File of the set (`ffpose.render.scene_file`).
+        radius_m: Greatest distance of the spacecraft's surface from its origin.
+        distance_m: Least and greatest distance from the camera.
+        camera: Of the images.
+        stage: Which of the two trainings.
+        attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
+        seed: Of the views and of the network; the second training's views have the next.
+        processes: Processes that render, and that train together.
+        device: As of `ffpose.training.TrainConfig`.
+        init: Weights to start from.
+    """
+    counts: dict[str, Any] = {name: max(1, round(KINDS[name] * stage.views)) for name in KINDS}
+    held_out = min(MOST_HELD_OUT, max(LEAST_HELD_OUT, stage.views // 40))
+    first = init is None
+    return TrainConfig(
+        data=DataConfig(
+            "scenes",
+            out / "views",
+            scene=str(scene),
+            distance=BEYOND,
+            validation=held_out,
+            calibration=held_out,
+            workers=processes,
+            seed=matching(TRAINING, seed if first else seed + 1),
+            attitude_range_deg=attitude_range_deg,
+            **counts,
+        ),
+        out=out / stage.name,
+        model="polar",
+        model_fields={
+            "image_size": image_size(camera),
+            "object_radius_m": VIEW_MARGIN * radius_m,
+            "distance_m": distance_m,
+        },
+        backbone_weights="none",
+        epochs=stage.epochs,
+        batch_size=max(1, BATCH // processes),
+        processes=processes,
+        init=init,
+        ema=0.998,
+        autocast="bfloat16",
+        weights_dtype="float16",
+        optimizer=OptimizerConfig(
+            kind="adamw",
+            learning_rate=2e-3,
+            eps=1e-8,
+            schedule="cosine",
+            warmup_epochs=0.5,
+            clip_norm=1.0,
+        ),
+        object_loss=ObjectLossConfig(angle=5.0, offset=5.0),
+        views=ViewAugmentation(empty=0.12, jpeg=0.1),
+        seed=seed,
+        device=device,
+    )

@@ -1,0 +1,334 @@
+"""The command's work: plan, render, train, calibrate, test, export; resumable at any time."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shlex
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffpose import __version__
+from ffpose._internal.files import atomic_write, read_json
+from ffpose._internal.seeds import CHOICES, matching
+from ffpose.errors import DataError
+from ffpose.evaluation.card.measurement import measure
+from ffpose.evaluation.card.tables import format_card
+from ffpose.evaluation.evaluate import Evaluation, evaluate
+from ffpose.evaluation.report.page import Report, write_report
+from ffpose.evaluation.report.plots import write_evaluation_figures
+from ffpose.evaluation.report.results import write_results
+from ffpose.geometry import Camera, DistortedCamera
+from ffpose.learn.plan import (
+    DEFAULT_CAMERA,
+    FAR_DIAMETERS,
+    NEAR_DIAMETERS,
+    Speed,
+    Stage,
+    image_size,
+    stages,
+    training,
+)
+from ffpose.learn.speed import measure_speed
+from ffpose.models.weights import checksum_path
+from ffpose.onnx.pose_graph import export_weights
+from ffpose.render import SceneFile
+from ffpose.render.dataset.writer import write_dataset
+from ffpose.training import TrainConfig
+from ffpose.training.engine import TrainResult, train
+
+RECORD = "learn.json"
+WEIGHTS, GRAPH = "best.safetensors", "model.onnx"
+
+TEST_IMAGES = 300
+CARD_IMAGES = 60
+
+POOR = 0.1
+"""Share of a constant pose's rotation error above which the result is called poor."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class LearnConfig:
+    """What to learn, and how long.
+
+    Attributes:
+        mesh: Mesh file of the spacecraft.
+        out: Folder to write.
+        minutes: Budget, wall time.
+        mesh_scale: Meters per unit of the mesh.
+        camera: Camera of the images.
+        distance_m: Least and greatest distance; None for 1.5 to 8 diameters of the spacecraft.
+        attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
+        processes: Processes that render and that train together; 0 for one a core.
+        seed: Seed of everything.
+        device: "auto" (a GPU if there is one) or a device that torch knows.
+        test_images: Number of images of the test.
+        card_images: Number of images of each condition of the card; 0 for no card.
+    """
+
+    mesh: Path
+    out: Path
+    minutes: float = 60.0
+    mesh_scale: float = 1.0
+    camera: Camera = DEFAULT_CAMERA
+    distance_m: tuple[float, float] | None = None
+    attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
+    processes: int = 0
+    seed: int = 0
+    device: str = "auto"
+    test_images: int = TEST_IMAGES
+    card_images: int = CARD_IMAGES
+
+    def __post_init__(self) -> None:
+        if not 0 < self.minutes < math.inf:
+            raise ValueError(f"minutes: expected more than 0, got {self.minutes}")
+        if isinstance(self.camera, DistortedCamera):
+            raise ValueError(
+                "camera: expected one without distortion, got a distorted one; a network is learned"
+                " on undistorted images, which --data.undistort makes of yours"
+            )
+        if self.distance_m is not None and not 0 < self.distance_m[0] < self.distance_m[1]:
+            raise ValueError(f"distance: expected 0 < near < far, got {self.distance_m}")
+        if self.processes < 0:
+            raise ValueError(f"processes: expected 0 or more, got {self.processes}")
+
+
+def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
+    """Learn to pose a spacecraft from its mesh, and write all that its user needs.
+
+    The folder gets ``best.safetensors`` and ``model.onnx`` (either is what `ffpose.load` opens, and
+    so is the folder), ``report.html``, ``results.json``, ``card.md``, ``scene.json`` (the images,
+    for ``ffpose render``) and the two trainings' folders. What an interrupted run finished is not
+    repeated.
+
+    Args:
+        config: What to learn.
+        say: Is told what is under way.
+
+    Returns:
+        The summary of the test, with the constant pose's beside (`Evaluation.summary`).
+
+    Raises:
+        FileNotFoundError: There is no such mesh.
+        ValueError: A number is out of range, the mesh has no attitude, or the folder holds a run
+            with other settings.
+        ffpose.DataError: The mesh, or a file of an interrupted run, cannot be used.
+        OSError: The folder cannot be written, or the disk is full.
+    """
+    began = time.monotonic()
+    processes = config.processes or len(os.sched_getaffinity(0))
+    radius, scene_file = _inspected(config)
+    scene = scene_file.scene()
+    config.out.mkdir(parents=True, exist_ok=True)
+    record = _Record.open(config)
+    path = config.out / "scene.json"
+    scene_file.write(path)
+
+    def configured(stage: Stage, init: Path | None = None) -> TrainConfig:
+        made = training(
+            config.out,
+            path,
+            radius,
+            scene_file.distance_m,
+            config.camera,
+            stage,
+            attitude_range_deg=config.attitude_range_deg,
+            seed=config.seed,
+            processes=processes,
+            device=config.device,
+            init=init,
+        )
+        return made if record.autocast is None else replace(made, autocast=record.autocast)
+
+    if record.stages is None:
+        say("measuring the speed of this machine")
+        speed, record.autocast = measure_speed(configured(Stage("first", 1000, 1)), scene)
+        record.stages = stages(config.minutes, speed)
+        record.write(config.out)
+        say(_planned(config, radius, scene_file, speed, record.stages, processes))
+    first, second = record.stages
+    early = train(configured(first), resume=True)
+    if not (config.out / WEIGHTS).exists():
+        _publish(early.folder.best, config.out)
+        spent = (time.monotonic() - began) / 60
+        say(f"a first answer after {spent:.1f} minutes: {_validated(early)}")
+    final = train(configured(second, early.folder.best), resume=True)
+    _publish(final.folder.best, config.out)
+    evaluation = _tested(config, scene_file, processes, say)
+    say("exporting, and checking the graph against torch")
+    export_weights(config.out / WEIGHTS, config.out / GRAPH)
+    if config.card_images > 0:
+        say(f"card: {config.card_images} images of each condition")
+        card = measure(config.out / WEIGHTS, str(path), count=config.card_images, workers=processes)
+        with atomic_write(config.out / "card.md") as temporary:
+            temporary.write_text(format_card(card), encoding="utf-8")
+    summary = evaluation.summary()
+    _report(config, evaluation, final, radius, scene_file)
+    say(verdict(summary))
+    return summary
+
+
+def _inspected(config: LearnConfig) -> tuple[float, SceneFile]:
+    """Return the spacecraft's radius about its origin in meters, and the set of its images."""
+    name = config.mesh.stem
+    unknown = SceneFile(
+        name, config.mesh, config.mesh_scale, (1.0, 2.0), config.attitude_range_deg, config.camera
+    )
+    vertices = unknown.scene().build().mesh.vertices
+    radius = float(np.linalg.norm(vertices, axis=1).max())
+    if not radius > 0:
+        raise DataError("expected a mesh of some size, got all vertices at the origin", config.mesh)
+    distance = config.distance_m or (2 * radius * NEAR_DIAMETERS, 2 * radius * FAR_DIAMETERS)
+    return radius, replace(unknown, distance_m=distance)
+
+
+def _planned(
+    config: LearnConfig,
+    radius: float,
+    scene: SceneFile,
+    speed: Speed,
+    planned: tuple[Stage, Stage],
+    processes: int,
+) -> str:
+    """Return the table of what was chosen."""
+    near, far = scene.distance_m
+    rows, columns = image_size(config.camera)
+    camera = config.camera
+    shares = [f"{s.views} views, {s.epochs} epochs" for s in planned]
+    lines = {
+        "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
+        "distances": f"{near:.3g} to {far:.3g} m; 0.7 and 1.4 times these in training",
+        "camera": f"{camera.width} x {camera.height}, fx {camera.fx:.1f}",
+        "network": f"polar, on {columns} x {rows} pixels",
+        "attitudes": "roll, pitch, yaw within "
+        + ", ".join(f"{angle:g}" for angle in config.attitude_range_deg)
+        + " degrees",
+        "speed": f"{speed.views:.0f} views/s, {speed.samples:.0f} samples/s, {processes} processes",
+        "first training": shares[0],
+        "second training": shares[1],
+        "budget": f"{config.minutes:g} minutes",
+    }
+    return "\n".join(f"{name:16}{text}" for name, text in lines.items())
+
+
+def _publish(weights: Path, out: Path) -> None:
+    for source in (checksum_path(weights), weights):
+        with atomic_write(out / source.name) as temporary:
+            shutil.copyfile(source, temporary)
+
+
+def _validated(result: TrainResult) -> str:
+    row = result.history[result.best_epoch - 1]
+    return (
+        f"median errors of {float(row['val_median_rotation_error_deg']):.1f} degrees and"
+        f" {float(row['val_median_translation_error_m']):.2g} m on validation images"
+    )
+
+
+def _tested(config: LearnConfig, scene: SceneFile, processes: int, say: Say) -> Evaluation:
+    """Evaluate the weights on images of seeds that nothing before has rendered."""
+    say(f"testing on {config.test_images} unseen images")
+    images = config.out / "test-images"
+    written = write_dataset(
+        scene.scene(),
+        images,
+        config.test_images,
+        matching(CHOICES, config.seed),
+        workers=processes,
+    )
+    evaluation = evaluate(config.out / WEIGHTS, "urso", written.folder, "all")
+    write_results(evaluation, config.out)
+    write_evaluation_figures(evaluation, config.out)
+    return evaluation
+
+
+def verdict(summary: dict[str, Any]) -> str:
+    """Return the result in a sentence or two, and where it is poor what to change."""
+    error, constant = (
+        source["median_rotation_error_deg"] for source in (summary, summary["mean_pose_baseline"])
+    )
+    meters = summary["median_translation_error_m"]
+    text = (
+        f"median errors {error:.2f} degrees and {meters:.3g} m on {summary['images']} unseen"
+        f" images; a constant pose has {constant:.0f} degrees"
+    )
+    if error <= POOR * constant:
+        return text
+    return (
+        f"POOR: {text}. What helps: more --minutes; nearer --distance; a narrower --attitude-range"
+        " where the mission has one; the mesh's units and origin (ffpose inspect); a spacecraft"
+        " whose sides look alike has several attitudes of one look"
+    )
+
+
+def _report(
+    config: LearnConfig,
+    evaluation: Evaluation,
+    result: TrainResult,
+    radius: float,
+    scene: SceneFile,
+) -> None:
+    near, far = scene.distance_m
+    words = ["ffpose", "learn", str(config.mesh), "--out", str(config.out)]
+    write_report(
+        Report(
+            title=f"{scene.name}: from an image to a pose",
+            subtitle=verdict(evaluation.summary()) + ".",
+            evaluation=evaluation,
+            history=result.history,
+            facts={
+                "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
+                "distances": f"{near:.3g} to {far:.3g} m",
+                "budget": f"{config.minutes:g} minutes",
+                "epochs": f"{len(result.history)}, the best is {result.best_epoch}",
+                "ffpose": __version__,
+            },
+            command=shlex.join([*words, "--minutes", f"{config.minutes:g}"]),
+        ),
+        config.out / "report.html",
+    )
+
+
+@dataclass
+class _Record:
+    """``learn.json``: the settings of a folder's run, and what was planned from the speed."""
+
+    settings: dict[str, Any]
+    stages: tuple[Stage, Stage] | None = None
+    autocast: Any = None
+
+    @classmethod
+    def open(cls, config: LearnConfig) -> _Record:
+        settings = json.loads(json.dumps(asdict(config), default=str))
+        for name in ("out", "processes", "device"):
+            del settings[name]
+        path = config.out / RECORD
+        if not path.exists():
+            return cls(settings)
+        found = read_json(path)
+        try:
+            there, planned = found["settings"], found["stages"]
+            one, two = (Stage(**each) for each in planned)
+            autocast = found["autocast"]
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"expected the record of a run: {error}", path) from error
+        for name, value in settings.items():
+            if there.get(name) != value:
+                raise ValueError(
+                    f"out: expected {name} {there.get(name)} as the run in {config.out}, got"
+                    f" {value}; remove the folder, or write to another"
+                )
+        return cls(settings, (one, two), autocast)
+
+    def write(self, out: Path) -> None:
+        with atomic_write(out / RECORD) as temporary:
+            temporary.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")

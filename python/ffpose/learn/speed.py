@@ -1,0 +1,101 @@
+"""Speed of this machine at rendering and training, by which a budget is planned."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ffpose.imaging.views import ViewSpec
+from ffpose.learn.plan import Speed
+from ffpose.models import SecondLookNetwork, build_network
+from ffpose.models.network import find_device
+from ffpose.render import Scene
+from ffpose.render.views import render_views
+from ffpose.training import TrainConfig
+from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.views import ViewBatches
+
+VIEWS = 24
+"""Rendered views, for each process."""
+
+WARM_UP, STEPS = 2, 6
+TOGETHER = 0.85
+"""Speed of each of several processes relative to one alone; they share memory and caches."""
+
+
+def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
+    """Render and train a little, and forget it.
+
+    Args:
+        config: A training of `ffpose.learn.plan.training`.
+        scene: Its set.
+
+    Returns:
+        Speed of all processes together, and the faster of the types of `TrainConfig.autocast`.
+    """
+    processes = config.processes
+    fields = dict(config.model_fields)
+    camera = scene.camera.resized(*reversed(fields["image_size"]))
+    fields["camera"] = (camera.fx, camera.fy, camera.cx, camera.cy)
+    torch.manual_seed(config.seed)
+    device = find_device(config.device)
+    model = build_network(config.model, backbone_weights="none", **fields).to(device)
+    assert isinstance(model, SecondLookNetwork)
+    spec = ViewSpec(
+        camera, model.config.first_stride, model.config.object_width, model.config.object_radius_m
+    )
+    count = VIEWS * processes
+    arrays = {name: np.zeros(*shape) for name, shape in spec.shapes(count).items()}
+    wide = scene.scaled(*config.data.distance)
+    began = time.perf_counter()
+    for row, view in enumerate(
+        render_views(wide, config.data.seed, range(count), spec, "object", processes)
+    ):
+        view.store(arrays, row)
+    views = count / (time.perf_counter() - began)
+    loss = ObjectObjective(model, config.object_loss).to(device)
+    batches = ViewBatches(
+        model, [arrays], [], config.views, (1.0, 1.0, 1.0), loss.cells, np.zeros((0, 3))
+    )
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1 if processes > 1 else threads)
+    try:
+        rates = {
+            autocast: _rate(replace(config, autocast=autocast), model, loss, batches, device)
+            for autocast in ("none", "bfloat16")
+        }
+    finally:
+        torch.set_num_threads(threads)
+    best = max(rates, key=rates.__getitem__)
+    together = 1 if processes == 1 else TOGETHER * processes
+    return Speed(views, rates[best] * together), best
+
+
+def _rate(
+    config: TrainConfig,
+    model: SecondLookNetwork,
+    loss: ObjectObjective,
+    batches: ViewBatches,
+    device: torch.device,
+) -> float:
+    """Return training samples per second of one process."""
+    size = config.batch_size
+    generator = torch.Generator().manual_seed(0)
+    parameters = [*model.parameters(), *loss.parameters()]
+    optimizer = torch.optim.AdamW(parameters, 1e-5)
+    model.train()
+    began = 0.0
+    for step in range(WARM_UP + STEPS):
+        if step == WARM_UP:
+            began = time.perf_counter()
+        index = torch.randint(len(batches), (size,), generator=generator)
+        batch = batches.batch(index, generator)
+        with torch.autocast(device.type, torch.bfloat16, enabled=config.autocast == "bfloat16"):
+            terms = loss(model, type(batch)(*(part.to(device) for part in batch)))
+        torch.autograd.backward(terms.total)
+        optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
+    return STEPS * size / (time.perf_counter() - began)

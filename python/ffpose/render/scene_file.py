@@ -1,0 +1,117 @@
+"""A set of images of one's own spacecraft, as a JSON file that stands wherever a set's name does.
+
+The file names the mesh, by a path relative to itself, and the ranges of the poses; the name of the
+spacecraft in manifests and caches holds the SHA-256 of all that the mesh consists of, so no image
+of another version of it is taken for one of this.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ffpose._internal.files import atomic_write, read_json, shortened
+from ffpose.errors import DataError
+from ffpose.geometry import Camera
+from ffpose.render.scene import Scene, get_scene
+from ffpose.render.spacecraft.meshfile import load_craft
+
+SUFFIX = ".json"
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """Contents of the file.
+
+    Attributes:
+        name: Name of the set.
+        mesh: Mesh file, in the file relative to its folder.
+        mesh_scale: Meters per unit of the mesh.
+        distance_m: ``(least, most)`` distance of the object's origin from the camera.
+        attitude_range_deg: As of `ffpose.render.Scene`.
+        camera: Camera of the images.
+    """
+
+    name: str
+    mesh: Path
+    mesh_scale: float
+    distance_m: tuple[float, float]
+    attitude_range_deg: tuple[float, float, float]
+    camera: Camera
+
+    def scene(self) -> Scene:
+        """Return the set, with the mesh read.
+
+        Raises:
+            As `ffpose.render.load_craft` and `ffpose.render.Scene`.
+        """
+        return Scene(
+            self.name,
+            load_craft(self.mesh, self.mesh_scale),
+            self.distance_m,
+            self.distance_m[1],  # as far off the axis as the frame goes
+            attitude_range_deg=self.attitude_range_deg,
+            camera=self.camera,
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the file."""
+        values = asdict(self) | {
+            "mesh": os.path.relpath(self.mesh.resolve(), path.resolve().parent)
+        }
+        with atomic_write(path) as temporary:
+            temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+
+
+def find_scene(name: str) -> Scene:
+    """Return a set by its name, or by its file, whose name ends with ``.json``.
+
+    Raises:
+        ValueError: The name is not known.
+        FileNotFoundError: There is no such file.
+        DataError: The file, or the mesh that it names, cannot be used.
+    """
+    if name.endswith(SUFFIX):
+        path = Path(name)
+        return _opened(path, path.stat().st_mtime_ns)
+    return get_scene(name)
+
+
+@lru_cache(maxsize=4)
+def _opened(path: Path, _: int) -> Scene:
+    return read_scene_file(path).scene()
+
+
+def read_scene_file(path: Path) -> SceneFile:
+    """Read the file.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DataError: It is not JSON, or has other keys or values.
+    """
+    values = read_json(path)
+    names = [field.name for field in fields(SceneFile)]
+    if not isinstance(values, dict) or sorted(values) != sorted(names):
+        raise DataError(f"expected the keys {', '.join(names)}, got {shortened(values)}", path)
+    try:
+        return SceneFile(
+            str(values["name"]),
+            path.parent / str(values["mesh"]),
+            float(values["mesh_scale"]),
+            _numbers(values, "distance_m", 2),
+            _numbers(values, "attitude_range_deg", 3),
+            Camera(**values["camera"]),
+        )
+    except (TypeError, ValueError) as error:
+        raise DataError(str(error), path) from error
+
+
+def _numbers(values: dict[str, Any], name: str, count: int) -> Any:
+    numbers = values[name]
+    if not isinstance(numbers, list) or len(numbers) != count:
+        raise ValueError(f"{name}: expected {count} numbers, got {shortened(numbers)}")
+    return tuple(float(number) for number in numbers)
