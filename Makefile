@@ -3,7 +3,7 @@ VENV ?= .venv
 PYTHON ?= python3
 DEMO_OUT ?= runs/demo
 BIN := $(VENV)/bin
-PYTHON_SOURCES := python studies tests build_backend.py build_library.py
+PYTHON_SOURCES := python benchmarks studies tests build_backend.py build_library.py
 RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -path crates/ffpose-onboard -prune -o -name '*.rs' -print -o -name Cargo.toml -print)
 ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml --target-dir target/onboard
 
@@ -65,7 +65,7 @@ cards: $(VENV)/.user ## measure the final cards of the shipped weights and fill 
 	done
 
 figures: $(VENV)/.dev ## measure the figures of the pages, NAME being this machine's: ten minutes
-	$(BIN)/python -m ffpose.bench.pages --all $(if $(NAME),--machine "$(NAME)") $(if $(NOTE),--note "$(NOTE)")
+	$(BIN)/python -m benchmarks pages --all $(if $(NAME),--machine "$(NAME)") $(if $(NOTE),--note "$(NOTE)")
 
 ort: tools ## build the operator for ONNX Runtime into the package; installing ffpose does so too
 	$(PYTHON) build_library.py

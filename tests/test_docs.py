@@ -13,6 +13,7 @@ from dataclasses import fields
 
 import pytest
 
+from benchmarks.__main__ import build_parser as benchmarks_parser
 from ffpose._internal.info import main as info
 from ffpose.cli import COMMANDS, build_parser, words_of
 from ffpose.imaging.transforms import Augmentation
@@ -23,7 +24,7 @@ from studies.__main__ import build_parser as studies_parser
 MAKEFILE = (ROOT / "Makefile").read_text()
 OTHERS = {"--cpus-per-task", "--array", "--target"}
 """Options of other programs that the pages name."""
-PROGRAMS = {"studies": studies_parser()}
+PROGRAMS = {"benchmarks": benchmarks_parser(), "studies": studies_parser()}
 """Parsers of what ``python -m`` runs."""
 
 
@@ -97,6 +98,11 @@ def test_extras_exist(page, extras):
     assert set(extras.split(",")) <= set(project["optional-dependencies"])
 
 
+def subparsers(parser):
+    (actions,) = (each.choices for each in parser._subparsers._group_actions)
+    return actions.values()
+
+
 def test_options_in_the_text_exist():
     known = {
         option
@@ -104,8 +110,8 @@ def test_options_in_the_text_exist():
         for option in re.findall(r"--[\w.-]+", build_parser(name).format_help())
     }
     known |= {f"--data.augmentation.{f.name.replace('_', '-')}" for f in fields(Augmentation)}
-    for parser in PROGRAMS.values():
-        known |= set(re.findall(r"--[\w.-]+", parser.format_help()))
+    parsers = [studies_parser(), *subparsers(benchmarks_parser())]
+    known |= {name for each in parsers for name in re.findall(r"--[\w.-]+", each.format_help())}
     onboard = (ROOT / "crates/ffpose-onboard/src/options.rs").read_text()
     known |= set(re.findall(r"\"(--[\w-]+)\"", onboard))
     named = in_pages(lambda text: re.findall(r"`(--[a-z][\w.-]*)[^`]*`", prose(text)))

@@ -37,7 +37,6 @@ ALLOWED = {
 INNER = {
     "render.spacecraft": {"render.spacecraft"},
     "render.shading": {"render.shading", "render.spacecraft"},
-    "bench.filter": {"bench.filter", "bench.machine", "bench.output", "bench.timing"},
     "evaluation.report": {
         *("evaluation.report", "evaluation.evaluate", "evaluation.calibration"),
     },

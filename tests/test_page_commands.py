@@ -12,9 +12,11 @@ from itertools import chain
 
 import pytest
 
+from benchmarks.__main__ import main as benchmarks
+from benchmarks.filter import run as bench
+from benchmarks.filter.cases import Case, Plan
 from ffpose.arrays import instruction_set
-from ffpose.bench.filter import run as bench
-from ffpose.bench.filter.cases import Case, Plan
+from ffpose.bench import filter as quick_bench
 from ffpose.cli import main
 from option_words import changes_of, options_of
 from pages import TEXTS, blocks_in_order, code_blocks
@@ -96,7 +98,7 @@ SMALL_CODE = {"range(5000)": "range(4)"}
 NEEDED = {"import ray": "ray"}
 """Code of the pages that runs where a package is installed."""
 
-PROGRAMS = {"studies": studies}
+PROGRAMS = {"benchmarks": benchmarks, "studies": studies}
 """What ``python -m`` runs."""
 
 COMMANDS = {
@@ -147,6 +149,8 @@ def folder(tmp_path, monkeypatch):
     cases = {instruction_set(): [Case("tokens", (4, 6), 1)]}
     monkeypatch.setattr(bench, "make_plan", lambda quick: Plan(cases, 0.001, ()))
     monkeypatch.setattr(bench, "ALLOCATORS", ["default"])  # each has a process of its own
+    monkeypatch.setattr(quick_bench, "FEW", (("tokens", (4, 6)),))
+    monkeypatch.setattr(quick_bench, "BATCHES", (1,))
     return tmp_path
 
 

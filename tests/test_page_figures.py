@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from ffpose.bench.pages.blocks import PAGES, filled
-from ffpose.bench.pages.documents import DOCUMENTS, read
-from ffpose.bench.pages.marks import outside
+from benchmarks.pages.blocks import PAGES, filled
+from benchmarks.pages.documents import DOCUMENTS, read
+from benchmarks.pages.marks import outside
 from pages import ROOT, TEXTS
 
 MEASURED = re.compile(

@@ -581,14 +581,10 @@ def calibrate(options: Namespace) -> None:
 def bench_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `bench`."""
     parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
-    parser.add_argument(
-        "network",
-        nargs="?",
-        help="of a model: base, small, tiny, compact, weights, gfnet, or attention: their"
-        " inference and training with and without torch's attention (default: base; quick: tiny)",
-    )
+    text = "of a model: base, small, tiny, compact, or weights (default: base; quick: tiny)"
+    parser.add_argument("network", nargs="?", help=text)
     parser.add_argument("--json", action="store_true", help="print every timing as JSON")
-    parser.add_argument("--plot", type=Path, help="picture to draw")
+    parser.add_argument("--plot", type=Path, help="picture to draw, PNG")
     parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
     parser.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")
     parser.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
@@ -596,33 +592,26 @@ def bench_arguments(parser: ArgumentParser) -> None:
 
 
 def bench(options: Namespace) -> None:
-    """Measure the filter against torch.fft, or a network in the runtimes it can be deployed in."""
-    from ffpose.bench.filter.run import run as run_filter
-    from ffpose.bench.model import attention, deployment
-
-    network = options.network or ("tiny" if options.quick else "base")
-    deployed = options.subject == "model" and network != "attention"
-    if options.subject == "filter" and options.network is not None:
-        raise ValueError(f"network: expected with model, got {options.network!r} with filter")
-    for name in ("batch", "threads", "looks", "turns"):
-        if options[name] is not None and not deployed:
-            raise ValueError(f"--{name}: expected with a network that is deployed")
+    """Measure the filter against torch.fft, or a network in torch, ONNX Runtime and OpenVINO."""
     if options.subject == "filter":
-        run_filter(options.json, options.plot, options.quick)
-    elif deployed:
-        deployment.run(
-            network,
-            options.json,
-            options.plot,
-            options.quick,
-            batches=options.batch,
-            threads=options.threads,
-            **view_fields(options),
-        )
-    elif options.plot is not None:
-        raise ValueError("--plot: expected with filter or a network, attention has no plot")
-    else:
-        attention.run(options.json, options.quick)
+        for name in ("network", "batch", "threads", "looks", "turns"):
+            if options[name] is not None:
+                raise ValueError(f"{name}: expected with model, got {options[name]} with filter")
+        from ffpose.bench.filter import run
+
+        run(options.json, options.plot, options.quick)
+        return
+    from ffpose.bench.model import run as run_model
+
+    run_model(
+        options.network or ("tiny" if options.quick else "base"),
+        options.json,
+        options.plot,
+        options.quick,
+        batches=options.batch,
+        threads=options.threads,
+        **view_fields(options),
+    )
 
 
 INTERRUPTED, CLOSED = 130, 141

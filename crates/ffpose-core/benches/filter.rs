@@ -1,7 +1,7 @@
 //! The filter and its gradients without Python and torch: `cargo bench -p ffpose-core`.
 //!
 //! For profiles and for comparing two states of the code. `FFPOSE_ISA` chooses the instruction set. What a user of
-//! torch gains is told by `ffpose bench filter`.
+//! torch gains is told by `python -m benchmarks filter`.
 
 use std::fmt;
 

@@ -1,1 +1,5 @@
-"""Benchmarks: the measurements behind the speed results in the documentation."""
+"""``ffpose bench``: the filter and the networks, timed on this machine.
+
+What the documentation prints, against more rivals, is measured by ``benchmarks/`` in the
+repository.
+"""

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -53,6 +54,16 @@ class Timing:
     upper: float
     rounds: int
     inner: int
+
+
+def expect_place(path: Path | None) -> None:
+    """Check, before anything is measured, that the folder of an output file exists.
+
+    Raises:
+        FileNotFoundError: The folder does not exist.
+    """
+    if path is not None and not path.parent.is_dir():
+        raise FileNotFoundError(f"expected an existing folder for {path}, got {path.parent}")
 
 
 def interleave(

@@ -1,0 +1,1 @@
+"""`python -m benchmarks filter`: the spectral filter and its rivals, timed in turn."""

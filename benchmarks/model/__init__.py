@@ -1,0 +1,1 @@
+"""`python -m benchmarks model`: networks, in torch and where they are deployed."""

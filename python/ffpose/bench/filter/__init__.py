@@ -1,1 +1,0 @@
-"""`ffpose bench filter`: the spectral filter and its rivals, timed in turn."""

@@ -1,1 +1,0 @@
-"""`ffpose bench model`: networks, in torch and where they are deployed."""

@@ -1,0 +1,83 @@
+"""``ffpose bench model``, on a network that takes no time."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+from ffpose.bench import model as bench
+from ffpose.cli import main
+from ffpose.config import CONFIGS, PRESETS
+from ffpose.models import FilterformerPose, read_metadata
+
+pytest.importorskip("onnxscript")
+
+
+@pytest.fixture(autouse=True)
+def _speck(monkeypatch):
+    fields = {"dim": 8, "depth": 1, "heads": 2, "feed_forward": 8, "head_hidden": 8}
+    fields |= {"backbone": "test_efficientnet", "image_size": (32, 64)}
+    monkeypatch.setitem(CONFIGS, "speck", replace(CONFIGS["tiny"], **fields))
+    monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Few calls."""
+    measures = bench.take_turns
+    monkeypatch.setattr(bench, "take_turns", lambda calls, _: measures(calls, 0.001))
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_document_a_table_and_a_plot(tmp_path, capsys):
+    begun = torch.get_num_threads()
+    plot = tmp_path / "model.png"
+    words = ["--batch", "1", "2", "--threads", "1", "--plot", str(plot)]
+    assert main(["bench", "model", "speck", "--json", *words]) == 0
+    assert torch.get_num_threads() == begun
+    document = json.loads(capsys.readouterr().out)
+    assert document["network"] == "speck"
+    assert [(each["batch"], each["threads"]) for each in document["results"]] == [(1, 1), (2, 1)]
+    for each in document["results"]:
+        assert {"torch", "onnxruntime"} <= set(each["latencies"])
+        assert each["differences"]["torch"] == 0.0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert main(["bench", "model", "speck", "--quick"]) == 0
+    assert "onnxruntime" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("at_once")
+def test_a_backend_that_computes_other_poses_is_refused(monkeypatch, capsys):
+    monkeypatch.setattr(bench, "APART", -1.0)
+    assert main(["bench", "model", "speck", "--quick"]) == 1
+    assert "poses by torch differ from torch's by" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["speck", "--threads", "0"], 2, "threads: expected numbers of at least 1, got [0]"),
+        (["speck", "--plot", "absent/a.png"], 1, "expected an existing folder"),
+        (["nowhere"], 1, "network: expected one of"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(words, code, message, capsys):
+    assert main(["bench", "model", *words]) == code
+    assert message in capsys.readouterr().err
+
+
+def test_a_network_has_fewer_looks(tmp_path):
+    weights = tmp_path / "twice.safetensors"
+    fields = {"image_size": (48, 64), "first_stride": 2, "object_size": (32, 32), "dim": 16}
+    model = FilterformerPose.from_config("compact", bins=100, bins_degree=1, **fields)
+    model.save_pretrained(weights, data={"name": "own"})
+    changed = read_metadata(bench.weights_of(str(weights), tmp_path, looks=1, turns=3))
+    assert (changed.config.looks, changed.config.turns) == (1, 3)
+    same = replace(changed.config, looks=model.config.looks, turns=model.config.turns)
+    assert replace(changed, config=same) == read_metadata(weights)
+
+
+@pytest.mark.parametrize("network", ["compact", "polar", "ursonet"])
+def test_any_preset_has_random_weights(network, tmp_path):
+    assert read_metadata(bench.weights_of(network, tmp_path)).config == PRESETS[network]
