@@ -59,9 +59,9 @@ bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
 
 cards: $(VENV)/.user ## measure the final cards of the shipped weights and fill the pages: an hour; cards that are there stay
-	for name in dragon-hard soyuz-easy soyuz-hard; do \
-		$(BIN)/ffpose card $$name --scene $$(echo $$name | tr - _) --final --count $(or $(COUNT),500) --images runs/cards \
-			--out cards/$$name --page docs/models.md README.md > /dev/null || exit 1; \
+	for card in soyuz/soyuz_easy soyuz/soyuz_hard dragon/dragon_hard; do \
+		$(BIN)/ffpose card $${card%/*} --scene $${card#*/} --final --count $(or $(COUNT),500) --images runs/cards \
+			--out cards/$${card#*/} --page docs/models.md README.md > /dev/null || exit 1; \
 	done
 
 figures: $(VENV)/.dev ## measure the figures of the pages, NAME being this machine's: ten minutes
@@ -73,13 +73,8 @@ ort: tools ## build the operator for ONNX Runtime into the package; installing f
 onboard: tools ## build the program that poses images without Python, of Rust 1.92 or newer (docs/onboard.md)
 	cargo build $(ONBOARD)
 
-weights: runs/soyuz-easy/.trained runs/soyuz-hard/.trained runs/dragon-hard/.trained ## train the shipped weights from the start: hours
+weights: runs/soyuz/.trained runs/dragon/.trained ## train the shipped weights from nothing, hours; an interrupted training goes on
 
-# Weights begin with those that their configuration names as `init`. A training that was interrupted goes on.
-runs/soyuz-hard/.trained runs/soyuz-easy-robust-begin/.trained runs/dragon-hard-begin/.trained: runs/soyuz-shared/.trained
-runs/soyuz-easy-robust/.trained: runs/soyuz-easy-robust-begin/.trained
-runs/soyuz-easy/.trained: runs/soyuz-easy-robust/.trained
-runs/dragon-hard/.trained: runs/dragon-hard-begin/.trained
 runs/%/.trained: configs/%.yaml | $(VENV)/.user
 	$(BIN)/ffpose train --config $< --resume
 	@touch $@

@@ -223,16 +223,16 @@ def test_a_camera_is_nothing_to_weights_without(square, capsys):
 
 def test_weights_of_the_package_go_by_name(trained, image_set, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("ffpose.models.zoo.FOLDER", tmp_path)
-    shutil.copy(trained / "best.safetensors", tmp_path / "soyuz-hard.safetensors")
+    shutil.copy(trained / "best.safetensors", tmp_path / "soyuz.safetensors")
     images = [str(image_set / "0_rgb.png")]
     assert main(["predict", str(trained / "best.safetensors"), *images, "--json"]) == 0
     expected = capsys.readouterr().out
-    assert main(["predict", "soyuz-hard", *images, "--json"]) == 0
+    assert main(["predict", "soyuz", *images, "--json"]) == 0
     assert capsys.readouterr().out == expected
-    words = ["evaluate", "soyuz-hard", *data_words(image_set), "--out", str(tmp_path / "e")]
+    words = ["evaluate", "soyuz", *data_words(image_set), "--out", str(tmp_path / "e")]
     assert main(words) == 0
-    assert main(["predict", "soyuz", *images]) == 1
-    assert "a name (one of soyuz-hard), got soyuz" in capsys.readouterr().err
+    assert main(["predict", "dragon", *images]) == 1
+    assert "a name (one of soyuz), got dragon" in capsys.readouterr().err
 
 
 def test_evaluate_refuses_a_set_of_another_camera(image_set, tmp_path, capsys):
@@ -324,9 +324,9 @@ def test_debug_shows_the_traceback(tmp_path):
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["predict", "soyuz-easy", "a.png", "--batch", "0"], "batch: expected at least 1, got 0"),
-        (["predict", "soyuz-easy", "a.png", "--device", "abacus"], "device: expected auto, or"),
-        (["card", "soyuz-easy", "--scene", "soyuz_easy", "--count", "0"], "count: expected at"),
+        (["predict", "soyuz", "a.png", "--batch", "0"], "batch: expected at least 1, got 0"),
+        (["predict", "soyuz", "a.png", "--device", "abacus"], "device: expected auto, or"),
+        (["card", "soyuz", "--scene", "soyuz_easy", "--count", "0"], "count: expected at"),
         (["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "9x9"], "16…8192"),
         (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),
     ],

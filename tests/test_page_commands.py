@@ -49,12 +49,10 @@ SMALL = {
     "--config paper": "--config paper --config stages.yaml --model tiny --backbone-weights none",
     shlex.join(options_of(URSONET)): shlex.join(options_of({**SMALL_URSONET, **INPUT})),
     "configs/paper/filterformerpose-n5.yaml": "configs/paper/filterformerpose-n5.yaml --model tiny",
-    "configs/soyuz-shared.yaml": f"configs/soyuz-shared.yaml {VIEWS}",
-    "configs/soyuz-easy-robust-begin.yaml": f"configs/soyuz-easy-robust-begin.yaml {VIEWS}",
-    "configs/soyuz-easy-robust.yaml": f"configs/soyuz-easy-robust.yaml {VIEWS}",
-    "configs/soyuz-easy.yaml": f"configs/soyuz-easy.yaml {VIEWS}",
+    "configs/soyuz.yaml": f"configs/soyuz.yaml {VIEWS}",
+    "configs/dragon.yaml": f"configs/dragon.yaml {VIEWS}",
     "--count 60": "--count 2 --size 64x48",
-    "--data.count 200 --turns 8 12": "--data.count 2 --turns 1 2",
+    "--data.count 200": "--data.count 2",
     # studies: one run of a variant or two
     "--seeds 3 --minutes 3": "--seeds 1 --minutes 0.0001 --test-images 2"
     f" --variants tokens posenet {RENDERED}",
@@ -70,8 +68,8 @@ SMALL = {
     "--out runs/table5": "--out runs/table5 --seeds 1 --epochs 3 --variants KingsCollege-posenet"
     f" {ON_DISK}{shlex.join(changes_of({'model': {**POSENET, **INPUT}}))}",
     # graphs: torch takes a minute to record those of the shipped networks
-    "export soyuz-easy": "export look.safetensors",
-    "model soyuz-easy": "model look.safetensors",
+    "export soyuz": "export look.safetensors",
+    "model soyuz": "model look.safetensors",
 }
 """Words of commands, and those that run in their place."""
 

@@ -26,7 +26,7 @@ BLOCKS: Mapping[str, Callable[[Source], str]] = {
     "networks": network_blocks.shares,
     "base": partial(network_blocks.latencies, name="base"),
     "gfnet": partial(network_blocks.latencies, name="gfnet"),
-    "soyuz-easy": partial(network_blocks.latencies, name="soyuz-easy"),
+    "soyuz": partial(network_blocks.latencies, name="soyuz"),
     "which-network": network_blocks.which_network,
     "stages": network_blocks.stages,
     "starts": network_blocks.starts,

@@ -51,7 +51,7 @@ OPERATORS = 12
 COMPILERS = (COMPILED, COMPILED_ALONE)
 
 VIEWS = tuple(product((1, 2), (1, 4, 8, 12)))
-"""Looks and turns of `soyuz-easy` whose times are compared."""
+"""Looks and turns of `soyuz` whose times are compared."""
 
 Measured = dict[str, Any]
 
@@ -229,7 +229,7 @@ def _views(effort: Effort, _: Path) -> Measured:
     calls = {}
     for looks, turns in VIEWS:
         with tempfile.TemporaryDirectory(prefix="ffpose-bench-") as folder:
-            measured = subject("soyuz-easy", Path(folder), looks=looks, turns=turns)
+            measured = subject("soyuz", Path(folder), looks=looks, turns=turns)
         calls[f"{looks} {turns}"] = timed(partial(_infer, measured.model, measured.images(1)))
     with torch_threads(1):
         samples = take_turns(calls, 0.5 if effort.quick else NETWORK_SECONDS)
@@ -246,7 +246,7 @@ DOCUMENTS: Mapping[str, Callable[[Effort, Path], Measured]] = {
     "filter": _filter,
     "base": partial(_network, name="base", without=(COMPILED,), plot="deployment.png"),
     "small": partial(_network, name="small", without=(*COMPILERS, DFT, MATMUL, WITHOUT)),
-    "soyuz-easy": partial(_network, name="soyuz-easy", without=COMPILERS, starts=3),
+    "soyuz": partial(_network, name="soyuz", without=COMPILERS, starts=3),
     "gfnet": partial(_network, name="gfnet", without=(COMPILED, DFT)),
     "attention": _attention,
     "views": _views,

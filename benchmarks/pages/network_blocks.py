@@ -21,8 +21,8 @@ from benchmarks.pages.documents import Figures
 from benchmarks.pages.markdown import NOTHING, Source, measured_on, milliseconds, table
 from ffpose.bench.timing import OURS
 
-NETWORKS = ("soyuz-easy", "base", "small", "gfnet")
-WEIGHTS = ("soyuz-easy", "base")
+NETWORKS = ("soyuz", "base", "small", "gfnet")
+WEIGHTS = ("soyuz", "base")
 """Networks of which whole images are measured."""
 
 Latencies = Mapping[str, Mapping[str, float]]
@@ -89,7 +89,7 @@ def _listed(notes: Sequence[str]) -> list[str]:
 def which_network(source: Source) -> str:
     """Return the latencies of the pose networks side by side."""
     rows = []
-    for network in ("base", "small", "soyuz-easy"):
+    for network in ("base", "small", "soyuz"):
         threads, latencies = _first(source(network))
         names = (next(iter(latencies)), _runtime(latencies), OPENVINO)
         cells = (_pair(latencies[name]) if name in latencies else NOTHING for name in names)
@@ -112,18 +112,18 @@ def stages(source: Source) -> str:
 
 def starts(source: Source) -> str:
     """Return how long a new process takes to its first pose, and its memory."""
-    figures = source("soyuz-easy")
+    figures = source("soyuz")
     rows = [
         [name, f"{start['seconds']:.2g}", f"{start['peak_bytes'] / 1e6:.0f}"]
         for name, start in figures.results["cold_starts"].items()
     ]
-    header = ["new process to the first pose of `soyuz-easy`", "seconds", "peak memory, MB"]
+    header = ["new process to the first pose of `soyuz`", "seconds", "peak memory, MB"]
     return f"{table(header, rows)}\n\n{measured_on(figures, [max(figures.threads)])}"
 
 
 def int8(source: Source) -> str:
     """Return in words what int8 brings to the shipped network."""
-    figures = source("soyuz-easy")
+    figures = source("soyuz")
     threads, found = _first(figures)
     if INT8 not in found:
         return "int8 was not measured on this machine"

@@ -214,7 +214,7 @@ def data_arguments(parser: ArgumentParser) -> None:
 
 def weights_argument(parser: ArgumentParser) -> None:
     """Declare the arguments that choose a command's network, and where it is computed."""
-    text = "weights file, exported .onnx graph, folder with one, or a name such as soyuz-easy"
+    text = "weights file, exported .onnx graph, folder with one, or a name such as soyuz"
     parser.add_argument("weights", type=Path, help=text)
     parser.add_argument(
         "--device", default="auto", help="of weights; auto: a GPU if there is one, else the CPU"
@@ -399,7 +399,7 @@ def view_fields(options: Namespace) -> dict[str, int]:
 
 def export_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `export`."""
-    parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz-easy")
+    parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz")
     parser.add_argument("--out", type=Path, required=True, help="ONNX file to write")
     parser.add_argument(
         "--filter",
@@ -478,7 +478,7 @@ def card_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `card`."""
     from ffpose._internal.seeds import CHOICES
 
-    weights = "weights file, a name such as soyuz-easy, or an exported .onnx graph"
+    weights = "weights file, a name such as soyuz, or an exported .onnx graph"
     parser.add_argument("weights", type=Path, help=weights)
     parser.add_argument(
         "--scene", required=True, help="soyuz_easy, soyuz_hard or dragon_hard: what it was made for"
@@ -498,7 +498,7 @@ def card_arguments(parser: ArgumentParser) -> None:
     )
     text = "folder for card.json and card.md; one that holds this card is not measured again"
     parser.add_argument("--out", type=Path, help=text)
-    text = "pages whose parts after <!-- card: NAME --> are filled with the cards beside --out"
+    text = "pages whose parts after <!-- card: SET --> are filled with the cards beside --out"
     parser.add_argument("--page", type=Path, nargs="+", default=[], help=text)
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
@@ -549,7 +549,7 @@ def calibrate_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `calibrate`."""
     from ffpose.training.config import CalibrationImages
 
-    parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz-easy")
+    parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz")
     parser.add_class_arguments(CalibrationImages, "data")
     restyle(parser)
     text = "numbers of rotated views to choose from, on other rendered images (default: as it is)"

@@ -59,8 +59,8 @@ FINAL_SEED = str(FINAL.start + 7)
 TAKE_SEEDS = {
     "render": ["soyuz_easy", "--out", "OUT", "--count", "1", "--size", "64x48", "--seed"],
     "train": ["--data.kind", "scenes", "--data.root", "OUT", "--out", "OUT", "--data.seed"],
-    "calibrate": ["soyuz-easy", "--out", "OUT/w.safetensors", "--data.root", "OUT", "--data.seed"],
-    "card": ["soyuz-easy", "--scene", "soyuz_easy", "--count", "1", "--size", "64x48", "--seed"],
+    "calibrate": ["soyuz", "--out", "OUT/w.safetensors", "--data.root", "OUT", "--data.seed"],
+    "card": ["soyuz", "--scene", "soyuz_easy", "--count", "1", "--size", "64x48", "--seed"],
 }
 """Commands that take the seed of scenes as their last argument."""
 

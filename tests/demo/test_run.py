@@ -62,7 +62,7 @@ def shelf(tmp_path_factory):
     torch.manual_seed(0)
     model = FilterformerPose.from_config("compact", backbone_weights="none", **fields)
     preprocessing = Preprocessing((48, 64), mean=(0.0, 0.0, 0.0), std=(0.25, 0.25, 0.25))
-    model.save_pretrained(folder / "soyuz-easy.safetensors", preprocessing=preprocessing)
+    model.save_pretrained(folder / "soyuz.safetensors", preprocessing=preprocessing)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(zoo, "FOLDER", folder)
         yield folder

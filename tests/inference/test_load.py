@@ -10,7 +10,7 @@ from PIL import Image
 
 import ffpose
 from ffpose.inference.in_torch import TorchSession
-from ffpose.models import FilterformerPose
+from ffpose.models import load_network
 from ffpose.models.zoo import FOLDER
 from pages import ROOT
 
@@ -19,10 +19,10 @@ UNSEEN = ROOT / "docs/images/soyuz_unseen.jpg"
 
 def test_the_pose_in_an_image_from_its_name():
     """The network's own answer, and the picture is one of a spacecraft."""
-    estimate = ffpose.load("soyuz-easy", threads=1)
+    estimate = ffpose.load("soyuz", threads=1)
     pose = estimate(UNSEEN)
     image = Image.open(UNSEEN).convert("RGB")
-    model = FilterformerPose.from_pretrained("soyuz-easy")
+    model = load_network("soyuz")
     with torch.inference_mode():
         raw = model(estimate.preprocessing(image)[None])
     np.testing.assert_allclose(pose.t, raw.translation[0], atol=1e-5)
@@ -36,10 +36,10 @@ def test_the_pose_in_an_image_from_its_name():
 
 
 def test_weights_are_opened_by_their_path_and_their_folder(tmp_path):
-    file = FOLDER / "soyuz-easy.safetensors"
+    file = FOLDER / "soyuz.safetensors"
     (tmp_path / "best.safetensors").symlink_to(file)
     by_name, by_path, by_folder = (
-        ffpose.load(what, device="cpu", warm_up=0) for what in ("soyuz-easy", str(file), tmp_path)
+        ffpose.load(what, device="cpu", warm_up=0) for what in ("soyuz", str(file), tmp_path)
     )
     assert by_name.metadata == by_path.metadata == by_folder.metadata
 
@@ -55,7 +55,7 @@ def test_weights_are_opened_by_their_path_and_their_folder(tmp_path):
 )
 def test_what_torch_cannot_do_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
-        ffpose.load("soyuz-easy", **options)
+        ffpose.load("soyuz", **options)
 
 
 class Counting(torch.nn.Module):
@@ -87,7 +87,7 @@ except ImportError as error:
 """
 
 
-@pytest.mark.parametrize(("name", "extra"), [("a.onnx", "onnx"), ("soyuz-easy", "pose")])
+@pytest.mark.parametrize(("name", "extra"), [("a.onnx", "onnx"), ("soyuz", "pose")])
 def test_a_missing_extra_is_named(name, extra):
     call = [sys.executable, "-c", WITHOUT_PILLOW, name]
     done = subprocess.run(call, capture_output=True, text=True, check=True)

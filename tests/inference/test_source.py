@@ -28,8 +28,8 @@ def test_a_file_is_of_the_kind_that_its_suffix_says(tmp_path):
 
 
 def test_a_name_is_of_shipped_weights():
-    assert find_source("soyuz-easy") == Source(FOLDER / "soyuz-easy.safetensors", is_graph=False)
-    with pytest.raises(FileNotFoundError, match=r"a file or a name \(.*soyuz-easy.*\), got moon"):
+    assert find_source("soyuz") == Source(FOLDER / "soyuz.safetensors", is_graph=False)
+    with pytest.raises(FileNotFoundError, match=r"a file or a name \(.*soyuz.*\), got moon"):
         find_source("moon")
 
 
@@ -68,19 +68,19 @@ def test_a_folder_of_none_or_several_is_refused(folder, names, backend, error, m
 
 def test_a_folder_is_a_name_too_unless_it_holds_a_network(folder, monkeypatch):
     monkeypatch.chdir(folder())
-    mine = folder() / "soyuz-easy"
+    mine = folder() / "soyuz"
     mine.mkdir()
-    assert find_source("soyuz-easy").path == FOLDER / "soyuz-easy.safetensors"
-    shutil.copy(FOLDER / "soyuz-easy.safetensors", mine)
-    assert find_source("soyuz-easy").path.resolve() == mine / "soyuz-easy.safetensors"
+    assert find_source("soyuz").path == FOLDER / "soyuz.safetensors"
+    shutil.copy(FOLDER / "soyuz.safetensors", mine)
+    assert find_source("soyuz").path.resolve() == mine / "soyuz.safetensors"
 
 
 @pytest.mark.parametrize(
     ("name", "backend", "message"),
     [
         ("a.onnx", "torch", r"backend: expected onnxruntime or openvino for the graph a\.onnx"),
-        ("soyuz-easy", "openvino", "backend: expected torch for the weights soyuz-easy, got 'op"),
-        ("soyuz-easy", "tensorrt", r"backend: expected one of \('torch', .*, got 'tensorrt'"),
+        ("soyuz", "openvino", "backend: expected torch for the weights soyuz, got 'op"),
+        ("soyuz", "tensorrt", r"backend: expected one of \('torch', .*, got 'tensorrt'"),
     ],
 )
 def test_a_backend_that_is_not_for_the_file_is_refused(name, backend, message):

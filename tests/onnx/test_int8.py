@@ -170,5 +170,5 @@ def test_a_graph_without_a_backbone_is_refused(graph, images, tmp_path):
 
 @pytest.mark.parametrize("words", [["--int8"], ["--calibrate", "images"]])
 def test_int8_and_calibrate_belong_together(words, capsys):
-    assert main(["export", "soyuz-easy", "--out", "a.onnx", *words]) == 2
+    assert main(["export", "soyuz", "--out", "a.onnx", *words]) == 2
     assert "int8: expected with --calibrate DIR, both or neither" in capsys.readouterr().err

@@ -104,8 +104,8 @@ def test_a_network_that_looks_once_is_refused(tmp_path):
 
 def test_weights_by_name_are_not_written_to(tmp_path, capsys):
     """They are the package's, and all who use it would get others."""
-    assert main(["calibrate", "soyuz-easy", "--data.root", str(tmp_path)]) == 2
-    assert "out: expected a file, as soyuz-easy is installed for all" in capsys.readouterr().err
+    assert main(["calibrate", "soyuz", "--data.root", str(tmp_path)]) == 2
+    assert "out: expected a file, as soyuz is installed for all" in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
 
 

@@ -17,7 +17,7 @@ from ffpose.evaluation.evaluate import Evaluation
 from ffpose.evaluation.report.page import Report
 from ffpose.training.checkpoint import Row
 
-SHIPPED = "soyuz-easy"
+SHIPPED = "soyuz"
 """The shipped weights that the demo uses."""
 
 ERRORS = ("median_translation_error_m", "median_rotation_error_deg")

@@ -44,7 +44,7 @@ class PoseEstimator:
             trained on undistorted images.
 
     Examples:
-        ``ffpose.load("soyuz-easy")("image.png").t``
+        ``ffpose.load("soyuz")("image.png").t``
     """
 
     def __init__(

@@ -33,7 +33,7 @@ def load(
 
     Args:
         network: Weights file, exported graph (``.onnx``), a folder that holds one, or a name of
-            shipped weights such as ``"soyuz-easy"`` (`ffpose.inference.source.find_source`).
+            shipped weights such as ``"soyuz"`` (`ffpose.inference.source.find_source`).
         backend: ``"torch"`` for weights; ``"onnxruntime"`` or ``"openvino"`` for a graph, which
             need no torch. None: what the file is for, of the runtimes the first that is installed.
         threads: Number of threads within an image, on the CPU; None for the backend's default.
@@ -59,7 +59,7 @@ def load(
         RuntimeError: The runtime cannot load the graph or the library.
 
     Examples:
-        ``ffpose.load("soyuz-easy")("image.png").t``
+        ``ffpose.load("soyuz")("image.png").t``
     """
     source = find_source(network, backend)
     require("PIL.Image", "onnx")

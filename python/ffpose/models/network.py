@@ -220,7 +220,7 @@ class PoseNetwork(nn.Module, ABC):
         """Load a network that `save_pretrained` wrote, in evaluation mode.
 
         Args:
-            path: Weights file, or name of shipped weights such as ``"soyuz-easy"``
+            path: Weights file, or name of shipped weights such as ``"soyuz"``
                 (`ffpose.models.zoo.names`).
             **fields: Fields of the config to change that the weights do not depend on: ``looks``
                 and ``turns`` of a network with a second look, for less latency.

@@ -157,7 +157,7 @@ def test_latencies_of_a_network_with_shares_of_the_first():
 
 def test_int8_in_words():
     shares = {PLAIN: {"Conv": 0.5, "FusedConv": 0.1}, INT8: {"QLinearConv": 0.3, "Add": 0.2}}
-    (line,) = shown("int8", **{"soyuz-easy": network("torch", PLAIN, INT8, operator_shares=shares)})
+    (line,) = shown("int8", **{"soyuz": network("torch", PLAIN, INT8, operator_shares=shares)})
     assert line == (
         "0.67 of the time in ONNX Runtime (33 ms of 50, p50, 1 thread; 0.33 of PyTorch's)."
         " Convolutions take 60 % of the time of the graph's nodes, and 30 % in int8"
@@ -166,12 +166,12 @@ def test_int8_in_words():
 
 def test_networks_side_by_side():
     files = {name: network("torch alone", "torch", PLAIN, INT8) for name in ("base", "small")}
-    files |= {"soyuz-easy": network("torch", PLAIN, OPENVINO), "gfnet": files["base"]}
+    files |= {"soyuz": network("torch", PLAIN, OPENVINO), "gfnet": files["base"]}
     found = shown("networks", **files)
-    assert found[2] == "| `soyuz-easy` | 1.00 | 0.50 | – | 0.33 |"
+    assert found[2] == "| `soyuz` | 1.00 | 0.50 | – | 0.33 |"
     assert found[3] == "| `base` | 0.50 | 0.33 | 0.25 | – |"
     found = shown("which-network", **files)
-    assert found[4] == "| `soyuz-easy` | 100 (200) | 50 (200) | 33 (200) |"
+    assert found[4] == "| `soyuz` | 100 (200) | 50 (200) | 33 (200) |"
 
 
 def test_attention_has_each_baseline():
@@ -201,7 +201,7 @@ def test_stages_and_starts():
             image_file_to_pose=[{"threads": 1, "latencies": {"torch": stages}}],
             cold_starts={"torch": {"seconds": 0.85, "peak_bytes": 154e6}},
         )
-        for name in ("base", "soyuz-easy")
+        for name in ("base", "soyuz")
     }
     assert shown("stages", **files)[3] == "| `base`, torch | 20 | 20 | 20 | 20 | 20 |"
     assert shown("starts", **files)[2] == "| torch | 0.85 | 154 |"

@@ -111,7 +111,7 @@ def test_networks_are_measured_at_batch_1_with_the_contenders_that_are_shown(roo
         raise RuntimeError(network)
 
     monkeypatch.setattr(documents.deployment, "measure", measure)
-    for name in ("small", "soyuz-easy"):
+    for name in ("small", "soyuz"):
         with pytest.raises(RuntimeError, match=name):
             documents.DOCUMENTS[name](Effort(False, (2,)), root)
     few, all_ = plans

@@ -18,7 +18,7 @@ OF_ALL = {"accuracy": accuracy_table, "summary": summary_table}
 
 
 def read_cards(folder: Path) -> dict[str, Document]:
-    """Read the cards ``NAME/card.json`` of a folder, by name.
+    """Read the cards ``SET/card.json`` of a folder, by set.
 
     Raises:
         ffpose.DataError: A file is not JSON.
@@ -29,12 +29,12 @@ def read_cards(folder: Path) -> dict[str, Document]:
 def filled(page: str, cards: Mapping[str, Document]) -> str:
     """Return a page with its parts as the cards have them.
 
-    A part begins with the line ``<!-- card: NAME -->``, where NAME is that of a card or
-    of `OF_ALL`, and ends before ``<!-- end of card -->``. Parts of other names stay.
+    A part begins with the line ``<!-- card: NAME -->``, where NAME is the set of a card, or
+    one of `OF_ALL`, and ends before ``<!-- end of card -->``. Parts of other names stay.
 
     Args:
         page: The page, Markdown.
-        cards: Documents of `ffpose.evaluation.card.measurement.measure`, by name.
+        cards: Documents of `ffpose.evaluation.card.measurement.measure`, by set.
     """
 
     def part(match: re.Match[str]) -> str:

@@ -16,7 +16,7 @@ def format_card(document: Mapping[str, Any]) -> str:
     width, height = document["size"]
     near, far = document["distance_m"]
     head = (
-        f"`{document['weights']}` (SHA-256 {document['sha256'][:12]}…) on `{document['scene']}`: "
+        f"{_of(document)} (SHA-256 of the weights {document['sha256'][:12]}…): "
         f"{document['count']} images of {width}x{height} per condition, seed {document['seed']}"
         f"{' (final)' if document['final'] else ''}, "
         f"{near:g} to {far:g} m, all attitudes; ffpose {document['ffpose']}."
@@ -30,7 +30,7 @@ def format_card(document: Mapping[str, Any]) -> str:
 
 
 def accuracy_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the table that compares cards, by name, on the scenes as trained.
+    """Return the table that compares cards, by set, on the scenes as trained.
 
     The last column is the constant pose of the first card.
     """
@@ -64,11 +64,11 @@ def accuracy_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
             NONE,
         ],
     ]
-    return _table(["", *(f"`{name}`" for name in cards), "constant"], lines)
+    return _table(["", *map(_of, cards.values()), "constant"], lines)
 
 
 def summary_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a table of the medians of each card, by name, and of the mean poses of their sets."""
+    """Return a table of the medians of each card, by set, and of the mean poses of the sets."""
 
     def cells(name: str, row: Row) -> list[str]:
         relative = _percent(row["median_relative_translation_error"])
@@ -80,13 +80,18 @@ def summary_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
         ]
 
     lines = []
-    for name, card in cards.items():
+    for card in cards.values():
         near, far = card["distance_m"]
         lines.append(
-            cells(f"`{name}`, {near:g}–{far:g} m, from the image alone", card["conditions"][0])
+            cells(f"{_of(card)}, {near:g}–{far:g} m, from the image alone", card["conditions"][0])
         )
         lines.append(cells(f"… mean pose of `{card['scene']}`", card["mean_pose_baseline"]))
     return _table(["", "attitude", "position", "images"], lines)
+
+
+def _of(card: Mapping[str, Any]) -> str:
+    """Return what a card is of: weights and set."""
+    return f"`{card['weights']}` on `{card['scene']}`"
 
 
 def errors_table(document: Mapping[str, Any]) -> str:
