@@ -84,7 +84,6 @@ NOT_RUN = {
     "camera-process": "stands for the reader's own program",
     "ffpose-onboard": "is built apart from ffpose; tests/onboard runs it",
     "mitsuba": "needs a package of 60 MB; tests/render/test_second_renderer.py renders with it",
-    "--ray": "needs a cluster; tests/render/dataset/test_writer.py renders with Ray",
     "torchrun": "waits for other machines or takes minutes; --processes sets the same environment,"
     " and tests/training/test_processes.py restarts processes as torchrun does",
 }

@@ -93,7 +93,6 @@ def render_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the set")
     parser.add_argument("--size", type=size_type(), help="WIDTHxHEIGHT in pixels, as 640x480")
     parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--ray", action="store_true", help="render on a Ray cluster")
     parser.add_argument("--layers", action="store_true", help="write mask, depth and keypoints too")
     parser.add_argument(
         "--labels", nargs="+", choices=list(LABELS), default=[], help="write these layers too"
@@ -155,7 +154,6 @@ def render(options: Namespace) -> None:
         workers=options.workers,
         labels=[*options.labels, *(LAYERS if options.layers else ())],
         progress=True,
-        ray=options.ray,
     )
     say(f"{written.folder}: {written.rendered} images in {written.seconds:.1f} s")
     if not written.closed:

@@ -20,8 +20,10 @@ def options(page):
 
 
 def test_options_are_found_in_commands_and_in_back_ticks():
-    page = "`--motion 20` blurs.\nffpose render x --out y\n`--ray`, but not `ffpose predict --json`"
-    assert options(page) == {"--motion", "--out", "--ray"}
+    page = (
+        "`--motion 20` blurs.\nffpose render x --out y\n`--jpeg`, but not `ffpose predict --json`"
+    )
+    assert options(page) == {"--motion", "--out", "--jpeg"}
     assert {"--eclipse-rate", "--jpeg", "--mesh-scale", "--count"} <= options(PAGE)
 
 

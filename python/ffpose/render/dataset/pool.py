@@ -1,6 +1,6 @@
-"""Rendering a set in this process, in several processes, or on a Ray cluster.
+"""Rendering a set in this process, or in several processes.
 
-All three call the same pure function, so the bytes do not depend on which of them is used.
+Both call the same pure function, so the bytes do not depend on which of them is used.
 """
 
 from __future__ import annotations
@@ -8,14 +8,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ffpose._internal.files import atomic_write, sha256
 from ffpose._internal.urso import image_name
@@ -26,9 +25,6 @@ from ffpose.render.scene import Scene
 
 PNG_LEVEL = 3
 """Compression level of the PNG files; noise hardly compresses, so more costs time alone."""
-
-RAY_TASKS_PER_CORE = 2
-"""Ray tasks in flight per core: enough to keep all cores busy, few enough to fit in memory."""
 
 
 class Job(NamedTuple):
@@ -49,33 +45,26 @@ class Job(NamedTuple):
     labels: tuple[str, ...]
 
 
-def prepare(scene: Scene, ray: bool) -> None:
-    """Check that the renderer's packages are installed, and connect to Ray if it is used.
+def prepare(scene: Scene) -> None:
+    """Check that the renderer's packages are installed.
 
     Raises:
-        MissingExtraError: A package of the extra `render`, or `mitsuba` or `ray`, is not installed.
+        MissingExtraError: A package of the extra `render`, or `mitsuba`, is not installed.
     """
     for package in ("embreex", "PIL", "rich"):
         require(package, "render")
     if scene.renderer == "mitsuba":
         require("mitsuba", "mitsuba")
-    if ray:
-        _joined_ray()
 
 
-def render_all(
-    job: Job, indices: Sequence[int], workers: int, ray: bool
-) -> Iterator[tuple[int, str]]:
+def render_all(job: Job, indices: Sequence[int], workers: int) -> Iterator[tuple[int, str]]:
     """Render and write images; yield the index and SHA-256 of each as it is done.
 
     Args:
         job: Parameters of the run.
         indices: Indices of the images.
-        workers: Number of processes on this machine.
-        ray: Use a Ray cluster instead.
+        workers: Number of processes.
     """
-    if ray:
-        return _on_ray(job, indices)
     if workers == 1 or len(indices) < 2:
         return ((index, render_one(job, index)) for index in indices)
     return _in_processes(job, indices, min(workers, len(indices)))
@@ -142,55 +131,6 @@ def _end_with_parent() -> None:
 def _worker_render(index: int) -> str:
     with _busy:
         return render_one(_worker_job[0], index)
-
-
-def _on_ray(job: Job, indices: Sequence[int]) -> Iterator[tuple[int, str]]:
-    """Render on Ray; tasks return the files' bytes, so the nodes need no shared folder."""
-    ray = _joined_ray()
-    task = ray.remote(_rendered_files)
-    shared = ray.put(job)
-    most = RAY_TASKS_PER_CORE * int(ray.cluster_resources().get("CPU", 1))
-    waiting = list(reversed(indices))
-    running: dict[Any, int] = {}
-    try:
-        while waiting or running:
-            while waiting and len(running) < most:
-                index = waiting.pop()
-                running[task.remote(shared, index)] = index
-            done, _ = ray.wait(list(running))
-            for reference in done:
-                yield running.pop(reference), _write_files(job.folder, ray.get(reference))
-    finally:
-        for reference in running:
-            ray.cancel(reference)
-
-
-def _joined_ray() -> Any:
-    """Return the module `ray`, connected to a cluster."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    ray = require("ray", "ray")
-    if not ray.is_initialized():
-        ray.init(log_to_driver=False)
-    return ray
-
-
-def _rendered_files(job: Job, index: int) -> dict[str, bytes]:
-    """Render the files of an image and return their bytes by name, the image itself last."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        render_one(job._replace(folder=folder), index)
-        last = image_name(index)
-        paths = sorted(folder.iterdir(), key=lambda path: path.name == last)
-        return {path.name: path.read_bytes() for path in paths}
-
-
-def _write_files(folder: Path, files: dict[str, bytes]) -> str:
-    """Write files in order and return the SHA-256 of the last."""
-    for name, content in files.items():
-        with atomic_write(folder / name, durable=False) as path:
-            path.write_bytes(content)
-            digest = sha256(path)
-    return digest
 
 
 @contextmanager

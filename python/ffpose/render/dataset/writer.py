@@ -66,7 +66,6 @@ def write_dataset(
     workers: int = 1,
     labels: Sequence[str] = (),
     progress: bool = False,
-    ray: bool = False,
 ) -> Written:
     """Render the images `start` … `start + count − 1` of a set into a folder.
 
@@ -86,8 +85,6 @@ def write_dataset(
         workers: Number of processes; 1 renders in the calling process.
         labels: Layers to write beside each image, names in `ffpose.render.layers.LABELS`.
         progress: Show images per second and the remaining time on standard error.
-        ray: Render on the Ray cluster that ``RAY_ADDRESS`` names, or on one started on this
-            machine where that is not set. Every node needs ffpose; none needs the folder.
 
     Raises:
         ValueError: `scene` or one of `labels` is unknown, a number is out of range, or the folder
@@ -95,7 +92,7 @@ def write_dataset(
         DataError: The folder's manifest cannot be read.
         OSError: The folder cannot be written to, or the disk is full. Images already written stay,
             and the next run resumes from them.
-        MissingExtraError: A package of the extra `render`, `mitsuba` or `ray` is not installed.
+        MissingExtraError: A package of the extra `render`, or `mitsuba`, is not installed.
     """
     begin = time.perf_counter()
     scene = get_scene(scene) if isinstance(scene, str) else scene
@@ -104,7 +101,7 @@ def write_dataset(
     refuse_final(seed)
     camera = camera_of(scene, size)
     label(scene, seed, start)  # a scene that allows no pose fails before a file is written
-    prepare(scene, ray)
+    prepare(scene)
     job = Job(scene, seed, (camera.width, camera.height), Path(out), check_labels(labels))
     manifest = Manifest.of(scene, seed, job.size, job.labels)
     begun = _begun(job, manifest)
@@ -119,7 +116,7 @@ def write_dataset(
         manifest.write(job.folder / FILE_NAME)
     remove_leftovers(job.folder)
     with _bar(count, len(hashes), progress) as advance:
-        for index, digest in render_all(job, missing, workers, ray):
+        for index, digest in render_all(job, missing, workers):
             hashes[index] = digest
             advance()
     files = _fingerprints(job, hashes)
