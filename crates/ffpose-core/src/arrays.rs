@@ -2,7 +2,6 @@
 
 use ndarray::{ArrayD, ArrayViewD};
 
-use crate::shape::wrong;
 use crate::{Error, Real};
 
 /// The rows of `array (..., N)`, in C order.
@@ -14,7 +13,7 @@ pub(crate) fn rows_of<'a, T: Real, const N: usize>(
         [.., last] if *last == N => {
             Ok(array.rows().into_iter().map(|row| std::array::from_fn(|i| row[i].into())))
         }
-        other => Err(wrong(name, &format!("(..., {N})"), other)),
+        other => Err(Error::shape(name, &format!("(..., {N})"), other)),
     }
 }
 
@@ -26,9 +25,9 @@ pub(crate) fn finite_rows_of<'a, T: Real, const N: usize>(
 ) -> Result<impl ExactSizeIterator<Item = Result<[f64; N], Error>> + use<'a, T, N>, Error> {
     let expected = count.map_or_else(|| format!("(N, {N})"), |count| format!("({count}, {N})"));
     if array.ndim() != 2 || count.is_some_and(|count| count != array.shape()[0]) {
-        return Err(wrong(name, &expected, array.shape()));
+        return Err(Error::shape(name, &expected, array.shape()));
     }
-    let rows = rows_of(name, array).map_err(|_| wrong(name, &expected, array.shape()))?;
+    let rows = rows_of(name, array).map_err(|_| Error::shape(name, &expected, array.shape()))?;
     Ok(rows.enumerate().map(move |(index, row)| all_finite(name, index, row)))
 }
 

@@ -2,8 +2,6 @@
 
 use std::fmt::{self, Display, Formatter};
 
-use crate::shape::tuple;
-
 /// An argument that the mathematics cannot take.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Error {
@@ -78,6 +76,14 @@ pub enum Error {
     },
 }
 
+impl Error {
+    /// An array of another shape than `expected`, as a user would write it.
+    #[must_use]
+    pub fn shape(name: &'static str, expected: &str, got: &[usize]) -> Self {
+        Self::Shape { name, expected: expected.to_owned(), got: got.to_vec() }
+    }
+}
+
 impl std::error::Error for Error {}
 
 /// By hand: a procedural macro would compile this crate once for each set of features that the crates beside it give `syn`.
@@ -115,5 +121,13 @@ impl Display for Error {
                 column.map_or(Ok(()), |column| write!(f, " in column {column}"))
             }
         }
+    }
+}
+
+/// A shape as Python writes it.
+pub(crate) fn tuple(shape: &[usize]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        many => format!("({})", many.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),
     }
 }

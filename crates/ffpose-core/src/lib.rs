@@ -12,14 +12,23 @@
 //! - **Threads** are the caller's: a [`Pool`] lends them.
 //! - **Quaternions** are Hamilton's, scalar first `(w, x, y, z)`. Angles are in degrees, translations in meters.
 
+//! # Map
+//!
+//! - **[`SpectralFilter`]** (`spectral`): checks shapes, plans once for each (`plans`), cuts a batch into pieces (`tiling`, `batch`),
+//!   lends them to threads, adds gradient sums up in a fixed order; [`Prepared`] weights; `widened` for half precision where a
+//!   kernel takes none.
+//! - **Kernels** (`fft`, whose page is their map): what computes one piece, behind the traits of `kernel`.
+//! - **Vectors** (`simd`): the vector trait and its instruction sets, memory as vectors; the only unsafe code.
+//! - **Elements**: `real` is what is computed in, `number` what is stored; `shape` the layouts; `views` parts of images.
+//! - **Machine**: `parallel` the threads, `scratch` the memory, [`tuning`] each constant that was measured.
+//! - **Poses**: [`quaternion`], [`pose_error`], over `arrays`; no filter.
+
 #![deny(unsafe_code)]
 
 mod arrays;
-pub mod earth;
 mod error;
 mod fft;
 mod kernel;
-pub mod noise;
 mod number;
 mod parallel;
 pub mod pose_error;
@@ -31,6 +40,7 @@ mod shape;
 mod simd;
 mod spectral;
 pub mod tuning;
+mod views;
 
 pub use error::Error;
 pub use number::Number;
@@ -38,7 +48,7 @@ pub use parallel::{Pool, StdThreads};
 pub use real::Real;
 pub use scratch::{Scratch, Scratches};
 pub use shape::{Layout, Shape};
-pub use simd::{Bf16, F16, Isa};
+pub use simd::{Bf16, F16, Isa, Loops};
 pub use spectral::{Gradients, Prepared, SpectralFilter};
 
 /// Asks the machine what every later call needs to know of it: instruction set, caches. A library that may be loaded into a process

@@ -5,19 +5,18 @@ use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 use crate::fft::Plan;
 use crate::kernel::Kernel;
 use crate::simd::{Algorithm, Bf16, F16, Stored, Vector, narrow, widen};
-use crate::spectral::Widened;
 use crate::{Isa, Real};
 
 const LANES: Axis = Axis(2);
 
 /// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`]. `Real` is what is computed in.
 pub trait Number: Default + Stored<Real: Real> + 'static {
-    /// The kernel of a plan if it takes images of this type, else `widened`.
+    /// The kernel of a plan if it takes images of this type, else `widened`, which lets it take them.
     #[doc(hidden)]
     #[allow(private_interfaces)] // sealed: nobody outside can name the supertrait
     fn kernel_of<'a>(
         plan: &'a Plan<Self::Real>,
-        widened: &'a Widened<'a, Self::Real>,
+        widened: &'a dyn Kernel<Self>,
     ) -> &'a dyn Kernel<Self>;
 
     /// `view` in what is computed in; where that is something else, a copy in `wide`.
@@ -45,7 +44,7 @@ macro_rules! computed_in_itself {
             #[inline(never)] // or each crate that calls it would compile the kernels
             fn kernel_of<'a>(
                 plan: &'a Plan<Self>,
-                _: &'a Widened<'a, Self>,
+                _: &'a dyn Kernel<Self>,
             ) -> &'a dyn Kernel<Self> {
                 plan.kernel()
             }
@@ -80,7 +79,7 @@ macro_rules! computed_in_f32 {
             #[inline(never)] // as above
             fn kernel_of<'a>(
                 plan: &'a Plan<f32>,
-                widened: &'a Widened<'a, f32>,
+                widened: &'a dyn Kernel<Self>,
             ) -> &'a dyn Kernel<Self> {
                 if !cfg!(feature = "half") {
                     return widened;

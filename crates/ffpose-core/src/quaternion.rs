@@ -6,7 +6,7 @@
 use ndarray::{ArrayD, ArrayViewD};
 
 use crate::arrays::{array_of, rows_of};
-use crate::shape::{tuple, wrong};
+use crate::error::tuple;
 use crate::{Error, Real};
 
 /// cos(pitch) below which roll and yaw turn about the same axis and only their sum is known.
@@ -30,7 +30,7 @@ pub fn normalize_backward<T: Real>(
     q: ArrayViewD<'_, T>,
 ) -> Result<ArrayD<T>, Error> {
     if grad.shape() != q.shape() {
-        return Err(wrong("grad", &tuple(q.shape()), grad.shape()));
+        return Err(Error::shape("grad", &tuple(q.shape()), grad.shape()));
     }
     let pairs = rows_of::<_, 4>("grad", &grad)?.zip(rows_of("q", &q)?).enumerate();
     let gradients = pairs.map(|(row, (grad, q))| {

@@ -7,6 +7,7 @@ use ndarray::{
 };
 
 use crate::Error;
+use crate::error::tuple;
 
 /// Which axes of an image are transformed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -53,8 +54,8 @@ impl Shape {
                 Self { layout, rows, columns, lanes: columns }
             }
             (Layout::Grid, &[.., rows, columns, lanes]) => Self { layout, rows, columns, lanes },
-            (Layout::Tokens, _) => return Err(wrong("x", "(..., X, Y)", x)),
-            (Layout::Grid, _) => return Err(wrong("x", "(..., H, W, C)", x)),
+            (Layout::Tokens, _) => return Err(Error::shape("x", "(..., X, Y)", x)),
+            (Layout::Grid, _) => return Err(Error::shape("x", "(..., H, W, C)", x)),
         };
         shape.check_size()?;
         Ok(shape)
@@ -142,11 +143,11 @@ impl Shape {
             Layout::Grid => &[self.rows, self.columns, self.lanes],
         };
         if got != expected {
-            return Err(wrong(name, &tuple(expected), got));
+            return Err(Error::shape(name, &tuple(expected), got));
         }
         let leading = got.strip_suffix(image);
         let expected = || tuple(image).replacen('(', "(..., ", 1);
-        Ok(leading.ok_or_else(|| wrong(name, &expected(), got))?.iter().product())
+        Ok(leading.ok_or_else(|| Error::shape(name, &expected(), got))?.iter().product())
     }
 
     fn bins_dim(&self, name: &'static str, got: &[usize]) -> Result<(usize, usize, usize), Error> {
@@ -154,7 +155,7 @@ impl Shape {
         match self.layout {
             Layout::Tokens if got == [rows, half, 2] => Ok((rows, half, 2)),
             Layout::Grid if got == [rows, half, lanes, 2] => Ok((rows * half, lanes, 2)),
-            _ => Err(wrong(name, &tuple(&self.weight()), got)),
+            _ => Err(Error::shape(name, &tuple(&self.weight()), got)),
         }
     }
 
@@ -172,11 +173,6 @@ impl Shape {
     }
 }
 
-/// An [`Error::Shape`].
-pub(crate) fn wrong(name: &'static str, expected: &str, got: &[usize]) -> Error {
-    Error::Shape { name, expected: expected.to_owned(), got: got.to_vec() }
-}
-
 /// `array` in three axes, without a copy.
 fn contiguous<S: RawData>(
     name: &'static str,
@@ -187,12 +183,4 @@ fn contiguous<S: RawData>(
         return Err(Error::Strides { name, got: array.strides().to_vec() });
     }
     Ok(array.into_shape_with_order(dim).expect("as many elements, in order"))
-}
-
-/// A shape as Python writes it.
-pub(crate) fn tuple(shape: &[usize]) -> String {
-    match shape {
-        [one] => format!("({one},)"),
-        many => format!("({})", many.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),
-    }
 }

@@ -1,6 +1,6 @@
 //! The Earth of rendered scenes for NumPy arrays.
 
-use ffpose_core::earth::{Earth, Seen, shade};
+use ffpose_scene::earth::{Earth, Seen, shade};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 

@@ -1,6 +1,6 @@
 //! Fractal noise for NumPy arrays.
 
-use ffpose_core::noise;
+use ffpose_scene::noise;
 use numpy::PyArray1;
 use pyo3::prelude::*;
 

@@ -10,9 +10,9 @@ use std::iter::successors;
 
 use ndarray::{Array1, Array2, ArrayView2, ArrayViewD, ArrayViewMut1, ArrayViewMut2, Axis};
 
+use ffpose_core::{Error, Isa, Loops};
+
 use crate::noise::{BLOCK, Block, Block3, block, octaves, rays};
-use crate::simd::{Algorithm, Vector};
-use crate::{Error, Isa};
 
 type Vec3 = [f32; 3];
 
@@ -127,7 +127,7 @@ pub fn shade(earth: &Earth, directions: ArrayViewD<'_, f32>) -> Result<Seen, Err
         .zip(seen.radiance.axis_chunks_iter_mut(Axis(1), BLOCK))
         .zip(seen.behind.axis_chunks_iter_mut(Axis(0), BLOCK))
     {
-        isa.run(Shade { planet: &planet, rays: block(rays), radiance, behind });
+        isa.run_loops(Shade { planet: &planet, rays: block(rays), radiance, behind });
     }
     Ok(seen)
 }
@@ -139,9 +139,9 @@ struct Shade<'a> {
     behind: ArrayViewMut1<'a, f32>,
 }
 
-impl Algorithm<f32> for Shade<'_> {
+impl Loops for Shade<'_> {
     #[inline(always)]
-    fn run<V: Vector<Element = f32>>(mut self) {
+    fn run(mut self) {
         let (light, behind) = self.planet.shade(&self.rays);
         for (mut out, light) in self.radiance.rows_mut().into_iter().zip(light) {
             out.iter_mut().zip(light).for_each(|(out, light)| *out = light);

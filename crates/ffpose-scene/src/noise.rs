@@ -5,13 +5,11 @@
 //! out in vectors: with AVX2 that takes less than half the time of looking them up in a table.
 //!
 //! Loops run over the lanes of a block and what they call is inlined and has no branches, so that the compiler makes vectors
-//! of the instruction set that `Isa::run` opened. It fuses no multiplication with an addition, so all of them agree.
+//! of the instruction set that `Isa::run_loops` opens. It fuses no multiplication with an addition, so all of them agree.
 
 use ndarray::{Array1, ArrayView2, ArrayViewD, ArrayViewMut1, Axis, Ix1, Ix2};
 
-use crate::shape::wrong;
-use crate::simd::{Algorithm, Vector};
-use crate::{Error, Isa};
+use ffpose_core::{Error, Isa, Loops};
 
 /// Takes the points of one octave to those of the next: a turn by 60° about (1, 1, 1), times 1.97.
 const TURN: [[f32; 3]; 3] = [
@@ -51,12 +49,12 @@ pub fn fractal(
     let points = rays("points", points)?;
     let got = heights.shape().to_vec();
     let heights = heights.into_dimensionality::<Ix1>();
-    let heights = heights.map_err(|_| wrong("heights", "(K,)", &got))?.to_vec();
+    let heights = heights.map_err(|_| Error::shape("heights", "(K,)", &got))?.to_vec();
     let (isa, mut sums) = (Isa::current()?, Array1::zeros(points.ncols()));
     for (sums, points) in
         sums.axis_chunks_iter_mut(Axis(0), BLOCK).zip(points.axis_chunks_iter(Axis(1), BLOCK))
     {
-        isa.run(Fractal { places: block(points), heights: &heights, sums });
+        isa.run_loops(Fractal { places: block(points), heights: &heights, sums });
     }
     Ok(sums)
 }
@@ -68,7 +66,7 @@ pub(crate) fn rays<'a>(
 ) -> Result<ArrayView2<'a, f32>, Error> {
     let got = array.shape().to_vec();
     let array = array.into_dimensionality::<Ix2>().ok().filter(|array| array.nrows() == 3);
-    array.ok_or_else(|| wrong(name, "(3, N)", &got))
+    array.ok_or_else(|| Error::shape(name, "(3, N)", &got))
 }
 
 /// At most `BLOCK` columns, with zeros behind.
@@ -86,9 +84,9 @@ struct Fractal<'a> {
     sums: ArrayViewMut1<'a, f32>,
 }
 
-impl Algorithm<f32> for Fractal<'_> {
+impl Loops for Fractal<'_> {
     #[inline(always)]
-    fn run<V: Vector<Element = f32>>(self) {
+    fn run(self) {
         let sums = octaves(&self.places, self.heights);
         self.sums.into_iter().zip(sums).for_each(|(out, sum)| *out = sum);
     }

@@ -1,7 +1,7 @@
 //! The Earth's light against geometry; its formulas are compared with NumPy's in the Python tests.
 
 use ffpose_core::Error;
-use ffpose_core::earth::{Earth, Seen, shade};
+use ffpose_scene::earth::{Earth, Seen, shade};
 use ndarray::{Array, ArrayD, Axis};
 
 /// An Earth ahead whose horizon is asin(1 / 1.0628) = 70.21 degrees from the middle.

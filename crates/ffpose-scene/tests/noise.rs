@@ -1,7 +1,7 @@
 //! Fractal noise against values worked out by hand, and against its laws.
 
 use ffpose_core::Error;
-use ffpose_core::noise::fractal;
+use ffpose_scene::noise::fractal;
 use ndarray::{Array, ArrayD, IxDyn};
 
 fn array(shape: &[usize], values: &[f32]) -> ArrayD<f32> {

@@ -7,7 +7,7 @@
 //!
 //! A [`crate::SpectralFilter`] cuts a batch into pieces (`spectral::tiling`, `spectral::batch`) and gives each to the kernel of
 //! its shape, which [`plan`] chooses and of which it knows the traits of [`crate::kernel`] alone. A kernel takes the images of a
-//! piece, one after the other, to spectra in scratch, applies a *pointwise* operation to these (the product with the weight, the
+//! piece, one after the other or several side by side, to spectra in scratch, applies a *pointwise* operation to these (the product with the weight, the
 //! sum of the weight's gradient, or both), and takes them back:
 //!
 //! ```text

@@ -128,6 +128,12 @@ impl Isa {
         T::run(self, algorithm);
     }
 
+    /// Runs `loops` as compiled for this instruction set.
+    #[inline(always)]
+    pub fn run_loops(self, loops: impl Loops) {
+        self.run(Plain(loops));
+    }
+
     /// As [`run`](Self::run), for an algorithm that was tuned for one length.
     ///
     /// # Panics
@@ -135,6 +141,24 @@ impl Isa {
     #[inline(always)]
     pub(crate) fn run_tuned<T: Element>(self, algorithm: impl Algorithm<T>) {
         T::run_tuned(self, algorithm);
+    }
+}
+
+/// A computation in plain loops, of which the compiler makes vectors.
+///
+/// `run` and all that it calls in a loop must be `#[inline(always)]`.
+pub trait Loops {
+    /// Computes.
+    fn run(self);
+}
+
+/// `Loops` as an algorithm that names no vectors.
+struct Plain<L>(L);
+
+impl<L: Loops> Algorithm<f32> for Plain<L> {
+    #[inline(always)]
+    fn run<V: Vector<Element = f32>>(self) {
+        self.0.run();
     }
 }
 

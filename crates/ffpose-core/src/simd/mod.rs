@@ -30,7 +30,7 @@ pub(crate) use cache::{fetches_ahead, l2_cache};
 pub(crate) use complex::{Complex, joined, mirrored, parts};
 pub use half::{Bf16, F16, Stored};
 pub(crate) use half::{narrow, widen};
-pub use isa::Isa;
+pub use isa::{Isa, Loops};
 pub(crate) use memory::{
     LINE_BYTES, Table, aligned, complex_vectors, complex_vectors_of, gather, gather_at, scatter,
     scatter_at, slack,

@@ -14,7 +14,7 @@ mod widened;
 
 use std::sync::Arc;
 
-use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Axis, Dimension};
+use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Dimension};
 
 use self::batch::{Batch, Images, Weight};
 use crate::fft::Plan;
@@ -23,13 +23,11 @@ use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
 use crate::scratch::{self, Scratch};
 use crate::tuning::Tuning;
+use crate::views::{BATCH, in_order};
 use crate::{Error, Isa, Real, Shape};
 
 pub use self::prepared::Prepared;
-pub(crate) use self::tiling::{chunks_mut, in_order};
-pub(crate) use self::widened::Widened;
-
-const BATCH: Axis = Axis(0);
+use self::widened::Widened;
 
 /// More bytes than a plan takes for each number of a plane's half spectrum, and for each of the lengths that are transformed; for
 /// large primes these are tables of convolutions, made by libraries that cannot fail.

@@ -1,14 +1,13 @@
 //! Lets a kernel that takes no half precision filter such images: each is widened, in memory that stays in cache.
 
-use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
+use ndarray::{ArrayView3, ArrayViewMut3, Slice};
 
 use crate::kernel::{Backward, Kernel, Packing};
 use crate::number::Number;
 use crate::parallel::Team;
 use crate::simd::slack;
+use crate::views::BATCH;
 use crate::{Isa, Real, Shape};
-
-const BATCH: Axis = Axis(0);
 
 /// A kernel, and how it is given widened images.
 pub(crate) struct Widened<'a, T: Real> {

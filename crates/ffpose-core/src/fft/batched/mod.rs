@@ -11,7 +11,7 @@ pub(super) mod spread;
 use std::ops::Range;
 
 use bytemuck::{cast_slice, cast_slice_mut};
-use ndarray::{ArrayView3, ArrayViewMut3, Axis, Slice};
+use ndarray::{ArrayView3, ArrayViewMut3, Slice};
 
 use self::spread::{Transpose, TransposeBack, collect, fold, repeat, spread};
 use crate::fft::grid::Grid;
@@ -20,9 +20,8 @@ use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Stored, Tile, TileMut};
 use crate::tuning::{COPIED_POINTS, Tuning};
+use crate::views::BATCH;
 use crate::{Layout, Shape};
-
-const BATCH: Axis = Axis(0);
 
 /// The plan for images of fewer channels than a vector has lanes; tokens have one.
 pub(crate) struct Batched<T> {

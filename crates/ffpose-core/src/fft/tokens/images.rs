@@ -10,7 +10,7 @@ use super::steps::Step;
 use super::weight::{GradientRows, NaturalWeight, UnpackGroups};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored};
-use crate::spectral::in_order;
+use crate::views::in_order;
 
 /// Where the gradient of the weight of a step goes.
 pub(super) enum StepGradient<'a, T> {

@@ -48,8 +48,8 @@ use crate::fft::codelets::{has_codelet, root};
 use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
 use crate::parallel::Team;
 use crate::simd::{Complex, Element, Isa, Stored, Table, slack};
-use crate::spectral::{chunks_mut, in_order};
 use crate::tuning::Tuning;
+use crate::views::{chunks_mut, in_order};
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {

@@ -9,7 +9,7 @@ use super::steps::Step;
 use super::{Tokens, lines};
 use crate::parallel::Team;
 use crate::simd::{Element, Stored, Tile, TileMut, aligned, slack};
-use crate::spectral::chunks_mut;
+use crate::views::chunks_mut;
 
 /// The rows of blocks `u1` and, unless it is the same, `-u1`.
 pub(super) type StepRows<'a, T> = [Option<ArrayViewMut2<'a, T>>; 2];

@@ -8,10 +8,10 @@ mod tests;
 mod weights;
 
 use bytemuck::cast_slice_mut;
-use ndarray::{ArrayView3, ArrayViewMut3, Axis};
+use ndarray::{ArrayView3, ArrayViewMut3};
 
 pub(crate) use self::weights::Weight;
-use super::tiling::{Grain, Tiling, in_order};
+use super::tiling::{Grain, Tiling};
 use crate::Shape;
 use crate::kernel::{Backward, Factor, Kernel};
 use crate::number::Number;
@@ -19,8 +19,7 @@ use crate::parallel::{self, Pool, Team};
 use crate::scratch::{Needs, Workers};
 use crate::simd::LINE_BYTES;
 use crate::tuning::{ADDED_TOGETHER, Tuning};
-
-const BATCH: Axis = Axis(0);
+use crate::views::{BATCH, in_order};
 
 /// The pieces of a call, and how many work on them.
 pub(crate) struct Batch<'a, X: Number> {
