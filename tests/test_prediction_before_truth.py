@@ -52,7 +52,7 @@ def test_parameters_of_all_functions_are_in_that_order():
         (arrays.rotation_error, (Q,), "q_hat"),
         (arrays.esa_score, (Q, T, Q), "t_hat"),
         (arrays.speed_plus_score, (Q, T, Q), "t_hat"),
-        (attitude.rotation_vector, (Q,), "q_hat"),
+        (attitude.rotation_error_vector, (Q,), "q_hat"),
         (attitude.rotation_parts, (T, Q), "q_hat"),
     ],
 )
@@ -72,7 +72,7 @@ def test_relative_errors_are_of_the_true_distance():
 
 def test_the_rotation_vector_leads_from_the_prediction_to_the_truth():
     truth = Rotation.from_rotvec([[0.1, 0.2, -0.3]]).as_quat(scalar_first=True)
-    np.testing.assert_allclose(attitude.rotation_vector(Q, truth), [[0.1, 0.2, -0.3]])
+    np.testing.assert_allclose(attitude.rotation_error_vector(Q, truth), [[0.1, 0.2, -0.3]])
 
 
 def test_the_viewing_ray_is_that_of_the_truth():

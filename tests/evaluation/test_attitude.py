@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from ffpose.evaluation.attitude import (
     remove_in_plane_error,
     remove_out_of_plane_error,
+    rotation_error_vector,
     rotation_parts,
-    rotation_vector,
 )
 
 
@@ -131,7 +131,7 @@ def test_the_rotation_vector_takes_the_prediction_to_the_truth(degrees):
     vector = rays(t) * np.radians(degrees)
     true = Rotation.from_rotvec(vector) * predicted
     for sign in (1, -1):
-        found = rotation_vector(sign * quaternion(predicted), quaternion(true))
+        found = rotation_error_vector(sign * quaternion(predicted), quaternion(true))
         np.testing.assert_allclose(found, vector, rtol=1e-5, atol=1e-14)
 
 

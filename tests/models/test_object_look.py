@@ -23,13 +23,12 @@ from ffpose.models.object_look import (
     offset_jacobian,
     offset_of,
     points_at,
-    rotation_between,
-    rotation_vector,
     sigma_loss,
     split_numbers,
     total_covariance,
 )
 from ffpose.models.virtual_camera import VirtualCamera, turn_to
+from ffpose.nn.rotations import rotation_between, rotation_vector
 
 COUNT = 12
 SIZE = (48, 64)

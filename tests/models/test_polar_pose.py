@@ -12,7 +12,7 @@ from ffpose.models.heat_map import Candidates
 from ffpose.models.network import UncertainPose
 from ffpose.models.object_look import covariances, offset_of, points_at
 from ffpose.models.virtual_camera import look_into, pyramid
-from ffpose.nn.orientation import quaternion_to_matrix
+from ffpose.nn.rotations import quaternion_to_matrix
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.views import ViewBatch

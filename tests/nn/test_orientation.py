@@ -11,11 +11,10 @@ from ffpose.nn.orientation import (
     QuaternionHead,
     SixNumbersHead,
     harmonics,
-    matrix_to_quaternion,
     mean_quaternion,
-    quaternion_to_matrix,
     super_fibonacci,
 )
+from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 WIDTH_DEG = 7.0
 SHARP = 80.0

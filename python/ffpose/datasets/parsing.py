@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
@@ -13,6 +14,9 @@ from typing import Any, NamedTuple
 from ffpose._internal.files import expect_folder, json_errors, read_json, read_text, shortened
 from ffpose.errors import DataError
 from ffpose.geometry import Pose
+
+BETWEEN = re.compile(r"[\s,]*")
+"""What stands between the members of a list in JSON."""
 
 
 class Entry(NamedTuple):
@@ -213,43 +217,30 @@ def read_list(path: Path) -> list[Entry]:
         DataError: It is not JSON, or not such a list, or the list is empty.
     """
     text = read_text(path)
-    decoder, place, line = json.JSONDecoder(), _skip(text, 0, ""), 1
-    if text[place : place + 1] != "[":
+    if not text.lstrip().startswith("["):
         raise DataError("expected a list of objects in JSON", path, 1)
-    entries, counted = [], 0
-    place = _skip(text, place + 1, "")
-    while text[place : place + 1] != "]":
+    entries, decoder = [], json.JSONDecoder()
+    line, counted, place = 1, 0, _next_member(text, text.index("[") + 1)
+    while text[place : place + 1] not in ("]", ""):
         line, counted = line + text.count("\n", counted, place), place
         with json_errors(path, line):
-            values, place = decoder.raw_decode(text, place)
+            values, end = decoder.raw_decode(text, place)
         if not isinstance(values, dict):
             raise DataError(f"expected an object, got {shortened(values)}", path, line)
         entries.append(Entry(values, path, line))
-        place = _separator(text, place, path)
-    if text[place + 1 :].strip():
-        raise DataError("not JSON: expected the end after the list", path)
+        place = _next_member(text, end)
+    with json_errors(path):
+        json.loads(text)  # what stands between the members, and after them
     if not entries:
         raise DataError("expected at least one image, got none", path)
     return entries
 
 
-def _separator(text: str, place: int, path: Path) -> int:
-    """Return the place of the next member, or of the bracket that closes the list."""
-    place = _skip(text, place, "")
-    following = _skip(text, place, ",")
-    closes = text[place : place + 1] == "]"
-    if closes or (following > place and text[following : following + 1] not in ("]", "")):
-        return place if closes else following
-    raise DataError("not JSON: expected ',' or ']'", path, text.count("\n", 0, place) + 1)
-
-
-def _skip(text: str, place: int, separator: str) -> int:
-    """Return the next place that is not white space, past one ``separator`` if it is there."""
-    if separator and text[place : place + 1] == separator:
-        place += 1
-    while text[place : place + 1].isspace():
-        place += 1
-    return place
+def _next_member(text: str, place: int) -> int:
+    """Return where the next member of a list begins, or its end."""
+    between = BETWEEN.match(text, place)
+    assert between is not None  # it may be empty
+    return between.end()
 
 
 def read_object(path: Path) -> Entry:

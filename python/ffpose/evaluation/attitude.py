@@ -19,9 +19,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from ffpose.geometry.rotations import FloatArray, conjugate, multiply, rotation_vector
 
 
 class RotationParts(NamedTuple):
@@ -86,7 +86,7 @@ def remove_in_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> Float
         ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
     """
     q_hat, ray, q = _checked(q_hat, t, q)
-    return _multiply(_conjugate(_twist(q_hat, ray, q)), q_hat)
+    return multiply(conjugate(_twist(q_hat, ray, q)), q_hat)
 
 
 def remove_out_of_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> FloatArray:
@@ -108,10 +108,10 @@ def remove_out_of_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> F
         ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
     """
     q_hat, ray, q = _checked(q_hat, t, q)
-    return _multiply(_twist(q_hat, ray, q), q)
+    return multiply(_twist(q_hat, ray, q), q)
 
 
-def rotation_vector(q_hat: ArrayLike, q: ArrayLike) -> FloatArray:
+def rotation_error_vector(q_hat: ArrayLike, q: ArrayLike) -> FloatArray:
     """Return the rotation vectors ``r`` with ``R = exp([r]x) R_hat``, in the camera frame.
 
     Args:
@@ -127,11 +127,7 @@ def rotation_vector(q_hat: ArrayLike, q: ArrayLike) -> FloatArray:
     """
     ahead = np.tile([0.0, 0.0, 1.0], (len(np.asarray(q_hat)), 1))
     q_hat, _, q = _checked(q_hat, ahead, q)
-    w, v = _error(q, q_hat)
-    length = np.linalg.norm(v, axis=1)
-    angle = 2 * np.arctan2(length, np.abs(w))
-    scale = np.divide(angle, length, out=np.full(len(w), 2.0), where=length > 0)
-    return np.asarray(v * np.copysign(scale, w)[:, None])
+    return rotation_vector(multiply(q, conjugate(q_hat)))
 
 
 def _checked(
@@ -164,7 +160,7 @@ def _unit_rows(name: str, values: ArrayLike, shape: tuple[int, int]) -> FloatArr
 
 def _error(q: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return scalar ``(N,)`` and vector part ``(N, 3)`` of ``q other⁻¹``."""
-    product = _multiply(q, _conjugate(other))
+    product = multiply(q, conjugate(other))
     return product[:, 0], product[:, 1:]
 
 
@@ -176,14 +172,3 @@ def _twist(q_hat: FloatArray, ray: FloatArray, q: FloatArray) -> FloatArray:
     twist = np.concatenate([w[:, None], along[:, None] * ray], axis=1)
     identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(w), 1))
     return np.asarray(np.divide(twist, norm[:, None], out=identity, where=norm[:, None] > 0))
-
-
-def _conjugate(q: FloatArray) -> FloatArray:
-    return np.asarray(q * (1.0, -1.0, -1.0, -1.0))
-
-
-def _multiply(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return the Hamilton products ``(N, 4)``."""
-    scalar = p[:, :1] * q[:, :1] - (p[:, 1:] * q[:, 1:]).sum(axis=1, keepdims=True)
-    vector = p[:, :1] * q[:, 1:] + q[:, :1] * p[:, 1:] + np.cross(p[:, 1:], q[:, 1:])
-    return np.concatenate([scalar, vector], axis=1)

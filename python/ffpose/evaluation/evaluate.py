@@ -32,7 +32,7 @@ from ffpose.datasets import (
     read_conditions,
 )
 from ffpose.datasets.targets import spread
-from ffpose.evaluation.attitude import rotation_vector
+from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
@@ -127,7 +127,10 @@ class Evaluation:
         truth, predicted = self.dataset.poses, self.predicted
         pairs = {
             "translation": (truth[:, :3] - predicted[:, :3], self.translation_covariance),
-            "rotation": (rotation_vector(predicted[:, 3:], truth[:, 3:]), self.rotation_covariance),
+            "rotation": (
+                rotation_error_vector(predicted[:, 3:], truth[:, 3:]),
+                self.rotation_covariance,
+            ),
         }
         return {
             name: region_probability(squared_mahalanobis(error, covariance))

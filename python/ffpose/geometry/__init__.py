@@ -21,15 +21,14 @@ from ffpose.geometry.frames import (
     URSO_CAMERA,
     Camera,
     DistortedCamera,
-    FloatArray,
     Pose,
     PoseUncertainty,
     Target,
     camera_pose,
     poses,
-    rotation_matrix,
     standard_deviations,
 )
+from ffpose.geometry.rotations import FloatArray, rotation_matrix
 
 __all__ = [
     "CAMERA_FILE",

@@ -10,74 +10,24 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ffpose._internal import urso
 from ffpose._internal.files import atomic_write, read_json, shortened
 from ffpose.arrays import canonical_quaternion
 from ffpose.errors import DataError
-
-FloatArray = NDArray[np.float64]
+from ffpose.geometry.rotations import (
+    FloatArray,
+    real_array,
+    rotation_matrix,
+    unit_quaternion,
+)
 
 CAMERA_FILE = "camera.json"
 """Name of the file with the camera of all images in a folder (`Camera.read`, `Camera.write`)."""
 
 Target = Literal["object", "camera"]
 """What labels and networks locate: the object in the camera frame, or the camera in the world."""
-
-QUATERNION_TOLERANCE = 1e-3
-"""Deviation of a quaternion's norm from one (rounding in a printed label) that is normalized."""
-
-
-def _real_array(name: str, values: ArrayLike, size: int) -> FloatArray:
-    """Convert to a finite float64 array whose last axis has ``size``, or raise."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "iuf":
-        raise TypeError(f"{name}: expected real numbers, got dtype {array.dtype}")
-    if array.ndim < 1 or array.shape[-1] != size:
-        raise ValueError(f"{name}: expected shape (..., {size}), got {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got {array.tolist()}")
-    return array.astype(np.float64)
-
-
-def _unit_quaternion(q: ArrayLike) -> FloatArray:
-    """Normalize ``q (..., 4)``, whose norm must be one within `QUATERNION_TOLERANCE`."""
-    array = _real_array("quaternion", q, 4)
-    norm = np.linalg.norm(array, axis=-1, keepdims=True)
-    worst = float(np.max(np.abs(norm - 1), initial=0.0))
-    if worst > QUATERNION_TOLERANCE:
-        raise ValueError(
-            f"quaternion: expected norm 1 within {QUATERNION_TOLERANCE}, "
-            f"got {norm.flat[np.argmax(np.abs(norm - 1))]:.6g}"
-        )
-    return np.asarray(array / norm)
-
-
-def rotation_matrix(q: ArrayLike) -> FloatArray:
-    """Return the rotation matrices of Hamilton quaternions, scalar first.
-
-    Args:
-        q: Unit quaternions ``(..., 4)``, ``(w, x, y, z)``.
-
-    Returns:
-        Matrices ``(..., 3, 3)``, float64, such that ``matrix @ p`` rotates the point ``p``.
-
-    Raises:
-        TypeError: The values are not real numbers.
-        ValueError: Wrong shape, a value that is not finite, or a norm other than one.
-
-    Examples:
-        >>> rotation_matrix([0.0, 0.0, 0.0, 1.0]).tolist()  # half a turn about z
-        [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
-    """
-    w, x, y, z = np.moveaxis(_unit_quaternion(q), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +122,7 @@ class Camera:
             TypeError: The values are not real numbers.
             ValueError: Wrong shape, or a value that is not finite.
         """
-        p = _real_array("points", points, 3)
+        p = real_array("points", points, 3)
         depth = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
         return self.bend(p[..., :2] / depth) * (self.fx, self.fy) + (self.cx, self.cy)
 
@@ -197,7 +147,7 @@ class DistortedCamera(Camera):
 
     def __post_init__(self) -> None:
         Camera.__post_init__(self)
-        values = _real_array("distortion", self.distortion, 5).tolist()
+        values = real_array("distortion", self.distortion, 5).tolist()
         object.__setattr__(self, "distortion", tuple(values))
 
     @property
@@ -246,7 +196,7 @@ class PoseUncertainty:
 
     def __post_init__(self) -> None:
         for name in ("translation_covariance", "rotation_covariance"):
-            matrix = _real_array(name, getattr(self, name), 3)
+            matrix = real_array(name, getattr(self, name), 3)
             if matrix.shape != (3, 3):
                 raise ValueError(f"{name}: expected shape (3, 3), got {matrix.shape}")
             matrix.setflags(write=False)
@@ -304,8 +254,8 @@ class Pose:
             ValueError: Wrong shape, a value that is not finite, or a quaternion whose norm is
                 farther than `QUATERNION_TOLERANCE` from one; a closer one is normalized.
         """
-        translation = _real_array("translation", t, 3)
-        quaternion = _unit_quaternion(q)
+        translation = real_array("translation", t, 3)
+        quaternion = unit_quaternion(q)
         if translation.ndim != 1 or quaternion.ndim != 1:
             raise ValueError(
                 "pose: expected translation (3,) and quaternion (4,), "
@@ -327,7 +277,7 @@ class Pose:
     @classmethod
     def from_vector(cls, vector: ArrayLike) -> Pose:
         """Build a pose from ``[tx, ty, tz, qw, qx, qy, qz]``."""
-        array = _real_array("pose vector", vector, 7)
+        array = real_array("pose vector", vector, 7)
         return cls(array[..., :3], array[..., 3:])
 
     @classmethod
@@ -368,7 +318,7 @@ class Pose:
 
     def transform(self, points: ArrayLike) -> FloatArray:
         """Transform points of the object ``(..., 3)`` to the camera frame, meters."""
-        return _real_array("points", points, 3) @ self.rotation.T + self.t
+        return real_array("points", points, 3) @ self.rotation.T + self.t
 
     def project(self, points: ArrayLike, camera: Camera) -> FloatArray:
         """Project points of the object ``(..., 3)`` to pixels ``(..., 2)``, as `Camera.project`."""

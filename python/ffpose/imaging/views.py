@@ -39,6 +39,8 @@ WINDOW_MARGIN = 16
 Its resolution is up to 1.6 times as high: there is room for rotation and displacement too."""
 
 LEVELS = 4
+"""Levels of the image pyramid, the image itself among them."""
+
 SHARPNESS = 0.8
 """Least number of pixels of the chosen pyramid level per pixel of the virtual camera."""
 

@@ -33,8 +33,6 @@ from ffpose.models.object_look import (
     hidden_disk,
     in_front,
     points_at,
-    rotation_between,
-    rotation_vector,
     split_numbers,
     total_covariance,
 )
@@ -51,9 +49,13 @@ from ffpose.nn.orientation import (
     OrientationHead,
     QuaternionHead,
     SixNumbersHead,
-    matrix_to_quaternion,
     mean_quaternion,
+)
+from ffpose.nn.rotations import (
+    matrix_to_quaternion,
     quaternion_to_matrix,
+    rotation_between,
+    rotation_vector,
 )
 
 TOKEN_STD = 0.02

@@ -146,22 +146,6 @@ def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
     return torch.stack(columns, dim=-1)
 
 
-def rotation_vector(difference: Tensor) -> Tensor:
-    """Convert unit quaternions ``(B, 4)`` to rotation vectors ``(B, 3)``, radians."""
-    q = torch.where(difference[:, :1] < 0, -difference, difference)
-    sine = q[:, 1:].norm(dim=-1, keepdim=True)
-    angle = 2 * torch.atan2(sine, q[:, :1])
-    return q[:, 1:] * torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), 2.0)
-
-
-def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
-    """Return the rotations ``q_to conj(q_from)`` of unit quaternions ``(B, 4)``."""
-    a, v = q_to[:, :1], q_to[:, 1:]
-    b, u = q_from[:, :1], -q_from[:, 1:]
-    scalar = a * b - (v * u).sum(-1, keepdim=True)
-    return torch.cat((scalar, a * u + b * v + torch.linalg.cross(v, u)), dim=1)
-
-
 def covariances(numbers: LookNumbers, view: VirtualCamera) -> tuple[Tensor, Tensor]:
     """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame.
 

@@ -30,8 +30,8 @@ from ffpose.models.object_look import (
 )
 from ffpose.models.polar_look import PolarBackbone, PolarHead, map_angles
 from ffpose.models.virtual_camera import Pyramid, VirtualCamera, look_into, pyramid, turn_to
-from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.nn.polar_bins import PolarBinsHead
+from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 DISTANCE_SMOOTH = 0.05
 """Errors of the first look's log distance below it count by their square (Huber)."""

@@ -26,9 +26,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-PYRAMID_LEVELS = 4
-SHARPNESS = 0.8
-"""Least number of pixels of the chosen pyramid level per pixel of the virtual camera."""
+from ffpose.imaging.views import LEVELS, SHARPNESS
 
 LEAST_DEPTH = 1e-3
 """Least depth of a ray in the source camera's frame; other rays see nothing."""
@@ -243,7 +241,7 @@ class Pyramid(NamedTuple):
 def pyramid(images: Tensor) -> Pyramid:
     """Return the pyramid of images ``(B, C, H, W)``; each level has half the size of the last."""
     levels = [images]
-    for _ in range(1, PYRAMID_LEVELS):
+    for _ in range(1, LEVELS):
         levels.append(F.avg_pool2d(levels[-1], 2))
     rows, first = [], 0
     for number, level in enumerate(levels):
@@ -280,5 +278,5 @@ def pyramid_level(view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Te
     # Off the axis a pinhole image is larger by one over the cosine of the angle.
     oblique = view.distance / points[:, 2].clamp_min(LEAST_DEPTH)
     ratio = intrinsics[0] / view.focal * oblique / SHARPNESS
-    powers = 2.0 ** torch.arange(1, PYRAMID_LEVELS, dtype=ratio.dtype, device=ratio.device)
+    powers = 2.0 ** torch.arange(1, LEVELS, dtype=ratio.dtype, device=ratio.device)
     return (ratio[:, None] >= powers).sum(-1)

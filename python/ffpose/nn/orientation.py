@@ -27,6 +27,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose.nn.quaternion import QuaternionActivation
+from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 NEIGHBORHOOD_DEG = 40.0
 """Angle from the mode within which bins enter the mean, degrees."""
@@ -228,38 +229,3 @@ def orthonormalized(raw: Tensor) -> Tensor:
     second = raw[:, 3:] - (first * raw[:, 3:]).sum(-1, keepdim=True) * first
     second = F.normalize(second, dim=-1)
     return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1)
-
-
-def quaternion_to_matrix(q: Tensor) -> Tensor:
-    """Return the rotation matrices ``(B, 3, 3)`` of unit quaternions ``(B, 4)``."""
-    w, x, y, z = q.unbind(-1)
-    rows = [
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    ]
-    return torch.unflatten(torch.stack(rows, dim=-1), -1, (3, 3))
-
-
-def matrix_to_quaternion(matrix: Tensor) -> Tensor:
-    """Return unit quaternions ``(B, 4)`` of rotation matrices ``(B, 3, 3)``, of either sign.
-
-    Of the four expressions for the quaternion times one of its own entries, the one with the
-    largest entry is used for each matrix, so that no division is by a small number.
-    """
-    m = matrix
-    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
-    wx, wy, wz = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
-    xy, xz, yz = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
-    rows = torch.stack(
-        [
-            torch.stack([1 + xx + yy + zz, wx, wy, wz], dim=-1),
-            torch.stack([wx, 1 + xx - yy - zz, xy, xz], dim=-1),
-            torch.stack([wy, xy, 1 - xx + yy - zz, yz], dim=-1),
-            torch.stack([wz, xz, yz, 1 - xx - yy + zz], dim=-1),
-        ],
-        dim=1,
-    )  # (B, 4, 4): row i is 4 q_i q
-    best = rows.diagonal(dim1=1, dim2=2).argmax(-1)
-    row = rows.gather(1, best[:, None, None].expand(-1, 1, 4))[:, 0]
-    return F.normalize(row, dim=-1)

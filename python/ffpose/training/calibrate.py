@@ -22,7 +22,7 @@ from torch import Tensor
 
 from ffpose.config import looks_twice
 from ffpose.datasets import Sample
-from ffpose.evaluation.attitude import rotation_vector
+from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.calibration import choose_threshold, squared_mahalanobis
 from ffpose.models import SecondLookNetwork
 
@@ -224,7 +224,7 @@ def _distances(
     growths = [(1 + growth * hidden) ** 2 for growth in model.config.hidden_sigma]
     return Distances(
         squared_mahalanobis(truths[0] - t * factor, translation_covariance) * growths[0],
-        squared_mahalanobis(rotation_vector(q, truths[1]), rotation_covariance) * growths[1],
+        squared_mahalanobis(rotation_error_vector(q, truths[1]), rotation_covariance) * growths[1],
         hidden,
     )
 

@@ -16,7 +16,8 @@ from torch.nn import functional as F
 
 from ffpose.config import looks_twice
 from ffpose.models import SecondLookNetwork
-from ffpose.models.object_look import LookNumbers, rotation_between, rotation_vector, sigma_loss
+from ffpose.models.object_look import LookNumbers, sigma_loss
+from ffpose.nn.rotations import rotation_between, rotation_vector
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.losses import LossTerms
 from ffpose.training.views import ViewBatch

@@ -36,7 +36,7 @@ from ffpose.models.virtual_camera import (
     toward,
     turned_about_axis,
 )
-from ffpose.nn.orientation import matrix_to_quaternion, quaternion_to_matrix
+from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
 from ffpose.training.config import ViewAugmentation
 from ffpose.training.processes import ALONE, Processes

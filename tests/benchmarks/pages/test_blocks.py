@@ -157,7 +157,7 @@ def test_latencies_of_a_network_with_shares_of_the_first():
 
 def test_int8_in_words():
     shares = {PLAIN: {"Conv": 0.5, "FusedConv": 0.1}, INT8: {"QLinearConv": 0.3, "Add": 0.2}}
-    (line,) = shown("int8", **{"soyuz": network("torch", PLAIN, INT8, operator_shares=shares)})
+    (line,) = shown("int8", soyuz=network("torch", PLAIN, INT8, operator_shares=shares))
     assert line == (
         "0.67 of the time in ONNX Runtime (33 ms of 50, p50, 1 thread; 0.33 of PyTorch's)."
         " Convolutions take 60 % of the time of the graph's nodes, and 30 % in int8"

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ffpose.evaluation.attitude import rotation_vector
+from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.calibration import (
     LEVELS,
     auroc,
@@ -92,7 +92,7 @@ def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
     said = answers.uncertainties
     residuals = {
         "translation": truth[:, :3] - found[:, :3],
-        "rotation": rotation_vector(found[:, 3:], truth[:, 3:]),
+        "rotation": rotation_error_vector(found[:, 3:], truth[:, 3:]),
     }
     result: dict[str, Any] = {}
     for name, residual in residuals.items():
