@@ -10,7 +10,8 @@ from ffpose.config import CONFIGS
 from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.onnx.metadata import ModelMetadata, read_entries, read_model_metadata, sealed
+from ffpose.onnx.metadata import ModelMetadata, read_model, read_model_metadata, sealed
+from ffpose.onnx.records import read_entries
 
 onnx = pytest.importorskip("onnx")
 
@@ -70,6 +71,42 @@ def written(tmp_path):
 )
 def test_what_is_written_is_read(metadata, written):
     assert read_model_metadata(written(sealed(graph_bytes(metadata.to_entries())))) == metadata
+
+
+def test_a_file_is_read_once(written, monkeypatch):
+    path, reads = written(FILE), []
+    read = type(path).read_bytes
+    monkeypatch.setattr("pathlib.Path.read_bytes", lambda self: reads.append(self) or read(self))
+    metadata, data = read_model(path)
+    assert (metadata, data, reads) == (METADATA, FILE, [path])
+
+
+def external(*numbers):
+    """A tensor whose data are in another file, within messages that are fields of these numbers."""
+    entry = onnx.StringStringEntryProto(key="location", value="w.bin").SerializeToString()
+    message = b"\x42\x01w" + bytes([13 << 3 | 2, len(entry)]) + entry
+    for number in numbers:
+        key = [number << 3 | 2] if number < 16 else [number << 3 & 0x7F | 0x82, number >> 4]
+        message = bytes([*key, len(message)]) + message
+    return message
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        (5, 7),  # an initializer
+        (1, 15, 7),  # the values of a sparse one
+        (5, 5, 1, 7),  # a constant
+        (5, 6, 5, 1, 7),  # an initializer of a branch
+        (5, 5, 1, 11, 5, 1, 7),  # a constant of one of several
+        (5, 5, 7, 25),  # a constant of a function
+    ],
+)
+def test_weights_in_other_files_are_refused(numbers, written):
+    plain = graph_bytes(METADATA.to_entries())
+    with pytest.raises(DataError, match=r"all weights in this file.* tensor 'w' with external"):
+        read_model(written(sealed(plain + external(*numbers))))
+    read_model(written(sealed(plain + external(9, *numbers))))  # as raw data of another tensor
 
 
 def test_onnx_reads_the_same_entries_and_the_graph():

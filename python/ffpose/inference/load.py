@@ -67,12 +67,12 @@ def load(
 
     session: Session
     if source.is_graph:
-        from ffpose.onnx.metadata import read_model_metadata
+        from ffpose.onnx.metadata import read_model
 
         if device not in ("auto", "cpu"):
             raise ValueError(f"device: expected auto or cpu for an exported graph, got {device!r}")
-        graph = read_model_metadata(source.path)
-        session = _open_graph(source, graph, backend, threads, precision, providers)
+        graph, data = read_model(source.path)
+        session = _open_graph(source, graph, data, backend, threads, precision, providers)
         estimator = PoseEstimator(session, graph, camera=camera, resize=resize)
     else:
         from ffpose.inference.in_torch import TorchSession
@@ -92,6 +92,7 @@ def load(
 def _open_graph(
     source: Source,
     metadata: ModelMetadata,
+    data: bytes,
     backend: Backend | None,
     threads: int | None,
     precision: Precision,
@@ -108,4 +109,5 @@ def _open_graph(
         threads=threads,
         providers=providers,
         precision=precision,
+        data=data,
     )

@@ -35,11 +35,12 @@ def open_session(
     threads: int | None = None,
     providers: Sequence[str] | None = None,
     precision: Precision = "float32",
+    data: bytes | None = None,
 ) -> Session:
     """Open a graph.
 
     Args:
-        model: The ONNX file.
+        model: The ONNX file; for errors alone where its bytes are given.
         filter: How the graph computes spectral filters; the library is loaded for ``"custom"``.
         backend: ``"onnxruntime"`` or ``"openvino"``.
         threads: Number of threads within an image; None for the backend's default.
@@ -47,6 +48,7 @@ def open_session(
             None for the CPU's.
         precision: ``"float32"``, or ``"bfloat16"`` for matrix products where the CPU has
             instructions for it.
+        data: Bytes of the file, where it was read already.
 
     Raises:
         MissingExtraError: The backend is not installed.
@@ -63,10 +65,10 @@ def open_session(
     if threads is not None and threads < 1:
         raise ValueError(f"threads: expected at least 1, got {threads}")
     if backend == "onnxruntime":
-        return OnnxRuntimeSession(model, filter, threads, providers, precision)
+        return OnnxRuntimeSession(model, filter, threads, providers, precision, data)
     if providers is not None:
         raise ValueError("providers: expected with backend 'onnxruntime', got backend 'openvino'")
-    return OpenVinoSession(model, filter, threads, precision)
+    return OpenVinoSession(model, filter, threads, precision, data)
 
 
 class OnnxRuntimeSession:
@@ -79,6 +81,7 @@ class OnnxRuntimeSession:
         threads: int | None = None,
         providers: Sequence[str] | None = None,
         precision: Precision = "float32",
+        data: bytes | None = None,
     ) -> None:
         self.runtime = require("onnxruntime", "onnx")
         providers = self._known_providers(providers)
@@ -95,7 +98,8 @@ class OnnxRuntimeSession:
         if filter == "custom":
             self._register(options)
         try:
-            self.session = self.runtime.InferenceSession(str(model), options, providers=providers)
+            graph = str(model) if data is None else data
+            self.session = self.runtime.InferenceSession(graph, options, providers=providers)
         except Exception as error:  # of ONNX Runtime, whose classes share no base of their own
             raise RuntimeError(f"ONNX Runtime cannot load {model}: {error}") from error
         self.inputs = [value.name for value in self.session.get_inputs()]
@@ -134,6 +138,7 @@ class OpenVinoSession:
         filter: Filter,
         threads: int | None = None,
         precision: Precision = "float32",
+        data: bytes | None = None,
     ) -> None:
         core = openvino_core()
         if filter == "custom":
@@ -150,7 +155,7 @@ class OpenVinoSession:
         if threads is not None:
             settings["INFERENCE_NUM_THREADS"] = threads
         try:
-            graph = core.read_model(str(model))
+            graph = core.read_model(str(model) if data is None else data)
             self.compiled = core.compile_model(graph, "CPU", settings)
         except RuntimeError as error:
             raise RuntimeError(

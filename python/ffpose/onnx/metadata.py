@@ -9,15 +9,15 @@ in the world has ``locates``, with the value ``camera``.
 
 The last record of the file is the entry ``ffpose_sha256``, the SHA-256 of all bytes before it,
 which shows alterations without a second file. ONNX files are protobuf messages, whose records may
-come in any order, so every reader accepts such a file; `read_entries` parses just the records
-needed here, without a library.
+come in any order, so every reader accepts such a file; `ffpose.onnx.records` parses just the
+records needed here, without a library.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -27,6 +27,7 @@ from ffpose.config import NetworkConfig, config_type
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.onnx.records import METADATA_PROPS, expect_self_contained, read_entries
 
 FORMAT = 1
 """Version of the entries; one more whenever older code could not read them rightly."""
@@ -38,9 +39,6 @@ Filter = Literal["custom", "matmul", "none"]
 """How a graph computes its spectral filters: custom operator, standard operators, or has none."""
 
 Precision = Literal["float32", "int8"]
-
-METADATA_PROPS = 14
-"""Number of the field in ONNX's ModelProto; within an entry, 1 is the key and 2 the value."""
 
 
 @dataclass(frozen=True)
@@ -141,12 +139,17 @@ class ModelMetadata:
 
 
 def read_model_metadata(path: str | Path) -> ModelMetadata:
-    """Read the metadata of an exported graph, and verify the checksum of the file.
+    """Read the metadata of an exported graph; checks and errors are those of `read_model`."""
+    return read_model(path)[0]
+
+
+def read_model(path: str | Path) -> tuple[ModelMetadata, bytes]:
+    """Read an exported graph, once: its metadata, and the bytes whose checksum was verified.
 
     Raises:
         FileNotFoundError: The file does not exist.
         ffpose.DataError: The file is not an ONNX file, was not written by ``ffpose export``, was
-            altered, or is newer than this version.
+            altered, is newer than this version, or keeps weights in other files.
     """
     path = Path(path)
     if not path.is_file():
@@ -171,7 +174,11 @@ def read_model_metadata(path: str | Path) -> ModelMetadata:
         )
     _check_bytes(data, entries.get(CHECKSUM), path)
     try:
-        return ModelMetadata.from_entries(entries)
+        expect_self_contained(data)
+    except ValueError as error:
+        raise DataError(str(error), path) from error
+    try:
+        return ModelMetadata.from_entries(entries), data
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"expected metadata that ffpose {version} wrote: {error}", path) from error
 
@@ -195,53 +202,3 @@ def _checksum_record(digest: str) -> bytes:
     key, value = CHECKSUM.encode(), digest.encode()
     entry = bytes([1 << 3 | 2, len(key)]) + key + bytes([2 << 3 | 2, len(value)]) + value
     return bytes([METADATA_PROPS << 3 | 2, len(entry)]) + entry
-
-
-def read_entries(data: bytes) -> Iterator[tuple[str, str]]:
-    """Yield the keys and values of ``metadata_props`` in the bytes of an ONNX file.
-
-    Raises:
-        ValueError: The bytes are not a protobuf message.
-    """
-    for field, entry in _records(memoryview(data)):
-        if field == METADATA_PROPS:
-            parts = {number: bytes(part).decode() for number, part in _records(entry)}
-            yield parts.get(1, ""), parts.get(2, "")
-
-
-def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield number and bytes of each length-delimited field; the others are skipped.
-
-    See https://protobuf.dev/programming-guides/encoding, "Message Structure".
-    """
-    place = 0
-    while place < len(data):
-        key, place = _varint(data, place)
-        field, kind = key >> 3, key & 7
-        match kind:
-            case 0:
-                _, place = _varint(data, place)
-            case 1 | 5:
-                place += 8 if kind == 1 else 4
-            case 2:
-                length, place = _varint(data, place)
-                if place + length <= len(data):
-                    yield field, data[place : place + length]
-                place += length
-            case _:
-                raise ValueError(f"unknown wire type {kind} at byte {place}")
-        if field == 0 or place > len(data):
-            raise ValueError(f"a record of field {field} ends at byte {place} of {len(data)}")
-
-
-def _varint(data: memoryview, place: int) -> tuple[int, int]:
-    """Return the varint at ``place``, seven bits per byte, and the place after it."""
-    value = 0
-    for shift in range(0, 70, 7):
-        if place >= len(data):
-            break
-        value |= (data[place] & 0x7F) << shift
-        place += 1
-        if data[place - 1] < 0x80:
-            return value, place
-    raise ValueError(f"a number does not end at byte {place}")
