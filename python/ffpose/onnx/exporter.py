@@ -25,6 +25,7 @@ from ffpose._internal.files import atomic_write
 from ffpose.errors import require
 from ffpose.onnx.attention import replace_attention
 from ffpose.onnx.backends import open_session
+from ffpose.onnx.int8 import SCOPES
 from ffpose.onnx.matmul import filters_of, replace_filters
 from ffpose.onnx.metadata import Filter, sealed
 from ffpose.onnx.operators import translations
@@ -221,7 +222,24 @@ def record(
         optimizer.optimize_ir(
             program.model, num_iterations=1, **limits
         )  # a second finds next to nothing
+    compact(program.model)
     return program.model
+
+
+def compact(model: Any) -> None:
+    """Leave out of an `onnx_ir.Model` what takes room alone, in place.
+
+    Constants are kept once, and of the recorded notes those of modules, which `ffpose.onnx.int8`
+    reads; stack traces are longer than the nodes.
+    """
+    passes = require("onnx_ir.passes.common", "export")
+    passes.IdentityEliminationPass()(model)
+    passes.DeduplicateHashedInitializersPass()(model)
+    for node in model.graph:
+        for key in [key for key in node.metadata_props if key != SCOPES]:
+            del node.metadata_props[key]
+        for output in node.outputs:
+            output.metadata_props.clear()
 
 
 def tensors_of(result: Any) -> list[Tensor]:
