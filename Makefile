@@ -10,7 +10,7 @@ ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml -
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-arm test-onboard docs bench figures ort onboard weights wheel clean tools cards
+.PHONY: help demo test all format lint typecheck test-rust test-python test-slow test-arm test-onboard docs bench figures ort onboard weights wheel clean tools cards
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -18,9 +18,9 @@ help: ## list the targets
 demo: $(VENV)/.user ## install, render unseen images, pose them; leaves runs/demo/report.html
 	$(BIN)/ffpose demo --out $(DEMO_OUT)
 
-test: test-rust test-python ## install and run every test, Rust's and Python's
+test: test-rust test-python ## install and run the tests, Rust's and Python's, but for the slow ones
 
-all: lint typecheck test test-onboard docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
+all: lint typecheck test test-slow test-onboard docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
 
 format: $(VENV)/.dev ## rewrite the sources in the house format
 	$(BIN)/ruff format $(PYTHON_SOURCES)
@@ -44,7 +44,10 @@ test-rust: tools ## the Rust tests, with optimization
 	cargo test --locked --release --workspace
 
 test-python: $(VENV)/.dev ## the Python tests and the examples of the docs
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -m "not slow"
+
+test-slow: $(VENV)/.dev ## trainings, exports of whole networks, and the commands of every page, one after the other
+	$(BIN)/python -m pytest -q -m slow
 
 test-arm: ## the Rust tests for 64-bit ARM under qemu; not needed to use ffpose
 	.ci/test-arm

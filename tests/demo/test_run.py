@@ -182,6 +182,7 @@ def test_the_command_runs_without_an_activated_environment(folder):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_a_demo_run_again_reports_the_work_that_was_done(trained, capsys):
     before = read(trained)
     again = run(trained, TRAIN)

@@ -147,7 +147,7 @@ def test_one_session_runs_on_several_threads_at_the_same_time():
 def test_sessions_come_and_go():
     x, weight = random_case("tokens", (36, 20))
     model, expected = filter_graph("tokens", None, weight), by_torch("tokens", x, weight)
-    for _ in range(20):
+    for _ in range(4):
         (y,) = open_session(model).run(None, {"x": x})
         assert_close(y, expected)
         gc.collect()

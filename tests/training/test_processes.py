@@ -99,6 +99,7 @@ engine.train(load_config(Path(sys.argv[1])), resume=True, quiet=True)
 """
 
 
+@pytest.mark.slow
 def test_a_killed_rank_is_restarted_and_the_run_finishes(image_set, tmp_path):
     """Three steps an epoch: the second of two ranks is killed in the second epoch."""
     config = config_of(image_set, tmp_path / "killed", batch_size=2)

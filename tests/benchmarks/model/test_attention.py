@@ -41,6 +41,7 @@ def _speck(monkeypatch):
     monkeypatch.setitem(PRESETS, "speck", CONFIGS["speck"])
 
 
+@pytest.mark.slow
 def test_run_prints_tables_or_a_document(monkeypatch, capsys):
     cases = [NetworkCase("speck", 2, task, kind) for task in TASKS for kind in PRECISIONS]
     cases.append(NetworkCase("speck", 1, threads=2))

@@ -79,6 +79,7 @@ def _speck(monkeypatch):
     monkeypatch.setattr("benchmarks.model.subjects.GlobalFilterNetwork", lambda: small)
 
 
+@pytest.mark.slow
 def test_run_prints_tables_or_a_document_and_draws(tmp_path, monkeypatch, capsys):
     plan = DeploymentPlan(NAMES_HERE, (1, 2), (1,), 0.001, 1, ["a note"])
     monkeypatch.setattr(deployment, "make_plan", lambda *_: plan)

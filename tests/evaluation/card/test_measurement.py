@@ -53,6 +53,7 @@ def document(weights):
     return measure(weights, beacon_scene(), count=COUNT, size=(64, 48))
 
 
+@pytest.mark.slow
 def test_a_graph_has_the_card_of_its_weights(weights, document, tmp_path):
     pytest.importorskip("onnxscript")
     graph = tmp_path / "look.onnx"
