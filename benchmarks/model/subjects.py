@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from ffpose.bench.model import weights_of
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import load_network, read_metadata
+from ffpose.models import open_weights
 from ffpose.nn import GlobalFilter, PositionCode, SpectralFilter
 from ffpose.nn.attention import SelfAttention
 from ffpose.onnx.metadata import Filter
@@ -82,15 +82,17 @@ def subject(name: str, folder: Path, **fields: int) -> Subject:
     if name == GFNET:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
-            model = GlobalFilterNetwork().eval()
-        return Subject(model, Preprocessing(model.image_size), None, lambda _: {}, ["logits"])
+            classifier = GlobalFilterNetwork().eval()
+        return Subject(
+            classifier, Preprocessing(classifier.image_size), None, lambda _: {}, ["logits"]
+        )
     weights = weights_of(name, folder, **fields)
-    source = read_metadata(weights)
+    model, source = open_weights(weights)
     return Subject(
-        load_network(weights),
+        model,
         source.preprocessing,
         weights,
-        graph_entries(weights),
+        graph_entries(weights, source),
         output_names(source.config),
     )
 

@@ -22,6 +22,8 @@ from ffpose.models import (
     read_metadata,
     zoo,
 )
+from ffpose.models import weights as files
+from ffpose.models.registry import open_weights
 from ffpose.models.weights import checksum_path, load_weights
 
 FIELDS = {
@@ -345,3 +347,18 @@ def test_refused_weights_change_nothing(path):
     with pytest.raises(DataError):
         load_weights(path, model)
     assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
+
+
+def test_a_header_is_read_once(tmp_path, monkeypatch):
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", depth=1)
+    model.save_pretrained(tmp_path / "a.safetensors")
+    opened, safe_open = [], files.safe_open
+
+    def counted(path, **options):
+        opened.append(path)
+        return safe_open(path, **options)
+
+    monkeypatch.setattr(files, "safe_open", counted)
+    found, metadata = open_weights(tmp_path / "a.safetensors")
+    assert opened == [tmp_path / "a.safetensors"]
+    assert metadata.config == found.config

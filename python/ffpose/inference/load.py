@@ -76,14 +76,14 @@ def load(
         estimator = PoseEstimator(session, graph, camera=camera, resize=resize)
     else:
         from ffpose.inference.in_torch import TorchSession
-        from ffpose.models import load_network, read_metadata
+        from ffpose.models import open_weights
 
         if precision != "float32":
             raise ValueError(f"precision: expected float32 for weights, got {precision!r}")
         if providers is not None:
             raise ValueError(f"providers: expected with a graph, got {providers} with weights")
-        weights = read_metadata(source.path)
-        session = TorchSession(load_network(source.path), device, threads)
+        model, weights = open_weights(source.path)
+        session = TorchSession(model, device, threads)
         estimator = PoseEstimator(session, weights, camera=camera, resize=resize)
     estimator.warm_up(warm_up)
     return estimator

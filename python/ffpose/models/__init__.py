@@ -14,7 +14,13 @@ from ffpose.models.filterformer_pose import FilterformerPose
 from ffpose.models.network import FrameNetwork, PoseNetwork, PosePrediction, find_device
 from ffpose.models.polar_pose import PolarPose
 from ffpose.models.pose_net import PoseNet
-from ffpose.models.registry import SecondLookNetwork, build_network, find_config, load_network
+from ffpose.models.registry import (
+    SecondLookNetwork,
+    build_network,
+    find_config,
+    load_network,
+    open_weights,
+)
 from ffpose.models.urso_net import UrsoNet
 from ffpose.models.weights import WeightsMetadata, read_metadata
 
@@ -42,5 +48,6 @@ __all__ = [
     "find_config",
     "find_device",
     "load_network",
+    "open_weights",
     "read_metadata",
 ]

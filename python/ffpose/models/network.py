@@ -232,7 +232,12 @@ class PoseNetwork(nn.Module, ABC):
                 architecture.
         """
         path = resolve(path)
-        config = read_metadata(path).config
+        return cls.of_file(path, read_metadata(path), **fields)
+
+    @classmethod
+    def of_file(cls, path: Path, metadata: WeightsMetadata, **fields: Any) -> Self:
+        """Load a network from a file whose header is ``metadata``; otherwise `from_pretrained`."""
+        config = metadata.config
         if not isinstance(config, cls.config_type):
             raise DataError(
                 f"expected weights of a {cls.config_type.architecture}, got those of a"

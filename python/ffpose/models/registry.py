@@ -11,7 +11,8 @@ from ffpose.models.network import PoseNetwork
 from ffpose.models.polar_pose import PolarPose
 from ffpose.models.pose_net import PoseNet
 from ffpose.models.urso_net import UrsoNet
-from ffpose.models.weights import read_metadata
+from ffpose.models.weights import WeightsMetadata, read_metadata
+from ffpose.models.zoo import resolve
 
 NETWORKS: dict[str, type[PoseNetwork]] = {
     each.config_type.architecture: each for each in (FilterformerPose, PolarPose, UrsoNet, PoseNet)
@@ -68,4 +69,11 @@ def load_network(path: str | Path, **fields: Any) -> PoseNetwork:
         ffpose.DataError: The file is truncated, altered, newer than this version, or of a network
             that this version does not know.
     """
-    return NETWORKS[read_metadata(path).config.architecture].from_pretrained(path, **fields)
+    return open_weights(path, **fields)[0]
+
+
+def open_weights(path: str | Path, **fields: Any) -> tuple[PoseNetwork, WeightsMetadata]:
+    """Load a network as `load_network`, with the header of its file, which is read once."""
+    path = resolve(path)
+    metadata = read_metadata(path)
+    return NETWORKS[metadata.config.architecture].of_file(path, metadata, **fields), metadata

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -244,9 +245,9 @@ def load_weights(path: str | Path, model: nn.Module, *, grow: bool = False) -> N
             ``model``.
     """
     path = Path(path)
-    _read_header(path)
-    _check_bytes(path)
-    state, expected = load_file(path), model.state_dict()
+    with _safetensors(path):
+        _check_bytes(path)
+        state, expected = load_file(path), model.state_dict()
     if grow:
         state = {name: t for name, t in expected.items() if EXTRA_PART in name} | state
     _check_architecture(path, state, expected)
@@ -254,11 +255,17 @@ def load_weights(path: str | Path, model: nn.Module, *, grow: bool = False) -> N
 
 
 def _read_header(path: Path) -> dict[str, str]:
+    with _safetensors(path), safe_open(path, framework="pt") as file:
+        return file.metadata() or {}
+
+
+@contextmanager
+def _safetensors(path: Path) -> Iterator[None]:
+    """Check that there is a file; what safetensors cannot read in it becomes a `DataError`."""
     if not path.is_file():
         raise FileNotFoundError(f"weights: expected a file, got {path}")
     try:
-        with safe_open(path, framework="pt") as file:
-            return file.metadata() or {}
+        yield
     except SafetensorError as error:
         raise DataError(
             f"expected a safetensors file, got one that is truncated or no such: {error}",

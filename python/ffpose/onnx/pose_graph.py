@@ -12,7 +12,7 @@ import torch
 from ffpose._internal.files import sha256
 from ffpose.config import NetworkConfig, looks_twice
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import PosePrediction, load_network, read_metadata
+from ffpose.models import PosePrediction, WeightsMetadata, open_weights
 from ffpose.models.network import UncertainPose
 from ffpose.models.zoo import resolve
 from ffpose.onnx.exporter import (
@@ -66,13 +66,13 @@ def export_weights(
     """
     if Path(path).suffix != ".onnx":
         raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
-    source, network = read_metadata(weights), load_network(weights, **fields)
+    network, source = open_weights(weights, **fields)
     return write_graph(
         network,
         [(random_images(source.preprocessing, count),) for count in BATCHES],
         path,
         filter,
-        graph_entries(weights, **fields),
+        graph_entries(weights, source, **fields),
         pose_differences,
         input_names=INPUT_NAMES,
         output_names=output_names(source.config),
@@ -81,9 +81,11 @@ def export_weights(
     )
 
 
-def graph_entries(weights: str | Path, **fields: Any) -> Callable[[Filter], dict[str, str]]:
+def graph_entries(
+    weights: str | Path, source: WeightsMetadata, **fields: Any
+) -> Callable[[Filter], dict[str, str]]:
     """Return what gives the metadata of a graph of these weights, for how it computes filters."""
-    source, digest = read_metadata(weights), sha256(resolve(weights))
+    digest = sha256(resolve(weights))
 
     def entries(kind: Filter) -> dict[str, str]:
         return ModelMetadata(
