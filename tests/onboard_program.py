@@ -26,7 +26,7 @@ PILLOW = int(PIL.__version__.split(".")[0])
 
 
 def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
-    """The bytes of a graph whose outputs are random projections of its input, 21 numbers of it.
+    """The bytes of a graph whose outputs are random projections of its input, 32 numbers of it.
 
     Two inputs that differ by one level in one pixel have other projections.
     """
@@ -39,6 +39,8 @@ def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
         "translation_covariance": (3, 3),
         "rotation_covariance": (3, 3),
         "in_view": (),
+        "alternative": (4,),
+        "probabilities": (2,),
     }
     length = 3 * SIZE[0] * SIZE[1]
     nodes = [helper.make_node("Flatten", ["images"], ["flat"], axis=1)]
@@ -48,7 +50,12 @@ def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
         weight = rng.standard_normal((length, count), np.float32) / np.float32(length) ** 0.5
         constants.append(onnx.numpy_helper.from_array(weight, f"{name}_weight"))
         constants.append(onnx.numpy_helper.from_array(np.array([-1, *shape]), f"{name}_shape"))
-        last = {"orientation": "LpNormalization", "in_view": "Sigmoid"}.get(name, "Identity")
+        last = {
+            "orientation": "LpNormalization",
+            "alternative": "LpNormalization",
+            "in_view": "Sigmoid",
+            "probabilities": "Sigmoid",
+        }.get(name, "Identity")
         nodes += [
             helper.make_node("MatMul", ["flat", f"{name}_weight"], [f"{name}_sum"]),
             helper.make_node(last, [f"{name}_sum"], [f"{name}_last"]),

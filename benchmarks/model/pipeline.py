@@ -66,7 +66,7 @@ class Pipeline:
         marks.append(perf_counter())
         outputs = self.run(inputs)
         marks.append(perf_counter())
-        poses(**outputs, locates="object", in_view_threshold=None)
+        poses(**outputs, locates="object", in_view_threshold=None, degrees_of_freedom=None)
         marks.append(perf_counter())
         return tuple(after - before for before, after in pairwise(marks))
 

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 from scipy.spatial.distance import mahalanobis
-from scipy.stats import chi2, mannwhitneyu
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, f, mannwhitneyu, multivariate_t
 
 from ffpose.evaluation.calibration import (
     CURVE,
@@ -17,6 +18,7 @@ from ffpose.evaluation.calibration import (
     squared_mahalanobis,
     summarize_flag,
     summarize_regions,
+    truth_regions,
 )
 
 
@@ -40,6 +42,48 @@ def test_mahalanobis_distance_is_scipys():
 def test_region_probability_is_chi_square_with_three_degrees_of_freedom():
     x = np.array([0, 1e-9, 1e-3, 0.5, 2.366, 3, 6.251, 11.345, 40, 2000])
     np.testing.assert_allclose(region_probability(x), chi2.cdf(x, 3), rtol=1e-9, atol=1e-15)
+
+
+DISTANCES = np.array([0, 1e-9, 1e-3, 0.5, 2.366, 3, 6.251, 11.345, 40, 2000, 1e8])
+
+
+@pytest.mark.parametrize("nu", [2.01, 2.5, 3, 4, 7.3, 30, 1000])
+def test_region_probability_of_a_t_distribution_is_that_of_f(nu):
+    """The covariance is nu / (nu - 2) times the scale matrix, whose distances over 3 are F's."""
+    expected = f.cdf(DISTANCES * nu / (nu - 2) / 3, 3, nu)
+    np.testing.assert_allclose(region_probability(DISTANCES, nu), expected, rtol=2e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.9, 0.99])
+def test_a_truth_on_the_quantile_has_its_probability(level):
+    quantile = 3 * f.ppf(level, 3, 4) * (4 - 2) / 4
+    assert region_probability(quantile, 4.0) == pytest.approx(level, rel=1e-9)
+
+
+def test_many_degrees_of_freedom_are_gaussian():
+    got = region_probability(DISTANCES, 1000)
+    np.testing.assert_allclose(got, chi2.cdf(DISTANCES, 3), atol=1e-3)
+
+
+def test_regions_of_t_distributed_errors_cover_what_they_say():
+    """Poses whose errors SciPy draws; covariances are those of the distributions."""
+    count, rng, degrees = 20_000, np.random.default_rng(0), (3.5, 6.0)
+    scales = np.diag([0.04, 0.09, 0.25]), 1e-4 * np.array([[4, 1, 0], [1, 9, 0], [0, 0, 1]])
+    moved, turned = (
+        multivariate_t.rvs(np.zeros(3), scale, df=nu, size=count, random_state=rng)
+        for scale, nu in zip(scales, degrees, strict=True)
+    )
+    attitude = Rotation.random(count, rng=rng)
+    truth = Rotation.from_rotvec(turned) * attitude
+    predicted, true = np.zeros((2, count, 7))
+    true[:, :3] = moved
+    predicted[:, 3:], true[:, 3:] = (r.as_quat(scalar_first=True) for r in (attitude, truth))
+    covariances = (
+        np.tile(scale * nu / (nu - 2), (count, 1, 1))
+        for scale, nu in zip(scales, degrees, strict=True)
+    )
+    for probability in truth_regions(predicted, true, *covariances, degrees).values():
+        np.testing.assert_allclose(coverage(probability, CURVE), CURVE, atol=0.015)
 
 
 def test_regions_of_the_true_covariance_cover_what_they_say():

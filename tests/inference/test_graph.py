@@ -56,7 +56,7 @@ NETWORKS = {
             "object_size": (32, 32),
             "looks": 2,
             "turns": 2,
-            "hidden_sigma": (3.0, 2.0),
+            "degrees_of_freedom": (5.0, 3.5),
         },
     ),
     "polar": (
@@ -67,7 +67,8 @@ NETWORKS = {
             "first_stride": 2,
             "object_size": (16, 96),
             "directions": 50,
-            "hidden_sigma": (3.0, 2.0),
+            "doubt_sigma": (3.0, 2.0),
+            "degrees_of_freedom": (5.0, 3.5),
         },
     ),
 }
@@ -111,9 +112,13 @@ def assert_same_pose(pose, expected):
     assert abs(pose.q @ expected.q) == pytest.approx(1, abs=1e-6)
     assert (pose.uncertainty is None) == (expected.uncertainty is None)
     if expected.uncertainty is not None:
-        for name in ("translation_covariance", "rotation_covariance", "in_view"):
+        for name in ("translation_covariance", "rotation_covariance", "in_view", "probabilities"):
             got, wanted = (getattr(p.uncertainty, name) for p in (pose, expected))
             np.testing.assert_allclose(got, wanted, rtol=1e-3, atol=1e-4)
+        got, wanted = (p.uncertainty.alternative for p in (pose, expected))
+        assert abs(got @ wanted) == pytest.approx(1, abs=1e-6)
+        assert pose.uncertainty.degrees_of_freedom == expected.uncertainty.degrees_of_freedom
+        assert pose.uncertainty.degrees_of_freedom == (5.0, 3.5)
 
 
 def test_the_pose_is_that_of_torch(files, picture):

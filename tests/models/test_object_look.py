@@ -18,7 +18,6 @@ from ffpose.models.object_look import (
     LookNumbers,
     covariance_of,
     covariances,
-    hidden_share,
     in_front,
     offset_jacobian,
     offset_of,
@@ -214,39 +213,6 @@ def test_log_sigmas_stay_within_their_limits():
 
 FRAME = Camera(640, 480, 500.0, 520.0, 320.0, 240.0)
 CENTERED = torch.tensor([FRAME.fx, FRAME.fy, FRAME.cx, FRAME.cy])
-
-
-@pytest.mark.parametrize(
-    ("pixel", "share"),
-    [((320, 240), 0), ((640, 240), 0.5), ((320, 0), 0.5), ((0, 480), 0.75), ((900, 240), 1)],
-)
-def test_half_is_hidden_on_an_edge_and_three_quarters_in_a_corner(pixel, share):
-    """In a narrow field of view, whose corners are right angles seen from anywhere."""
-    focal = torch.tensor([9000.0, 9000.0])
-    ray = [(pixel[0] - FRAME.cx) / 9000, (pixel[1] - FRAME.cy) / 9000, 1.0]
-    intrinsics = torch.cat((focal, CENTERED[2:]))
-    found = hidden_share(900 * torch.tensor([ray]), 1.0, intrinsics, (480, 640))
-    assert found.item() == pytest.approx(share, abs=0.02)
-
-
-def test_the_hidden_share_is_that_of_random_points_on_the_disk(generator):
-    """The disk of radius 4 that faces the camera: across the ray, uniform in area."""
-    centers = generator.uniform((-8, -6, 8), (8, 6, 12), (COUNT, 3))
-    shares = []
-    for center in centers:
-        across = generator.standard_normal((20000, 3))
-        ray = center / np.linalg.norm(center)
-        across -= (across @ ray)[:, None] * ray
-        across *= (
-            4
-            * np.sqrt(generator.random(20000)[:, None])
-            / np.linalg.norm(across, axis=1, keepdims=True)
-        )
-        u, v = FRAME.project(center + across).T
-        shares.append(1 - np.mean((u > 0) & (u < 640) & (v > 0) & (v < 480)))
-    assert np.ptp(shares) > 0.5
-    found = hidden_share(torch.tensor(centers).float(), 4.0, CENTERED, (480, 640))
-    np.testing.assert_allclose(found, shares, atol=0.02)
 
 
 def numbers_of(log_sigma, shear=None):

@@ -59,7 +59,8 @@ def model():
 
 def assert_a_whole_pose(pose, count):
     shapes = [tuple(each.shape) for each in pose]
-    assert shapes == [(count, 3), (count, 4), (count, 3, 3), (count, 3, 3), (count,)]
+    several = [(count, 3), (count, 4), (count, 3, 3), (count, 3, 3), (count,)]
+    assert shapes == [*several, (count, 4), (count, 2)]
     assert all(each.isfinite().all() for each in pose)
     assert (pose.translation[:, 2] > 0).all()
     torch.testing.assert_close(pose.orientation.norm(dim=1), torch.ones(count))
@@ -75,7 +76,7 @@ def assert_a_whole_pose(pose, count):
         *({"orientation_head": head} for head in HEADS),
         {"pooling": "flatten", "depth": 0},
         {"pooling": "flatten", "orientation_head": "6d"},
-        {"pooling": "mean", "looks": 1, "filter": "tokens", "hidden_sigma": (9.0, 9.0)},
+        {"pooling": "mean", "looks": 1, "filter": "tokens", "doubt_sigma": (9.0, 9.0)},
         {"first_stride": 1, "image_size": (50, 70), "object_size": (17, 30)},
     ],
 )
@@ -360,7 +361,9 @@ def test_an_exported_network_takes_batches_of_any_size():
         ({"distance_m": (20.0, 10.0)}, r"distance_m: expected 0 < near < far, got \(20.0, 10.0\)"),
         ({"distance_m": (0.0, 10.0)}, "distance_m: expected 0 < near"),
         ({"distance_m": (1.0, math.inf)}, "distance_m: expected 0 < near"),
-        ({"hidden_sigma": (0.0, -1.0)}, "hidden_sigma: expected 0 or more each"),
+        ({"doubt_sigma": (0.0, -1.0)}, "doubt_sigma: expected 0 or more each"),
+        ({"degrees_of_freedom": (4.0, 2.0)}, "degrees_of_freedom: expected above 2 and up to 1000"),
+        ({"degrees_of_freedom": (4.0,)}, "degrees_of_freedom: expected 2 numbers"),
         ({"object_radius_m": 0.0}, "object_radius_m: expected above 0, got 0"),
         ({"object_size": (0, 16)}, r"object_size: expected whole numbers.* got \(0, 16\)"),
         ({"object_size": (16.5, 16)}, r"object_size: expected whole numbers.* got \(16.5, 16\)"),
@@ -465,18 +468,3 @@ def test_views_that_differ_are_as_uncertain_as_they_differ(monkeypatch, degrees)
     least = math.radians(degrees / 2) ** 2
     assert least * 0.99 < variances[2] < (1.01 * least if degrees < 180 else math.pi**2)
     assert variances[:2].max() < 0.01
-
-
-def test_the_uncertainty_grows_with_what_the_frame_does_not_show(monkeypatch):
-    """Variances times (1 + k h)² for an object on the frame's edge, h = 0.5; poses stay."""
-    grown, plain = build(hidden_sigma=(6.0, 2.0)).eval(), build().eval()
-    grown.load_state_dict(plain.state_dict())
-    for model in (grown, plain):
-        monkeypatch.setattr(model, "hidden", lambda points: torch.full((len(points),), 0.5))
-    images = torch.randn(3, 3, 48, 64)
-    with torch.no_grad():
-        got, expected = grown(images), plain(images)
-    for name, factor in (("translation_covariance", 16), ("rotation_covariance", 4)):
-        torch.testing.assert_close(getattr(got, name), factor * getattr(expected, name))
-    for name in ("translation", "orientation", "in_view"):
-        assert torch.equal(getattr(got, name), getattr(expected, name))

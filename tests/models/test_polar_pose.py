@@ -123,6 +123,8 @@ def test_a_pose_of_each_image_whatever_the_weights(model):
     for covariance in (pose.translation_covariance, pose.rotation_covariance):
         assert (torch.linalg.eigvalsh(covariance) > 0).all()
     assert ((pose.in_view > 0) & (pose.in_view < 1)).all()
+    torch.testing.assert_close(pose.alternative.norm(dim=1), torch.ones(3))
+    assert pose.probabilities.shape == (3, 2)
     with pytest.raises(ValueError, match=r"images: expected shape \(B, 3, 96, 128\)"):
         model(torch.zeros(1, 3, 96, 100))
 
@@ -262,3 +264,34 @@ def test_the_last_map_has_cells_of_fifteen_degrees():
     config = PolarPoseConfig()
     assert (config.object_grid, config.heat_grid) == ((4, 24), (12, 16))
     assert config.free_fields == ("looks", "candidates")
+
+
+def test_both_modes_are_those_of_the_last_view_in_the_cameras_frame():
+    model = build(looks=1, candidates=1)
+    levels, shown = pyramid(images()), images()
+    with torch.no_grad():
+        maps = model.locate(torch.nn.functional.avg_pool2d(shown, model.config.first_stride))
+        points = model.translation_branch.candidates(*maps, 1)[0].flatten(0, 1)
+        view = model.view_at(points)
+        numbers = model.read(model.see(look_into(levels, view, points, model.intrinsics)))
+        modes, pose = model.orientation.modes(numbers.orientation), model(shown)
+    turn = view.rotation.mT
+    for got, expected in ((pose.orientation, modes[0]), (pose.alternative, modes[1])):
+        torch.testing.assert_close(
+            quaternion_to_matrix(got), turn @ quaternion_to_matrix(expected), rtol=0, atol=1e-5
+        )
+    torch.testing.assert_close(pose.probabilities, modes.probabilities)
+
+
+def test_the_uncertainty_grows_with_the_doubt_of_the_attitude():
+    """Variances times (1 + k (1 - p))², p being the probability of the attitude; poses stay."""
+    plain, grown = build(), build(doubt_sigma=(6.0, 2.0))
+    with torch.no_grad():
+        got, expected = grown(images()), plain(images())
+    doubt = 1 - expected.probabilities[:, 0, None, None]
+    assert doubt.min() > 0.01
+    for name, growth in (("translation_covariance", 6), ("rotation_covariance", 2)):
+        factor = (1 + growth * doubt) ** 2
+        torch.testing.assert_close(getattr(got, name), factor * getattr(expected, name))
+    for name in ("translation", "orientation", "in_view", "alternative", "probabilities"):
+        assert torch.equal(getattr(got, name), getattr(expected, name))

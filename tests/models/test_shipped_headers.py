@@ -14,9 +14,16 @@ from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.card.seen import trainings
 from ffpose.models import read_metadata, zoo
 from ffpose.render import label
-from ffpose.training.calibration_images import CUT_SEEDS, CUT_SHARE, EMPTY_SEEDS
+from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM
+from ffpose.training.calibration_images import (
+    CUT_SEEDS,
+    CUT_SHARE,
+    EMPTY_SEEDS,
+    RANDOMIZATION,
+    RANDOMIZED_SEEDS,
+)
 from ffpose.training.config_file import load_config
-from ffpose.training.data import RANDOMIZATION, RANDOMIZED_SEEDS, find_scene
+from ffpose.training.data import find_scene
 from ffpose.training.provenance import recipe, rendered_sets
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -73,19 +80,21 @@ def test_the_command_in_the_header_names_the_images_in_the_header(name):
     assert words[:2] == ["ffpose", "calibrate"]
     options = build_parser("calibrate").parse_args(words[2:])
     data = options.data
-    seeds = [data.seed + more for more in (0, CUT_SEEDS, EMPTY_SEEDS)]
+    kinds = ((True, 0), (data.cut, CUT_SEEDS), (data.randomized, RANDOMIZED_SEEDS))
+    seeds = [data.seed + more for shown, more in (*kinds, (True, EMPTY_SEEDS)) if shown]
     assert [(each["scene"], each["seed"], each["count"]) for each in said["images"]] == [
         (data.scene, seed, data.count) for seed in seeds
     ]
     assert data.scene == CALIBRATED_ON[name]
     assert all(seed in CALIBRATION for seed in seeds)
+    assert (data.cut, data.randomized, data.distance) == (True, True, (0.7, 1.4))
 
 
 @pytest.mark.parametrize("name", CALIBRATED_ON)
 def test_calibrated_values_are_not_rounded_and_not_at_a_bound(name):
     metadata = read_metadata(name)
     config = metadata.config
-    values = (config.distance_scale, *config.hidden_sigma, metadata.in_view_threshold)
+    values = (config.distance_scale, *config.doubt_sigma, metadata.in_view_threshold)
     assert all(value != round(value, 6) for value in values)
-    assert all(math.isfinite(value) and 0 < value != 50 for value in values)
-    assert 0 < metadata.calibration["hidden"] <= 200
+    assert all(math.isfinite(value) and value > 0 for value in values)
+    assert all(LEAST_DEGREES_OF_FREEDOM <= nu < 100 for nu in config.degrees_of_freedom)

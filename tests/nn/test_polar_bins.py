@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.nn.polar import interpolation
-from ffpose.nn.polar_bins import PolarBinsHead, attitudes, cell_centers, sphere
+from ffpose.nn.polar_bins import MODE_DEG, PolarBinsHead, attitudes, cell_centers, sphere
 
 LATENT, MAP, ANGLES, DIRECTIONS = 8, 6, 12, 40
 
@@ -100,3 +100,55 @@ def test_the_loss_is_the_cross_entropy_with_matrix_fisher_labels(head):
     log_p = head.logits(raw).double().log_softmax(-1).detach().numpy()
     np.testing.assert_allclose(head.loss(raw, q).detach(), -(label * log_p).sum(1), rtol=1e-5)
     torch.testing.assert_close(head.loss(raw, -q), head.loss(raw, q))
+
+
+def peaked(head, *peaks):
+    """Let a head give peaks of named heights about named turns, Gaussians of 8 degrees.
+
+    Returns:
+        The probability that bins near a turn have, as a function of it.
+    """
+    bins = scipy(head.bins)
+
+    def angles(turn):
+        return np.degrees((Rotation.from_rotvec(turn, degrees=True).inv() * bins).magnitude())
+
+    total = sum(height * np.exp(-0.5 * (angles(turn) / 8) ** 2) for height, turn in peaks) + 1e-30
+    head.logits = lambda raw: torch.tensor(np.log(total)).float().expand(len(raw), -1)
+    return lambda turn: total[angles(turn) < MODE_DEG].sum() / total.sum()
+
+
+@pytest.mark.parametrize("height", [0.3, 0.01])
+def test_the_second_of_two_peaks_is_the_alternative_and_both_have_their_mass(height):
+    head = PolarBinsHead(LATENT, cell_centers(MAP), 24, 300, 20.0)
+    turns = [10.0, 0.0, 0.0], [100.0, 90.0, 30.0]
+    mass = peaked(head, (1.0, turns[0]), (height, turns[1]))
+    modes = head.modes(torch.zeros(2, LATENT * MAP))
+    for got, turn, probability in zip(modes[:2], turns, modes.probabilities.T, strict=True):
+        away = scipy(got) * Rotation.from_rotvec(turn, degrees=True).inv()
+        assert np.degrees(away.magnitude()).max() < 3  # a peak is of a few bins
+        np.testing.assert_allclose(probability, mass(turn), rtol=0.05)
+    assert 0.95 < modes.probabilities[0].sum() <= 1
+    torch.testing.assert_close(modes.orientation, head.decode(torch.zeros(2, LATENT * MAP)))
+
+
+def test_a_shoulder_of_the_first_peak_is_no_second_mode():
+    """What is likelier but closer than twice the radius of a mode belongs to no other mode."""
+    head = PolarBinsHead(LATENT, cell_centers(MAP), 24, 300, 20.0)
+    far = [0.0, 0.0, 150.0]
+    mass = peaked(head, (1.0, [0.0, 0, 0]), (0.5, [0.0, 45.0, 0]), (0.1, far))
+    modes = head.modes(torch.zeros(1, LATENT * MAP))
+    away = scipy(modes.alternative) * Rotation.from_rotvec(far, degrees=True).inv()
+    assert np.degrees(away.magnitude()) < 4
+    np.testing.assert_allclose(modes.probabilities[0, 1], mass(far), rtol=0.05)
+
+
+def test_a_certain_attitude_has_a_finite_alternative():
+    head = PolarBinsHead(LATENT, cell_centers(MAP), ANGLES, DIRECTIONS, 20.0)
+    logits = torch.full((1, len(head.bins)), -500.0)
+    logits[0, 7] = 500.0
+    head.logits = lambda raw: logits
+    modes = head.modes(torch.zeros(1, LATENT * MAP))
+    torch.testing.assert_close(modes.orientation.abs(), head.bins[7:8].abs())
+    torch.testing.assert_close(modes.alternative.norm(dim=1), torch.ones(1))
+    torch.testing.assert_close(modes.probabilities, torch.tensor([[1.0, 0.0]]))

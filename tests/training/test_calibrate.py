@@ -1,26 +1,25 @@
-"""Calibration of residuals that are drawn from known Gaussians."""
+"""Calibration of residuals that are drawn from known t distributions."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.stats import f, multivariate_t
 
 from ffpose.config import FilterformerPoseConfig
 from ffpose.datasets import Sample
-from ffpose.evaluation.calibration import coverage, region_probability, squared_mahalanobis
-from ffpose.training.calibrate import (
-    CHI_SQUARE_90,
-    GROWTH_LIMIT,
-    calibrate,
-    sigma_growth,
-    variance_scale,
-)
+from ffpose.evaluation.calibration import CURVE, coverage, region_probability
+from ffpose.models.network import UncertainPose
+from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM, calibrate, fit_tails
 
 COUNT = 2000
 TRUE_VARIANCES = (0.09, 4e-4)
+"""Of translation and rotation; the errors' distributions have the `DEGREES` of freedom."""
+
+DEGREES = (4.0, 6.0)
 SAID = (0.03, 16e-4)
 """Predicted variances: a third of the true one for translation, four times for rotation."""
 
@@ -31,42 +30,55 @@ AHEAD = (0.0, 0.0, 40.0)
 class Drawn(torch.nn.Module):
     """Answers one pose to pictures that hold one number each: their presence."""
 
-    def __init__(self, view="object", distance_scale=1.0, hidden_sigma=(0.0, 0.0), hidden=0.0):
+    def __init__(self, view="object", distance_scale=1.0, doubt_sigma=(0.0, 0.0), doubt=0.0):
         super().__init__()
-        self.share = hidden
+        self.doubt = doubt
         self.config = FilterformerPoseConfig(
             camera=(1.0, 1.0, 0.0, 0.0),
             orientation_view=view,
             distance_scale=distance_scale,
-            hidden_sigma=hidden_sigma,
+            doubt_sigma=doubt_sigma,
         )
         self.register_buffer("variance_scales", torch.ones(2))
 
     def forward(self, images):
         count = len(images)
         unit = torch.eye(3).expand(count, 3, 3)
-        return (
+        shown = images.flatten(1).mean(1)
+        doubt = torch.full((count,), self.doubt) if self.doubt is not None else 1 - shown
+        q = torch.tensor([1.0, 0, 0, 0]).expand(count, 4)
+        growths = ((1 + k * doubt[:, None, None]) ** 2 for k in self.config.doubt_sigma)
+        covariances = (
+            unit * said * scale * growth
+            for said, scale, growth in zip(SAID, self.variance_scales, growths, strict=True)
+        )
+        return UncertainPose(
             torch.tensor(AHEAD).expand(count, 3) * self.config.distance_scale,
-            torch.tensor([1.0, 0, 0, 0]).expand(count, 4),
-            unit * SAID[0] * self.variance_scales[0] * self.growth(0),
-            unit * SAID[1] * self.variance_scales[1] * self.growth(1),
-            images.flatten(1).mean(1),
+            q,
+            *covariances,
+            shown,
+            q,
+            torch.stack([1 - doubt, 0 * doubt], dim=1),
         )
 
-    def growth(self, axis):
-        return (1 + self.config.hidden_sigma[axis] * self.share) ** 2
 
-    def hidden(self, points):
-        return torch.full((len(points),), self.share)
-
-
-def split(seed, count=COUNT):
-    """Batches of a split whose truths lie about the answers as `TRUE_VARIANCES` says."""
+def errors(seed, count=COUNT):
+    """Errors of translation and rotation ``(count, 3)`` each, as `TRUE_VARIANCES` says."""
     rng = np.random.default_rng(seed)
-    t = AHEAD + np.sqrt(TRUE_VARIANCES[0]) * rng.standard_normal((count, 3))
-    turn = Rotation.from_rotvec(np.sqrt(TRUE_VARIANCES[1]) * rng.standard_normal((count, 3)))
+    return [
+        multivariate_t.rvs(
+            np.zeros(3), variance * (nu - 2) / nu * np.eye(3), df=nu, size=count, random_state=rng
+        )
+        for variance, nu in zip(TRUE_VARIANCES, DEGREES, strict=True)
+    ]
+
+
+def split(seed, count=COUNT, level=0.8, factor=1.0):
+    """Batches of a split whose truths lie about the answers as `errors`, times a factor."""
+    moved, turned = errors(seed, count)
+    t, turn = AHEAD + factor * moved, Rotation.from_rotvec(factor * turned)
     q = np.roll(turn.as_quat(), 1, axis=1)
-    shown = torch.full((count, 3, 2, 2), 0.8)
+    shown = torch.full((count, 3, 2, 2), level)
     for rows in np.split(np.arange(count), 4):
         yield Sample(
             shown[rows],
@@ -81,43 +93,84 @@ def absent(probability=0.2):
     return [torch.full((5, 3, 2, 2), probability)]
 
 
-def test_the_quantile_is_that_of_chi_square():
-    assert pytest.approx(chi2.ppf(0.9, df=3), rel=1e-12) == CHI_SQUARE_90
+@pytest.mark.parametrize("factor", [1e-6, 1.0, 3e4])
+@pytest.mark.parametrize("nu", [3.5, 5.0, 12.0])
+def test_scale_and_degrees_of_freedom_are_those_of_the_samples(nu, factor):
+    """Of SciPy's samples of a t distribution, whose covariance is nu / (nu - 2)."""
+    samples = multivariate_t.rvs(np.zeros(3), np.eye(3), df=nu, size=20000, random_state=1)
+    found = fit_tails(factor * (samples**2).sum(1), np.zeros(20000))
+    scale_matrix = found.scale * (found.degrees_of_freedom - 2) / found.degrees_of_freedom
+    assert scale_matrix == pytest.approx(factor, rel=0.03)
+    assert found.degrees_of_freedom == pytest.approx(nu, rel=0.1)
+    assert found.doubt_sigma == 0
 
 
-@pytest.mark.parametrize("factor", [0.1, 1.0, 30.0])
-def test_a_variance_is_scaled_by_what_it_lacks(factor):
-    distances = factor * chi2.rvs(3, size=20000, random_state=1)
-    assert variance_scale(distances) == pytest.approx(factor, rel=0.04)
+def test_the_fit_has_the_largest_likelihood():
+    """As SciPy's simplex finds it from SciPy's density of F, which differs by a constant."""
+    rng = np.random.default_rng(2)
+    doubt = rng.random(500) ** 4
+    d2 = 3 * f.rvs(3, 4.5, size=500, random_state=rng) * 1.7 * (1 + 5 * doubt) ** 2
+
+    def loss(x):
+        scales = np.exp(x[0]) * (1 + x[1] ** 2 * doubt) ** 2
+        return -(f.logpdf(d2 / scales / 3, 3, 3 + np.exp(x[2])) - np.log(scales)).sum()
+
+    options = {"xatol": 1e-7, "fatol": 1e-9, "maxiter": 5000}
+    best = minimize(loss, [0.0, 1.0, 0.0], method="Nelder-Mead", options=options).x
+    found, nu = fit_tails(d2, doubt), 3 + np.exp(best[2])
+    assert found.degrees_of_freedom == pytest.approx(nu, rel=1e-3)
+    assert found.scale == pytest.approx(np.exp(best[0]) * nu / (nu - 2), rel=1e-3)
+    assert found.doubt_sigma == pytest.approx(best[1] ** 2, rel=1e-3)
 
 
-def test_ninety_percent_of_other_truths_lie_in_the_region_of_ninety_percent():
+@pytest.mark.parametrize("growth", [0.0, 7.0])
+def test_the_growth_is_what_doubtful_errors_lack(growth):
+    rng = np.random.default_rng(3)
+    doubt = rng.uniform(0, 1, 20000)
+    samples = multivariate_t.rvs(np.zeros(3), np.eye(3), df=5, size=20000, random_state=rng)
+    found = fit_tails((samples**2).sum(1) * (1 + growth * doubt) ** 2, doubt)
+    assert found.doubt_sigma == pytest.approx(growth, rel=0.05, abs=0.05)
+
+
+def test_gaussian_errors_have_many_degrees_of_freedom():
+    samples = np.random.default_rng(0).standard_normal((20000, 3))
+    found = fit_tails((samples**2).sum(1), np.zeros(20000))
+    assert found.degrees_of_freedom > 100
+    assert found.scale == pytest.approx(1, rel=0.03)
+
+
+def test_a_covariance_remains_where_there_is_none():
+    """Of a Cauchy distribution."""
+    samples = multivariate_t.rvs(np.zeros(3), np.eye(3), df=1, size=2000, random_state=1)
+    found = fit_tails((samples**2).sum(1), np.zeros(2000))
+    assert found.degrees_of_freedom == pytest.approx(LEAST_DEGREES_OF_FREEDOM, rel=1e-6)
+
+
+def test_other_truths_lie_in_the_regions_of_every_level():
     model = Drawn()
-    scales = calibrate(model, split(0), absent()).variance_scales
+    found = calibrate(model, split(0), absent())
     expected = [true / said for true, said in zip(TRUE_VARIANCES, SAID, strict=True)]
-    np.testing.assert_allclose(scales, expected, rtol=0.1)
-    noise = 2 * np.sqrt(0.9 * 0.1 / COUNT)  # of the split that chose and of that which judges
-    for batches, axis in ((split(1), 0), (split(2), 1)):
-        d2 = []
-        for batch in batches:
-            error = (
-                batch.translation.numpy() - AHEAD
-                if axis == 0
-                else Rotation.from_quat(np.roll(batch.orientation, -1, axis=1)).as_rotvec()
-            )
-            said = np.tile(SAID[axis] * float(scales[axis]) * np.eye(3), (len(error), 1, 1))
-            d2.append(squared_mahalanobis(error, said))
-        share = coverage(region_probability(np.concatenate(d2)), [0.9])[0]
-        assert abs(share - 0.9) < 3 * noise
+    np.testing.assert_allclose(found.variance_scales, expected, rtol=0.2)
+    noise = 2 * np.sqrt(CURVE * (1 - CURVE) / COUNT)  # of the split that chose and that judges
+    for axis, error in enumerate(errors(1)):
+        d2 = (error**2).sum(1) / (SAID[axis] * float(found.variance_scales[axis]))
+        share = coverage(region_probability(d2, found.degrees_of_freedom[axis]), CURVE)
+        assert (np.abs(share - CURVE) <= 3 * noise).all()
 
 
 def test_calibrating_again_changes_nothing():
     model = Drawn(distance_scale=1.1)
     found = calibrate(model, split(0), absent())
     model.variance_scales.copy_(found.variance_scales)
-    model.config = replace(model.config, distance_scale=found.distance_scale)
+    model.config = replace(
+        model.config,
+        distance_scale=found.distance_scale,
+        doubt_sigma=found.doubt_sigma,
+        degrees_of_freedom=found.degrees_of_freedom,
+    )
     again = calibrate(model, split(0), absent())
     torch.testing.assert_close(again.variance_scales, model.variance_scales)
+    assert again.degrees_of_freedom == pytest.approx(found.degrees_of_freedom, rel=1e-4)
     assert again.distance_scale == pytest.approx(found.distance_scale, rel=1e-6)  # in float32
 
 
@@ -134,75 +187,22 @@ def test_the_threshold_parts_what_can_be_parted():
     assert 0.2 < threshold < 0.8
 
 
-def test_the_growth_is_what_the_cut_objects_lack():
-    """Covariances of σ² lack the growth k where the noise has σ (1 + k h)."""
-    rng = np.random.default_rng(3)
-    hidden = rng.uniform(0.2, 0.8, 20000)
-    errors = (1 + 7 * hidden)[:, None] * rng.standard_normal((20000, 3))
-    assert sigma_growth((errors**2).sum(1), hidden) == pytest.approx(7, rel=0.05)
-
-
-def test_there_is_no_growth_where_none_is_needed():
-    small = chi2.rvs(3, size=1000, random_state=1)
-    assert sigma_growth(small / 4, np.full(1000, 0.5)) == 0.0
-
-
-def test_a_growth_that_runs_into_its_limit_is_an_error():
-    small = chi2.rvs(3, size=1000, random_state=1)
-    with pytest.raises(ValueError, match=f"expected a growth below {GROWTH_LIMIT:g}, got 2084"):
-        sigma_growth(small * 1e6, np.full(1000, 0.5))
-
-
-@pytest.mark.parametrize("hidden", [[], [0.5, 0.0]])
-def test_no_growth_is_found_where_nothing_is_hidden(hidden):
-    with pytest.raises(ValueError, match="hidden: expected shares above 0, got"):
-        sigma_growth(np.ones(len(hidden)), hidden)
-
-
-def test_objects_of_which_nothing_is_hidden_are_no_part_of_the_fit():
-    """Half of the cut objects are whole where the network sees them, and their errors are wild."""
-
-    def cut(*shares):
-        for share in shares:
-            model.share = share
-            for batch in split(5):
-                wild = 50 if share == 0 else 3
-                t = np.asarray(AHEAD) + wild * (batch.translation.numpy() - AHEAD)
-                yield batch._replace(translation=torch.tensor(t))
-
-    model = Drawn()
-    model.hidden = lambda points: (
-        torch.zeros(COUNT)
-        if len(points) == COUNT
-        else torch.cat([torch.zeros(COUNT), torch.full((COUNT,), 0.5)])
-    )
-    found = calibrate(model, split(0), absent(), cut(0.0, 0.5))
-    assert found.hidden_sigma[0] == pytest.approx(4, rel=0.1)
-    assert found.hidden == COUNT
-    model.hidden = lambda points: torch.zeros(len(points))
-    found = calibrate(model, split(0), absent(), cut(0.0))
-    assert (found.hidden_sigma, found.hidden) == ((0.0, 0.0), 0)
-
-
 @pytest.mark.parametrize("before", [(0.0, 0.0), (2.0, 5.0)])
-def test_ninety_percent_of_cut_objects_lie_in_the_region_of_ninety_percent(before):
-    """Errors as of whole objects times 1 + 4 / 2, and no growth wanted in rotation."""
-    model = Drawn(hidden_sigma=before)
-
-    def cut():
-        model.share = 0.5
-        for batch in split(5):
-            t = np.asarray(AHEAD) + 3 * (batch.translation.numpy() - AHEAD)
-            yield batch._replace(translation=torch.tensor(t))
-
-    found = calibrate(model, split(0), absent(), cut())
-    assert found.hidden_sigma[0] == pytest.approx(4, rel=0.1)
-    assert found.hidden_sigma[1] < 0.2
+def test_hard_images_of_which_the_network_doubts_have_regions_that_grow(before):
+    """Their errors are three times those of the others, and their doubt is 0.5 more."""
+    model = Drawn(doubt_sigma=before, doubt=None)  # which doubts as much as pictures lack of one
+    hard = list(split(5, level=0.5, factor=3.0))
+    found = calibrate(model, split(0, level=1.0), absent(), hard)
+    assert found.doubt_sigma == pytest.approx((4, 4), rel=0.1)
+    assert found.distance_scale == pytest.approx(1.0, abs=1e-3)
 
 
-def test_without_cut_objects_the_growth_stays():
-    model = Drawn(hidden_sigma=(2.0, 5.0))
-    assert calibrate(model, split(0), absent()).hidden_sigma == (2.0, 5.0)
+def test_hard_images_do_not_count_for_distance_and_threshold():
+    easy = calibrate(Drawn(), split(0), absent())
+    both = calibrate(Drawn(), split(0), absent(), split(5, level=0.1, factor=9.0))
+    assert both.distance_scale == easy.distance_scale
+    assert both.in_view_threshold == easy.in_view_threshold
+    assert (both.variance_scales > easy.variance_scales).all()
 
 
 def test_a_network_that_gives_no_uncertainty_is_refused():
@@ -226,4 +226,4 @@ def test_without_empty_images_scales_are_found_and_no_threshold():
 @pytest.mark.parametrize("bad", [[], [1.0, -1.0], [np.nan]])
 def test_bad_distances_are_refused(bad):
     with pytest.raises(ValueError, match="expected finite numbers"):
-        variance_scale(bad)
+        fit_tails(bad, np.zeros(len(bad)))

@@ -52,7 +52,7 @@ impl Estimator {
             camera.expect_aspect(picture.width, picture.height)?;
         }
         let outputs = self.run(&self.metadata.preprocessing.input(&picture)?)?;
-        document(&outputs, self.metadata.in_view_threshold, self.metadata.locates_camera)
+        document(&outputs, &self.metadata.meaning)
     }
 
     fn run(&mut self, input: &[f32]) -> Result<Outputs> {
@@ -100,6 +100,8 @@ fn read_outputs(outputs: &SessionOutputs) -> Result<Outputs> {
             translation_covariance: square(numbers(outputs, "translation_covariance")?),
             rotation_covariance: square(numbers(outputs, "rotation_covariance")?),
             in_view,
+            alternative: numbers(outputs, "alternative")?,
+            probabilities: numbers(outputs, "probabilities")?,
         })
     } else {
         None

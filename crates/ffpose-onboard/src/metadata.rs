@@ -8,10 +8,11 @@ use sha2::{Digest, Sha256};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::levels::White;
+use crate::pose::Meaning;
 use crate::preprocessing::Preprocessing;
 use crate::records::records;
 
-const FORMAT: &str = "1";
+const FORMAT: &str = "2";
 const CHECKSUM: &str = "ffpose_sha256";
 
 /// Number of the field in ONNX's `ModelProto`; within an entry, 1 is the key and 2 the value.
@@ -28,10 +29,8 @@ pub struct Metadata {
     pub camera: Option<Camera>,
     /// The camera of the network's input; `None` where it is not known.
     pub view: Option<Camera>,
-    /// An image whose probability that the object is in view lies below this is flagged.
-    pub in_view_threshold: Option<f64>,
-    /// Whether the network gives the camera's center in the world in place of a translation.
-    pub locates_camera: bool,
+    /// How its outputs are read.
+    pub meaning: Meaning,
     /// Whether the images trained on were undistorted.
     pub undistorted: bool,
     /// What became 255 in images trained on that have more than 8 bits.
@@ -69,7 +68,7 @@ impl Metadata {
     }
 
     fn from_entries(entries: &HashMap<String, String>) -> Result<Self> {
-        choice(entries, "architecture", &["FilterformerPose", "UrsoNet", "PoseNet"])?;
+        choice(entries, "architecture", &["FilterformerPose", "PolarPose", "UrsoNet", "PoseNet"])?;
         choice(entries, "quaternion_order", &["wxyz"])?;
         let preprocessing = Preprocessing::from_json(&json(entries, "preprocessing")?)?;
         let decoding =
@@ -79,14 +78,12 @@ impl Metadata {
             preprocessing,
             needs_operators: choice(entries, "filter", &["custom", "matmul", "none"])? == "custom",
             camera: camera(entries, "camera")?,
-            in_view_threshold: match json(entries, "in_view_threshold")? {
-                Value::Null => None,
-                value => Some(value.as_f64().ok_or_else(|| {
-                    Error::new(format!("in_view_threshold: expected a number, got {value}"))
-                })?),
+            meaning: Meaning {
+                in_view_threshold: numbers::<1>(entries, "in_view_threshold")?.map(|[value]| value),
+                degrees_of_freedom: numbers(entries, "degrees_of_freedom")?,
+                locates_camera: entries.contains_key("locates")
+                    && choice(entries, "locates", &["object", "camera"])? == "camera",
             },
-            locates_camera: entries.contains_key("locates")
-                && choice(entries, "locates", &["object", "camera"])? == "camera",
             undistorted: decoding["undistorted"] == true,
             white: match &decoding["white"] {
                 Value::Null => None,
@@ -159,6 +156,21 @@ fn json(entries: &HashMap<String, String>, name: &str) -> Result<Value> {
         .map_err(|error| Error::new(error.to_string()).of(name))
 }
 
+/// Reads a list of `N` numbers, or a number where `N` is one; `None` for null.
+fn numbers<const N: usize>(
+    entries: &HashMap<String, String>,
+    name: &str,
+) -> Result<Option<[f64; N]>> {
+    let value = json(entries, name)?;
+    let found: Option<Vec<f64>> = match &value {
+        Value::Null => return Ok(None),
+        Value::Array(values) => values.iter().map(Value::as_f64).collect(),
+        number => number.as_f64().map(|number| vec![number]),
+    };
+    let found = found.and_then(|values| <[f64; N]>::try_from(values).ok());
+    found.map(Some).ok_or_else(|| Error::new(format!("{name}: expected {N} numbers, got {value}")))
+}
+
 fn camera(entries: &HashMap<String, String>, name: &str) -> Result<Option<Camera>> {
     let value = json(entries, name)?;
     if value.is_null() {
@@ -188,14 +200,15 @@ fn view(
 mod tests {
     use super::*;
 
-    const ENTRIES: [(&str, &str); 8] = [
-        ("ffpose_format", "1"),
+    const ENTRIES: [(&str, &str); 9] = [
+        ("ffpose_format", "2"),
         ("architecture", "FilterformerPose"),
         ("quaternion_order", "wxyz"),
         ("filter", "custom"),
         ("camera", r#"{"width": 128, "height": 96, "fx": 100, "fy": 100, "cx": 64, "cy": 48}"#),
         ("view_camera", r#"{"width": 6, "height": 4, "fx": 5, "fy": 5, "cx": 3, "cy": 2}"#),
         ("in_view_threshold", "0.25"),
+        ("degrees_of_freedom", "[4.5, 3.25]"),
         (
             "preprocessing",
             r#"{"size": [4, 6], "mode": "resize", "mean": [0, 0, 0], "std": [1, 1, 1], "interpolation": "bicubic"}"#,
@@ -232,7 +245,10 @@ mod tests {
         let metadata = Metadata::of(&sealed(model(&ENTRIES))).unwrap();
         assert_eq!((metadata.preprocessing.height, metadata.preprocessing.width), (4, 6));
         assert!(metadata.needs_operators);
-        assert_eq!(metadata.in_view_threshold, Some(0.25));
+        assert_eq!(metadata.meaning.in_view_threshold, Some(0.25));
+        assert_eq!(metadata.meaning.degrees_of_freedom, Some([4.5, 3.25]));
+        let gaussian = Metadata::of(&sealed(model(&with("degrees_of_freedom", "null")))).unwrap();
+        assert_eq!(gaussian.meaning.degrees_of_freedom, None);
         assert_eq!(metadata.camera.unwrap().to_string(), "128x96");
         assert_eq!(metadata.view.unwrap().to_string(), "6x4");
         let unknown = Metadata::of(&sealed(model(&with("camera", "null")))).unwrap();
@@ -241,7 +257,7 @@ mod tests {
 
     #[test]
     fn every_network_of_the_harness_is_read() {
-        for name in ["FilterformerPose", "UrsoNet", "PoseNet"] {
+        for name in ["FilterformerPose", "PolarPose", "UrsoNet", "PoseNet"] {
             Metadata::of(&sealed(model(&with("architecture", name)))).unwrap();
         }
     }
@@ -263,10 +279,11 @@ mod tests {
 
     #[test]
     fn what_the_network_locates_is_read() {
-        assert!(!Metadata::of(&sealed(model(&ENTRIES))).unwrap().locates_camera);
+        assert!(!Metadata::of(&sealed(model(&ENTRIES))).unwrap().meaning.locates_camera);
         for (target, expected) in [("object", false), ("camera", true)] {
             let entries = [&ENTRIES[..], &[("locates", target)]].concat();
-            assert_eq!(Metadata::of(&sealed(model(&entries))).unwrap().locates_camera, expected);
+            let metadata = Metadata::of(&sealed(model(&entries))).unwrap();
+            assert_eq!(metadata.meaning.locates_camera, expected);
         }
     }
 
@@ -289,7 +306,11 @@ mod tests {
             (model(&ENTRIES), "its SHA-256 in it, got none"),
             (flipped, "altered: expected SHA-256"),
             ([whole, model(&[("comment", "mine")])].concat(), "altered: expected SHA-256"),
-            (sealed(model(&with("ffpose_format", "2"))), "got format 2, written by ffpose unknown"),
+            (sealed(model(&with("ffpose_format", "1"))), "got format 1, written by ffpose unknown"),
+            (
+                sealed(model(&with("degrees_of_freedom", "[4]"))),
+                "degrees_of_freedom: expected 2 numbers, got [4]",
+            ),
             (
                 sealed(model(&with("filter", "fast"))),
                 "filter: expected one of custom, matmul, none, got fast",
@@ -310,7 +331,7 @@ mod tests {
             ),
             (sealed(model(&with("preprocessing", "{"))), "preprocessing: "),
             (sealed(model(&ENTRIES[..5])), "expected the entry"),
-            (model(&[("ffpose_format", "1"), (CHECKSUM, &"0".repeat(300))]), "altered"),
+            (model(&[("ffpose_format", FORMAT), (CHECKSUM, &"0".repeat(300))]), "altered"),
         ] {
             let error = Metadata::of(&data).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");

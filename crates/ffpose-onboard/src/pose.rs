@@ -30,6 +30,21 @@ pub struct Uncertainty {
     pub rotation_covariance: [[f64; 3]; 3],
     /// Probability that the object is in the image at all.
     pub in_view: f64,
+    /// The second most likely orientation, as [`Outputs::orientation`].
+    pub alternative: [f64; 4],
+    /// Probabilities that the true orientation is near the one, and near the other.
+    pub probabilities: [f64; 2],
+}
+
+/// What a model says of how to read its outputs.
+#[derive(Debug, Default)]
+pub struct Meaning {
+    /// An image whose probability that the object is in view lies below this is flagged.
+    pub in_view_threshold: Option<f64>,
+    /// Of the t distributions of the errors of translation and rotation; `None` for Gaussian errors.
+    pub degrees_of_freedom: Option<[f64; 2]>,
+    /// Whether the network gives the camera's center in the world in place of a translation.
+    pub locates_camera: bool,
 }
 
 /// Returns the document of a pose, with the names of `ffpose predict --json` but for the image's.
@@ -37,14 +52,11 @@ pub struct Uncertainty {
 /// Where the network locates the camera, the pose is that of the world in the camera frame, and the camera's center is there too.
 ///
 /// # Errors
-/// A number is not finite, the orientation has not norm 1, or the probability is none.
-pub fn document(
-    outputs: &Outputs,
-    in_view_threshold: Option<f64>,
-    locates_camera: bool,
-) -> Result<Map<String, Value>> {
+/// A number is not finite, an orientation has not norm 1, or a probability is none.
+pub fn document(outputs: &Outputs, meaning: &Meaning) -> Result<Map<String, Value>> {
+    let locates_camera = meaning.locates_camera;
     expect_finite("translation", &outputs.translation)?;
-    let q = unit(outputs.orientation)?;
+    let q = unit("orientation", outputs.orientation)?;
     let mut fields = Map::new();
     let mut put = |name: &str, value: Value| fields.insert(name.into(), value);
     let translation = if locates_camera {
@@ -60,16 +72,20 @@ pub fn document(
         put("camera_center_m", json!(outputs.translation));
     }
     if let Some(uncertainty) = &outputs.uncertainty {
-        let Uncertainty { translation_covariance, rotation_covariance, in_view } = uncertainty;
+        let Uncertainty { translation_covariance, rotation_covariance, in_view, .. } = uncertainty;
         expect_finite("translation_covariance", translation_covariance.as_flattened())?;
         expect_finite("rotation_covariance", rotation_covariance.as_flattened())?;
-        if !(0.0..=1.0).contains(in_view) {
-            return Err(Error::new(format!("in_view: expected a probability, got {in_view}")));
+        expect_probability("in_view", *in_view)?;
+        for probability in uncertainty.probabilities {
+            expect_probability("probabilities", probability)?;
         }
         put("translation_covariance_m2", json!(translation_covariance));
         put("rotation_covariance_rad2", json!(rotation_covariance));
+        put("degrees_of_freedom", json!(meaning.degrees_of_freedom));
+        put("alternative_wxyz", json!(unit("alternative", uncertainty.alternative)?));
+        put("probabilities", json!(uncertainty.probabilities));
         put("in_view", json!(in_view));
-        if let Some(threshold) = in_view_threshold {
+        if let Some(threshold) = meaning.in_view_threshold {
             put("flagged", json!(*in_view < threshold));
         }
     }
@@ -83,15 +99,22 @@ fn expect_finite(name: &str, values: &[f64]) -> Result<()> {
     Err(Error::new(format!("{name}: expected finite numbers, got {values:?}")))
 }
 
+fn expect_probability(name: &str, value: f64) -> Result<()> {
+    if (0.0..=1.0).contains(&value) {
+        return Ok(());
+    }
+    Err(Error::new(format!("{name}: expected a probability, got {value}")))
+}
+
 /// Returns the unit quaternion whose first nonzero component is positive.
-fn unit(q: [f64; 4]) -> Result<[f64; 4]> {
+fn unit(name: &str, q: [f64; 4]) -> Result<[f64; 4]> {
     let norm = q.iter().map(|value| value * value).sum::<f64>().sqrt();
     if (norm - 1.0).abs() <= TOLERANCE {
         let is_negative = q.iter().find(|value| **value != 0.0).is_some_and(|first| *first < 0.0);
         let scale = if is_negative { -norm } else { norm };
         return Ok(q.map(|value| value / scale + 0.0)); // no negative zero
     }
-    Err(Error::new(format!("orientation: expected norm 1 within {TOLERANCE}, got {norm}")))
+    Err(Error::new(format!("{name}: expected norm 1 within {TOLERANCE}, got {norm}")))
 }
 
 /// Returns a vector rotated by a unit quaternion: `v + 2 w (u × v) + 2 u × (u × v)` with `q = (w, u)`.
@@ -135,12 +158,18 @@ mod tests {
             translation_covariance: covariance,
             rotation_covariance: covariance,
             in_view,
+            alternative: [0.0, -0.6, 0.0, 0.8],
+            probabilities: [0.75, 0.125],
         });
         Outputs { translation: [1.0, 2.0, 10.0], orientation, uncertainty }
     }
 
+    fn flagging(in_view_threshold: Option<f64>) -> Meaning {
+        Meaning { in_view_threshold, ..Meaning::default() }
+    }
+
     fn angles(orientation: [f64; 4]) -> [f64; 3] {
-        let document = document(&outputs(orientation, None), None, false).unwrap();
+        let document = document(&outputs(orientation, None), &Meaning::default()).unwrap();
         serde_json::from_value(document["roll_pitch_yaw_deg"].clone()).unwrap()
     }
 
@@ -150,7 +179,7 @@ mod tests {
             ([-0.6, 0.8, 0.0, 0.0], [0.6, -0.8, 0.0, 0.0]),
             ([0.0, 0.0, 0.0, -1.0005], [0.0, 0.0, 0.0, 1.0]),
         ] {
-            let document = document(&outputs(q, None), Some(0.5), false).unwrap();
+            let document = document(&outputs(q, None), &flagging(Some(0.5))).unwrap();
             assert_eq!(document["orientation_wxyz"], json!(expected));
             assert_eq!(document["translation_m"], json!([1.0, 2.0, 10.0]));
             assert_eq!(document.len(), 3);
@@ -183,7 +212,8 @@ mod tests {
             ([H, 0.0, 0.0, H], [2.0, -1.0, -10.0]), // x to y: (1, 2, 10) becomes (-2, 1, 10)
             ([H, H, 0.0, 0.0], [-1.0, 10.0, -2.0]), // y to z: (1, 2, 10) becomes (1, -10, 2)
         ] {
-            let document = document(&outputs(q, None), None, true).unwrap();
+            let meaning = Meaning { locates_camera: true, ..Meaning::default() };
+            let document = document(&outputs(q, None), &meaning).unwrap();
             assert_eq!(document["locates"], json!("camera"));
             assert_eq!(document["camera_center_m"], json!([1.0, 2.0, 10.0]));
             let t: [f64; 3] = serde_json::from_value(document["translation_m"].clone()).unwrap();
@@ -195,14 +225,27 @@ mod tests {
     fn a_doubtful_view_is_flagged() {
         let q = [1.0, 0.0, 0.0, 0.0];
         let flagged = |in_view, threshold| {
-            document(&outputs(q, Some(in_view)), threshold, false).unwrap().get("flagged").cloned()
+            let document = document(&outputs(q, Some(in_view)), &flagging(threshold)).unwrap();
+            document.get("flagged").cloned()
         };
         assert_eq!(flagged(0.4, Some(0.5)), Some(json!(true)));
         assert_eq!(flagged(0.5, Some(0.5)), Some(json!(false)));
         assert_eq!(flagged(0.5, None), None);
-        let document = document(&outputs(q, Some(0.5)), None, false).unwrap();
+        let document = document(&outputs(q, Some(0.5)), &Meaning::default()).unwrap();
         assert_eq!(document["translation_covariance_m2"][1], json!([0.0, 2.0, 0.0]));
         assert_eq!(document["rotation_covariance_rad2"][2][2], json!(3.0));
+        assert_eq!(document["degrees_of_freedom"], Value::Null);
+        let meaning = Meaning { degrees_of_freedom: Some([4.5, 3.25]), ..Meaning::default() };
+        let document = super::document(&outputs(q, Some(0.5)), &meaning).unwrap();
+        assert_eq!(document["degrees_of_freedom"], json!([4.5, 3.25]));
+    }
+
+    #[test]
+    fn the_second_orientation_has_its_canonical_sign_and_both_their_probabilities() {
+        let document =
+            document(&outputs([1.0, 0.0, 0.0, 0.0], Some(0.5)), &Meaning::default()).unwrap();
+        assert_eq!(document["alternative_wxyz"], json!([0.0, 0.6, 0.0, -0.8]));
+        assert_eq!(document["probabilities"], json!([0.75, 0.125]));
     }
 
     #[test]
@@ -211,15 +254,20 @@ mod tests {
         let nan = Outputs { translation: [f64::NAN, 0.0, 0.0], ..outputs(q, None) };
         let mut infinite = outputs(q, Some(0.5));
         infinite.uncertainty.as_mut().unwrap().rotation_covariance[1][2] = f64::INFINITY;
+        let (mut none, mut twice) = (outputs(q, Some(0.5)), outputs(q, Some(0.5)));
+        none.uncertainty.as_mut().unwrap().alternative = [0.0; 4];
+        twice.uncertainty.as_mut().unwrap().probabilities = [0.5, 2.0];
         for (outputs, message) in [
             (nan, "translation: expected finite numbers, got [NaN"),
             (infinite, "rotation_covariance: expected finite"),
-            (outputs([0.0; 4], None), "norm 1 within 0.001, got 0"),
+            (none, "alternative: expected norm 1 within 0.001, got 0"),
+            (twice, "probabilities: expected a probability, got 2"),
+            (outputs([0.0; 4], None), "orientation: expected norm 1 within 0.001, got 0"),
             (outputs([f64::NAN; 4], None), "norm 1 within 0.001, got NaN"),
             (outputs(q, Some(1.5)), "in_view: expected a probability, got 1.5"),
             (outputs(q, Some(f64::NAN)), "in_view: expected a probability, got NaN"),
         ] {
-            let error = document(&outputs, None, false).unwrap_err().to_string();
+            let error = document(&outputs, &Meaning::default()).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");
         }
     }

@@ -27,6 +27,7 @@ __all__ = [
     "SecondLookConfig",
     "UrsoNetConfig",
     "config_type",
+    "degrees_of_freedom",
     "looks_twice",
 ]
 
@@ -59,3 +60,11 @@ def config_type(architecture: str) -> type[NetworkConfig]:
 def looks_twice(config: NetworkConfig) -> TypeGuard[SecondLookConfig]:
     """Return whether the network takes a second look, through a virtual camera."""
     return isinstance(config, SecondLookConfig) and config.looks_twice
+
+
+def degrees_of_freedom(config: NetworkConfig) -> tuple[float, float] | None:
+    """Return those of the errors' t distributions; None for Gaussian errors and for no covariances.
+
+    They are of translation and rotation (`SecondLookConfig.degrees_of_freedom`).
+    """
+    return config.degrees_of_freedom if looks_twice(config) else None

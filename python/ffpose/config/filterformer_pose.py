@@ -77,9 +77,11 @@ class FilterformerPoseConfig(SecondLookConfig):
         distance_m: Smallest and largest distance in training, meters.
         distance_scale: Factor on the predicted translation, found by calibration, that removes the
             median error of the distance (view ``"object"``).
-        hidden_sigma: Growth of the standard deviations of translation and rotation with the share
-            ``h`` of the object that lies outside of the frame: they are multiplied by ``1 +
-            hidden_sigma h``; found by calibration.
+        doubt_sigma: Growth of the standard deviations of translation and rotation with the
+            probability ``p`` that the attitude is not near the predicted one, ``1 + doubt_sigma
+            p``; found by calibration.
+        degrees_of_freedom: Of the t distributions of the errors of translation and rotation; found
+            by calibration. None for Gaussian errors.
         looks: Number of times that the virtual camera is pointed; 2 looks again at the position
             that the first of these looks refined.
         turns: Number of views of the last look, evenly rotated about the viewing ray, whose

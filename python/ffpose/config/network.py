@@ -17,7 +17,8 @@ class NetworkConfig:
     """Fields that every network has; sizes of images are ``(height, width)``.
 
     Subclasses add theirs, and name those whose values are checked here: `TUPLES` with their
-    lengths, `CHOICES` with their values, `COUNTS`, whole numbers of at least 1.
+    lengths, `OPTIONAL`, those of these that may be None, `CHOICES` with their values, `COUNTS`,
+    whole numbers of at least 1.
 
     Attributes:
         image_size: Size of the network's input in pixels.
@@ -41,6 +42,7 @@ class NetworkConfig:
         "translation_std": 3,
         "camera": 4,
     }
+    OPTIONAL: ClassVar[tuple[str, ...]] = ("camera",)
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {}
     COUNTS: ClassVar[tuple[str, ...]] = ()
 
@@ -52,7 +54,7 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         for name, length in self.TUPLES.items():  # JSON and YAML bring lists
-            if name != "camera" or self.camera is not None:
+            if name not in self.OPTIONAL or getattr(self, name) is not None:
                 object.__setattr__(self, name, _as_tuple(name, getattr(self, name), length))
         for name, choices in self.CHOICES.items():
             if getattr(self, name) not in choices:

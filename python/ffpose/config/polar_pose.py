@@ -52,8 +52,11 @@ class PolarPoseConfig(SecondLookConfig):
         distance_m: Smallest and largest distance in training, meters.
         distance_scale: Factor on the predicted translation, found by calibration, that removes the
             median error of the distance.
-        hidden_sigma: Growth of the standard deviations of translation and rotation with the share
-            ``h`` of the object outside of the frame, ``1 + hidden_sigma h``; found by calibration.
+        doubt_sigma: Growth of the standard deviations of translation and rotation with the
+            probability ``p`` that the attitude is not near the predicted one, ``1 + doubt_sigma
+            p``; found by calibration.
+        degrees_of_freedom: Of the t distributions of the errors of translation and rotation; found
+            by calibration. None for Gaussian errors.
         looks: Number of second looks; each but the first is pointed by the one before.
 
     Raises:

@@ -9,6 +9,9 @@ from typing import ClassVar
 
 from ffpose.config.network import NetworkConfig, is_whole
 
+MOST_DEGREES_OF_FREEDOM = 1000
+"""A t distribution of more degrees of freedom is as good as a Gaussian."""
+
 
 @dataclass(frozen=True)
 class SecondLookConfig(NetworkConfig):
@@ -22,9 +25,12 @@ class SecondLookConfig(NetworkConfig):
         distance_m: Smallest and largest distance in training, meters.
         distance_scale: Factor on the predicted translation, found by calibration, that removes the
             median error of the distance.
-        hidden_sigma: Growth of the standard deviations of translation and rotation with the share
-            ``h`` of the object that lies outside of the frame: they are multiplied by ``1 +
-            hidden_sigma h``; found by calibration.
+        doubt_sigma: Growth of the standard deviations of translation and rotation with the
+            probability ``p`` that the attitude is not near the predicted one: they are multiplied
+            by ``1 + doubt_sigma p``; found by calibration.
+        degrees_of_freedom: Of the multivariate t distributions of the errors of translation and
+            rotation, whose covariances the network predicts; found by calibration. None for
+            Gaussian errors.
         looks: Number of times that the virtual camera is pointed; 2 looks again at the position
             that the first of these looks refined.
 
@@ -35,8 +41,10 @@ class SecondLookConfig(NetworkConfig):
     TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
         "object_size": 2,
         "distance_m": 2,
-        "hidden_sigma": 2,
+        "doubt_sigma": 2,
+        "degrees_of_freedom": 2,
     }
+    OPTIONAL: ClassVar[tuple[str, ...]] = (*NetworkConfig.OPTIONAL, "degrees_of_freedom")
     COUNTS: ClassVar[tuple[str, ...]] = ("first_stride", "looks")
 
     first_stride: int = 4
@@ -44,7 +52,8 @@ class SecondLookConfig(NetworkConfig):
     object_radius_m: float = 6.6
     distance_m: tuple[float, float] = (8.0, 42.0)
     distance_scale: float = 1.0
-    hidden_sigma: tuple[float, float] = (0.0, 0.0)
+    doubt_sigma: tuple[float, float] = (0.0, 0.0)
+    degrees_of_freedom: tuple[float, float] | None = None
     looks: int = 2
 
     @property
@@ -78,8 +87,14 @@ class SecondLookConfig(NetworkConfig):
             raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
         if not 0 < self.distance_scale < math.inf:
             raise ValueError(f"distance_scale: expected above 0, got {self.distance_scale}")
-        if not all(0 <= growth < math.inf for growth in self.hidden_sigma):
-            raise ValueError(f"hidden_sigma: expected 0 or more each, got {self.hidden_sigma}")
+        if not all(0 <= growth < math.inf for growth in self.doubt_sigma):
+            raise ValueError(f"doubt_sigma: expected 0 or more each, got {self.doubt_sigma}")
+        least, most = 2, MOST_DEGREES_OF_FREEDOM
+        if not all(least < each <= most for each in self.degrees_of_freedom or ()):
+            raise ValueError(
+                f"degrees_of_freedom: expected above {least} and up to {most} each, or None, got"
+                f" {self.degrees_of_freedom}"
+            )
         if not 0 < self.object_radius_m < math.inf:
             raise ValueError(f"object_radius_m: expected above 0, got {self.object_radius_m}")
         if self.looks_twice:

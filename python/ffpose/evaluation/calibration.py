@@ -1,10 +1,12 @@
 """Calibration metrics: how far a network's predicted uncertainty can be trusted.
 
 A network may predict covariances of translation and rotation, and the probability that the object
-is in view. The squared Mahalanobis distance ``eᵀ C⁻¹ e`` of Gaussian errors with covariance C is
-chi-square distributed with three degrees of freedom, so the 90 % confidence region of a calibrated
-network contains 90 % of the truths (its coverage; over all levels, its reliability). The
-probability of being in view is measured as a detector of images that do not show the object.
+is in view. The squared Mahalanobis distance ``d² = eᵀ C⁻¹ e`` of errors with a multivariate t
+distribution of ``ν`` degrees of freedom and covariance C has a known distribution, ``d² ν / (3 (ν -
+2))`` being F-distributed with 3 and ν degrees of freedom; that of Gaussian errors is chi-square
+distributed with three. So the 90 % confidence region of a calibrated network contains 90 % of the
+truths (its coverage; over all levels, its reliability). The probability of being in view is
+measured as a detector of images that do not show the object.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ffpose.evaluation.attitude import rotation_error_vector
+
 FloatArray = NDArray[np.float64]
 
 LEVELS = (0.5, 0.9, 0.99)
@@ -22,6 +26,9 @@ LEVELS = (0.5, 0.9, 0.99)
 
 CURVE = np.linspace(0.0, 1.0, 21)
 """Confidence levels of a reliability curve."""
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(64)
+"""Gauss-Legendre quadrature on -1…1, for up to 1000 degrees of freedom exact to 1e-9."""
 
 ASYMMETRY = 1e-5
 """Tolerated asymmetry of a covariance relative to its largest entry, for float32 rounding."""
@@ -72,14 +79,20 @@ def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
         )
 
 
-def region_probability(squared_distance: ArrayLike) -> FloatArray:
+def region_probability(
+    squared_distance: ArrayLike, degrees_of_freedom: float | None = None
+) -> FloatArray:
     """Return the probability of the smallest confidence region that contains each truth.
 
-    This is the chi-square distribution function for three degrees of freedom, ``erf(sqrt(x / 2)) -
-    sqrt(2 x / pi) exp(-x / 2)``. For a calibrated network its values are uniform in 0…1.
+    For a calibrated network its values are uniform in 0…1. For Gaussian errors it is the chi-square
+    distribution function for three degrees of freedom, ``erf(sqrt(x / 2)) - sqrt(2 x / pi) exp(-x /
+    2)``. For errors of a t distribution with covariance C and ν degrees of freedom it is that of F
+    for 3 and ν at ``x ν / (3 (ν - 2))``, ``2 / B(3 / 2, ν / 2)`` times the integral of ``sin² a
+    cos^(ν - 1) a`` from zero to ``atan sqrt(x / (ν - 2))``.
 
     Args:
         squared_distance: Squared Mahalanobis distances ``(N,)``.
+        degrees_of_freedom: ν, above 2; None for Gaussian errors.
 
     Returns:
         Probabilities ``(N,)``.
@@ -90,8 +103,52 @@ def region_probability(squared_distance: ArrayLike) -> FloatArray:
     x = np.asarray(squared_distance, np.float64)
     if not (np.isfinite(x) & (x >= 0)).all():
         raise ValueError("squared distance: expected finite numbers of at least 0")
+    if degrees_of_freedom is not None:
+        return _t_probability(x, degrees_of_freedom)
     erf = np.array([math.erf(value) for value in np.sqrt(x / 2).ravel()]).reshape(x.shape)
     return np.asarray(erf - np.sqrt(2 * x / math.pi) * np.exp(-x / 2))
+
+
+def _t_probability(x: FloatArray, nu: float) -> FloatArray:
+    """Return `region_probability` for a t distribution."""
+    most = np.arctan(np.sqrt(x / (nu - 2)))
+    angles = most[..., None] / 2 * (NODES + 1)
+    integral = (np.sin(angles) ** 2 * np.cos(angles) ** (nu - 1)) @ WEIGHTS * most / 2
+    log_beta = math.lgamma(1.5) + math.lgamma(nu / 2) - math.lgamma(1.5 + nu / 2)
+    return np.asarray(np.minimum(2 * integral * math.exp(-log_beta), 1.0))
+
+
+def truth_regions(
+    predicted: FloatArray,
+    truth: FloatArray,
+    translation_covariance: ArrayLike,
+    rotation_covariance: ArrayLike,
+    degrees_of_freedom: tuple[float, float] | None = None,
+) -> dict[str, FloatArray]:
+    """Return the `region_probability` ``(N,)`` of each truth, for translation and for rotation.
+
+    Args:
+        predicted: Poses ``(N, 7)``, ``[t, q]``.
+        truth: True poses ``(N, 7)``.
+        translation_covariance: ``(N, 3, 3)``, m², camera frame.
+        rotation_covariance: ``(N, 3, 3)``, rad², camera frame, of ``r`` with ``R_true = exp([r]x)
+            R_predicted``.
+        degrees_of_freedom: Of the t distributions of both errors; None for Gaussian errors.
+
+    Raises:
+        ValueError: A shape is wrong, or a covariance is not symmetric and positive definite.
+    """
+    of_translation, of_rotation = degrees_of_freedom or (None, None)
+    moved, turned = (
+        truth[:, :3] - predicted[:, :3],
+        rotation_error_vector(predicted[:, 3:], truth[:, 3:]),
+    )
+    d2 = squared_mahalanobis(moved, translation_covariance)
+    angular = squared_mahalanobis(turned, rotation_covariance)
+    return {
+        "translation": region_probability(d2, of_translation),
+        "rotation": region_probability(angular, of_rotation),
+    }
 
 
 def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
@@ -115,8 +172,14 @@ def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
     return np.asarray((p[:, None] <= np.asarray(levels)).mean(axis=0))
 
 
+def coverages(probability: ArrayLike) -> dict[str, float]:
+    """Return ``coverage_50``, ``_90`` and ``_99``; arguments and errors are those of `coverage`."""
+    shares = zip(LEVELS, coverage(probability).tolist(), strict=True)
+    return {f"coverage_{100 * level:.0f}": share for level, share in shares}
+
+
 def summarize_regions(probability: ArrayLike) -> dict[str, Any]:
-    """Return ``coverage_50``, ``_90`` and ``_99``, and the curve as ``reliability``.
+    """Return `coverages`, and the curve as ``reliability``.
 
     Args:
         probability: `region_probability` of each truth ``(N,)``.
@@ -124,9 +187,8 @@ def summarize_regions(probability: ArrayLike) -> dict[str, Any]:
     Raises:
         ValueError: There are no truths.
     """
-    shares = zip(LEVELS, coverage(probability).tolist(), strict=True)
     return {
-        **{f"coverage_{100 * level:.0f}": share for level, share in shares},
+        **coverages(probability),
         "reliability": {
             "nominal": CURVE.tolist(),
             "empirical": coverage(probability, CURVE).tolist(),

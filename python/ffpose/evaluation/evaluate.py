@@ -32,16 +32,14 @@ from ffpose.datasets import (
     read_conditions,
 )
 from ffpose.datasets.targets import spread
-from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
     check_covariance,
     check_probability,
-    region_probability,
-    squared_mahalanobis,
     summarize_flag,
     summarize_regions,
+    truth_regions,
 )
 from ffpose.evaluation.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
 from ffpose.evaluation.significance import circular_correlation, correlation, median_interval
@@ -71,6 +69,8 @@ class Evaluation:
             for a network without uncertainty.
         rotation_covariance: ``(N, 3, 3)`` square radians, covariance of the rotation vector ``r``,
             camera frame, with ``R_true = exp([r]x) R_predicted``.
+        degrees_of_freedom: Of the t distributions of the errors of translation and rotation; None
+            for Gaussian errors.
         in_view: Probabilities ``(N,)`` that the object is in the image at all.
         in_view_empty: Probabilities ``(M,)`` for images without the object, if there are any.
         in_view_threshold: Images with a lower probability are flagged as not showing the object.
@@ -87,6 +87,7 @@ class Evaluation:
     conditions: Conditions | None = None
     translation_covariance: FloatArray | None = None
     rotation_covariance: FloatArray | None = None
+    degrees_of_freedom: tuple[float, float] | None = None
     in_view: FloatArray | None = None
     in_view_empty: FloatArray | None = None
     in_view_threshold: float = 0.5
@@ -122,21 +123,17 @@ class Evaluation:
     def region_probabilities(self) -> dict[str, FloatArray]:
         """Probability ``(N,)`` of the smallest confidence region that contains each truth.
 
-        Keys are ``translation`` and ``rotation``, where the network predicts their covariance.
+        Keys are ``translation`` and ``rotation``; none for a network without uncertainty.
         """
-        truth, predicted = self.dataset.poses, self.predicted
-        pairs = {
-            "translation": (truth[:, :3] - predicted[:, :3], self.translation_covariance),
-            "rotation": (
-                rotation_error_vector(predicted[:, 3:], truth[:, 3:]),
-                self.rotation_covariance,
-            ),
-        }
-        return {
-            name: region_probability(squared_mahalanobis(error, covariance))
-            for name, (error, covariance) in pairs.items()
-            if covariance is not None
-        }
+        if self.translation_covariance is None or self.rotation_covariance is None:
+            return {}
+        return truth_regions(
+            self.predicted,
+            self.dataset.poses,
+            self.translation_covariance,
+            self.rotation_covariance,
+            self.degrees_of_freedom,
+        )
 
     @cached_property
     def ranking(self) -> NDArray[np.intp]:
@@ -286,6 +283,7 @@ def evaluate(
     predicted = np.concatenate([outputs[name] for name in PosePrediction._fields], axis=1)
     conditions = read_conditions(root, dataset.names)
     told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
+    told["degrees_of_freedom"] = metadata.degrees_of_freedom
     if metadata.in_view_threshold is not None:
         told["in_view_threshold"] = metadata.in_view_threshold
     if empty_images:

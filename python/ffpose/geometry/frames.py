@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict, dataclass, fields, replace
-from itertools import repeat
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -172,9 +171,11 @@ URSO_CAMERA = Camera(*urso.SIZE, *urso.FOCAL_LENGTHS, *urso.CENTER)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseUncertainty:
-    """Predicted uncertainty of a pose: covariances, and the probability that the object is in view.
+    """Predicted uncertainty of a pose: distribution of its errors, a second mode, object in view.
 
-    Equality is by value.
+    The errors of translation and rotation have multivariate t distributions: with ν degrees of
+    freedom and ``d² = eᵀ C⁻¹ e``, ``d² ν / (3 (ν - 2))`` is F-distributed with 3 and ν degrees of
+    freedom, whose quantiles give the confidence regions. Equality is by value.
 
     Attributes:
         translation_covariance: ``(3, 3)`` square meters, camera frame; float64.
@@ -183,16 +184,24 @@ class PoseUncertainty:
         in_view: Probability that the object is in the image at all.
         in_view_threshold: Probability below which the object counts as not in view; None where the
             network has none.
+        degrees_of_freedom: Of the errors of translation and of rotation, above 2 each; None for
+            Gaussian errors, whose ``d²`` is chi-square distributed with 3 degrees of freedom.
+        alternative: Second most likely orientation ``(4,)``, as `Pose.q`; None where none is known.
+        probabilities: Of the true orientation being near the pose's, and near ``alternative``.
 
     Raises:
         TypeError: A covariance does not hold real numbers.
-        ValueError: A shape is wrong, a value not finite, or a probability outside 0…1.
+        ValueError: A shape is wrong, a value not finite, a probability outside 0…1, or degrees of
+            freedom of 2 or less.
     """
 
     translation_covariance: FloatArray
     rotation_covariance: FloatArray
     in_view: float
     in_view_threshold: float | None = None
+    degrees_of_freedom: tuple[float, float] | None = None
+    alternative: FloatArray | None = None
+    probabilities: tuple[float, float] = (1.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("translation_covariance", "rotation_covariance"):
@@ -206,6 +215,18 @@ class PoseUncertainty:
         if self.in_view_threshold is not None and not 0 <= self.in_view_threshold <= 1:
             got = self.in_view_threshold
             raise ValueError(f"in_view_threshold: expected a probability, got {got}")
+        if self.degrees_of_freedom is not None and not all(n > 2 for n in self.degrees_of_freedom):
+            raise ValueError(
+                f"degrees_of_freedom: expected above 2 each, got {self.degrees_of_freedom}"
+            )
+        if not all(0 <= p <= 1 for p in self.probabilities):
+            raise ValueError(f"probabilities: expected in 0…1, got {self.probabilities}")
+        if self.alternative is not None:
+            q = canonical_quaternion(unit_quaternion(self.alternative))
+            if q.shape != (4,):
+                raise ValueError(f"alternative: expected shape (4,), got {q.shape}")
+            q.setflags(write=False)
+            object.__setattr__(self, "alternative", q)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, PoseUncertainty):
@@ -215,9 +236,11 @@ class PoseUncertainty:
     def __hash__(self) -> int:
         return hash(self._values())
 
-    def _values(self) -> tuple[float | None, ...]:
-        covariances = (self.translation_covariance, self.rotation_covariance)
-        return (*np.ravel(covariances).tolist(), self.in_view, self.in_view_threshold)
+    def _values(self) -> tuple[Any, ...]:
+        covariances = np.ravel((self.translation_covariance, self.rotation_covariance)).tolist()
+        other = None if self.alternative is None else tuple(self.alternative.tolist())
+        in_view = (self.in_view, self.in_view_threshold)
+        return (*covariances, *in_view, self.degrees_of_freedom, other, self.probabilities)
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -364,9 +387,12 @@ def poses(
     translation_covariance: ArrayLike | None = None,
     rotation_covariance: ArrayLike | None = None,
     in_view: ArrayLike | None = None,
+    alternative: ArrayLike | None = None,
+    probabilities: ArrayLike | None = None,
     *,
     locates: Target = "object",
     in_view_threshold: float | None = None,
+    degrees_of_freedom: tuple[float, float] | None = None,
 ) -> list[Pose]:
     """Return the poses of a batch, as a network gives it.
 
@@ -377,9 +403,12 @@ def poses(
             uncertainty, and so the next two.
         rotation_covariance: ``(B, 3, 3)``, as `PoseUncertainty`.
         in_view: ``(B,)``, as `PoseUncertainty`.
+        alternative: ``(B, 4)``, as `PoseUncertainty`; None, as the next, where none is known.
+        probabilities: ``(B, 2)``, as `PoseUncertainty`.
         locates: What the network locates. Where it is the camera, the poses are those of the world
             in the camera frame (`camera_pose`).
         in_view_threshold: Of the network, as `PoseUncertainty`.
+        degrees_of_freedom: Of the network, as `PoseUncertainty`.
 
     Raises:
         TypeError: As `Pose`.
@@ -389,11 +418,18 @@ def poses(
     if translation_covariance is None or rotation_covariance is None or in_view is None:
         pose = Pose if locates == "object" else camera_pose
         return [pose(t, q) for t, q in rows]
-    uncertainties = map(
-        PoseUncertainty,
-        np.asarray(translation_covariance),
-        np.asarray(rotation_covariance),
-        np.asarray(in_view, np.float64).tolist(),
-        repeat(in_view_threshold),
+    count = len(np.asarray(in_view))
+    others = [None] * count if alternative is None else np.asarray(alternative)
+    shares = np.tile([1.0, 0.0], (count, 1)) if probabilities is None else probabilities
+    uncertainties = (
+        PoseUncertainty(t, r, p, in_view_threshold, degrees_of_freedom, other, (first, second))
+        for t, r, p, other, (first, second) in zip(
+            np.asarray(translation_covariance),
+            np.asarray(rotation_covariance),
+            np.asarray(in_view, np.float64).tolist(),
+            others,
+            np.asarray(shares, np.float64).tolist(),
+            strict=True,
+        )
     )
     return [Pose(t, q, u) for (t, q), u in zip(rows, uncertainties, strict=True)]

@@ -110,6 +110,7 @@ class PoseEstimator:
             **self.run(inputs),
             locates=self.metadata.locates,
             in_view_threshold=self.metadata.in_view_threshold,
+            degrees_of_freedom=self.metadata.degrees_of_freedom,
         )
 
     def run(self, inputs: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
@@ -121,7 +122,8 @@ class PoseEstimator:
         Returns:
             ``translation (B, 3)``, meters, and ``orientation (B, 4)``, scalar first and of either
             sign; with predicted uncertainty also ``translation_covariance (B, 3, 3)``,
-            ``rotation_covariance (B, 3, 3)`` and ``in_view (B,)``.
+            ``rotation_covariance (B, 3, 3)``, ``in_view (B,)``, ``alternative (B, 4)`` and
+            ``probabilities (B, 2)``.
 
         Raises:
             TypeError: The dtype is not float32.

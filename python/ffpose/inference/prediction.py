@@ -47,7 +47,9 @@ class Prediction:
     def to_dict(self) -> dict[str, Any]:
         """Return the prediction as a JSON document: meters, ``(w, x, y, z)``, degrees.
 
-        With predicted uncertainty also covariances in m² and rad², and the probability in view.
+        With predicted uncertainty also covariances in m² and rad², degrees of freedom (null for
+        Gaussian errors), the second most likely orientation with the probabilities of both, and the
+        probability in view.
         Where the network locates the camera, ``locates`` says so, the pose is the world's, and the
         camera's center in the world is there too.
         """
@@ -63,6 +65,10 @@ class Prediction:
         if uncertainty is not None:
             document["translation_covariance_m2"] = uncertainty.translation_covariance.tolist()
             document["rotation_covariance_rad2"] = uncertainty.rotation_covariance.tolist()
+            document["degrees_of_freedom"] = uncertainty.degrees_of_freedom
+            if uncertainty.alternative is not None:
+                document["alternative_wxyz"] = uncertainty.alternative.tolist()
+            document["probabilities"] = list(uncertainty.probabilities)
             document["in_view"] = uncertainty.in_view
         if self.pose.flagged is not None:
             document["flagged"] = self.pose.flagged

@@ -30,7 +30,6 @@ from ffpose.models.object_look import (
     LookNumbers,
     calibrated,
     covariances,
-    hidden_disk,
     in_front,
     points_at,
     split_numbers,
@@ -281,15 +280,7 @@ class FilterformerPose(FrameNetwork):
         for _ in range(1, self.config.looks):
             points = self._look_around(levels, points, turns=1).translation
         pose = self._look_around(levels, points, self.config.turns)
-        hidden = self.hidden(pose.translation * self.config.distance_scale)
-        return calibrated(pose, self.config, hidden)
-
-    def hidden(self, points: Tensor) -> Tensor:
-        """Return the share ``(B,)`` of objects at ``points (B, 3)`` that the frame does not show.
-
-        An object is taken for a disk of half the radius that the virtual camera's image covers.
-        """
-        return hidden_disk(points, self.config, self.intrinsics)
+        return calibrated(pose, self.config)
 
     def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
@@ -324,6 +315,8 @@ class FilterformerPose(FrameNetwork):
             total_covariance(translation_covariance, t - t_mean[:, None]) * self.variance_scales[0],
             total_covariance(rotation_covariance, deviation) * self.variance_scales[1],
             in_view.mean(1).sigmoid(),
+            F.normalize(q_mean, dim=-1),  # another tensor: an output of a graph has one name
+            points.new_tensor([1.0, 0.0]).expand(count, 2),
         )
 
     def locate(self, frames: Tensor) -> Tensor:

@@ -50,6 +50,10 @@ class UncertainPose(NamedTuple):
         rotation_covariance: ``(B, 3, 3)``, covariance of the rotation vector r, camera frame, rad²;
             ``R_true = exp([r]x) R``.
         in_view: ``(B,)``, probability that the object is in the image.
+        alternative: ``(B, 4)``, the second most likely orientation, as ``orientation``, which is
+            the most likely; of a network that knows no second one the same.
+        probabilities: ``(B, 2)``, that the true orientation is near ``orientation`` and near
+            ``alternative`` (`ffpose.nn.polar_bins.Modes`); one and zero where none is known.
     """
 
     translation: Tensor
@@ -57,6 +61,8 @@ class UncertainPose(NamedTuple):
     translation_covariance: Tensor
     rotation_covariance: Tensor
     in_view: Tensor
+    alternative: Tensor
+    probabilities: Tensor
 
 
 # Saved programs refer to named tuples by name, which torch requires to be registered.

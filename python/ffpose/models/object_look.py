@@ -15,7 +15,6 @@ the object (`ffpose.models.virtual_camera`) and predicts, in that camera's frame
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import torch
@@ -24,7 +23,7 @@ from torch.nn import functional as F
 
 from ffpose.config import SecondLookConfig
 from ffpose.models.network import UncertainPose
-from ffpose.models.virtual_camera import LEAST_DEPTH, VirtualCamera, toward
+from ffpose.models.virtual_camera import VirtualCamera
 
 OFFSET_SCALE = 4.0
 OFFSET_LIMIT = 4.0
@@ -39,13 +38,6 @@ SMALL_NUMBERS = 3 + 6 + 1
 
 TAIL = 4.0
 """Degrees of freedom of the errors' t distribution in training."""
-
-DISK_POINTS = 256
-"""Number of points for which the share of the object outside of the frame is counted."""
-
-GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
-"""Angle between successive points, with which they cover a disk evenly (Vogel, "A better way to
-construct the sunflower head", Mathematical Biosciences, 1979)."""
 
 
 class LookNumbers(NamedTuple):
@@ -207,56 +199,22 @@ def in_front(points: Tensor) -> Tensor:
     return torch.cat((points[:, :2], torch.maximum(points[:, 2], least)[:, None]), dim=1)
 
 
-def calibrated(pose: UncertainPose, config: SecondLookConfig, hidden: Tensor) -> UncertainPose:
+def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
     """Apply what calibration found: the factor on distances, and the growth of the uncertainty.
 
     Args:
         pose: Predictions of the second look.
-        config: Architecture of the network, with ``distance_scale`` and ``hidden_sigma``.
-        hidden: Share ``(B,)`` of each object that the frame does not show.
+        config: Architecture of the network, with ``distance_scale`` and ``doubt_sigma``.
     """
     pose = pose._replace(translation=pose.translation * config.distance_scale)
-    if config.hidden_sigma == (0.0, 0.0):
+    if config.doubt_sigma == (0.0, 0.0):
         return pose
-    for_translation, for_rotation = (
-        (1 + hidden[:, None, None] * growth) ** 2 for growth in config.hidden_sigma
-    )
+    doubt = 1 - pose.probabilities[:, :1, None]
+    for_translation, for_rotation = ((1 + doubt * growth) ** 2 for growth in config.doubt_sigma)
     return pose._replace(
         translation_covariance=pose.translation_covariance * for_translation,
         rotation_covariance=pose.rotation_covariance * for_rotation,
     )
-
-
-def hidden_disk(points: Tensor, config: SecondLookConfig, intrinsics: Tensor) -> Tensor:
-    """Return the share ``(B,)`` of objects at ``points (B, 3)`` that the frame does not show.
-
-    An object is taken for a disk of half the radius that the virtual camera's image covers.
-    """
-    return hidden_share(points, config.object_radius_m / 2, intrinsics, config.image_size)
-
-
-def hidden_share(
-    points: Tensor, radius_m: float, intrinsics: Tensor, size: tuple[int, int]
-) -> Tensor:
-    """Return the share ``(B,)`` of a disk about each point that the frame does not show.
-
-    The disk faces the camera; `DISK_POINTS` spread over it are projected.
-
-    Args:
-        points: Centers ``(B, 3)``, meters, camera frame, not behind the camera.
-        radius_m: Radius of the disk.
-        intrinsics: ``(4,)``, fx, fy, cx, cy of the frame.
-        size: ``(height, width)`` of the frame in pixels.
-    """
-    number = torch.arange(DISK_POINTS, dtype=points.dtype, device=points.device) + 0.5
-    radius, angle = radius_m * (number / DISK_POINTS).sqrt(), number * GOLDEN_ANGLE
-    disk = torch.stack([radius * angle.cos(), radius * angle.sin(), torch.zeros_like(radius)])
-    x, y, z = (toward(points) @ disk + points[:, :, None]).unbind(1)  # (B, DISK_POINTS)
-    fx, fy, cx, cy = intrinsics.unbind(-1)
-    depth = z.clamp_min(LEAST_DEPTH)
-    u, v = x / depth * fx + cx, y / depth * fy + cy
-    seen = (z > LEAST_DEPTH) & (u > 0) & (u < size[1]) & (v > 0) & (v < size[0])
-    return 1 - seen.to(points.dtype).mean(1)
 
 
 def sigma_loss(numbers: LookNumbers, residual: Tensor) -> Tensor:

@@ -24,7 +24,6 @@ from ffpose.models.object_look import (
     LookNumbers,
     calibrated,
     covariances,
-    hidden_disk,
     in_front,
     points_at,
 )
@@ -60,6 +59,7 @@ class PolarPose(PoseNetwork):
     config_type: ClassVar[type[PolarPoseConfig]] = PolarPoseConfig
 
     config: PolarPoseConfig
+    orientation: PolarBinsHead
     intrinsics: Tensor
     variance_scales: Tensor
 
@@ -94,42 +94,40 @@ class PolarPose(PoseNetwork):
         maps = self.locate(F.avg_pool2d(images, self.config.first_stride))
         count = self.config.candidates
         points, log_mass = self.translation_branch.candidates(*maps, count)
-        poses, in_view = self._look(levels, points.flatten(0, 1), count)
+        numbers, view = self._look(levels, points.flatten(0, 1), count)
         if count > 1:
-            score = F.logsigmoid(torch.unflatten(in_view, 0, (-1, count))) + log_mass
+            score = F.logsigmoid(torch.unflatten(numbers.in_view, 0, (-1, count))) + log_mass
             best = score.argmax(-1) + count * torch.arange(images.shape[0], device=images.device)
-            poses = UncertainPose(*(field[best] for field in poses))
+            numbers, view = numbers.of(best), view.of(best)
         for _ in range(1, self.config.looks):
-            poses, _ = self._look(levels, poses.translation)
-        hidden = self.hidden(poses.translation * self.config.distance_scale)
-        return calibrated(poses, self.config, hidden)
+            numbers, view = self._look(levels, _located(numbers, view))
+        return calibrated(self._pose(numbers, view), self.config)
 
     def _look(
         self, levels: Pyramid, points: Tensor, views: int = 1
-    ) -> tuple[UncertainPose, Tensor]:
-        """Look at points ``(B * views, 3)``; return the poses, and their logits of being in view.
-
-        The ``views`` of the first image come first.
-        """
+    ) -> tuple[LookNumbers, VirtualCamera]:
+        """Look at points ``(B * views, 3)``, the ``views`` of the first image first."""
         view = self.view_at(points)
-        numbers = self.read(self.see(look_into(levels, view, points, self.intrinsics, views)))
-        matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
+        crops = look_into(levels, view, points, self.intrinsics, views)
+        return self.read(self.see(crops)), view
+
+    def _pose(self, numbers: LookNumbers, view: VirtualCamera) -> UncertainPose:
+        """Return the poses that the outputs of second looks mean, in the camera's frame."""
+        modes = self.orientation.modes(numbers.orientation)
+        back = view.rotation.transpose(1, 2)
+        orientation, alternative = (
+            matrix_to_quaternion(back @ quaternion_to_matrix(q)) for q in modes[:2]
+        )
         translation, rotation = covariances(numbers, view)
-        pose = UncertainPose(
-            in_front(view.points_back(points_at(numbers.offset, view))),
-            matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix),
+        return UncertainPose(
+            _located(numbers, view),
+            orientation,
             translation * self.variance_scales[0],
             rotation * self.variance_scales[1],
             numbers.in_view.sigmoid(),
+            alternative,
+            modes.probabilities,
         )
-        return pose, numbers.in_view
-
-    def hidden(self, points: Tensor) -> Tensor:
-        """Return the share ``(B,)`` of objects at ``points (B, 3)`` that the frame does not show.
-
-        An object is taken for a disk of half the radius that the virtual camera's image covers.
-        """
-        return hidden_disk(points, self.config, self.intrinsics)
 
     def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
@@ -170,3 +168,8 @@ class PolarPose(PoseNetwork):
         return cls(
             config, build_backbone(config.backbone, (config.first_reduction,), backbone_weights)
         )
+
+
+def _located(numbers: LookNumbers, view: VirtualCamera) -> Tensor:
+    """Return the points ``(B, 3)`` of the camera's frame where second looks find the object."""
+    return in_front(view.points_back(points_at(numbers.offset, view)))

@@ -56,9 +56,9 @@ class VirtualCamera(NamedTuple):
     width: int
     polar: bool = False
 
-    def from_row(self, first: int) -> VirtualCamera:
-        """Return the cameras of the batch from a row on."""
-        tensors = (self.rotation[first:], self.focal[first:], self.distance[first:])
+    def of(self, rows: Tensor | slice) -> VirtualCamera:
+        """Return the cameras of some rows of the batch: indices, a mask or a slice."""
+        tensors = (self.rotation[rows], self.focal[rows], self.distance[rows])
         return VirtualCamera(*tensors, self.size, self.width, self.polar)
 
     def resized(self, size: tuple[int, int]) -> VirtualCamera:

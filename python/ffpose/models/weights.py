@@ -4,7 +4,9 @@ The header holds what is needed to build the network (architecture, config with 
 preprocessing), its provenance (backbone, recipe, training data), the version of ffpose that wrote
 it and the version of the format. Reading checks everything: a file that is truncated, altered,
 newer than this code or of another architecture is rejected with the reason. Older formats still
-load: format 1 has no provenance, and format 2 the size of the images as ``[width, height]``.
+load: format 1 has no provenance, and format 2 the size of the images as ``[width, height]``. Before
+format 4 errors were Gaussian, with standard deviations that grew with the share of the object
+outside of the frame; that growth is not read: such weights are to be calibrated again.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from torch import Tensor, nn
 
 from ffpose import __version__
 from ffpose._internal.files import atomic_write, sha256
-from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type
+from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type, degrees_of_freedom
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.imaging.preprocessing import Preprocessing
@@ -35,7 +37,7 @@ from ffpose.models.zoo import resolve
 
 logger = logging.getLogger(__name__)
 
-FORMAT = 3
+FORMAT = 4
 """Version of the header, incremented whenever older code could not read it correctly."""
 
 NAMES_SHOWN = 4
@@ -60,8 +62,7 @@ class WeightsMetadata:
             is `locates` and ``mean_pose`` `mean_pose`.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
         calibration: What the network was calibrated on, as a JSON document: ``command``,
-            ``images``, and the number of them that ``hidden_sigma`` was found on, ``hidden``;
-            ``chosen``, by which images the number of rotated views was.
+            ``images``; ``chosen``, by which images the number of rotated views was.
         version: Version of ffpose that wrote the file.
 
     Raises:
@@ -95,6 +96,11 @@ class WeightsMetadata:
         """What the network locates; an object, where ``data`` does not say."""
         target: Target = (self.data or {}).get("locates", "object")
         return target
+
+    @property
+    def degrees_of_freedom(self) -> tuple[float, float] | None:
+        """Degrees of freedom of the errors (`ffpose.config.degrees_of_freedom`)."""
+        return degrees_of_freedom(self.config)
 
     @property
     def mean_pose(self) -> NDArray[np.float64] | None:
@@ -213,8 +219,11 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
     if header["format"] == "2":
         origin["data"] = _height_first(origin["data"])
     architecture = header.get("architecture", FilterformerPoseConfig.architecture)
+    fields = json.loads(header["config"])
+    if int(header["format"]) < 4 and isinstance(fields, dict):
+        fields.pop("hidden_sigma", None)
     return WeightsMetadata(
-        config_type(architecture).from_json(header["config"]),
+        config_type(architecture).from_json(json.dumps(fields)),
         Preprocessing.from_dict(json.loads(header["preprocessing"])),
         **origin,
         version=version,

@@ -15,6 +15,7 @@ NeurIPS 2020), which near it are Gaussians of that standard deviation of the ang
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -24,6 +25,27 @@ from ffpose.nn.orientation import mean_near_mode
 from ffpose.nn.polar import interpolation
 
 WEIGHT_STD = 0.02
+
+MODE_DEG = 30.0
+"""Largest angle from a mode of an attitude that counts as near it, degrees.
+
+Two modes are at least twice that apart, so no attitude is near both."""
+
+
+class Modes(NamedTuple):
+    """The two most likely modes of a batch of distributions of the attitude.
+
+    Attributes:
+        orientation: ``(B, 4)``, that of `PolarBinsHead.decode`.
+        alternative: ``(B, 4)``, the weighted mean near the most likely of the bins that are at
+            least twice `MODE_DEG` from it.
+        probabilities: ``(B, 2)``, that the attitude is within `MODE_DEG` of the one and of the
+            other.
+    """
+
+    orientation: Tensor
+    alternative: Tensor
+    probabilities: Tensor
 
 
 class PolarBinsHead(nn.Module):
@@ -68,6 +90,20 @@ class PolarBinsHead(nn.Module):
     def decode(self, raw: Tensor) -> Tensor:
         """Return unit quaternions ``(B, 4)``: the weighted mean near the most likely bin."""
         return mean_near_mode(self.logits(raw), self.bins, self.outer)
+
+    def modes(self, raw: Tensor) -> Modes:
+        """Return the two most likely modes of the distributions."""
+        logits = self.logits(raw)
+        first = mean_near_mode(logits, self.bins, self.outer)
+        away = ~self._within(first, 2 * MODE_DEG)
+        second = mean_near_mode(logits.masked_fill(~away, -math.inf), self.bins, self.outer)
+        p = logits.softmax(-1)
+        near = (self._within(first, MODE_DEG), self._within(second, MODE_DEG) & away)
+        return Modes(first, second, torch.stack([(p * each).sum(-1) for each in near], dim=1))
+
+    def _within(self, q: Tensor, degrees: float) -> Tensor:
+        """Return which bins ``(B, bins)`` are closer to ``q (B, 4)`` than an angle."""
+        return (q @ self.bins.T).abs() > math.cos(math.radians(degrees) / 2)
 
     def loss(self, raw: Tensor, q: Tensor) -> Tensor:
         """Return the cross-entropy with soft labels for each sample ``(B,)``."""

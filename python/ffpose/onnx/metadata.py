@@ -2,8 +2,9 @@
 
 All entries are strings: ``ffpose_format`` (version of these entries), ``ffpose_version``,
 ``architecture``, ``quaternion_order``, ``filter``, ``weights_sha256``; and, as JSON, ``config``,
-``preprocessing``, ``camera`` (of the training images), ``view_camera`` (of the network's input) and
-``in_view_threshold``. An int8 graph also has ``precision`` and ``calibration_sha256``, the SHA-256
+``preprocessing``, ``camera`` (of the training images), ``view_camera`` (of the network's input),
+``in_view_threshold`` and ``degrees_of_freedom`` (of the errors of translation and rotation, null
+for Gaussian ones). An int8 graph also has ``precision`` and ``calibration_sha256``, the SHA-256
 of the concatenated hexadecimal SHA-256s of its calibration images. A graph that locates the camera
 in the world has ``locates``, with the value ``camera``.
 
@@ -23,13 +24,13 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from ffpose import __version__
-from ffpose.config import NetworkConfig, config_type
+from ffpose.config import NetworkConfig, config_type, degrees_of_freedom
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.onnx.records import METADATA_PROPS, expect_self_contained, read_entries
 
-FORMAT = 1
+FORMAT = 2
 """Version of the entries; one more whenever older code could not read them rightly."""
 
 QUATERNION_ORDER = "wxyz"
@@ -73,6 +74,11 @@ class ModelMetadata:
     undistorted: bool = False
     white: float | str | None = None
 
+    @property
+    def degrees_of_freedom(self) -> tuple[float, float] | None:
+        """Degrees of freedom of the errors (`ffpose.config.degrees_of_freedom`)."""
+        return degrees_of_freedom(self.config)
+
     def to_entries(self) -> dict[str, str]:
         """Return the entries, without the checksum."""
         view = self.config.view_camera
@@ -81,6 +87,7 @@ class ModelMetadata:
             "camera": None if self.camera is None else asdict(self.camera),
             "view_camera": None if view is None else asdict(view),
             "in_view_threshold": self.in_view_threshold,
+            "degrees_of_freedom": self.degrees_of_freedom,
         }
         decoding = {"undistorted": self.undistorted, "white": self.white}
         return {

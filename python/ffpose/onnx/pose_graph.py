@@ -131,11 +131,14 @@ def pose_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
 
     Those of covariances are halved, to be those of the standard deviations.
     """
-    sign = np.sign((got["orientation"] * expected["orientation"]).sum(-1, keepdims=True))
-    aligned = {**got, "orientation": got["orientation"] * sign}
+    quaternions = ("orientation", "alternative") if "alternative" in expected else ("orientation",)
+    aligned = dict(got)
+    for name in quaternions:
+        sign = np.sign((got[name] * expected[name]).sum(-1, keepdims=True))
+        aligned[name] = got[name] * sign
     absolute = {
         name: float(np.abs(aligned[name] - expected[name]).max())
-        for name in ("translation", "orientation")
+        for name in ("translation", *quaternions)
     }
     relative = {
         name: value / 2 if name.endswith("_covariance") else value

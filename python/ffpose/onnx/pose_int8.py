@@ -129,4 +129,10 @@ def _poses(graph: Path, metadata: ModelMetadata, images: Sequence[Path]) -> Iter
     """Yield the pose that a graph gives for each image."""
     session = open_session(graph, metadata.filter)
     for inputs in _inputs(metadata, images):
-        yield from poses(**session.run(inputs), locates=metadata.locates, in_view_threshold=None)
+        found = session.run(inputs)
+        yield from poses(
+            **found,
+            locates=metadata.locates,
+            in_view_threshold=metadata.in_view_threshold,
+            degrees_of_freedom=metadata.degrees_of_freedom,
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +52,8 @@ def calibrate_weights(
     Raises:
         FileNotFoundError: No such file, name or image set.
         ValueError: The network has no second look or no rotated views to choose from, there are no
-            images, ``turns`` are given for images on disk, ``weights`` is a name and there is no
-            ``out``, or a growth reaches its limit.
+            images, ``turns`` are given for images on disk, or ``weights`` is a name and there is no
+            ``out``.
         ffpose.DataError: The weights or an image cannot be used.
     """
     metadata = read_metadata(weights)
@@ -89,21 +90,23 @@ def write_calibrated(
     model = load_network(path, **fields)
     assert isinstance(model, SecondLookNetwork)
     model.variance_scales.fill_(1)  # so that the same images always give the same scales
-    growth = model.config.hidden_sigma if images.cut is None else (0.0, 0.0)
-    model.config = replace(model.config, distance_scale=1.0, hidden_sigma=growth)
+    model.config = replace(model.config, distance_scale=1.0, doubt_sigma=(0.0, 0.0))
     preprocessing = images.whole.preprocessing
     empty = [] if images.empty is None else standardized(images.empty, preprocessing)
-    found = calibrate(model, _batches(images.whole), empty, _batches(images.cut))
+    hard = chain.from_iterable(map(_batches, images.hard))
+    found = calibrate(model, _batches(images.whole), empty, hard)
     about: dict[str, Any] = {
         "command": command_of(
             Path(weights).name, images.config, list(chosen["medians"]) if chosen else []
         ),
         "images": images.about,
-        "hidden": found.hidden,
     }
     threshold = metadata.in_view_threshold if images.empty is None else found.in_view_threshold
     config = replace(
-        model.config, distance_scale=found.distance_scale, hidden_sigma=found.hidden_sigma
+        model.config,
+        distance_scale=found.distance_scale,
+        doubt_sigma=found.doubt_sigma,
+        degrees_of_freedom=found.degrees_of_freedom,
     )
     header = replace(
         metadata,
@@ -151,5 +154,5 @@ def _rotation_errors(model: PoseNetwork, images: PoseDataset) -> Iterator[NDArra
         yield pose_error(t, q, batch.translation, batch.orientation).rotation_deg.numpy()
 
 
-def _batches(images: PoseDataset | None) -> Iterable[Sample]:
-    return () if images is None else DataLoader(images, VALIDATION_BATCH)
+def _batches(images: PoseDataset) -> Iterable[Sample]:
+    return DataLoader(images, VALIDATION_BATCH)

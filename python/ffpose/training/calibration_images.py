@@ -1,4 +1,4 @@
-"""The images that calibrate weights: whole objects, some that the border cuts, and none at all."""
+"""The images that calibrate weights: such as training sees, and some without the object."""
 
 from __future__ import annotations
 
@@ -12,11 +12,14 @@ from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.views import Bytes
 from ffpose.training.config import CalibrationImages
 
-EMPTY_SEEDS, CUT_SEEDS = 500_000, 300_000
+EMPTY_SEEDS, RANDOMIZED_SEEDS, CUT_SEEDS = 500_000, 400_000, 300_000
 """Added, among the seeds of one purpose, to a set's seed: no two kinds of images show one scene."""
 
 CUT_SHARE = (0.25, 0.9)
 """Least and greatest share of a spacecraft that the border leaves."""
+
+RANDOMIZATION = 0.7
+"""Strength of the randomized images, as `ffpose render --randomize` has it."""
 
 
 class CalibrationSet(NamedTuple):
@@ -26,14 +29,15 @@ class CalibrationSet(NamedTuple):
         config: What they are.
         about: What they are, for the header of the weights: a document for each kind.
         whole: Whole images of the object.
-        cut: Those of objects that the border cuts; None where there are none.
+        hard: Those of objects that the border cuts, and those of randomized scenes; each if it is
+            asked for.
         empty: Whole images without the object ``(N, H, W, 3)``, uint8; None where there are none.
     """
 
     config: CalibrationImages
     about: list[dict[str, Any]]
     whole: PoseDataset
-    cut: PoseDataset | None = None
+    hard: tuple[PoseDataset, ...] = ()
     empty: Bytes | None = None
 
 
@@ -69,18 +73,25 @@ def open_calibration(config: CalibrationImages, preprocessing: Preprocessing) ->
 
 def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> CalibrationSet:
     scene, count = find_scene(config.scene, config.attitude_range_deg), config.count
-    seeds = [matching(CALIBRATION, config.seed + more) for more in (0, CUT_SEEDS, EMPTY_SEEDS)]
-    whole, cut = (
-        open_frames(config.root, part, seed, count, preprocessing, workers=config.workers)
-        for part, seed in zip((scene, scene.cut(*CUT_SHARE)), seeds, strict=False)
+    scene = scene.scaled(*config.distance)
+    parts = {"object": (scene, 0)}
+    if config.cut:
+        parts["object that the border cuts"] = (scene.cut(*CUT_SHARE), CUT_SEEDS)
+    if config.randomized:
+        parts["object in randomized scenes"] = (scene.randomized(RANDOMIZATION), RANDOMIZED_SEEDS)
+    seeds = {what: matching(CALIBRATION, config.seed + more) for what, (_, more) in parts.items()}
+    whole, *hard = (
+        open_frames(config.root, part, seeds[what], count, preprocessing, workers=config.workers)
+        for what, (part, _) in parts.items()
     )
-    empty = open_empty_images(config.root, scene, seeds[2], count, preprocessing)
-    shows = ("object", "object that the border cuts", "no spacecraft, or another one")
+    seeds["no spacecraft, or another one"] = seed = matching(CALIBRATION, config.seed + EMPTY_SEEDS)
+    empty = open_empty_images(config.root, scene, seed, count, preprocessing)
+    counts = (*[count] * len(parts), len(empty))
     about = [
         {"shows": what, "scene": scene.name, "seed": seed, "count": number}
-        for what, seed, number in zip(shows, seeds, (count, count, len(empty)), strict=True)
+        for (what, seed), number in zip(seeds.items(), counts, strict=True)
     ]
-    return CalibrationSet(config, about, whole, cut, empty)
+    return CalibrationSet(config, about, whole, tuple(hard), empty)
 
 
 def command_of(weights: str, config: CalibrationImages, turns: list[int]) -> str:

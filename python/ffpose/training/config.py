@@ -32,11 +32,14 @@ class CalibrationImages:
 
     Attributes:
         kind: Layout of the image set, as in `DataConfig`, or "scenes" for rendered ones: of each
-            kind (whole, cut by the border, without the object) ``count`` are rendered.
+            kind (whole, cut by the border, randomized, without the object) ``count`` are rendered.
         root: Folder of the image set; for kind "scenes" that which keeps the images.
         scene: For kind "scenes": name of the rendered set.
         seed: For kind "scenes": seed of the set, one of `ffpose._internal.seeds.CALIBRATION`.
         count: For kind "scenes": number of images of each kind, 2 or more.
+        cut: For kind "scenes": objects that the border cuts too.
+        randomized: For kind "scenes": domain randomization of light, materials and backgrounds too.
+        distance: For kind "scenes": factors on the least and the greatest distance of the set.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
         split: Name of the split of a set on disk.
         start: Index of the first image that is used of the split.
@@ -51,6 +54,9 @@ class CalibrationImages:
     scene: str = "soyuz_hard"
     seed: int = CALIBRATION.start
     count: int = 200
+    cut: bool = False
+    randomized: bool = False
+    distance: tuple[float, float] = (1.0, 1.0)
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
     split: str = "val"
     start: int = 0
@@ -101,8 +107,8 @@ class DataConfig:
             for each.
         validation: For kind "scenes": number of whole images that select the best epoch.
         calibration: For kind "scenes": number of images of each kind that calibrate a network with
-            a second look: whole, cut by the border, and without the object. Of a set on disk every
-            other image that would validate calibrates instead.
+            a second look: of the first of the sets, of each kind that training sees, and without
+            the object. Of a set on disk every other image that would validate calibrates instead.
         empty: For kind "scenes": number of images without the spacecraft, negatives for a network
             with a second look.
         decoys: For kind "scenes": number of images of other spacecraft, negatives too.
@@ -110,7 +116,7 @@ class DataConfig:
         randomized: For kind "scenes": number of images of each set with domain randomization of
             light, materials and backgrounds.
         distance: For kind "scenes": factors on the least and the greatest distance of the sets,
-            which training sees beyond; validation and calibration do not.
+            which training and calibration see beyond; validation does not.
         seed: For kind "scenes": seed of the first set, of `ffpose._internal.seeds.TRAINING`; those
             of the others count on from it (`seeds`), so that no two sets show one scene.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
@@ -187,7 +193,15 @@ class DataConfig:
         )
         if self.kind == "scenes":
             seed = matching(CALIBRATION, self.seed)
-            return replace(images, scene=self.scenes[0], seed=seed, count=self.calibration)
+            return replace(
+                images,
+                scene=self.scenes[0],
+                seed=seed,
+                count=self.calibration,
+                cut=self.cut > 0,
+                randomized=self.randomized > 0,
+                distance=self.distance,
+            )
         if self.holdout:
             step = 2 * self.holdout
             return replace(images, split=self.train_split, start=self.holdout, step=step)

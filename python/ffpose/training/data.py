@@ -35,18 +35,14 @@ from ffpose.training.calibration_images import (
     CUT_SEEDS,
     CUT_SHARE,
     EMPTY_SEEDS,
+    RANDOMIZATION,
+    RANDOMIZED_SEEDS,
     CalibrationSet,
     open_calibration,
 )
 from ffpose.training.config import DataConfig
 
-RANDOMIZED_SEEDS = 400_000
-"""Added to a set's seed, as `EMPTY_SEEDS` and `CUT_SEEDS`."""
-
 NO_KEYPOINTS = np.zeros((0, 3))
-
-RANDOMIZATION = 0.7
-"""Strength of the randomized images, as `ffpose render --randomize` has it."""
 
 
 @dataclass(frozen=True)

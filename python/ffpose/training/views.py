@@ -153,7 +153,7 @@ class ViewBatches:
         view = self.model.view_at(points, twist)
         intrinsics = labels[:, 7:11]
         empty = min(round(a.empty * count), count - 1)
-        shown = view.from_row(empty)
+        shown = view.of(slice(empty, None))
         windows = [self.sets[n]["windows"][row] for n, row in self.places[index[empty:].numpy()]]
         crops = self._seen(windows, source_pixels(shown, intrinsics[empty:]), generator)
         if empty:

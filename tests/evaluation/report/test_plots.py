@@ -68,7 +68,8 @@ def test_the_reliability_diagram_shows_the_share_within_each_region(evaluation):
     with pytest.raises(ValueError, match="expected an evaluation with covariances"):
         reliability_diagram(evaluation)
     # Squared distances of 0.5² / 4, 3² / 4, 1 / 4 and 2² / 4 deviations along x.
-    told = replace(evaluation, translation_covariance=np.tile(4 * np.eye(3), (4, 1, 1)))
+    covariance = np.tile(4 * np.eye(3), (4, 1, 1))
+    told = replace(evaluation, translation_covariance=covariance, rotation_covariance=covariance)
     line = next(
         n for n in reliability_diagram(told).axes[0].lines if n.get_label() == "translation"
     )
@@ -109,7 +110,8 @@ def test_curves_need_an_epoch():
 
 
 def test_figures_are_written_as_pictures(evaluation, tmp_path):
-    told = replace(evaluation, rotation_covariance=np.tile(np.eye(3), (4, 1, 1)))
+    unit = np.tile(np.eye(3), (4, 1, 1))
+    told = replace(evaluation, translation_covariance=unit, rotation_covariance=unit)
     paths = write_evaluation_figures(told, tmp_path)
     for path in paths:
         with Image.open(path) as image:

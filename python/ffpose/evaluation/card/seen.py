@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from ffpose.render.scene import SCENES, Scene
 from ffpose.render.shading.randomization import Randomization
-from ffpose.training.calibration_images import CUT_SHARE
-from ffpose.training.data import RANDOMIZATION
+from ffpose.training.calibration_images import CUT_SHARE, RANDOMIZATION
 
 if TYPE_CHECKING:
     from ffpose.render.variations import Variation

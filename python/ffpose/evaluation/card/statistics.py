@@ -9,15 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ffpose.evaluation.attitude import rotation_error_vector
-from ffpose.evaluation.calibration import (
-    LEVELS,
-    auroc,
-    coverage,
-    flag_rates,
-    region_probability,
-    squared_mahalanobis,
-)
+from ffpose.evaluation.calibration import auroc, coverages, flag_rates, truth_regions
 from ffpose.evaluation.metrics import SUMMARIZED, PoseErrors, pose_error
 from ffpose.evaluation.significance import median_interval
 from ffpose.geometry import Pose, PoseUncertainty, standard_deviations
@@ -90,16 +82,14 @@ def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
     """Return the statistics of the uncertainties."""
     found, truth = _vectors(answers.found), _vectors(answers.truth)
     said = answers.uncertainties
-    residuals = {
-        "translation": truth[:, :3] - found[:, :3],
-        "rotation": rotation_error_vector(found[:, 3:], truth[:, 3:]),
-    }
-    result: dict[str, Any] = {}
-    for name, residual in residuals.items():
-        covariance = np.stack([getattr(u, f"{name}_covariance") for u in said])
-        probability = region_probability(squared_mahalanobis(residual, covariance))
-        shares = zip(LEVELS, coverage(probability).tolist(), strict=True)
-        result[name] = {f"coverage_{100 * level:.0f}": share for level, share in shares}
+    regions = truth_regions(
+        found,
+        truth,
+        np.stack([u.translation_covariance for u in said]),
+        np.stack([u.rotation_covariance for u in said]),
+        said[0].degrees_of_freedom,
+    )
+    result: dict[str, Any] = {name: coverages(each) for name, each in regions.items()}
     pairs = zip(answers.found, said, strict=True)
     distances, in_plane, out_of_plane = np.transpose(
         [standard_deviations(pose.t, u) for pose, u in pairs]
