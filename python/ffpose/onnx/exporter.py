@@ -232,8 +232,12 @@ def compact(model: Any) -> None:
     Constants are kept once, and of the recorded notes those of modules, which `ffpose.onnx.int8`
     reads; stack traces are longer than the nodes.
     """
-    passes = require("onnx_ir.passes.common", "export")
+    ir, passes = require("onnx_ir", "export"), require("onnx_ir.passes.common", "export")
     passes.IdentityEliminationPass()(model)
+    for value in model.graph.initializers.values():  # equal ones are found by their bytes
+        array = value.const_value.numpy()
+        if not array.flags.c_contiguous:
+            value.const_value = ir.tensor(np.ascontiguousarray(array), name=value.name)
     passes.DeduplicateHashedInitializersPass()(model)
     for node in model.graph:
         for key in [key for key in node.metadata_props if key != SCOPES]:
