@@ -32,7 +32,7 @@ def build_parser() -> argparse.ArgumentParser:
     model.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")
     model.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
     model.add_argument("--looks", type=int, help="number of second looks")
-    model.add_argument("--turns", type=int, help="number of rotated views of the last look")
+    model.add_argument("--candidates", type=int, help="number of places looked at first")
     text = "base, small and tiny, with and without torch's attention and torch.fft"
     commands.add_parser("attention", help=text)
     text = "measure data files, and put the figures of all into the pages"
@@ -72,7 +72,7 @@ def _run(options: argparse.Namespace) -> None:
         case "filter":
             run_filter(options.json, options.plot, options.quick)
         case "model":
-            fields = {name: getattr(options, name) for name in ("looks", "turns")}
+            fields = {name: getattr(options, name) for name in ("looks", "candidates")}
             deployment.run(
                 options.network,
                 options.json,

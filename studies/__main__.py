@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import studies
+from ffpose._internal.options import is_usage
 from ffpose.errors import explain
 from ffpose.training.options import read_changes
 from studies.run import ablate
@@ -38,7 +39,10 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run a study; return 0 if all its runs finished, 1 after one line of explanation."""
+    """Run a study; return 0 if all its runs finished, 1 after one line of explanation.
+
+    Wrong usage raises SystemExit with code 2.
+    """
     parser = build_parser()
     options = parser.parse_args(words)
     try:
@@ -59,6 +63,8 @@ def main(words: Sequence[str] | None = None) -> int:
             prepare=options.prepare,
         )
     except (ValueError, OSError, RuntimeError, ImportError) as error:
+        if is_usage(error, parser.format_usage()):
+            parser.error(explain(error))
         print(f"studies: {explain(error)}", file=sys.stderr)
         return 1
     print(outcome.table.read_text(), end="")

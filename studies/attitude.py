@@ -134,8 +134,8 @@ MIXERS = Study(
         Variant("depthwise7", "polar, depthwise 7 x 7", polar(mixer="depthwise7")),
         Variant("attention", "polar, attention", polar(mixer="attention")),
         Variant("filterformer", "polar, attention and filters", polar(mixer="filterformer")),
-        Variant("compact", "rows and columns, residual convolutions, four views averaged"),
+        Variant("compact", "rows and columns, residual convolutions"),
     ),
     notes="The polar variants are the preset polar, equal but for what mixes the cells in its "
-    "blocks, and look from one view; the last is the base of the study attitude.",
+    "blocks; the last is the base of the study attitude.",
 )

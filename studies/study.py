@@ -93,7 +93,7 @@ class Study:
         known = [variant.name for variant in self.variants]
         for name in names:
             if name not in known:
-                raise ValueError(f"variant: expected one of {', '.join(known)}, got {name!r}")
+                raise ValueError(f"variants: expected one of {', '.join(known)}, got {name!r}")
         return tuple(each for each in self.variants if not names or each.name in names)
 
 

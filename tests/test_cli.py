@@ -229,6 +229,8 @@ def test_weights_of_the_package_go_by_name(trained, image_set, tmp_path, monkeyp
     expected = capsys.readouterr().out
     assert main(["predict", "soyuz", *images, "--json"]) == 0
     assert capsys.readouterr().out == expected
+    assert main(["predict", "soyuz", *images, "--json", *images]) == 0
+    assert capsys.readouterr().out == 2 * expected
     words = ["evaluate", "soyuz", *data_words(image_set), "--out", str(tmp_path / "e")]
     assert main(words) == 0
     assert main(["predict", "dragon", *images]) == 1

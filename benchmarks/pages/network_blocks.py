@@ -142,14 +142,14 @@ def int8(source: Source) -> str:
 
 
 def views(source: Source) -> str:
-    """Return the share of the time of the shipped network with fewer looks and turns."""
+    """Return the share of the time of the shipped network with fewer looks and candidates."""
     figures = source("views")
     found = figures.results["latencies"]
     shipped = list(found.values())[-1]["p50"]
     shares = {name: each["p50"] / shipped for name, each in found.items()}
-    looks, turns = (list(dict.fromkeys(part)) for part in zip(*map(str.split, found), strict=True))
-    rows = [[look, *(f"{shares[f'{look} {turn}']:.2f}" for turn in turns)] for look in looks]
-    header = ["looks ↓ turns →", *turns]
+    looks, counts = (list(dict.fromkeys(part)) for part in zip(*map(str.split, found), strict=True))
+    rows = [[look, *(f"{shares[f'{look} {count}']:.2f}" for count in counts)] for look in looks]
+    header = ["looks ↓ candidates →", *counts]
     return f"{table(header, rows)}\n\n{measured_on(figures, [1])}"
 
 

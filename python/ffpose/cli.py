@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from ffpose._internal.files import expect_folder
-from ffpose._internal.options import advice, check_spelling, restyle
+from ffpose._internal.options import advice, check_spelling, is_usage, positionals_first, restyle
 from ffpose.errors import DataError, MissingExtraError, explain, require
 
 if TYPE_CHECKING:
@@ -386,13 +386,13 @@ def predict(options: Namespace) -> None:
 
 def view_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments that change how often a network with a second look looks."""
-    for name, what in (("looks", "second looks"), ("turns", "rotated views of the last look")):
+    for name, what in (("looks", "second looks"), ("candidates", "places looked at first")):
         parser.add_argument(f"--{name}", type=int, help=f"number of {what}, for less latency")
 
 
 def view_fields(options: Namespace) -> dict[str, int]:
     """Return the fields of a network that `view_arguments` changes."""
-    return {name: options[name] for name in ("looks", "turns") if options[name] is not None}
+    return {name: options[name] for name in ("looks", "candidates") if options[name] is not None}
 
 
 def export_arguments(parser: ArgumentParser) -> None:
@@ -550,8 +550,6 @@ def calibrate_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz")
     parser.add_class_arguments(CalibrationImages, "data")
     restyle(parser)
-    text = "numbers of rotated views to choose from, on other rendered images (default: as it is)"
-    parser.add_argument("--turns", type=int, nargs="+", default=[], help=text)
     text = "file to write (default: the weights file; of weights by name there is none)"
     parser.add_argument("--out", type=Path, help=text)
     parser.add_argument("--json", action="store_true", help="print what was found as JSON")
@@ -567,7 +565,7 @@ def calibrate(options: Namespace) -> None:
     from ffpose.training.config import CalibrationImages
 
     images = CalibrationImages(**vars(options.data))
-    found = calibrate_weights(options.weights, images, turns=options.turns, out=options.out)
+    found = calibrate_weights(options.weights, images, out=options.out)
     values = {**found._asdict(), "variance_scales": found.variance_scales.tolist()}
     if options.json:
         show(values)
@@ -592,7 +590,7 @@ def bench_arguments(parser: ArgumentParser) -> None:
 def bench(options: Namespace) -> None:
     """Measure the filter against torch.fft, or a network in torch, ONNX Runtime and OpenVINO."""
     if options.subject == "filter":
-        for name in ("network", "batch", "threads", "looks", "turns"):
+        for name in ("network", "batch", "threads", "looks", "candidates"):
             if options[name] is not None:
                 raise ValueError(f"{name}: expected with model, got {options[name]} with filter")
         from ffpose.bench.filter import run
@@ -681,17 +679,6 @@ def words_of(name: str, words: Sequence[str]) -> list[str]:
     return list(words)
 
 
-def is_usage(error: Exception, parser: ArgumentParser | None) -> bool:
-    """Return whether an error is about the value of an argument, which its message begins with."""
-    found = re.match(r"(?:--)?([\w.-]+): expected", str(error))
-    if parser is None or found is None or not isinstance(error, ValueError):
-        return False
-    known = re.findall(r"[a-z][\w.-]*", parser.format_usage())
-    return not isinstance(error, DataError) and found[1].replace("_", "-") in {
-        name.replace("_", "-") for name in known
-    }
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command.
 
@@ -730,6 +717,9 @@ def run_command(words: list[str]) -> int:
     try:
         parser = build_parser(name)
         given = words_of(name, words[1:])
+        if name == "predict":
+            flags = {o for a in parser._actions if a.nargs == 0 for o in a.option_strings}
+            given = positionals_first(given, flags)
         options = parser.instantiate(parser.parse_args(given))
         del options["debug"]
         COMMANDS[name].run(options)
@@ -744,7 +734,7 @@ def run_command(words: list[str]) -> int:
             raise
         if isinstance(error, ModuleNotFoundError) and error.name:  # imported without `require`
             error = MissingExtraError.of(error.name.partition(".")[0], COMMANDS[name].extra)
-        if is_usage(error, parser):
+        if parser is not None and is_usage(error, parser.format_usage()):
             say(f"ffpose {name}: {explain(error)}; see ffpose {name} --help")
             return 2
         say(f"ffpose: {explain(error)}")

@@ -9,7 +9,7 @@ import torch
 from ffpose.bench import model as bench
 from ffpose.cli import main
 from ffpose.config import CONFIGS, PRESETS
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import PolarPose, read_metadata
 
 pytest.importorskip("onnxscript")
 
@@ -69,12 +69,12 @@ def test_what_cannot_be_measured_is_refused(words, code, message, capsys):
 
 def test_a_network_has_fewer_looks(tmp_path):
     weights = tmp_path / "twice.safetensors"
-    fields = {"image_size": (48, 64), "first_stride": 2, "object_size": (32, 32), "dim": 16}
-    model = FilterformerPose.from_config("compact", bins=100, bins_degree=1, **fields)
+    fields = {"image_size": (64, 64), "first_stride": 2, "object_size": (16, 96), "directions": 50}
+    model = PolarPose.from_config("polar", **fields)
     model.save_pretrained(weights, data={"name": "own"})
-    changed = read_metadata(bench.weights_of(str(weights), tmp_path, looks=1, turns=3))
-    assert (changed.config.looks, changed.config.turns) == (1, 3)
-    same = replace(changed.config, looks=model.config.looks, turns=model.config.turns)
+    changed = read_metadata(bench.weights_of(str(weights), tmp_path, looks=1, candidates=3))
+    assert (changed.config.looks, changed.config.candidates) == (1, 3)
+    same = replace(changed.config, looks=model.config.looks, candidates=model.config.candidates)
     assert replace(changed, config=same) == read_metadata(weights)
 
 

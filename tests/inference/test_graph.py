@@ -18,7 +18,7 @@ from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.in_torch import TorchSession
 from ffpose.inference.load import load
-from ffpose.models import FilterformerPose, build_network, read_metadata
+from ffpose.models import FilterformerPose, PolarPose, build_network, read_metadata
 from ffpose.models.zoo import names
 from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.metadata import read_model_metadata
@@ -55,7 +55,6 @@ NETWORKS = {
             "first_stride": 2,
             "object_size": (32, 32),
             "looks": 2,
-            "turns": 2,
             "degrees_of_freedom": (5.0, 3.5),
         },
     ),
@@ -395,16 +394,16 @@ def test_presets_export(preset, tmp_path):
 def test_a_graph_is_exported_with_fewer_looks(folder, files):
     weights, _ = files
     graph = folder / "quick.onnx"
-    words = ["export", str(weights), "--out", str(graph), "--filter", "matmul", "--turns", "1"]
-    if weights.stem != "twice":
+    words = ["export", str(weights), "--out", str(graph), "--filter", "matmul", "--candidates", "1"]
+    if weights.stem != "polar":
         assert main(words) == 1
         return
     assert main([*words, "--looks", "1"]) == 0
     assert read_model_metadata(graph).config == replace(
-        read_metadata(weights).config, looks=1, turns=1
+        read_metadata(weights).config, looks=1, candidates=1
     )
     image = np.random.default_rng(0).integers(0, 256, (96, 128, 3), np.uint8)
-    network = FilterformerPose.from_pretrained(weights, looks=1, turns=1)
+    network = PolarPose.from_pretrained(weights, looks=1, candidates=1)
     expected = PoseEstimator(TorchSession(network), read_metadata(weights))(image)
     found = load(graph)(image)
     np.testing.assert_allclose(found.t, expected.t, atol=1e-4)

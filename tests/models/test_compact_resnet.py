@@ -3,10 +3,8 @@
 import pytest
 import torch
 
-from ffpose import DataError
-from ffpose.models import FilterformerPose, build_backbone
+from ffpose.models import build_backbone
 from ffpose.models.compact_resnet import REDUCTIONS, WIDTHS, BasicBlock, CompactResNet
-from ffpose.models.weights import load_weights
 
 
 @pytest.fixture(autouse=True)
@@ -58,23 +56,3 @@ def test_refused_reductions_and_weights(tmp_path):
         build_backbone("compact_resnet", (2, 8))
     with pytest.raises(ValueError, match="expected no pretrained weights for compact_resnet, got"):
         build_backbone("compact_resnet", (8,), tmp_path / "weights.safetensors")
-
-
-def test_a_network_that_grew_computes_what_it_grew_from(tmp_path):
-    shallow = FilterformerPose.from_config("compact", object_backbone="compact_resnet").eval()
-    deep = FilterformerPose.from_config("compact", object_backbone="compact_resnet_deep").eval()
-    shallow.save_pretrained(tmp_path / "shallow.safetensors")
-    with pytest.raises(DataError, match=r"extra.* is missing"):
-        load_weights(tmp_path / "shallow.safetensors", deep)
-    load_weights(tmp_path / "shallow.safetensors", deep, grow=True)
-    view = torch.rand(2, 3, *shallow.config.object_size)
-    torch.testing.assert_close(deep.look(view), shallow.look(view))
-    assert sum(p.numel() for p in deep.parameters()) > sum(p.numel() for p in shallow.parameters())
-
-
-def test_nothing_but_extra_blocks_may_be_lacking(tmp_path):
-    shallow = FilterformerPose.from_config("compact", object_backbone="compact_resnet")
-    other = FilterformerPose.from_config("compact", object_backbone="compact_resnet", bins_degree=4)
-    shallow.save_pretrained(tmp_path / "shallow.safetensors")
-    with pytest.raises(DataError, match="has shape"):
-        load_weights(tmp_path / "shallow.safetensors", other, grow=True)

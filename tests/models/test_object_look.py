@@ -24,7 +24,6 @@ from ffpose.models.object_look import (
     points_at,
     sigma_loss,
     split_numbers,
-    total_covariance,
 )
 from ffpose.models.virtual_camera import VirtualCamera, turn_to
 from ffpose.nn.rotations import rotation_between, rotation_vector
@@ -168,21 +167,6 @@ def test_the_rotation_between_two_is_scipys(generator):
     pair = (torch.from_numpy(each.as_quat(scalar_first=True)) for each in (q_from, q_to))
     got = Rotation.from_quat(rotation_between(*pair).numpy(), scalar_first=True)
     assert (got.inv() * (q_to * q_from.inv())).magnitude().max() < 1e-7
-
-
-def test_the_total_covariance_is_that_of_what_the_views_draw(generator):
-    """The law of total variance, on samples: each view draws about its own mean."""
-    factors = generator.normal(size=(4, 3, 3))
-    said = factors @ factors.mT
-    means = generator.normal(size=(4, 3)) * (1, 2, 3)
-    draws = [
-        generator.multivariate_normal(mean, covariance, 100_000)
-        for mean, covariance in zip(means, said, strict=True)
-    ]
-    deviation = torch.from_numpy(means - means.mean(0))[None]
-    (got,) = total_covariance(torch.from_numpy(said)[None], deviation)
-    drawn = np.cov(np.concatenate(draws), rowvar=False)
-    np.testing.assert_allclose(got, drawn, atol=0.02 * np.abs(drawn).max())
 
 
 def test_a_half_turn_is_pi_about_its_axis_either_way():

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.models import CONFIGS, FilterformerPose, PosePrediction, load_network
 from ffpose.models.network import UncertainPose
-from ffpose.models.object_look import OFFSET_LIMIT, LookNumbers, covariances, points_at
-from ffpose.models.virtual_camera import look, turn_to
+from ffpose.models.object_look import OFFSET_LIMIT, LookNumbers
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.views import ViewBatch
@@ -37,7 +36,6 @@ FIELDS = {
     "object_size": (16, 24),
     "object_radius_m": 5.0,
     "first_stride": 2,
-    "turns": 1,
 }
 HEADS = ("quaternion", "6d", "bins")
 
@@ -303,11 +301,11 @@ def test_weights_there_and_back(model, tmp_path):
 
 
 def test_weights_are_loaded_with_fewer_looks(model, tmp_path):
-    """One look, not rotated, is one call of the second network at the first position."""
+    """One look is one call of the second network at the first position."""
     path = tmp_path / "look.safetensors"
     model.save_pretrained(path)
-    quick = FilterformerPose.from_pretrained(path, looks=1, turns=1)
-    assert quick.config == replace(model.config, looks=1, turns=1)
+    quick = FilterformerPose.from_pretrained(path, looks=1)
+    assert quick.config == replace(model.config, looks=1)
     calls = []
     quick.object_backbone.register_forward_hook(lambda _, __, maps: calls.append(len(maps[0])))
     found = quick(torch.randn(2, 3, 48, 64))
@@ -318,11 +316,11 @@ def test_weights_are_loaded_with_fewer_looks(model, tmp_path):
 def test_what_weights_depend_on_is_not_changed_as_they_are_loaded(model, tmp_path):
     path = tmp_path / "look.safetensors"
     model.save_pretrained(path)
-    message = r"expected fields that may change after training \(looks, turns\), got turn \(did"
+    message = r"expected fields that may change after training \(looks\), got look \(did"
     with pytest.raises(ValueError, match=message):
-        FilterformerPose.from_pretrained(path, turn=1)
-    with pytest.raises(ValueError, match="turns: expected a whole number, at least 1, got 0"):
-        FilterformerPose.from_pretrained(path, turns=0)
+        FilterformerPose.from_pretrained(path, look=1)
+    with pytest.raises(ValueError, match="looks: expected a whole number, at least 1, got 0"):
+        FilterformerPose.from_pretrained(path, looks=0)
     once = FilterformerPose.from_config("tiny", backbone_weights="none", image_size=(64, 64))
     once.save_pretrained(path)
     with pytest.raises(ValueError, match=r"\(this network has none\), got looks"):
@@ -395,76 +393,3 @@ def test_the_camera_of_the_input_is_named():
     assert (camera.width, camera.height, camera.fy) == (64, 48, 62.0)
     assert CONFIGS["base"].view_camera is None
     assert (config.first_grid, config.orientation_grid) == ((3, 4), (2, 3))
-
-
-def test_turned_looks_are_averaged():
-    """The place is the mean of what each turned camera says by itself."""
-    model = build(looks=1, turns=3).eval()
-    images = torch.randn(2, 3, *model.config.image_size)
-    with torch.no_grad():
-        pose = model(images)
-        frames = torch.nn.functional.avg_pool2d(images, model.config.first_stride)
-        points = model.located(model.locate(frames))
-        places = []
-        for degrees in (0.0, 120.0, 240.0):
-            twist = torch.full((2,), math.radians(degrees))
-            view = turn_to(points, model.config.object_radius_m, model.config.object_size, twist)
-            numbers = model.look(look(images, view, points, model.intrinsics))
-            places.append(view.points_back(points_at(numbers.offset, view)))
-    torch.testing.assert_close(pose.translation, torch.stack(places).mean(0))
-
-
-def turned_views(model, monkeypatch, q, offset):
-    """Let the turned views of one image predict attitudes ``q`` (camera frame) and offsets.
-
-    Returns the pose, the views, and the numbers that they were predicted from.
-    """
-    views = []
-
-    def turn(*arguments):
-        views.append(turn_to(*arguments))
-        return views[-1]
-
-    def decode(raw):
-        seen = Rotation.from_matrix(views[-1].rotation.double().numpy()) * q
-        return torch.from_numpy(seen.as_quat(scalar_first=True)).float()
-
-    second = numbers(model, len(offset), log_sigma=(-4.0, -3.0, -5.0, -4.0, -3.0, -5.0))
-    second = second._replace(offset=torch.tensor(offset, dtype=torch.float32))
-    monkeypatch.setattr("ffpose.models.filterformer_pose.turn_to", turn)
-    monkeypatch.setattr(model.orientation, "decode", decode)
-    with torch.no_grad():
-        pose = fixed(model, torch.tensor([[0.1, -0.2, 0.0]]), second, monkeypatch)
-    return pose, views[-1], second
-
-
-def test_the_uncertainty_of_turned_looks_is_their_total_variance(monkeypatch):
-    """Mean of the covariances plus covariance of the means, by NumPy, times the scales."""
-    model = build(looks=1, turns=4).eval()
-    model.variance_scales.copy_(torch.tensor([2.0, 3.0]))
-    rng = np.random.default_rng(0)
-    q = Rotation.from_rotvec(rng.normal(0, 0.3, (4, 3))) * Rotation.random(rng=rng)
-    pose, view, second = turned_views(model, monkeypatch, q, rng.normal(0, 1, (4, 3)))
-    mean = rotations(pose.orientation)[0]
-    assert (q.mean().inv() * mean).magnitude() < 1e-5
-    places = view.points_back(points_at(second.offset, view)).double().numpy()
-    said = [each.double().numpy() for each in covariances(second, view)]
-    spread = [
-        (places - places.mean(0)).T @ (places - places.mean(0)) / 4,
-        (q * mean.inv()).as_rotvec().T @ (q * mean.inv()).as_rotvec() / 4,
-    ]
-    for got, scale, inside, between in zip(pose[2:4], (2, 3), said, spread, strict=True):
-        assert between.trace() > inside.mean(0).trace()
-        np.testing.assert_allclose(got[0], scale * (inside.mean(0) + between), rtol=1e-3, atol=1e-4)
-
-
-@pytest.mark.parametrize("degrees", [90, 150, 180])
-def test_views_that_differ_are_as_uncertain_as_they_differ(monkeypatch, degrees):
-    """Each is half the angle from the mean, at half a turn at least: its square is the variance."""
-    model = build(looks=1, turns=2).eval()
-    q = Rotation.from_rotvec([[0, 0, 0.5], [0, 0, 0.5 + math.radians(degrees)]])
-    pose, *_ = turned_views(model, monkeypatch, q, np.zeros((2, 3)))
-    variances = pose.rotation_covariance[0].diagonal().numpy()
-    least = math.radians(degrees / 2) ** 2
-    assert least * 0.99 < variances[2] < (1.01 * least if degrees < 180 else math.pi**2)
-    assert variances[:2].max() < 0.01

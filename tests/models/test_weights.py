@@ -12,6 +12,7 @@ from safetensors import safe_open
 
 import ffpose
 from ffpose import DataError
+from ffpose.config import PolarPoseConfig
 from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import (
@@ -103,7 +104,7 @@ def test_the_header_tells_where_the_weights_come_from(model, tmp_path):
     assert {name: getattr(metadata, name) for name in ORIGIN} == ORIGIN
     assert metadata.config.architecture == "FilterformerPose"
     with safe_open(path, framework="numpy") as file:
-        assert file.metadata()["format"] == "3"
+        assert file.metadata()["format"] == "4"
         assert file.metadata()["architecture"] == "FilterformerPose"
         assert json.loads(file.metadata()["recipe"]) == ORIGIN["recipe"]
 
@@ -237,8 +238,8 @@ def test_missing_checksum_is_said(path, caplog):
 
 
 def test_newer_format(path):
-    rewrite_header(path, lambda header: header.update(format="4", ffpose_version="9.0"))
-    with pytest.raises(DataError, match=r"format 1 to 3.*got format 4.*ffpose 9\.0"):
+    rewrite_header(path, lambda header: header.update(format="5", ffpose_version="9.0"))
+    with pytest.raises(DataError, match=r"format 1 to 4.*got format 5.*ffpose 9\.0"):
         FilterformerPose.from_pretrained(path)
 
 
@@ -271,6 +272,18 @@ def test_the_size_of_images_in_format_2_is_turned(model, tmp_path):
     assert read_metadata(path).data == {"image_size": [640, 480], "count": 3}
     rewrite_header(path, lambda header: header.update(data="null"))
     assert read_metadata(path).data is None
+
+
+def test_fields_of_earlier_versions_are_left_out(path):
+    """Those that the network still has stay, and any other is refused."""
+    before = read_metadata(path).config
+    earlier = json.loads(before.to_json()) | {"turns": 4}
+    rewrite_header(path, lambda header: header.update(config=json.dumps(earlier)))
+    assert read_metadata(path).config == before
+    polar = json.loads(PolarPoseConfig().to_json()) | {"translation_std": [1.0, 1.0, 1.0]}
+    changes = {"architecture": "PolarPose", "config": json.dumps(polar)}
+    rewrite_header(path, lambda header: header.update(changes))
+    assert read_metadata(path).config == PolarPoseConfig()
 
 
 @pytest.mark.parametrize("name", zoo.names())

@@ -118,7 +118,7 @@ def test_a_budget_of_time_ends_after_the_epoch_that_uses_it_up(tmp_path, sets):
             "minutes: expected optimizer.schedule step",
         ),
         ({"seeds": 0}, "seeds: expected at least 1, got 0"),
-        ({"variants": ["nothing"]}, "variant: expected one of grid, none, got 'nothing'"),
+        ({"variants": ["nothing"]}, "variants: expected one of grid, none, got 'nothing'"),
         ({"changes": {"model_fields": {"depths": 1}}}, "expected fields out of"),
     ],
 )
@@ -242,5 +242,15 @@ def test_changes_in_another_style_are_refused(changes, expected, tmp_path, capsy
 
 
 def test_a_value_that_cannot_be_is_one_line(tmp_path, capsys):
-    assert main(["filters", "--out", str(tmp_path / "a"), "--seeds", "0"]) == 1
-    assert capsys.readouterr().err == "studies: seeds: expected at least 1, got 0\n"
+    """It is wrong usage, as an unknown variant is."""
+    for words, expected in (
+        (["--seeds", "0"], "seeds: expected at least 1, got 0\n"),
+        (
+            ["--variants", "nothing"],
+            "variants: expected one of tokens, grid, none, got 'nothing'\n",
+        ),
+    ):
+        with pytest.raises(SystemExit) as leaving:
+            main(["filters", "--out", str(tmp_path / "a"), *words])
+        assert leaving.value.code == 2
+        assert capsys.readouterr().err.endswith(f"error: {expected}")

@@ -1,16 +1,15 @@
 """Calibrated weights files: what their header says, done again, gives the same file."""
 
 import shlex
-import shutil
 from pathlib import Path
 
 import pytest
 import torch
 from safetensors.torch import load_file
 
-from ffpose._internal.seeds import CALIBRATION, CHOICES
+from ffpose._internal.seeds import CALIBRATION
 from ffpose.cli import build_parser, main, words_of
-from ffpose.models import FilterformerPose, PolarPose, read_metadata
+from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training.calibrate_weights import calibrate_weights
 from ffpose.training.calibration_images import command_of
 from ffpose.training.config import CalibrationImages
@@ -28,14 +27,13 @@ def values_of(path):
     metadata = read_metadata(path)
     config = metadata.config
     found = (config.distance_scale, config.doubt_sigma, config.degrees_of_freedom)
-    return (*found, config.turns, metadata.in_view_threshold)
+    return (*found, metadata.in_view_threshold)
 
 
 def test_the_header_names_images_that_neither_train_nor_validate(trained):
     said = read_metadata(trained).calibration
     assert [(each["scene"], each["seed"], each["count"]) for each in said["images"]] == [
         ("soyuz_easy", CALIBRATION.start + 3, COUNT),
-        ("soyuz_easy", CALIBRATION.start + 300_003, COUNT),
         ("soyuz_easy", CALIBRATION.start + 500_003, COUNT),
     ]
 
@@ -69,27 +67,25 @@ def test_the_command_in_the_header_calibrates_to_the_same_values(trained, tmp_pa
     ],
 )
 def test_the_command_of_images_is_parsed_to_these_images(config):
-    words = shlex.split(command_of("a.safetensors", config, [4, 8]))
+    words = shlex.split(command_of("a.safetensors", config))
     assert not any(word.startswith("[") or word == "True" for word in words)
     parser = build_parser("calibrate")
     options = parser.instantiate(parser.parse_args(words_of("calibrate", words[2:])))
     assert CalibrationImages(**vars(options.data)) == config
-    assert (options.weights, options.turns) == (Path("a.safetensors"), [4, 8])
+    assert options.weights == Path("a.safetensors")
 
 
-def test_the_number_of_views_is_chosen_on_images_of_its_own(trained, tmp_path):
-    out = tmp_path / "chosen.safetensors"
-    images = CalibrationImages(
-        root=trained.parents[1] / "views", scene="soyuz_easy", seed=CALIBRATION.start + 3, count=4
-    )
-    calibrate_weights(trained, images, turns=[1, 3], out=out)
-    said = read_metadata(out).calibration
-    chosen = said["chosen"]
-    assert chosen["images"] == {"scene": "soyuz_easy", "seed": CHOICES.start + 3, "count": 4}
-    assert chosen["medians"].keys() == {"1", "3"}
-    assert chosen["turns"] == int(min(chosen["medians"], key=chosen["medians"].get))
-    assert read_metadata(out).config.turns == chosen["turns"]
-    assert said["command"].endswith("--turns 1 3")
+def test_the_set_is_the_first_that_the_weights_were_trained_on(trained, tmp_path):
+    out = tmp_path / "calibrated.safetensors"
+    views = trained.parents[1] / "views"
+    images = CalibrationImages(root=views, seed=CALIBRATION.start + 3, count=COUNT)
+    calibrate_weights(trained, images, out=out)
+    assert read_metadata(out).calibration["images"] == read_metadata(trained).calibration["images"]
+    assert "--data.scene soyuz_easy" in read_metadata(out).calibration["command"]
+    unknown = tmp_path / "unknown.safetensors"
+    FilterformerPose.from_pretrained(trained).save_pretrained(unknown)
+    with pytest.raises(ValueError, match=r"data\.scene: expected the name of a rendered set, got"):
+        calibrate_weights(unknown, images)
 
 
 def test_a_network_that_looks_once_is_refused(tmp_path):
@@ -107,19 +103,3 @@ def test_weights_by_name_are_not_written_to(tmp_path, capsys):
     assert main(["calibrate", "soyuz", "--data.root", str(tmp_path)]) == 2
     assert "out: expected a file, as soyuz is installed for all" in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
-
-
-def test_a_network_without_rotated_views_has_no_number_of_them_to_choose(tmp_path):
-    path = tmp_path / "polar.safetensors"
-    model = PolarPose.from_config("polar", backbone_weights="none")
-    model.save_pretrained(path)
-    images = CalibrationImages(root=tmp_path, count=2)
-    with pytest.raises(ValueError, match=r"may change .*\(looks, candidates\), got turns"):
-        calibrate_weights(path, images, turns=[1])
-
-
-def test_views_are_chosen_on_rendered_images_alone(trained, tmp_path):
-    path = tmp_path / "weights.safetensors"
-    shutil.copy(trained, path)
-    with pytest.raises(ValueError, match=r"turns: expected with data\.kind scenes, got urso"):
-        calibrate_weights(path, CalibrationImages("urso", tmp_path), turns=[1, 2])

@@ -124,6 +124,8 @@ def test_a_file_has_precedence_over_a_name(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("words", [["--config", "papre"], ["--config=papre"]])
 def test_an_unknown_configuration_is_refused(words, capsys):
-    assert main(["train", *words]) == 1
+    with pytest.raises(SystemExit) as leaving:
+        main(["train", *words])
+    assert leaving.value.code == 2
     expected = "config: expected a YAML file or a name (one of paper), got papre"
     assert expected in capsys.readouterr().err

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from itertools import islice
 from typing import TYPE_CHECKING
 
-from ffpose.errors import hint
+from ffpose.errors import DataError, hint
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser
@@ -74,6 +75,51 @@ def check_spelling(words: Sequence[str]) -> None:
 def wrong(message: str) -> argparse.ArgumentError:
     """Return the error of wrong usage, for which the command line's exit code is 2."""
     return argparse.ArgumentError(None, message)
+
+
+def is_usage(error: Exception, usage: str) -> bool:
+    """Return whether an error is about the value of an argument, which its message begins with.
+
+    Args:
+        error: What a command raised.
+        usage: Of the command's parser, which names the arguments.
+
+    Examples:
+        >>> is_usage(ValueError("count: expected at least 1, got 0"), "[--count COUNT]")
+        True
+        >>> is_usage(ValueError("depth: expected at least 1, got 0"), "[--count COUNT]")
+        False
+    """
+    found = re.match(r"(?:--)?([\w.-]+): expected", str(error))
+    if found is None or not isinstance(error, ValueError) or isinstance(error, DataError):
+        return False
+    known = re.findall(r"[a-z][\w.-]*", usage)
+    return found[1].replace("_", "-") in {name.replace("_", "-") for name in known}
+
+
+def positionals_first(words: Sequence[str], flags: Collection[str]) -> list[str]:
+    """Return words with those first that no option takes, which argparse wants side by side.
+
+    Args:
+        words: Of a command whose options take one value, but for some.
+        flags: The options that take none.
+
+    Examples:
+        >>> positionals_first(["net", "a.png", "--json", "b.png", "--batch", "2"], {"--json"})
+        ['net', 'a.png', 'b.png', '--json', '--batch', '2']
+    """
+    if "--" in words:
+        return list(words)
+    positionals, options = [], []
+    rest = iter(words)
+    for word in rest:
+        if not word.startswith("-"):
+            positionals.append(word)
+            continue
+        options.append(word)
+        if word not in flags and "=" not in word:
+            options += islice(rest, 1)
+    return positionals + options
 
 
 def advice(message: str, known: Sequence[str]) -> str:

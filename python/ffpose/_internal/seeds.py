@@ -1,8 +1,8 @@
 """Seeds of rendered scenes, and what each may be used for: no image is used twice.
 
 Two seeds have no scene in common. What a training learns from, what selects its best epoch, what
-calibrates its weights and what people chose by (the number of looks or of rotated views, the
-precision of a graph) are of different seeds; and the figures that are published as final come from
+calibrates its weights and what people chose by (the number of looks, the precision of a
+graph) are of different seeds; and the figures that are published as final come from
 seeds that nothing before them has rendered. Only ``ffpose card --final`` renders those.
 """
 

@@ -74,7 +74,7 @@ def run(
         quick: Batch 1, one thread, short timings.
         batches: Images a batch; None for 1 and 8.
         threads: Numbers of threads; None for 1, 2 and all.
-        **fields: Fields of the network to change: ``looks`` and ``turns``.
+        **fields: Fields of the network to change: ``looks`` and ``candidates``.
 
     Raises:
         FileNotFoundError: No such network, or no folder for the plot.

@@ -10,7 +10,7 @@ from ffpose.config.filterformer_pose import (
     FLAT_LATENT,
     FilterformerPoseConfig,
 )
-from ffpose.config.network import NetworkConfig
+from ffpose.config.network import FrameConfig, NetworkConfig
 from ffpose.config.polar_pose import PolarPoseConfig
 from ffpose.config.rivals import PoseNetConfig, UrsoNetConfig
 from ffpose.config.second_look import SecondLookConfig
@@ -21,6 +21,7 @@ __all__ = [
     "FLAT_LATENT",
     "PRESETS",
     "FilterformerPoseConfig",
+    "FrameConfig",
     "NetworkConfig",
     "PolarPoseConfig",
     "PoseNetConfig",

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
 from ffpose._internal.choices import FilterKind, NormPlace, PositionKind
-from ffpose.config.network import is_whole
+from ffpose.config.network import FrameConfig, is_whole
 from ffpose.config.second_look import SecondLookConfig
 
 Pooling = Literal["token", "mean", "flatten"]
@@ -28,7 +28,7 @@ FLAT_LATENT = 256
 
 
 @dataclass(frozen=True)
-class FilterformerPoseConfig(SecondLookConfig):
+class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
     """Architecture of the network; sizes of images and grids are ``(height, width)``.
 
     Attributes:
@@ -84,14 +84,13 @@ class FilterformerPoseConfig(SecondLookConfig):
             by calibration. None for Gaussian errors.
         looks: Number of times that the virtual camera is pointed; 2 looks again at the position
             that the first of these looks refined.
-        turns: Number of views of the last look, evenly rotated about the viewing ray, whose
-            predictions are averaged; their errors are nearly independent.
 
     Raises:
         ValueError: A value is out of range, or sizes are inconsistent.
     """
 
     architecture: ClassVar[str] = "FilterformerPose"
+    TUPLES: ClassVar[dict[str, int]] = SecondLookConfig.TUPLES | FrameConfig.TUPLES
     CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
         "norm": get_args(NormPlace),
         "filter": get_args(FilterKind),
@@ -103,7 +102,7 @@ class FilterformerPoseConfig(SecondLookConfig):
     COUNTS: ClassVar[tuple[str, ...]] = (
         *("translation_reduction", "orientation_reduction", "dim", "heads", "feed_forward"),
         *("head_hidden", "translation_mlp_dim", "orientation_mlp_dim"),
-        *("bins", "bins_degree", "turns"),
+        *("bins", "bins_degree"),
         *SecondLookConfig.COUNTS,
     )
 
@@ -128,7 +127,6 @@ class FilterformerPoseConfig(SecondLookConfig):
     bins_degree: int = 5
     bins_width_deg: float = 8.0
     object_backbone: str = "compact_resnet"
-    turns: int = 4
 
     def _check_values(self) -> None:
         super()._check_values()
@@ -157,8 +155,8 @@ class FilterformerPoseConfig(SecondLookConfig):
 
     @property
     def free_fields(self) -> tuple[str, ...]:
-        """The numbers of second looks and of their views, where there is one."""
-        return ("looks", "turns") if self.orientation_view == "object" else ()
+        """The number of second looks, where there is one."""
+        return ("looks",) if self.orientation_view == "object" else ()
 
     @property
     def latent(self) -> int:

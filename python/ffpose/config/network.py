@@ -23,9 +23,6 @@ class NetworkConfig:
     Attributes:
         image_size: Size of the network's input in pixels.
         backbone: Name of a timm model with feature maps, or of `ffpose.models.compact_resnet`.
-        translation_mean: Mean that is added to the translation head's output, meters, camera frame.
-        translation_std: Scale of the translation head's output, meters. With a mean of zeros and a
-            scale of ones the head regresses meters, as published.
         camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``;
             None if unknown. `view_camera` returns them as a `ffpose.geometry.Camera`.
 
@@ -38,8 +35,6 @@ class NetworkConfig:
 
     TUPLES: ClassVar[dict[str, int]] = {
         "image_size": 2,
-        "translation_mean": 3,
-        "translation_std": 3,
         "camera": 4,
     }
     OPTIONAL: ClassVar[tuple[str, ...]] = ("camera",)
@@ -48,8 +43,6 @@ class NetworkConfig:
 
     image_size: tuple[int, int] = (224, 224)
     backbone: str = "efficientnet_b0"
-    translation_mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    translation_std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     camera: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -73,14 +66,6 @@ class NetworkConfig:
             raise ValueError(
                 f"image_size: expected each at least {self.coarsest_reduction}, the coarsest"
                 f" reduction, got {self.image_size}"
-            )
-        if not all(map(math.isfinite, self.translation_mean)):
-            raise ValueError(
-                f"translation_mean: expected finite numbers, got {self.translation_mean}"
-            )
-        if not all(math.isfinite(std) and std > 0 for std in self.translation_std):
-            raise ValueError(
-                f"translation_std: expected finite numbers above 0, got {self.translation_std}"
             )
         if self.camera is not None and not all(map(math.isfinite, self.camera)):
             raise ValueError(f"camera: expected finite numbers, got {self.camera}")
@@ -181,6 +166,39 @@ class NetworkConfig:
         """
         cls.check_names(values)
         return cls(**values)
+
+
+@dataclass(frozen=True)
+class FrameConfig(NetworkConfig):
+    """Fields of a network that may regress the translation from the whole frame.
+
+    Attributes:
+        translation_mean: Mean that is added to the translation head's output, meters, camera frame.
+        translation_std: Scale of the translation head's output, meters. With a mean of zeros and a
+            scale of ones the head regresses meters, as published.
+
+    Raises:
+        ValueError: A value is out of range, or sizes are inconsistent.
+    """
+
+    TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
+        "translation_mean": 3,
+        "translation_std": 3,
+    }
+
+    translation_mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    translation_std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def _check_values(self) -> None:
+        super()._check_values()
+        if not all(map(math.isfinite, self.translation_mean)):
+            raise ValueError(
+                f"translation_mean: expected finite numbers, got {self.translation_mean}"
+            )
+        if not all(math.isfinite(std) and std > 0 for std in self.translation_std):
+            raise ValueError(
+                f"translation_std: expected finite numbers above 0, got {self.translation_std}"
+            )
 
 
 def is_whole(value: Any) -> bool:

@@ -28,8 +28,6 @@ class PolarPoseConfig(SecondLookConfig):
         image_size: Size of the network's input in pixels.
         backbone: Name of the first look's backbone, a timm model or one of
             `ffpose.models.compact_resnet`.
-        translation_mean: As every network has it; not used.
-        translation_std: As every network has it; not used.
         camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``.
         first_stride: Downsampling factor from the network's input to the first look.
         first_reduction: Stride of the first look's feature map, pixels per cell.

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ffpose.config.network import NetworkConfig
+from ffpose.config.network import FrameConfig
 
 
 @dataclass(frozen=True)
-class UrsoNetConfig(NetworkConfig):
+class UrsoNetConfig(FrameConfig):
     """Architecture of UrsoNet (`ffpose.models.urso_net`).
 
     The defaults are those of the authors' program and of their commands for URSO, at half the size
@@ -66,7 +66,7 @@ class UrsoNetConfig(NetworkConfig):
 
 
 @dataclass(frozen=True)
-class PoseNetConfig(NetworkConfig):
+class PoseNetConfig(FrameConfig):
     """Architecture of direct regression in the manner of PoseNet (`ffpose.models.pose_net`).
 
     Attributes:

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from ffpose.errors import require
 from ffpose.imaging.preprocessing import Mode, Preprocessing
-from ffpose.models.compact_resnet import EXTRA_BLOCKS, REDUCTIONS, WIDTHS, CompactResNet
+from ffpose.models.compact_resnet import REDUCTIONS, WIDTHS, CompactResNet
 from ffpose.models.pretrained import BackboneSource, load_backbone_weights
 
 COMPACT_STD = (0.25, 0.25, 0.25)
@@ -122,8 +122,7 @@ def _compact(name: str, reductions: Sequence[int], weights: str | Path) -> Backb
     missing = [reduction for reduction in reductions if reduction not in REDUCTIONS]
     if missing:
         raise ValueError(f"backbone: {name} gives reductions {REDUCTIONS}, expected {missing}")
-    extra_blocks = EXTRA_BLOCKS.get(name, (0, 0, 0))
-    features = CompactResNet(WIDTHS[name], max(reductions), extra_blocks)
+    features = CompactResNet(WIDTHS[name], max(reductions))
     return Backbone(
         features.to(memory_format=torch.channels_last),
         [features.channels[reduction] for reduction in reductions],

@@ -20,15 +20,8 @@ WIDTHS = {
     "compact_resnet": (16, 48, 96, 144),
     "compact_resnet_narrow": (16, 32, 64, 96),
     "compact_resnet_wide": (32, 64, 128, 192),
-    "compact_resnet_deep": (16, 48, 96, 144),
 }
 """Channels of the stem and of the maps of `REDUCTIONS`, by name."""
-
-EXTRA_BLOCKS = {"compact_resnet_deep": (1, 2, 0)}
-"""Number of extra blocks in each stage of `REDUCTIONS`, by name; none without an entry."""
-
-EXTRA_PART = ".extra."
-"""Part of a tensor's name that only tensors of extra blocks have."""
 
 
 class BasicBlock(nn.Module):
@@ -68,17 +61,12 @@ class CompactResNet(nn.Module):
     Args:
         widths: Channels of the stem and of the maps of `REDUCTIONS`.
         reduction: Stride of the coarsest map; later stages are not built.
-        extra_blocks: Number of blocks added after each stage. They start as their skip connection,
-            so that a network trained without them can continue training (Chen et al., "Net2Net:
-            Accelerating Learning via Knowledge Transfer", ICLR 2016).
 
     Raises:
         ValueError: ``reduction`` is not in `REDUCTIONS`.
     """
 
-    def __init__(
-        self, widths: Sequence[int], reduction: int, extra_blocks: Sequence[int] = (0, 0, 0)
-    ) -> None:
+    def __init__(self, widths: Sequence[int], reduction: int) -> None:
         super().__init__()
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction: expected one of {REDUCTIONS}, got {reduction}")
@@ -87,24 +75,19 @@ class CompactResNet(nn.Module):
             nn.BatchNorm2d(widths[0]),
             nn.ReLU(inplace=True),
         )
-        count = REDUCTIONS.index(reduction) + 1
         stages: list[nn.Module] = [BasicBlock(widths[0], widths[1], 2)]
         stages += [
             nn.Sequential(BasicBlock(before, after, 2), BasicBlock(after, after))
             for before, after in pairwise(widths[1:])
         ]
-        self.stages = nn.ModuleList(stages[:count])
-        self.extra = nn.ModuleList(
-            nn.Sequential(*(BasicBlock(width, width) for _ in range(blocks)))
-            for width, blocks in zip(widths[1 : count + 1], extra_blocks[:count], strict=True)
-        )
+        self.stages = nn.ModuleList(stages[: REDUCTIONS.index(reduction) + 1])
         self.channels = dict(zip(REDUCTIONS, widths[1:], strict=True))
 
     def forward(self, images: Tensor) -> list[Tensor]:
         """Return the maps of ``images (B, 3, H, W)``, finest first."""
         x = self.stem(images)
         maps = []
-        for stage, extra in zip(self.stages, self.extra, strict=True):
-            x = extra(stage(x))
+        for stage in self.stages:
+            x = stage(x)
             maps.append(x)
         return maps

@@ -33,7 +33,6 @@ from ffpose.models.object_look import (
     in_front,
     points_at,
     split_numbers,
-    total_covariance,
 )
 from ffpose.models.virtual_camera import (
     Pyramid,
@@ -48,14 +47,8 @@ from ffpose.nn.orientation import (
     OrientationHead,
     QuaternionHead,
     SixNumbersHead,
-    mean_quaternion,
 )
-from ffpose.nn.rotations import (
-    matrix_to_quaternion,
-    quaternion_to_matrix,
-    rotation_between,
-    rotation_vector,
-)
+from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 TOKEN_STD = 0.02
 
@@ -277,46 +270,30 @@ class FilterformerPose(FrameNetwork):
         """Locate the object in the frame, then look at it ``config.looks`` times."""
         levels = pyramid(images)
         points = self.located(self.locate(F.avg_pool2d(images, self.config.first_stride)))
-        for _ in range(1, self.config.looks):
-            points = self._look_around(levels, points, turns=1).translation
-        pose = self._look_around(levels, points, self.config.turns)
+        for _ in range(self.config.looks):
+            pose = self._look_at(levels, points)
+            points = pose.translation
         return calibrated(pose, self.config)
 
     def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
         return turn_to(points, self.config.object_radius_m, self.config.object_size, twist)
 
-    def _look_around(self, levels: Pyramid, points: Tensor, turns: int) -> UncertainPose:
-        """Look at points ``(B, 3)`` in views rotated about the ray, and average the predictions.
-
-        The covariances are those of `total_covariance`, about the averages, times
-        ``variance_scales``.
-        """
-        twist = torch.arange(turns, dtype=points.dtype, device=points.device) * 2 * math.pi / turns
-        count = points.shape[0]
-        twist = twist.repeat(count)  # of all views of the first image, then the second's
-        points = points.repeat_interleave(turns, 0)
-        view = self.view_at(points, twist)
-        numbers = self.look(look_into(levels, view, points, self.intrinsics, turns))
-        t = view.points_back(points_at(numbers.offset, view))
+    def _look_at(self, levels: Pyramid, points: Tensor) -> UncertainPose:
+        """Look at points ``(B, 3)``; the covariances are multiplied by ``variance_scales``."""
+        view = self.view_at(points)
+        numbers = self.look(look_into(levels, view, points, self.intrinsics))
         matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
         q = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
-        t, q, translation_covariance, rotation_covariance, in_view = (
-            torch.unflatten(values, 0, (count, turns))
-            for values in (t, q, *covariances(numbers, view), numbers.in_view)
-        )  # (B, turns, ...)
-        t_mean = in_front(t.mean(1))
-        q_mean = mean_quaternion((q[..., None] * q[..., None, :]).sum(1), q[:, 0])
-        turned = rotation_between(q_mean.repeat_interleave(turns, 0), q.flatten(0, 1))
-        deviation = torch.unflatten(rotation_vector(turned), 0, (count, turns))
+        translation, rotation = covariances(numbers, view)
         return UncertainPose(
-            t_mean,
-            q_mean,
-            total_covariance(translation_covariance, t - t_mean[:, None]) * self.variance_scales[0],
-            total_covariance(rotation_covariance, deviation) * self.variance_scales[1],
-            in_view.mean(1).sigmoid(),
-            F.normalize(q_mean, dim=-1),  # another tensor: an output of a graph has one name
-            points.new_tensor([1.0, 0.0]).expand(count, 2),
+            in_front(view.points_back(points_at(numbers.offset, view))),
+            q,
+            translation * self.variance_scales[0],
+            rotation * self.variance_scales[1],
+            numbers.in_view.sigmoid(),
+            F.normalize(q, dim=-1),  # another tensor: an output of a graph has one name
+            points.new_tensor([1.0, 0.0]).expand(points.shape[0], 2),
         )
 
     def locate(self, frames: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from ffpose._internal.torch_internals import register_named_tuple
-from ffpose.config import PRESETS, NetworkConfig
+from ffpose.config import PRESETS, FrameConfig, NetworkConfig
 from ffpose.errors import DataError
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.backbone import Backbone, backbone_preprocessing
@@ -228,8 +228,8 @@ class PoseNetwork(nn.Module, ABC):
         Args:
             path: Weights file, or name of shipped weights such as ``"soyuz"``
                 (`ffpose.models.zoo.names`).
-            **fields: Fields of the config to change that the weights do not depend on: ``looks``
-                and ``turns`` of a network with a second look, for less latency.
+            **fields: Fields of the config to change that the weights do not depend on: ``looks``,
+                and ``candidates`` of PolarPose, for less latency.
 
         Raises:
             FileNotFoundError: No such file or name.
@@ -262,10 +262,11 @@ class PoseNetwork(nn.Module, ABC):
 class FrameNetwork(PoseNetwork):
     """Base of the networks that look at the frame alone; they define `regress`."""
 
+    config: FrameConfig
     translation_mean: Tensor
     translation_std: Tensor
 
-    def __init__(self, config: NetworkConfig) -> None:
+    def __init__(self, config: FrameConfig) -> None:
         super().__init__(config)
         for name in ("translation_mean", "translation_std"):
             self.register_buffer(name, torch.tensor(getattr(config, name)), persistent=False)

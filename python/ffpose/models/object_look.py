@@ -155,19 +155,6 @@ def covariances(numbers: LookNumbers, view: VirtualCamera) -> tuple[Tensor, Tens
     return translation, back @ rotation @ view.rotation
 
 
-def total_covariance(covariance: Tensor, deviation: Tensor) -> Tensor:
-    """Return the covariance ``(B, 3, 3)`` of a mean over V views, by the law of total variance.
-
-    It is the mean of the views' covariances plus the covariance of what they predict: views that
-    disagree are as uncertain as their disagreement, whatever each says of itself.
-
-    Args:
-        covariance: ``(B, V, 3, 3)``, what each view predicts.
-        deviation: ``(B, V, 3)``, deviation of each view's prediction from the mean.
-    """
-    return covariance.mean(1) + deviation.transpose(1, 2) @ deviation / deviation.shape[1]
-
-
 def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
     """Return the covariances ``(B, 3, 3)`` of vectors in the frame of the virtual camera.
 

@@ -15,7 +15,7 @@ import json
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, get_args
 
@@ -31,7 +31,6 @@ from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type, de
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models.compact_resnet import EXTRA_PART
 from ffpose.models.pretrained import BackboneSource
 from ffpose.models.zoo import resolve
 
@@ -39,6 +38,13 @@ logger = logging.getLogger(__name__)
 
 FORMAT = 4
 """Version of the header, incremented whenever older code could not read it correctly."""
+
+FORMER = ("translation_mean", "translation_std", "turns", "hidden_sigma")
+"""Fields of earlier versions that not all networks, or none, have any more.
+
+PolarPose did not use the first two. ``turns`` was the number of rotated views of the last look that
+were averaged, and ``hidden_sigma`` the growth of standard deviations before format 4.
+"""
 
 NAMES_SHOWN = 4
 
@@ -62,7 +68,7 @@ class WeightsMetadata:
             is `locates` and ``mean_pose`` `mean_pose`.
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
         calibration: What the network was calibrated on, as a JSON document: ``command``,
-            ``images``; ``chosen``, by which images the number of rotated views was.
+            ``images``.
         version: Version of ffpose that wrote the file.
 
     Raises:
@@ -219,15 +225,20 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
     if header["format"] == "2":
         origin["data"] = _height_first(origin["data"])
     architecture = header.get("architecture", FilterformerPoseConfig.architecture)
-    fields = json.loads(header["config"])
-    if int(header["format"]) < 4 and isinstance(fields, dict):
-        fields.pop("hidden_sigma", None)
     return WeightsMetadata(
-        config_type(architecture).from_json(json.dumps(fields)),
+        _read_config(config_type(architecture), header["config"]),
         Preprocessing.from_dict(json.loads(header["preprocessing"])),
         **origin,
         version=version,
     )
+
+
+def _read_config(kind: type[NetworkConfig], text: str) -> NetworkConfig:
+    """Read a configuration, without the fields of `FORMER` that its network no longer has."""
+    values, known = json.loads(text), {field.name for field in fields(kind)}
+    if isinstance(values, dict):
+        values = {k: value for k, value in values.items() if k in known or k not in FORMER}
+    return kind.from_json(json.dumps(values))
 
 
 def _height_first(data: dict[str, Any] | None) -> dict[str, Any] | None:
@@ -238,15 +249,12 @@ def _height_first(data: dict[str, Any] | None) -> dict[str, Any] | None:
     return data | {"image_size": size[::-1]}
 
 
-def load_weights(path: str | Path, model: nn.Module, *, grow: bool = False) -> None:
+def load_weights(path: str | Path, model: nn.Module) -> None:
     """Load the tensors of a weights file into a model, in place, after all checks.
 
     Args:
         path: The file.
         model: The network.
-        grow: Whether the file may lack the extra blocks of a
-            `ffpose.models.compact_resnet.CompactResNet`, which then keep their values; a newly
-            initialized model then computes the same as the file's network.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -257,8 +265,6 @@ def load_weights(path: str | Path, model: nn.Module, *, grow: bool = False) -> N
     with _safetensors(path):
         _check_bytes(path)
         state, expected = load_file(path), model.state_dict()
-    if grow:
-        state = {name: t for name, t in expected.items() if EXTRA_PART in name} | state
     _check_architecture(path, state, expected)
     model.load_state_dict(state)
 

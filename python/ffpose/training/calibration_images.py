@@ -72,6 +72,8 @@ def open_calibration(config: CalibrationImages, preprocessing: Preprocessing) ->
 
 
 def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> CalibrationSet:
+    if config.scene is None:
+        raise ValueError("data.scene: expected the name of a rendered set, got none")
     scene, count = find_scene(config.scene, config.attitude_range_deg), config.count
     scene = scene.scaled(*config.distance)
     parts = {"object": (scene, 0)}
@@ -94,7 +96,7 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
     return CalibrationSet(config, about, whole, tuple(hard), empty)
 
 
-def command_of(weights: str, config: CalibrationImages, turns: list[int]) -> str:
+def command_of(weights: str, config: CalibrationImages) -> str:
     """Return the command that calibrates weights with these images.
 
     Of a set on disk the folder's name stands for its path, which is this machine's.
@@ -109,4 +111,4 @@ def command_of(weights: str, config: CalibrationImages, turns: list[int]) -> str
             shown = ",".join(map(str, value)) if isinstance(value, tuple) else value
             option = f"--data.{field.name.replace('_', '-')}"
             words.append(option if value is True else f"{option} {shown}")
-    return " ".join([*words, *(["--turns", *map(str, turns)] if turns else [])])
+    return " ".join(words)

@@ -34,7 +34,8 @@ class CalibrationImages:
         kind: Layout of the image set, as in `DataConfig`, or "scenes" for rendered ones: of each
             kind (whole, cut by the border, randomized, without the object) ``count`` are rendered.
         root: Folder of the image set; for kind "scenes" that which keeps the images.
-        scene: For kind "scenes": name of the rendered set.
+        scene: For kind "scenes": name of the rendered set; None for the first that the weights were
+            trained on.
         seed: For kind "scenes": seed of the set, one of `ffpose._internal.seeds.CALIBRATION`.
         count: For kind "scenes": number of images of each kind, 2 or more.
         cut: For kind "scenes": objects that the border cuts too.
@@ -51,7 +52,7 @@ class CalibrationImages:
 
     kind: str = "scenes"
     root: Path = Path("runs/calibration")
-    scene: str = "soyuz_hard"
+    scene: str | None = None
     seed: int = CALIBRATION.start
     count: int = 200
     cut: bool = False

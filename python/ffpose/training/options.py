@@ -73,8 +73,8 @@ def read_words(words: Sequence[str]) -> list[str]:
 
     Raises:
         argparse.ArgumentError: An option is spelled as in a former version, or a value is a JSON
-            string; the message has the new spelling.
-        FileNotFoundError: A value of ``--config`` is neither a file nor a name.
+            string; the message has the new spelling. Or a value of ``--config`` is neither a file
+            nor a name.
     """
     found = []
     for option, separator, value in split(words):
@@ -103,7 +103,10 @@ def _dest(option: str) -> str:
 def _value(option: str, value: str) -> str:
     """Return a value as jsonargparse reads it, with brackets about a list."""
     if option == "--config":
-        path = configs.resolve(value)
+        try:
+            path = configs.resolve(value)
+        except FileNotFoundError as error:
+            raise wrong(str(error)) from error
         check_document(path.read_text(encoding="utf-8"))
         return str(path)
     nested, listed = option.startswith(OPEN), option in LISTS

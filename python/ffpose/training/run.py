@@ -104,7 +104,7 @@ def build_run(
         model.backbone.source = resumed.backbone_source
         init = (resumed.recipe or {}).get("init")
     elif config.init is not None:
-        load_weights(config.init, model, grow=True)
+        load_weights(config.init, model)
         init = origin(config.init)
     task = _task(config, model, data, device, processes)
     optimizer = build_optimizer(model, task.loss, config.optimizer)

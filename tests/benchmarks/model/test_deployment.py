@@ -48,7 +48,7 @@ from benchmarks.model.pipeline import (
 from benchmarks.model.plan import DeploymentPlan, make_plan
 from benchmarks.model.subjects import GFNET, GlobalFilterNetwork, subject
 from ffpose.config import CONFIGS, PRESETS
-from ffpose.models import FilterformerPose, read_metadata
+from ffpose.models import PolarPose, read_metadata
 from ffpose.nn import GlobalFilter
 from ffpose.onnx import library
 from ffpose.onnx.library import ELF_NAME, NAMES, get_library_path
@@ -289,11 +289,10 @@ def test_what_cannot_be_measured_is_refused(words, message, capsys):
 
 def test_a_network_is_measured_with_fewer_looks(tmp_path, monkeypatch):
     weights = tmp_path / "twice.safetensors"
-    fields = {"image_size": (48, 64), "first_stride": 2, "object_size": (32, 32), "dim": 16}
-    model = FilterformerPose.from_config("compact", bins=100, bins_degree=1, **fields)
-    model.save_pretrained(weights, data={"name": "own"})
-    measured = subject(str(weights), tmp_path, looks=1, turns=3)
-    assert (measured.model.config.looks, measured.model.config.turns) == (1, 3)
+    fields = {"image_size": (64, 64), "first_stride": 2, "object_size": (16, 96), "directions": 50}
+    PolarPose.from_config("polar", **fields).save_pretrained(weights, data={"name": "own"})
+    measured = subject(str(weights), tmp_path, looks=1, candidates=3)
+    assert (measured.model.config.looks, measured.model.config.candidates) == (1, 3)
     changed = read_metadata(measured.weights)
     assert changed == replace(read_metadata(weights), config=measured.model.config)
     with pytest.raises(ValueError, match="gfnet: expected no fields"):
