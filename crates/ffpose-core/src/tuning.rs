@@ -77,11 +77,11 @@ pub(crate) struct Tuning {
 
     /// Images of at most this part of the L2 cache are small.
     pub(crate) small_share: usize,
-    /// L2 caches up to which small images, and others, with their results and what else is as large, come by themselves to a
-    /// processor that fetches ahead. Asking cost the Xeon up to 25 %, not asking for more up to 40 %, or 60 % where images are
-    /// not small. On Zen 5 not asking cost half as much again.
-    pub(crate) small_unasked: usize,
-    pub(crate) unasked: usize,
+    /// L2 caches up to which small images, and others, with their results and what else is as large, the hardware prefetcher
+    /// brings. Prefetching by software too cost the Xeon up to 25 %, not doing so beyond up to 40 %, or 60 % where images are not
+    /// small. On Zen 5 not doing so cost half as much again.
+    pub(crate) small_prefetched: usize,
+    pub(crate) prefetched: usize,
 
     /// Points of a plane, for each channel, up to which images of few channels are filtered several together. One alone takes as
     /// long as all of them: of sequences of up to these lengths a batch of 32 took a third to a fifth of the time of rustfft
@@ -122,8 +122,8 @@ static OF_MACHINE: LazyLock<Tuning> = LazyLock::new(|| Tuning {
     streamed: 3 << 18,
     least_spectra: 1 << 18,
     small_share: 8,
-    small_unasked: 8,
-    unasked: 3,
+    small_prefetched: 8,
+    prefetched: 3,
     batched_plane: 1 << 10,
     batched_sequence: 1 << 12,
     narrow: 1 << 11,
@@ -143,16 +143,16 @@ impl Tuning {
 
     /// Whether images, each of `each` bytes, come to the L2 cache by the hardware prefetcher; with their results and what else is
     /// as large they are `bytes`.
-    pub(crate) fn come_unasked(&self, bytes: usize, each: usize) -> bool {
+    pub(crate) fn are_prefetched(&self, bytes: usize, each: usize) -> bool {
         let is_small = each <= self.l2_cache / self.small_share;
-        let caches = if is_small { self.small_unasked } else { self.unasked };
+        let caches = if is_small { self.small_prefetched } else { self.prefetched };
         self.fetches_ahead && bytes <= caches * self.l2_cache
     }
 
-    /// Whether one image alone comes to the L2 cache by itself; with its result and its weight it is `bytes`. On Zen 5 it does up
-    /// to ten L2 caches, which is as far as was measured: to ask took up to 1.4 times as long.
-    pub(crate) fn comes_unasked(&self, bytes: usize) -> bool {
-        !self.fetches_ahead || bytes <= self.unasked * self.l2_cache
+    /// Whether the hardware prefetcher brings one image alone to the L2 cache; with its result and its weight it is `bytes`. On Zen 5
+    /// it does up to ten L2 caches, which is as far as was measured: software prefetch took up to 1.4 times as long.
+    pub(crate) fn is_prefetched(&self, bytes: usize) -> bool {
+        !self.fetches_ahead || bytes <= self.prefetched * self.l2_cache
     }
 
     /// This one for as long as the program runs, as plans want it.

@@ -23,7 +23,7 @@ pub(crate) struct Tiling {
 
 /// What pieces are made of.
 #[derive(Clone, Copy)]
-pub(crate) struct Grain {
+pub(crate) struct PieceSizes {
     /// Lanes of a tile: a multiple of the least up to the most, or the most alone if that is less.
     pub(crate) least: usize,
     pub(crate) most: usize,
@@ -43,24 +43,24 @@ impl Tiling {
     }
 
     /// Pieces that let `threads` share a batch evenly: parts of it, and narrower tiles where these are too few.
-    pub(crate) fn even(shape: Shape, images: usize, grain: Grain, threads: usize) -> Self {
+    pub(crate) fn even(shape: Shape, images: usize, sizes: PieceSizes, threads: usize) -> Self {
         if threads == 1 {
-            return Self::new(shape, grain.most, images, images);
+            return Self::new(shape, sizes.most, images, images);
         }
-        let groups = images.div_ceil(grain.together);
-        let tile = grain.tile(shape.lanes, groups, threads);
+        let groups = images.div_ceil(sizes.together);
+        let tile = sizes.tile(shape.lanes, groups, threads);
         let tiles = shape.lanes.div_ceil(tile);
         let groups_each =
-            groups.div_ceil(even_parts(tiles, groups, threads, grain.tuning.pieces_each));
-        Self::new(shape, tile, images, groups_each * grain.together)
+            groups.div_ceil(even_parts(tiles, groups, threads, sizes.tuning.pieces_each));
+        Self::new(shape, tile, images, groups_each * sizes.together)
     }
 
     /// As [`even`](Self::even), with the parts that a gradient is summed in, which follow from shapes and the images that stay
     /// together alone.
-    pub(crate) fn summed(shape: Shape, images: usize, grain: Grain, threads: usize) -> Self {
-        let images_each = images.div_ceil(sum_parts(shape, images, grain.tuning));
-        let images_each = images_each.next_multiple_of(grain.together);
-        let tile = grain.tile(shape.lanes, images.div_ceil(images_each), threads);
+    pub(crate) fn summed(shape: Shape, images: usize, sizes: PieceSizes, threads: usize) -> Self {
+        let images_each = images.div_ceil(sum_parts(shape, images, sizes.tuning));
+        let images_each = images_each.next_multiple_of(sizes.together);
+        let tile = sizes.tile(shape.lanes, images.div_ceil(images_each), threads);
         Self::new(shape, tile, images, images_each)
     }
 
@@ -134,7 +134,7 @@ impl Tiling {
     }
 }
 
-impl Grain {
+impl PieceSizes {
     /// Lanes of a tile with which `threads` are done soonest with `rows` of `lanes` lanes.
     fn tile(self, lanes: usize, rows: usize, threads: usize) -> usize {
         let Self { least, most, tuning, .. } = self;

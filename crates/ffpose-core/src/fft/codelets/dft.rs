@@ -165,7 +165,7 @@ fn dft16<V: Vector>(x: [Complex<V>; 16]) -> [Complex<V>; 16] {
     for q in 0..4 {
         let column = dft4([x[q], x[4 + q], x[8 + q], x[12 + q]]);
         for p in 0..4 {
-            rows[p][q] = turn::<V, 16>(column[p], p * q);
+            rows[p][q] = times_root::<V, 16>(column[p], p * q);
         }
     }
     let mut out = x;
@@ -180,7 +180,7 @@ fn dft16<V: Vector>(x: [Complex<V>; 16]) -> [Complex<V>; 16] {
 
 /// `z exp(-2πi k / N)`, `k` a constant once inlined.
 #[inline(always)]
-pub(crate) fn turn<V: Vector, const N: usize>(z: Complex<V>, k: usize) -> Complex<V> {
+pub(crate) fn times_root<V: Vector, const N: usize>(z: Complex<V>, k: usize) -> Complex<V> {
     let half: V = constant(std::f64::consts::FRAC_1_SQRT_2);
     let eighths = 8 * (k % N);
     if eighths == 0 {

@@ -8,7 +8,7 @@ mod roots;
 mod turned_dft;
 mod unroll;
 
-pub(crate) use dft::{Codelet, Dft, turn};
+pub(crate) use dft::{Codelet, Dft, times_root};
 pub(crate) use lengths::{has_codelet, with_codelet};
 pub(crate) use real_dft::{RealDft, TwoReal};
 pub(crate) use roots::root;

@@ -20,10 +20,10 @@ pub(crate) fn join<V: Vector>([a, b]: [Complex<V>; 2]) -> (Complex<V>, Complex<V
     (a.add_i(b), Complex::new(a.re + b.im, b.re - a.im))
 }
 
-/// From `[A(k), B(k)]` `[X(k), X(N - k)]`, with the turn `exp(-πi k / N)`.
+/// From `[A(k), B(k)]` `[X(k), X(N - k)]`, with the twiddle factor `exp(-πi k / N)`.
 #[inline(always)]
-pub(crate) fn merge<V: Vector>([a, b]: [Complex<V>; 2], turn: Complex<V>) -> [Complex<V>; 2] {
-    let turned = b.times(turn);
+pub(crate) fn merge<V: Vector>([a, b]: [Complex<V>; 2], twiddle: Complex<V>) -> [Complex<V>; 2] {
+    let turned = b.times(twiddle);
     [a + turned, Complex::new(a.re - turned.re, turned.im - a.im)]
 }
 
@@ -31,9 +31,9 @@ pub(crate) fn merge<V: Vector>([a, b]: [Complex<V>; 2], turn: Complex<V>) -> [Co
 #[inline(always)]
 pub(crate) fn unmerge<V: Vector>(
     [x, mirror]: [Complex<V>; 2],
-    turn: Complex<V>,
+    twiddle: Complex<V>,
 ) -> [Complex<V>; 2] {
     let sum = Complex::new(x.re + mirror.re, x.im - mirror.im);
     let difference = Complex::new(x.re - mirror.re, x.im + mirror.im);
-    [sum, difference.times_conj(turn)]
+    [sum, difference.times_conj(twiddle)]
 }

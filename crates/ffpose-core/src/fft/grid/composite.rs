@@ -4,7 +4,7 @@
 //! leave `P / 2` rows of `Q`: row 0 is two real lines, the others are complex. Slot `s Q + k` of the spectrum is frequency `k` of
 //! row `s`, with row 0 as [`TwoReal`] has it.
 
-use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, turn, unroll};
+use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, times_root, unroll};
 use crate::fft::transform::remainders;
 use crate::simd::{Complex, Stored, Tile, TileMut, Vector, gather, scatter};
 
@@ -70,7 +70,7 @@ where
             let mut line = gather::<_, Q>(work, (row - 1) * Q, 1);
             if !Self::COPRIME {
                 for q in 1..Q {
-                    line[q] = turn::<V, 64>(line[q], 64 / Self::LENGTH * q * Self::ACROSS[row]);
+                    line[q] = times_root::<V, 64>(line[q], 64 / Self::LENGTH * q * Self::ACROSS[row]);
                 }
             }
             scatter(spectrum, position + row * Q * pitch, pitch, <Codelet as Dft<Q>>::dft(line));
@@ -95,7 +95,7 @@ where
             if !Self::COPRIME {
                 for q in 1..Q {
                     let turns = 64 / Self::LENGTH * q * Self::ACROSS[row];
-                    line[q] = turn::<V, 64>(line[q].swap(), turns).swap();
+                    line[q] = times_root::<V, 64>(line[q].swap(), turns).swap();
                 }
             }
             scatter(work, (row - 1) * Q, 1, line);

@@ -149,7 +149,7 @@ impl<T: Element> Grid<T> {
         let image = x.stride_of(Axis(0)).unsigned_abs(); // with the lanes of other parts
         let bytes = (1 + others) * x.len_of(Axis(0)) * image * size_of::<X>();
         let each = x.len() / x.len_of(Axis(0)) * size_of::<X>();
-        self.place(!self.tuning.come_unasked(bytes, each))
+        self.place(!self.tuning.are_prefetched(bytes, each))
     }
 
     /// Parts of `lanes` lanes, at most `together` in each: whole vectors, then the rest.

@@ -22,7 +22,7 @@ impl<T: Element> Grid<T> {
 
     /// For lanes of one image: far are those that do not come to the cache by themselves, with their result and their weight.
     fn place_of_one<X>(&self, x: &ArrayView2<'_, X>) -> Place<'_> {
-        self.place(!self.tuning.comes_unasked(3 * size_of::<X>() * x.len()))
+        self.place(!self.tuning.is_prefetched(3 * size_of::<X>() * x.len()))
     }
 
     /// As [`Single::forward`], for lanes that go together.

@@ -27,21 +27,21 @@ pub(super) struct Halves<T> {
     isa: Isa,
     transform: Transform<T>,
     /// `κ` and `1 / (1 + κ²)` for each `k`.
-    turns: Vec<[T; 2]>,
+    twiddles: Vec<[T; 2]>,
     /// What a factor is multiplied by, and a gradient, too, unless its bin is its own mirror.
     norm: T,
 }
 
 impl<T: Element> Halves<T> {
     pub(super) fn new(isa: Isa, length: usize) -> Self {
-        let turn = |k| {
+        let twiddle = |k| {
             let (cos, sin) = root(k, length);
             [T::nearest(cos / (1.0 + sin)), T::nearest(0.5 + 0.5 * sin)]
         };
         Self {
             isa,
             transform: Transform::new(isa, length / 2),
-            turns: (0..=length / 4).map(turn).collect(),
+            twiddles: (0..=length / 4).map(twiddle).collect(),
             norm: T::nearest(2.0 / length as f64),
         }
     }
@@ -57,7 +57,7 @@ impl<T: Element> Halves<T> {
 
     /// Numbers of a packed factor, and of a gradient's sum.
     pub(super) fn packed_len(&self) -> usize {
-        self.numbers(2 * self.turns.len())
+        self.numbers(2 * self.twiddles.len())
     }
 
     pub(super) fn work_len(&self) -> usize {
@@ -123,7 +123,7 @@ impl<T: Element> Halves<T> {
         let outputs = self.transform.outputs();
         let mirrors = std::iter::once(&outputs[0]).chain(outputs.iter().rev());
         let positions = outputs.iter().copied().zip(mirrors.copied());
-        positions.zip(self.turns.iter().map(|turn| turn[0]))
+        positions.zip(self.twiddles.iter().map(|twiddle| twiddle[0]))
     }
 }
 
@@ -143,17 +143,17 @@ struct Pack<'a, T> {
 impl<T: Element> Algorithm<T> for Pack<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(self) {
-        let Halves { turns, transform, norm, .. } = self.plan;
+        let Halves { twiddles, transform, norm, .. } = self.plan;
         let half = transform.len();
         let packed = complex_vectors::<V>(self.packed);
-        for (k, turn) in turns.iter().enumerate() {
-            let norm = V::splat(*norm * turn[1]);
+        for (k, twiddle) in twiddles.iter().enumerate() {
+            let norm = V::splat(*norm * twiddle[1]);
             let im_norm = match self.factor {
                 _ if k == 0 => V::splat(T::default()),
                 Factor::Weight => -norm,
                 Factor::Conjugate => norm,
             };
-            for (i, packed) in packed.chunks_exact_mut(2 * turns.len()).enumerate() {
+            for (i, packed) in packed.chunks_exact_mut(2 * twiddles.len()).enumerate() {
                 let weight = self.weight.skip_lanes(2 * i * V::LANES);
                 weight.prefetch_complex::<V>(half.saturating_sub(k + PLACES_AHEAD));
                 for (to, bin) in packed[2 * k..].iter_mut().zip([k, half - k]) {
@@ -174,16 +174,16 @@ struct Unpack<'a, T> {
 impl<T: Element> Algorithm<T> for Unpack<'_, T> {
     #[inline(always)]
     fn run<V: Vector<Element = T>>(mut self) {
-        let Halves { turns, transform, norm, .. } = self.plan;
+        let Halves { twiddles, transform, norm, .. } = self.plan;
         let half = transform.len();
         let sums = complex_vectors_of::<V>(self.sum);
-        for (k, turn) in turns.iter().enumerate() {
-            let norm = *norm * turn[1];
+        for (k, twiddle) in twiddles.iter().enumerate() {
+            let norm = *norm * twiddle[1];
             let (norm, im_norm) = match k {
                 0 => (V::splat(norm * T::nearest(0.5)), V::splat(T::default())),
                 _ => (V::splat(norm), -V::splat(norm)),
             };
-            for (i, sums) in sums.chunks_exact(2 * turns.len()).enumerate() {
+            for (i, sums) in sums.chunks_exact(2 * twiddles.len()).enumerate() {
                 let mut gradient = self.gradient.skip_lanes(2 * i * V::LANES);
                 for (sum, bin) in sums[2 * k..].iter().zip([k, half - k]) {
                     gradient.set_complex(bin, Complex::new(sum.re * norm, sum.im * im_norm));

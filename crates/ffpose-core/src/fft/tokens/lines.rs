@@ -5,7 +5,7 @@
 //! with (Cooley–Tukey).
 
 use super::blocks::Block;
-use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, turn, unroll, with_codelet};
+use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal, times_root, unroll, with_codelet};
 use crate::simd::{
     Algorithm, Complex, Isa, Stored, Tile, TileMut, Vector, complex_vectors, gather, scatter,
 };
@@ -131,7 +131,7 @@ where
                 let mut z = gather::<_, Q>(work, row * Q, 1);
                 if !Line::<P, Q, ROWS>::COPRIME {
                     for q in 1..Q {
-                        z[q] = turn::<V, 64>(z[q], Line::<P, Q, ROWS>::turns(row, q));
+                        z[q] = times_root::<V, 64>(z[q], Line::<P, Q, ROWS>::turns(row, q));
                     }
                 }
                 Line::<P, Q, ROWS>::put(slots, row, <Codelet as Dft<Q>>::dft(z));
@@ -198,7 +198,7 @@ where
                 if !Line::<P, Q, ROWS>::COPRIME {
                     for q in 1..Q {
                         let turns = Line::<P, Q, ROWS>::turns(row, q);
-                        z[q] = turn::<V, 64>(z[q].swap(), turns).swap();
+                        z[q] = times_root::<V, 64>(z[q].swap(), turns).swap();
                     }
                 }
                 scatter(work, row * Q, 1, z);

@@ -180,7 +180,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
     ) {
         let members = team.members();
         let (spectra, mut team) = team.share(self.spectrum_len());
-        let far = !self.tuning.come_unasked(2 * x.len() * size_of::<X>(), self.image_bytes::<X>());
+        let far =
+            !self.tuning.are_prefetched(2 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         let mut images = images_of(x).zip(images_of_mut(y)).peekable();
         while images.peek().is_some() {
             let together: Vec<_> = images.by_ref().take(members).collect();
@@ -194,7 +195,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         let images_each = if grad_sum.is_some() { images_each } else { 1 };
         let members = team.members();
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
-        let far = !self.tuning.come_unasked(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
+        let far =
+            !self.tuning.are_prefetched(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
         let count = x.len_of(Axis(0));
         let grad_x = in_order(count, grad_x.map(images_of_mut));
         let mut images = images_of(grad).zip(images_of(x)).zip(grad_x);

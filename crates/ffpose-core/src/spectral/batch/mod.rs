@@ -11,7 +11,7 @@ use bytemuck::cast_slice_mut;
 use ndarray::{ArrayView3, ArrayViewMut3};
 
 pub(crate) use self::weights::Weight;
-use super::tiling::{Grain, Tiling};
+use super::tiling::{PieceSizes, Tiling};
 use crate::Shape;
 use crate::kernel::{Backward, Factor, Kernel};
 use crate::number::Number;
@@ -55,9 +55,9 @@ impl<'a, X: Number> Batch<'a, X> {
         let elements = images * shape.points() * shape.lanes;
         let threads = parallel::worth(pool, elements);
         let (least, most) = (kernel.narrowest_tile(), kernel.tile());
-        let grain = Grain { least, most, together: kernel.images_together(), tuning };
+        let sizes = PieceSizes { least, most, together: kernel.images_together(), tuning };
         let cut = if summed { Tiling::summed } else { Tiling::even };
-        let tiling = cut(shape, images, grain, threads);
+        let tiling = cut(shape, images, sizes, threads);
         let images_each = tiling.images_each();
         let alone =
             Self { shape, kernel, pool, tiling, images_each, granule, workers: 1, members: 1 };
