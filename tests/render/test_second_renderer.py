@@ -138,6 +138,7 @@ def our_metal(roughness, sun, eye):
     surface = Surface(
         np.ones((3, 1), np.float32), np.float32(roughness) * one, one,
         np.zeros((3, 1), np.float32), np.array([[0], [0], [1]], np.float32),
+        np.full((3, 1), 0.04, np.float32),
     )  # fmt: skip
     hits = Hits(np.zeros(1, np.intp), np.zeros(1, np.int32), one, np.zeros((2, 1), np.float32))
     view = View(np.float32(eye), np.float32(-eye)[:, None], hits)

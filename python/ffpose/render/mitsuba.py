@@ -5,7 +5,9 @@ one show how much that matters. Poses, sun, Earth, exposure and sensor are those
 `ffpose.render.renderer`, so that images compare one by one. Mitsuba brings its own camera rays,
 shadows, reflection (the Disney principled BSDF, Burley 2012), light reflected between surfaces, and
 the Earth's light as an environment map. Base colors, normals and roughness of the surface patterns
-are textures baked from `ffpose.render.shading.finish`. Needs the extra `mitsuba`.
+are textures baked from `ffpose.render.shading.finish`; a mesh file's textures are Mitsuba's too.
+Where such a material has both a texture and colors of vertices the texture alone is shown, and all
+its textures have the coordinates of the first. Needs the extra `mitsuba`.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from ffpose.render.shading.reflection import EARTH_COLOR, HIGHLIGHT_LIMIT, Light
 from ffpose.render.shading.vectors import Floats, unit
 from ffpose.render.shading.view import Window, find_window
 from ffpose.render.spacecraft.craft import Craft
-from ffpose.render.spacecraft.materials import Material, Pattern
+from ffpose.render.spacecraft.materials import Material, Pattern, Texture
+from ffpose.render.spacecraft.textures import averaged
 
 VARIANT = "scalar_rgb"
 """Mitsuba's build without a just-in-time compiler, which would need LLVM."""
@@ -47,6 +50,9 @@ TILE = 8
 
 TEXELS = 64
 """Texels along each side of a cell."""
+
+LARGEST = 2048
+"""Largest side of a mesh file's texture: Mitsuba has 32 bits for each number."""
 
 SKY = (256, 128)
 """Width and height of the environment map."""
@@ -108,7 +114,7 @@ def _shown(
     np.clip(shown[..., :3], 0, HIGHLIGHT_LIMIT, out=shown[..., :3])
     for axis, (low, high) in enumerate((rows, columns)):
         begin, count = crop[1 - axis][0], window.shape[axis]
-        shown = _averaged(shown, np.linspace(low - begin, high - begin, count + 1), axis)
+        shown = averaged(shown, np.linspace(low - begin, high - begin, count + 1), axis)
     return shown
 
 
@@ -165,19 +171,6 @@ def _sensor(
     )
 
 
-def _averaged(values: Floats, edges: NDArray[np.float64], axis: int) -> Floats:
-    """Return the means of cells between edges along an axis, whose values are constant by index."""
-    sums = np.cumsum(values, axis=axis, dtype=np.float64)
-    sums = np.insert(sums, 0, 0.0, axis=axis)
-    low = np.minimum(edges.astype(np.intp), values.shape[axis] - 1)
-    shape = [1, 1, 1]
-    shape[axis] = -1
-    part = (edges - low).reshape(shape)
-    at = sums.take(low, axis) * (1 - part) + sums.take(low + 1, axis) * part
-    widths = np.diff(edges).reshape(shape)
-    return np.asarray(np.diff(at, axis=axis) / widths, dtype=np.float32)
-
-
 def _lights(mi: Any, pose: Pose, light: Light) -> Iterator[dict[str, Any]]:
     """Yield sun, lamp and Earth; a white surface that faces the sun has a radiance of one."""
     if light.sunlight > 0:
@@ -220,10 +213,15 @@ def _shapes(craft: Craft) -> tuple[dict[str, Any], dict[str, Any]]:
         faces = np.flatnonzero(craft.mesh.material == number)
         if faces.size == 0:
             continue
-        lit[f"lit{number}"] = _shape(mi, craft, faces, material, {"bsdf": _bsdf(mi, material)})
-        emitter = {"type": "area", "radiance": {"type": "rgb", "value": list(material.emission)}}
+        bsdf = _bsdf(mi, material, craft.mesh.colors is not None)
+        lit[f"lit{number}"] = _shape(mi, craft, faces, material, {"bsdf": bsdf})
+        radiance: dict[str, Any] = {"type": "rgb", "value": list(material.emission)}
+        if material.emission_map is not None:
+            glow = _texels(material.emission_map)[..., :3]
+            radiance = _texture(mi, glow * np.array(material.emission))
+        emitter = {"type": "area", "radiance": radiance}
         black = {"type": "diffuse", "reflectance": 0.0}
-        parts = {"bsdf": mi.load_dict(black)}
+        parts = {"bsdf": mi.load_dict(_masked(mi, material, black))}
         if any(material.emission):
             parts["emitter"] = mi.load_dict(emitter)
         glowing[f"glowing{number}"] = _shape(mi, craft, faces, material, parts)
@@ -250,22 +248,49 @@ def _shape(
     corners = mesh.vertices[mesh.faces[faces]]
     values["vertex_positions"] = corners.astype(np.float32).ravel()
     values["vertex_normals"] = mesh.corner_normals[faces].ravel()
-    uv = mesh.uv[faces] / (material.scale * TILE)
-    values["vertex_texcoords"] = uv.astype(np.float32).ravel()
+    if material.maps:
+        uv = mesh.layers[material.maps[0].layer][faces]
+    else:
+        uv = (mesh.uv[faces] / (material.scale * TILE)).astype(np.float32)
+    values["vertex_texcoords"] = uv.ravel()
     values["faces"] = np.arange(3 * len(faces), dtype=np.uint32)
     values.update()
+    if mesh.colors is not None:
+        shape.add_attribute("vertex_color", 3, mesh.colors[faces, :, :3].ravel())
     return shape
 
 
-def _bsdf(mi: Any, material: Material) -> Any:
-    """Return a material as Mitsuba's principled BSDF, which reflects on both sides."""
+def _bsdf(mi: Any, material: Material, tinted: bool) -> Any:
+    """Return a material as Mitsuba's principled BSDF, which reflects on both sides.
+
+    Args:
+        mi: Mitsuba.
+        material: The material.
+        tinted: Whether the mesh has colors of its corners.
+    """
     inner: dict[str, Any] = {
         "type": "principled",
         "base_color": {"type": "rgb", "value": list(material.color)},
         "roughness": material.roughness,
         "metallic": material.metallic,
-        "specular": 0.5,  # 4 % at normal incidence
+        "specular": float(np.clip(np.mean(material.reflectance) / 0.08, 0, 1)),
     }
+    if tinted:
+        inner["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
+    if material.color_map is not None:
+        values = _texels(material.color_map)
+        color = values[..., :3] / np.maximum(values[..., 3:], np.float32(1e-3))
+        inner["base_color"] = _texture(mi, np.clip(color * np.array(material.color), 0, 1))
+    if material.roughness_map is not None:
+        values = _texels(material.roughness_map)
+        rough = np.clip(values[..., 1:2] * np.float32(material.roughness), 0.05, 1)
+        inner["roughness"] = _texture(mi, rough)
+        inner["metallic"] = _texture(mi, values[..., 2:3] * np.float32(material.metallic))
+    if material.normal_map is not None:
+        normals = _texels(material.normal_map)[..., :3]
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        normal_map = _texture(mi, (normals / np.maximum(length, 1e-6) + 1) / 2)
+        inner = {"type": "normalmap", "normalmap": normal_map, "bsdf": inner}
     if material.pattern != Pattern.PLAIN:
         surface = _baked(material)
         side = TILE * TEXELS
@@ -275,7 +300,26 @@ def _bsdf(mi: Any, material: Material) -> Any:
         inner["base_color"] = _texture(mi, color)
         inner["roughness"] = _texture(mi, roughness)
         inner = {"type": "normalmap", "normalmap": _texture(mi, normal), "bsdf": inner}
-    return mi.load_dict({"type": "twosided", "bsdf": inner})
+    return mi.load_dict(_masked(mi, material, {"type": "twosided", "bsdf": inner}))
+
+
+def _masked(mi: Any, material: Material, inner: dict[str, Any]) -> dict[str, Any]:
+    """Return a BSDF that is there by the material's alpha."""
+    opacity: Any = material.alpha
+    if material.color_map is not None:
+        alpha = _texels(material.color_map)[..., 3:]
+        if alpha.min() < 1:
+            opacity = _texture(mi, alpha * np.float32(material.alpha))
+    if opacity == 1:
+        return inner
+    return {"type": "mask", "opacity": opacity, "bsdf": inner}
+
+
+def _texels(texture: Texture) -> Floats:
+    """Return a texture's values (H, W, 4) at a size for Mitsuba."""
+    image = texture.image
+    finest = max(0, max(image.width, image.height).bit_length() - LARGEST.bit_length())
+    return image.level(finest).astype(np.float32)
 
 
 def _texture(mi: Any, values: NDArray[Any]) -> dict[str, Any]:
@@ -300,6 +344,7 @@ def _baked(material: Material) -> Surface:
         filled(material.metallic)[0],
         filled(material.emission),
         filled((0, 0, 1)),
+        filled(material.reflectance),
     )
     place = np.stack([u, v, np.zeros_like(u)]) * np.float32(material.scale)
     footprint = np.full(count, 1 / TEXELS, np.float32)

@@ -18,6 +18,7 @@ from ffpose.render.scene import Scene, get_scene
 from ffpose.render.shading.randomization import backdrop, stops
 from ffpose.render.shading.reflection import Finish, Light, earth_visible, reflected, sun_visible
 from ffpose.render.shading.sensor import Sensor, choose_gain, expose
+from ffpose.render.shading.sieve import Sieve
 from ffpose.render.shading.sky import Earth, draw_stars, sun_disk
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.vectors import Floats
@@ -160,7 +161,7 @@ def shoot_each(
         if scene.renderer == "mitsuba":
             lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
         else:
-            lit = _draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
+            lit = draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
     shots = []
     for sensor in sensors:
         rng = copy.deepcopy(sensor_rng)
@@ -217,7 +218,8 @@ def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
 @lru_cache(maxsize=4)
 def prepared(craft: Craft) -> tuple[Tracer, Finish]:
     """Return ray tracer and material tables of a spacecraft, built once for each."""
-    return Tracer(craft.mesh), Finish(craft)
+    finish = Finish(craft)
+    return Tracer(craft.mesh, Sieve(craft, finish.maps)), finish
 
 
 def _streams(seed: int, index: int) -> list[np.random.Generator]:
@@ -264,7 +266,7 @@ def _draw_background(radiance: Floats, camera: Camera, around: Surroundings, sid
         pixels += glow.T
 
 
-def _draw_craft(
+def draw_craft(
     radiance: Floats,
     camera: Camera,
     pose: Pose,
@@ -297,7 +299,7 @@ def _shade(
     rng: np.random.Generator,
 ) -> Floats:
     """Compute the radiance (3, H) of the points that a view hit."""
-    surface = finish.surface(view, view.hits.distance * np.float32(1 / camera.fx))
+    surface = finish.surface(view, view.hits.distance * np.float32(1 / camera.fx), samples)
     place = view.place
     sunlit = sun_visible(tracer, place, surface.normal, light)
     # About one sample per pixel is enough, as the mean over the pixels around is taken.

@@ -13,11 +13,12 @@ from ffpose.datasets.view_cache import digest
 from ffpose.errors import DataError
 from ffpose.imaging.views import ViewSpec
 from ffpose.render import SCENES, Scene, load_craft, render, render_layers, write_dataset
+from ffpose.render.shading.maps import Maps
 from ffpose.render.views import describe
 
 RED, BLUE = (200, 0, 0), (0, 40, 240)
-CODES = 5
-"""Half a step of quantization, and rounding."""
+CODES = 1
+"""Rounding."""
 
 CORNERS = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]] * 2, np.float32)
 CORNERS[4:, 2] = 0.5
@@ -59,7 +60,7 @@ def gltf_parts(colors=None, factor=None, textured=True):
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, "material": 0}]}],
-        "materials": [{"pbrMetallicRoughness": paint}],
+        "materials": [{"pbrMetallicRoughness": paint, "doubleSided": True}],
         "textures": [{"source": 0}],
         "accessors": [{**each, "bufferView": n} for n, each in enumerate(accessors)],
         "bufferViews": [
@@ -144,8 +145,13 @@ def codes(light):
 
 
 def face_codes(craft):
-    """The sRGB color of each face."""
-    return codes([craft.materials[number].color for number in craft.mesh.material])
+    """The sRGB color of each face: the mean of its textures, times factor and vertex colors."""
+    light = np.array([craft.materials[number].color for number in craft.mesh.material])
+    if any(material.color_map for material in craft.materials):
+        light = light * Maps(craft).mean("color_map")[:, :3]
+    if craft.mesh.colors is not None:
+        light = light * craft.mesh.colors[..., :3].mean(axis=1)
+    return codes(light)
 
 
 WRITERS = {"gltf": write_gltf, "embedded": write_embedded, "glb": write_glb, "obj": write_obj}
@@ -265,15 +271,49 @@ def test_a_texture_that_cannot_be_decoded_is_refused(tmp_path, writer, damage):
     refused(writer(tmp_path, texture=damage), "expected .*texture.* that can be decoded, got ")
 
 
-def test_gltf_that_trimesh_would_read_wrong_is_refused(tmp_path):
+def test_gltf_that_is_none_or_needs_what_is_not_known_is_refused(tmp_path):
     path = write_gltf(tmp_path)
     header = json.loads(path.read_text())
-    needed = ["KHR_materials_unlit", "KHR_draco_mesh_compression"]
+    needed = ["KHR_materials_unlit", "ACME_curved_space"]
     path.write_text(json.dumps({**header, "extensionsRequired": needed}))
-    refused(path, "expected glTF without extensions, got one that needs KHR_draco_mesh_compression")
-    for text in ("{", "[]", '{"images": [{}]}', '{"images": 3}'):
+    refused(path, "expected glTF extensions that are known, got one that needs ACME_curved_space")
+    for text in ("{", "[]", '{"images": [{}]}', '{"asset": 3}', '{"asset": {}, "nodes": 3}'):
         path.write_text(text)
         refused(path, r"quads\.gltf: expected a glTF document, got \w+Error")
+    path.write_text(json.dumps({**header, "asset": {"version": "1.0"}}))
+    refused(path, "expected glTF 2.0, got 1.0")
+
+
+def test_a_file_outside_of_the_meshs_folder_is_not_read(tmp_path):
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    (tmp_path / "secret.png").write_bytes(HALVES)
+    path = write_gltf(inner)
+    header = json.loads(path.read_text())
+    for name in ("../secret.png", str(tmp_path / "secret.png")):
+        path.write_text(json.dumps({**header, "images": [{"uri": name}]}))
+        refused(path, r"expected files in its folder, got '.*secret\.png', which is outside")
+
+
+def test_a_file_that_is_cut_short_is_refused(tmp_path):
+    path = write_glb(tmp_path)
+    path.write_bytes(path.read_bytes()[:-300])
+    refused(path, r"quads\.glb: expected .* bytes, got \d+")
+    path = write_gltf(tmp_path)
+    (tmp_path / "quads.bin").write_bytes((tmp_path / "quads.bin").read_bytes()[:-40])
+    refused(path, r"quads\.gltf: expected a buffer of 208 bytes, got 168")
+
+
+def test_a_cycle_of_nodes_and_endless_copies_are_refused(tmp_path, monkeypatch):
+    path = write_gltf(tmp_path)
+    header = json.loads(path.read_text())
+    nodes = [{"children": [1]}, {"mesh": 0, "children": [0]}]
+    path.write_text(json.dumps({**header, "nodes": nodes}))
+    refused(path, "expected a tree of nodes, got node 0 in a cycle or twice")
+    monkeypatch.setattr("ffpose.render.spacecraft.meshfile.MAX_FACES", 4000)
+    many = [{"children": list(range(1, 1002))}, *({"mesh": 0} for _ in range(1001))]
+    path.write_text(json.dumps({**header, "nodes": many}))
+    refused(path, "expected at most 4000 triangles, got 4004")
 
 
 @pytest.mark.parametrize("writer", [write_gltf, write_glb])

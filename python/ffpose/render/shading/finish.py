@@ -28,6 +28,7 @@ class Surface(NamedTuple):
     metallic: Floats
     emission: Floats
     normal: Floats
+    reflectance: Floats
 
 
 def fbm(points: Floats, octaves: int, gain: float = 0.5) -> Floats:

@@ -10,8 +10,10 @@ import copy
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ffpose.render.shading.finish import DRAW, Surface
+from ffpose.render.shading.finish import DRAW, Indices, Surface
+from ffpose.render.shading.maps import Maps, Points
 from ffpose.render.shading.randomization import stops
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.vectors import Floats, column, dot, unit
@@ -29,6 +31,12 @@ BOUNCE = 0.2
 
 EDGE_ON = 0.25
 """Cosine up to which a smoothed normal may face away from the camera on a front face."""
+
+LEAST_SLANT = 0.125
+"""Cosine to which a texture seen from the side is averaged, as if no more slanted."""
+
+LEAST_ROUGHNESS = np.float32(0.05)
+"""Roughness below which a sample of the sun's highlight would be a single spark."""
 
 LIFT_M = 2e-3
 """Offset of a shadow ray's origin from the surface, so that no point shadows itself, meters."""
@@ -70,6 +78,10 @@ class Finish:
         self._metallic = np.array([m.metallic for m in table], dtype=np.float32)
         self._pattern = np.array([m.pattern for m in table])
         self._scale = np.array([m.scale for m in table], dtype=np.float32)
+        self._reflectance = np.array([m.reflectance for m in table], dtype=np.float32).T
+        self._tints = craft.mesh.colors
+        self._mapped = [number for number, m in enumerate(table) if m.maps]
+        self.maps = Maps(craft)
 
     def varied(self, spread: float, rng: np.random.Generator) -> Finish:
         """Return a copy with every material's color and roughness varied by random stops."""
@@ -79,19 +91,19 @@ class Finish:
         other._roughness = np.clip(rough, np.float32(0.05), 1)
         return other
 
-    def surface(self, view: View, footprint: Floats) -> Surface:
-        """Evaluate materials and patterns at the points of a view.
+    def surface(self, view: View, footprint: Floats, samples: int = 1) -> Surface:
+        """Evaluate materials, textures and patterns at the points of a view.
 
         Args:
             view: The hit points.
             footprint: (N,) width of a pixel at each point, meters; finer detail is averaged.
+            samples: Rays along each side of a pixel.
         """
         face = view.hits.face
         second, third = view.hits.barycentric
         weights = np.stack([1 - second - third, second, third])
         normal = _blend(self._normals.take(face, axis=0), weights)
-        # Open surfaces are seen from both sides.
-        normal[:, dot(normal, view.rays) > EDGE_ON] *= -1
+        turned = dot(normal, view.rays) > EDGE_ON
         number = self._material.take(face)
         surface = Surface(
             self._color.take(number, axis=1),
@@ -99,7 +111,16 @@ class Finish:
             self._metallic.take(number),
             self._emission.take(number, axis=1),
             normal,
+            self._reflectance.take(number, axis=1),
         )
+        if self._tints is not None:
+            surface.color[:] *= _blend(self._tints[..., :3].take(face, axis=0), weights)
+        if self._mapped:
+            self._draw_maps(
+                surface, number, Points(face, weights, footprint * np.float32(1 / samples)), view
+            )
+        # Open surfaces are seen from both sides.
+        normal[:, turned] *= -1
         uv = _blend(self._uv.take(face, axis=0), weights)
         place, kinds, scale = view.place, self._pattern.take(number), self._scale.take(number)
         for kind, draw in DRAW.items():
@@ -107,6 +128,65 @@ class Finish:
             if at.size:
                 draw(surface, at, uv[:, at] / scale[at], place[:, at], footprint[at] / scale[at])
         return surface._replace(normal=_face_eye(unit(surface.normal), view.rays))
+
+    def _draw_maps(
+        self, surface: Surface, number: NDArray[np.int32], points: Points, view: View
+    ) -> None:
+        """Multiply a surface's values by those of the textures of its materials."""
+        slant = np.abs(dot(surface.normal, view.rays))
+        widened = points.footprint / np.maximum(slant, np.float32(LEAST_SLANT))
+        points = points._replace(footprint=np.asarray(widened, np.float32))
+        for mapped in self._mapped:
+            at = np.flatnonzero(number == mapped)
+            if not at.size:
+                continue
+            some = points.some(at)
+            for slot, draw in MAPS.items():
+                if self.maps.of_material(slot, mapped) is not None:
+                    values = self.maps.values(slot, mapped, some)
+                    draw(self.maps, mapped, surface, at, some, values)
+
+
+def _map_color(
+    maps: Maps, number: int, surface: Surface, at: Indices, points: Points, values: Floats
+) -> None:
+    del maps, number, points
+    surface.color[:, at] *= values[:, :3].T / np.maximum(values[:, 3], np.float32(1e-3))
+
+
+def _map_roughness(
+    maps: Maps, number: int, surface: Surface, at: Indices, points: Points, values: Floats
+) -> None:
+    del maps, number, points
+    surface.roughness[at] = np.maximum(surface.roughness[at] * values[:, 1], LEAST_ROUGHNESS)
+    surface.metallic[at] *= values[:, 2]
+
+
+def _map_normal(
+    maps: Maps, number: int, surface: Surface, at: Indices, points: Points, values: Floats
+) -> None:
+    # Where normals differ within a texel, their mean is shorter and the highlight is wider
+    # (Toksvig 2005, "Mipmapping normal maps").
+    length = np.clip(np.sqrt(dot(values[:, :3].T, values[:, :3].T)), 0.1, 1)
+    slope = surface.roughness[at] ** 4 + 2 * (1 - length) / length
+    surface.roughness[at] = np.minimum(slope, 1) ** np.float32(0.25)
+    surface.normal[:, at] = maps.bent(number, points, unit(surface.normal[:, at]), values)
+
+
+def _map_emission(
+    maps: Maps, number: int, surface: Surface, at: Indices, points: Points, values: Floats
+) -> None:
+    del maps, number, points
+    surface.emission[:, at] *= values[:, :3].T
+
+
+MAPS = {
+    "color_map": _map_color,
+    "roughness_map": _map_roughness,
+    "normal_map": _map_normal,
+    "emission_map": _map_emission,
+}
+"""Function that applies each kind of texture."""
 
 
 def sun_visible(tracer: Tracer, place: Floats, normal: Floats, light: Light) -> Floats:
@@ -153,7 +233,7 @@ def reflected(
     """
     rays = view.rays
     plain = surface.color * (1 - surface.metallic)
-    mirror = np.float32(0.04) * (1 - surface.metallic) + surface.color * surface.metallic
+    mirror = surface.reflectance * (1 - surface.metallic) + surface.color * surface.metallic
     direct = np.maximum(dot(light.sun, surface.normal), 0) * sunlit
     out = plain + _highlight(surface, rays, light.sun, mirror)
     out *= direct * light.tint

@@ -6,14 +6,22 @@ bounding volume hierarchy (BVH) is built once for a spacecraft and serves every 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import require
+from ffpose.render.shading.maps import Points
+from ffpose.render.shading.sieve import Sieve
 from ffpose.render.shading.vectors import Floats
 from ffpose.render.spacecraft.mesh import Mesh
+
+DEPTH = 8
+"""Most surfaces that a ray passes through; the next one stops it."""
+
+STEP = 1e-5
+"""How far behind a surface a ray goes on, relative to its length."""
 
 
 class Hits(NamedTuple):
@@ -37,28 +45,62 @@ class Tracer:
 
     Args:
         mesh: The surface, in meters.
+        sieve: What rays pass through; None is nothing.
 
     Raises:
         MissingExtraError: Embreex is not installed.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, sieve: Sieve | None = None) -> None:
         require("embreex", "render")
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
 
-        self._scene = EmbreeScene(robust=True)
-        TriangleMesh(self._scene, mesh.vertices.astype(np.float32), mesh.faces)
+        self._sieve = sieve if sieve is not None and sieve.needed else None
+        self._scene = self._shadows = _scene(mesh.vertices, mesh.faces)
+        if self._sieve is not None:
+            shading = self._sieve.shading
+            if not shading.all():
+                self._shadows = _scene(mesh.vertices, mesh.faces[shading])
 
-    def first_hits(self, origin: Floats, directions: Floats) -> Hits:
+    def first_hits(self, origin: Floats, directions: Floats, spread: float = 0.0) -> Hits:
         """Find the first hits of rays from one point.
 
         Args:
             origin: (3,) object frame, meters.
             directions: (N, 3) unit vectors, object frame.
+            spread: Angle between neighboring rays, radians, over which textures are averaged.
         """
-        origins = np.broadcast_to(origin, directions.shape).astype(np.float32)
-        found = self._scene.run(origins, np.ascontiguousarray(directions), output=1)
+        directions = np.ascontiguousarray(directions)
+        hits = self._hits(np.broadcast_to(origin, directions.shape), directions)
+        sieve = self._sieve
+        if sieve is None:
+            return hits
+        kept = []
+        for depth in range(DEPTH):
+            second, third = hits.barycentric
+            weights = np.stack([1 - second - third, second, third])
+            footprint = np.maximum(hits.distance * np.float32(spread), np.float32(1e-9))
+            points = Points(hits.face, weights, footprint)
+            through = sieve.passes(hits.ray, directions[hits.ray], points, depth)
+            kept.append(_some(hits, ~through))
+            hits = _some(hits, through)
+            if not hits.ray.size:
+                break
+            start = hits.distance * np.float32(1 + STEP) + np.float32(STEP)
+            toward = directions[hits.ray]
+            further = self._hits(origin + toward * start[:, None], toward)
+            hits = Hits(
+                hits.ray[further.ray],
+                further.face,
+                start[further.ray] + further.distance,
+                further.barycentric,
+            )
+        kept.append(hits)
+        together = Hits(*(np.concatenate(each, axis=-1) for each in zip(*kept, strict=True)))
+        return _some(together, np.argsort(together.ray, kind="stable"))
+
+    def _hits(self, origins: Floats, directions: Floats) -> Hits:
+        start = np.ascontiguousarray(origins, dtype=np.float32)
+        found = self._scene.run(start, np.ascontiguousarray(directions), output=1)
         ray = np.flatnonzero(found["primID"] >= 0)
         return Hits(
             ray,
@@ -75,5 +117,19 @@ class Tracer:
             directions: (N, 3) or (3,) unit vectors, object frame.
         """
         rays = np.ascontiguousarray(np.broadcast_to(directions, origins.shape), dtype=np.float32)
-        found = self._scene.run(np.ascontiguousarray(origins), rays, query="OCCLUDED")
+        found = self._shadows.run(np.ascontiguousarray(origins), rays, query="OCCLUDED")
         return np.asarray(found >= 0)
+
+
+def _scene(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    scene = EmbreeScene(robust=True)
+    TriangleMesh(scene, vertices.astype(np.float32), np.ascontiguousarray(faces))
+    return scene
+
+
+def _some(hits: Hits, at: NDArray[np.bool_] | NDArray[np.intp]) -> Hits:
+    """Return some of the hits."""
+    return Hits(hits.ray[at], hits.face[at], hits.distance[at], hits.barycentric[:, at])

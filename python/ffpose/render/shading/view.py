@@ -88,7 +88,7 @@ def look(tracer: Tracer, window: Window, camera: Camera, pose: Pose, samples: in
     back = pose.rotation.T
     rays = rotate(back, rays)
     eye = (-back @ pose.t).astype(np.float32)
-    hits = tracer.first_hits(eye, rays.T)
+    hits = tracer.first_hits(eye, rays.T, 1 / (camera.fx * samples))
     return View(eye, rays.take(hits.ray, axis=1), hits)
 
 

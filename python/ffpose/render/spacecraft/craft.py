@@ -13,6 +13,9 @@ from ffpose.render.spacecraft import dragon, soyuz
 from ffpose.render.spacecraft.materials import Material
 from ffpose.render.spacecraft.mesh import Mesh
 
+DIRECTIONS, STEPS = 200, 4000
+"""Directions whose outermost points stand for a mesh, and steps toward its bounding sphere."""
+
 
 @dataclass(frozen=True, eq=False)
 class Craft:
@@ -35,6 +38,23 @@ class Craft:
         """Vertices (N, 3), a few hundred at most, that span the spacecraft's extent."""
         vertices = self.mesh.vertices
         return vertices[:: max(1, len(vertices) // 400)]
+
+
+def bounding_sphere(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return center (3,) and radius of the least sphere around points (N, 3), within 0.1 %.
+
+    Badoiu and Clarkson 2003: the center steps toward the farthest point, less each time.
+    """
+    turns = np.arange(DIRECTIONS) * (np.pi * (3 - np.sqrt(5)))  # a spiral of equal areas
+    height = 1 - (2 * np.arange(DIRECTIONS) + 1) / DIRECTIONS
+    wide = np.sqrt(1 - height**2)
+    directions = np.stack([wide * np.cos(turns), wide * np.sin(turns), height], axis=1)
+    outer = points[np.unique([(points @ direction).argmax() for direction in directions])]
+    center = (outer.min(axis=0) + outer.max(axis=0)) / 2
+    for step in range(1, STEPS + 1):
+        offsets = outer - center
+        center = center + offsets[(offsets**2).sum(axis=1).argmax()] / (step + 1)
+    return center, float(np.linalg.norm(points - center, axis=1).max())
 
 
 def _soyuz() -> Craft:

@@ -1,4 +1,4 @@
-"""Surface materials: microfacet parameters and procedural patterns.
+"""Surface materials: microfacet parameters, procedural patterns, and textures.
 
 Colors are linear RGB reflectances. The specular reflectance is the color for a metal and about
 4 % white for everything else; roughness is that of the GGX distribution (alpha = roughness²).
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+
+from ffpose.render.spacecraft.textures import Pyramid
 
 
 class Pattern(IntEnum):
@@ -25,8 +27,23 @@ class Pattern(IntEnum):
 
 
 @dataclass(frozen=True)
+class Texture:
+    """A texture of a material.
+
+    Attributes:
+        image: Its values at every resolution.
+        layer: Which of `Mesh.layers` has its coordinates.
+    """
+
+    image: Pyramid
+    layer: int = 0
+
+
+@dataclass(frozen=True)
 class Material:
     """One surface material.
+
+    Values multiply the textures' and, with color and alpha, those of `Mesh.colors`.
 
     Attributes:
         color: Linear RGB reflectance, each in 0…1.
@@ -35,6 +52,13 @@ class Material:
         emission: Emitted linear RGB radiance, in the unit of `ffpose.render.shading.reflection`.
         pattern: Pattern drawn over the color.
         scale: Size of the pattern in meters.
+        reflectance: Specular reflectance of what is not metal, at normal incidence, linear RGB.
+        alpha: Share of a pixel that the surface covers where it covers all of it geometrically.
+        two_sided: Whether the surface is there when seen from its back.
+        color_map: Color, multiplied by alpha, and alpha.
+        roughness_map: Roughness in the second channel, metalness in the third.
+        normal_map: Normals in the tangent frame: right, up and outward in the texture.
+        emission_map: Emitted radiance.
     """
 
     color: tuple[float, float, float]
@@ -43,3 +67,16 @@ class Material:
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     pattern: Pattern = Pattern.PLAIN
     scale: float = 1.0
+    reflectance: tuple[float, float, float] = (0.04, 0.04, 0.04)
+    alpha: float = 1.0
+    two_sided: bool = True
+    color_map: Texture | None = None
+    roughness_map: Texture | None = None
+    normal_map: Texture | None = None
+    emission_map: Texture | None = None
+
+    @property
+    def maps(self) -> tuple[Texture, ...]:
+        """All textures of the material."""
+        slots = (self.color_map, self.roughness_map, self.normal_map, self.emission_map)
+        return tuple(slot for slot in slots if slot is not None)

@@ -7,7 +7,7 @@ three corners a texture coordinate in meters, so that a pattern has the same sca
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -33,27 +33,40 @@ class Mesh:
         faces: (F, 3) vertex numbers, counter-clockwise seen from outside.
         uv: (F, 3, 2) texture coordinates of each corner, meters along the surface.
         material: (F,) material numbers.
+        normals: (F, 3, 3) unit normals of the corners, NaN where they follow from the shape; None
+            where all do.
+        colors: (F, 3, 4) linear colors and alpha of the corners; None is white.
+        layers: (F, 3, 2) coordinates of the corners in textures, which begin at the upper left.
     """
 
     vertices: Floats
     faces: NDArray[np.int32]
     uv: Floats
     material: NDArray[np.int32]
+    normals: NDArray[np.float32] | None = None
+    colors: NDArray[np.float32] | None = None
+    layers: tuple[NDArray[np.float32], ...] = ()
 
     @cached_property
     def corner_normals(self) -> NDArray[np.float32]:
         """Unit normals (F, 3, 3) of the corners; edges beyond `CREASE_DEG` stay sharp."""
-        return _corner_normals(self.vertices, self.faces).astype(np.float32)
+        if self.normals is not None and np.isfinite(self.normals).all():
+            return self.normals
+        shape = _corner_normals(self.vertices, self.faces).astype(np.float32)
+        return (
+            shape if self.normals is None else np.where(np.isnan(self.normals), shape, self.normals)
+        )
 
     def moved(self, rotation: ArrayLike | None = None, shift: ArrayLike = (0, 0, 0)) -> Mesh:
         """Return the mesh transformed by `rotation` (3, 3), then shifted by `shift` (3,)."""
         turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
         vertices = self.vertices @ turn.T + np.asarray(shift, dtype=np.float64)
-        return Mesh(vertices, self.faces, self.uv, self.material)
+        normals = None if self.normals is None else self.normals @ turn.T.astype(np.float32)
+        return replace(self, vertices=vertices, normals=normals)
 
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
-    """Join `meshes` into one."""
+    """Join `meshes` without textures into one."""
     parts = list(meshes)
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     return Mesh(

@@ -6,12 +6,10 @@ trimesh itself goes on without a file that is missing or cannot be decoded.
 
 from __future__ import annotations
 
-import base64
 import codecs
 import hashlib
 import io
 import json
-import struct
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -21,28 +19,26 @@ from ffpose.errors import DataError, require
 MAX_BYTES = 1 << 30
 """Largest size of a mesh file, and of each file that it refers to."""
 
-KNOWN_EXTENSIONS = ("KHR_materials_", "KHR_lights_punctual")
-"""Beginnings of the names of glTF extensions without which shape and base color are right."""
-
 
 class Assets:
     """The files beside a mesh file, by the names that it gives them: a resolver for trimesh.
 
     Attributes:
+        source: The mesh file.
         problems: What was wrong with the files that were asked for.
     """
 
     def __init__(self, source: Path) -> None:
         self.problems: list[DataError] = []
-        self._source = source
+        self.source = source
         self._digests: dict[str, str] = {}
 
     def get(self, name: str) -> bytes:
         """Return the content of a file, and keep its digest.
 
         Raises:
-            DataError: There is no such file, it is too large, or it is a texture that cannot be
-                decoded; this is also kept in `problems`, as trimesh goes on.
+            DataError: There is no such file, it is outside of the mesh file's folder, or too
+                large; this is also kept in `problems`, as trimesh goes on.
         """
         try:
             content = self._read(name)
@@ -50,7 +46,7 @@ class Assets:
             self.problems.append(problem)
             raise
         self._digests[name] = hashlib.sha256(content).hexdigest()
-        materials = self._source.suffix.lower() == ".obj" and not _is_image(name)
+        materials = self.source.suffix.lower() == ".obj" and not _is_image(name)
         return as_utf8(content) if materials else content
 
     __getitem__ = get
@@ -66,15 +62,13 @@ class Assets:
     def _read(self, name: str) -> bytes:
         path = self._find(name)
         if path is None:
-            raise DataError(
-                f"expected {name!r}, which it refers to, got no such file", self._source
-            )
+            raise DataError(f"expected {name!r}, which it refers to, got no such file", self.source)
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise DataError(f"expected at most {MAX_BYTES} bytes, got {size}", path)
         content = path.read_bytes()
         if _is_image(path.name):
-            check_image(content, path)
+            open_image(content, self.source, repr(name))
         return content
 
     def _find(self, name: str) -> Path | None:
@@ -82,10 +76,17 @@ class Assets:
         plain = unquote(name).strip().replace("\\", "/")
         # Options stand before the file's name in an MTL file: ``map_Kd -s 2 2 1 panel.png``.
         last = plain.split()[-1] if plain.startswith("-") else plain
+        folder = self.source.parent.resolve()
+        outside = False
         for candidate in (name.strip(), plain, last, last.rsplit("/", 1)[-1]):
-            path = self._source.parent / candidate
+            path = folder / candidate
             if candidate and path.is_file():
-                return path
+                if path.resolve().is_relative_to(folder):
+                    return path
+                outside = True
+        if outside:
+            text = f"expected files in its folder, got {name!r}, which is outside"
+            raise DataError(text, self.source)
         return None
 
 
@@ -95,39 +96,18 @@ def _is_image(name: str) -> bool:
     return Path(name.strip()).suffix.lower() in known
 
 
-def check_image(content: bytes, source: Path, name: str = "a texture") -> None:
-    """Raise a DataError unless ``content`` is an image that Pillow can decode."""
-    pillow = require("PIL.Image", "render")
-    try:
-        with pillow.open(io.BytesIO(content)) as image:
-            image.load()
-    except Exception as error:  # Pillow's readers raise anything
-        raise DataError(
-            f"expected {name} that can be decoded, got {one_line(error)}", source
-        ) from (error)
-
-
-def check_gltf(content: bytes, source: Path) -> None:
-    """Check what trimesh does not tell about a .gltf or .glb file: extensions, textures inside.
+def open_image(content: bytes, path: Path, name: str) -> Any:
+    """Open an image with Pillow.
 
     Raises:
-        DataError: The file is no glTF, needs an extension that is not known, or holds a texture
-            that cannot be decoded.
+        DataError: The content is no image.
     """
+    pillow = require("PIL.Image", "render")
     try:
-        header, chunk = _glb(content) if content[:4] == b"glTF" else (json.loads(content), b"")
-        needed = [str(name) for name in header.get("extensionsRequired", [])]
-        inside = [_embedded(image, header, chunk) for image in header.get("images", [])]
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, struct.error) as error:
-        raise DataError(f"expected a glTF document, got {one_line(error)}", source) from error
-    unknown = [name for name in needed if not name.startswith(KNOWN_EXTENSIONS)]
-    if unknown:
-        raise DataError(
-            f"expected glTF without extensions, got one that needs {unknown[0]}", source
-        )
-    for number, image in enumerate(inside):
-        if image is not None:
-            check_image(image, source, f"texture {number}")
+        return pillow.open(io.BytesIO(content))
+    except Exception as error:  # Pillow's readers raise anything
+        text = f"expected texture {name} that can be decoded, got {one_line(error)}"
+        raise DataError(text, path) from error
 
 
 def one_line(error: BaseException) -> str:
@@ -147,27 +127,3 @@ def as_utf8(content: bytes) -> bytes:
     except UnicodeDecodeError:
         return content.decode("latin-1").encode()
     return content
-
-
-def _glb(content: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return the header of a .glb file and its binary chunk, empty where there is none."""
-    (length,) = struct.unpack_from("<I", content, 12)
-    header = json.loads(content[20 : 20 + length])
-    return header, content[20 + length + 8 :]
-
-
-def _embedded(image: dict[str, Any], header: dict[str, Any], chunk: bytes) -> bytes | None:
-    """Return an image that a glTF file holds itself; None of one in a file of its own.
-
-    Compressed textures (KTX 2) are left out: a file that does not need them has others.
-    """
-    if image.get("mimeType") == "image/ktx2":
-        return None
-    if "uri" in image:
-        _, found, text = image["uri"].partition("base64,")
-        return base64.b64decode(text) if found else None
-    view = header["bufferViews"][image["bufferView"]]
-    if view["buffer"] != 0 or "uri" in header["buffers"][0]:
-        return None
-    start = view.get("byteOffset", 0)
-    return chunk[start : start + view["byteLength"]]

@@ -1,0 +1,240 @@
+"""A look at a mesh before learning on it: its size, its materials, twelve views, and what is odd."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from ffpose._internal.files import atomic_write
+from ffpose.geometry import Camera, Pose
+from ffpose.imaging.overlay import draw_axes
+from ffpose.render.renderer import draw_craft, prepared
+from ffpose.render.shading.reflection import Light
+from ffpose.render.shading.tracer import Tracer
+from ffpose.render.shading.view import find_window, look
+from ffpose.render.spacecraft.craft import Craft, bounding_sphere
+
+TILE, COLUMNS, CAPTION = 320, 4, 22
+"""Side of a view in pixels, views in a row, and height of the text below each."""
+
+AWAY = 8.0
+"""Distance of the camera in radii of the bounding sphere: nearly a parallel projection."""
+
+SMALLEST_M, LARGEST_M = 0.05, 150.0
+"""Diameters of spacecraft, from a picosatellite's to a station's."""
+
+UNITS = {0.001: "millimeters", 0.01: "centimeters", 0.0254: "inches", 0.3048: "feet"}
+"""Units of mesh files, in meters."""
+
+INSIDE = 0.02
+"""Share of what is seen that may be the inside of surfaces."""
+
+GRAY = 0.05
+"""Light of the background."""
+
+WHITE = 1.2
+"""Light that is white in the views."""
+
+DIRECTIONS = {
+    "+x": (1, 0, 0),
+    "-x": (-1, 0, 0),
+    "+y": (0, 1, 0),
+    "-y": (0, -1, 0),
+    "+z": (0, 0, 1),
+    "-z": (0, 0, -1),
+    "+x +y +z": (1, 1, 1),
+    "-x +y +z": (-1, 1, 1),
+    "-x -y +z": (-1, -1, 1),
+    "+x -y +z": (1, -1, 1),
+    "+x +y -z": (1, 1, -1),
+    "-x -y -z": (-1, -1, -1),
+}
+"""Where the camera is in each view."""
+
+
+def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[str, Any]:
+    """Describe a spacecraft, and write ``summary.json`` and ``views.png``.
+
+    Args:
+        craft: The spacecraft.
+        out: The folder to write; created if missing.
+        y_up: Whether its file's format says that y is up, and z is not y.
+
+    Returns:
+        The contents of ``summary.json``: ``size_m`` by axis, ``triangles``, ``materials``,
+        ``center_m`` and ``radius_m`` of the bounding sphere, ``origin_offset_m`` from its center,
+        ``inside_seen``, the share of what twelve views show that is the inside of surfaces, and
+        ``doubts``, sentences that name the option that mends each.
+    """
+    vertices = craft.mesh.vertices[np.unique(craft.mesh.faces)]
+    center, radius = bounding_sphere(vertices)
+    inside = _inside_seen(craft, center, radius)
+    summary: dict[str, Any] = {
+        "size_m": np.ptp(vertices, axis=0).tolist(),
+        "triangles": len(craft.mesh.faces),
+        "materials": [_material(craft, number) for number in range(len(craft.materials))],
+        "center_m": center.tolist(),
+        "radius_m": radius,
+        "origin_offset_m": float(np.linalg.norm(center)),
+        "inside_seen": inside,
+    }
+    summary["doubts"] = _doubts(craft, summary, y_up)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_write(folder / "views.png") as path:
+        view_sheet(craft).save(path, "PNG")
+    with atomic_write(folder / "summary.json") as path:
+        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return summary
+
+
+def view_sheet(craft: Craft) -> Image.Image:
+    """Draw a spacecraft from twelve sides, with its axes and a meter bar."""
+    center, radius = bounding_sphere(craft.mesh.vertices[np.unique(craft.mesh.faces)])
+    rows = -(-len(DIRECTIONS) // COLUMNS)
+    sheet = Image.new("RGB", (COLUMNS * TILE, rows * (TILE + CAPTION)), "white")
+    for place, name in enumerate(DIRECTIONS):
+        row, column = divmod(place, COLUMNS)
+        tile = _tile(craft, name, center, radius)
+        sheet.paste(tile, (column * TILE, row * (TILE + CAPTION)))
+    return sheet
+
+
+def studio_view(craft: Craft, pose: Pose, camera: Camera) -> NDArray[np.uint8]:
+    """Render a spacecraft before gray, the sun over the camera's left shoulder.
+
+    Returns:
+        (H, W, 3) uint8, RGB.
+    """
+    radiance = np.full((camera.height, camera.width, 3), GRAY, np.float32)
+    back = pose.rotation.T
+    sun, below = np.array([-0.45, -0.5, -0.74]), np.array([0.3, 0.8, -0.52])
+    light = Light(
+        sun=(back @ sun / np.linalg.norm(sun)).astype(np.float32),
+        nadir=(back @ below / np.linalg.norm(below)).astype(np.float32),
+        earth=0.8,
+        horizon=0.0,
+        sunlight=1.0,
+        lamp=0.0,
+        tint=np.ones((3, 1), np.float32),
+    )
+    rng = np.random.default_rng(0)
+    draw_craft(radiance, camera, pose, craft, prepared(craft)[1], light, rng)
+    level = np.clip(radiance / WHITE, 0, 1) ** (1 / 2.2)
+    return np.round(level * 255).astype(np.uint8)
+
+
+def _view(name: str, center: NDArray[np.float64], radius: float) -> tuple[Pose, Camera]:
+    """Return pose and camera of a view: z is up in it, or y where it looks along z."""
+    toward = np.array(DIRECTIONS[name], float)
+    toward /= np.linalg.norm(toward)
+    forward = -toward
+    upward = np.array([0.0, 1.0, 0.0] if abs(toward[2]) > 0.99 else [0.0, 0.0, 1.0])
+    right = np.cross(forward, upward)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    eye = center + toward * AWAY * radius
+    focal = 0.46 * TILE * math.sqrt(AWAY**2 - 1)
+    camera = Camera(TILE, TILE, focal, focal, TILE / 2, TILE / 2)
+    return Pose.from_matrix(rotation, -rotation @ eye), camera
+
+
+def _tile(craft: Craft, name: str, center: NDArray[np.float64], radius: float) -> Image.Image:
+    pose, camera = _view(name, center, radius)
+    image = Image.fromarray(studio_view(craft, pose, camera))
+    if np.linalg.norm(center) < 2 * radius:
+        image = draw_axes(image, pose, camera, 0.5 * radius, width=2)
+    tile = Image.new("RGB", (TILE, TILE + CAPTION), "white")
+    tile.paste(image)
+    draw, font = ImageDraw.Draw(tile), ImageFont.load_default(13)
+    bar = _round_length(0.6 * radius)
+    pixels = bar * camera.fx / (AWAY * radius)
+    draw.line([(8, TILE - 10), (8 + pixels, TILE - 10)], fill="white", width=3)
+    draw.text((8, TILE - 28), f"{bar:g} m", fill="white", font=font)
+    draw.text((4, TILE + 3), f"from {name}", fill="black", font=font)
+    return tile
+
+
+def _round_length(length: float) -> float:
+    """Return the longest of 1, 2 or 5 times a power of ten that is no longer than a length."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return power * max(factor for factor in (1, 2, 5) if factor * power <= length * (1 + 1e-9))
+
+
+def _inside_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> float:
+    """Return the share of hits, from all views, that are on the back of a face."""
+    tracer, mesh = Tracer(craft.mesh), craft.mesh
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    back = count = 0
+    for name in DIRECTIONS:
+        pose, camera = _view(name, center, radius)
+        window = find_window(mesh.vertices, pose, camera)
+        if window is None:
+            continue
+        seen = look(tracer, window, camera, pose, 1)
+        facing = np.einsum("ij,ji->i", normals[seen.hits.face], seen.rays)
+        back, count = back + int((facing > 0).sum()), count + len(facing)
+    return back / max(count, 1)
+
+
+def _material(craft: Craft, number: int) -> dict[str, Any]:
+    material = craft.materials[number]
+    slots = ("color_map", "roughness_map", "normal_map", "emission_map")
+    return {
+        "triangles": int((craft.mesh.material == number).sum()),
+        "color": list(material.color),
+        "roughness": material.roughness,
+        "metallic": material.metallic,
+        "alpha": material.alpha,
+        "two_sided": material.two_sided,
+        "textures": {
+            slot.removesuffix("_map"): [texture.image.width, texture.image.height]
+            for slot in slots
+            if (texture := getattr(material, slot)) is not None
+        },
+    }
+
+
+def _doubts(craft: Craft, summary: dict[str, Any], y_up: bool) -> list[str]:
+    """Return what may be wrong with a mesh, each with the option that mends it."""
+    doubts = []
+    across = 2 * summary["radius_m"]
+    if not SMALLEST_M <= across <= LARGEST_M:
+        fits = {
+            scale: unit for scale, unit in UNITS.items() if 0.3 <= across * scale <= LARGEST_M
+        }
+        scale, unit = next(iter(fits.items()), (_round_length(5 / across), ""))
+        reason = f" if the file is in {unit}" if unit else ""
+        doubts.append(
+            f"the mesh is {across:.3g} m across, spacecraft are {SMALLEST_M:g} to "
+            f"{LARGEST_M:g}: --mesh-scale {scale:g} makes it {across * scale:.3g} m{reason}"
+        )
+    if summary["origin_offset_m"] > summary["radius_m"]:
+        doubts.append(
+            f"the origin lies {summary['origin_offset_m']:.3g} m from the middle of the bounding "
+            f"sphere, outside of it (radius {summary['radius_m']:.3g} m): --mesh-center moves it"
+        )
+    if y_up:
+        doubts.append(
+            "glTF files have y up, and their axes are the object frame's: --mesh-up y turns y to z"
+        )
+    share = summary["inside_seen"]
+    if share > INSIDE:
+        hidden = not all(material.two_sided for material in craft.materials)
+        what = "most faces are inside out" if share > 0.5 else "faces are inside out or missing"
+        doubts.append(
+            f"{what}: {share:.0%} of what is seen is the back of a surface, "
+            + (
+                "which one-sided materials do not show: --mesh-two-sided shows it"
+                if hidden
+                else "which is drawn as its front is"
+            )
+        )
+    return doubts

@@ -1,0 +1,450 @@
+"""Reading glTF 2.0: scenes, meshes and physically based materials.
+
+Trimesh reads vertices and faces out of the buffers, Pillow the images; what they do not know of is
+done here: which nodes are drawn and where, several sets of texture coordinates, whole numbers that
+stand for fractions, sparse values, and the materials. Sections are those of the specification
+(Khronos Group, "glTF 2.0 Specification", 2021). Skins are drawn in their pose of rest, animations
+and morph targets as they are at the start; occlusion textures are left out, as light is traced.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import struct
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.errors import DataError, MissingExtraError, require
+from ffpose.render.spacecraft.gltfmaterials import Materials
+from ffpose.render.spacecraft.meshassets import Assets, one_line
+from ffpose.render.spacecraft.parts import Part
+
+Floats = NDArray[np.float64]
+Header = dict[str, Any]
+
+KNOWN_EXTENSIONS = (
+    "KHR_draco_mesh_compression",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_lights_punctual",
+    "KHR_node_visibility",
+    "KHR_xmp_json_ld",
+    "EXT_texture_webp",
+    "EXT_mesh_gpu_instancing",
+    "EXT_meshopt_compression",
+    "KHR_materials_",
+)
+"""Beginnings of the names of extensions that are read, or that change neither shape nor color."""
+
+TRIANGLES, STRIP, FAN = 4, 5, 6
+"""Modes of primitives that have faces (section 3.7.2.1)."""
+
+LAYER = "_TEXCOORD_{}"
+"""Names by which trimesh keeps attributes as they are begin with an underscore."""
+
+CODES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+class Placed(NamedTuple):
+    """A primitive in the scene: numbers of mesh and primitive, and its place (4, 4)."""
+
+    mesh: int
+    primitive: int
+    place: Floats
+
+
+def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
+    """Read the default scene of a .gltf or .glb file.
+
+    Args:
+        content: The file.
+        assets: The files beside it.
+        most_faces: Largest number of triangles, counted before they are read.
+
+    Raises:
+        DataError: The file is no glTF 2.0, is cut short, has a cycle of nodes, too many triangles
+            or numbers that are not finite, needs an extension that is not known, or refers to a
+            file that is missing or cannot be used.
+        MissingExtraError: The file is compressed and the library that reads it is not installed.
+    """
+    try:
+        return _read(content, assets, most_faces)
+    except (DataError, MissingExtraError):
+        raise
+    except Exception as error:  # a broken file has anything in place of what is expected
+        text = f"expected a glTF document, got {one_line(error)}"
+        raise DataError(text, assets.source) from error
+
+
+def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
+    document = _Document(content, assets)
+    placed = list(document.placed())
+    count = sum(document.face_count(item) for item in placed)
+    if count > most_faces:
+        raise DataError(f"expected at most {most_faces} triangles, got {count}", assets.source)
+    shapes = document.shapes({(item.mesh, item.primitive) for item in placed})
+    materials = Materials(document.header, document.image_bytes, assets.source)
+    parts = []
+    for item in placed:
+        shape = shapes.get((item.mesh, item.primitive))
+        if shape is not None:
+            primitive = document.primitive(item)
+            parts.append(_part(shape, materials, primitive.get("material"), item.place))
+    return parts
+
+
+def _part(
+    shape: dict[str, NDArray[Any]], materials: Materials, number: int | None, place: Floats
+) -> Part:
+    """Return a primitive in its place, with its material and the coordinates of its textures."""
+    material, sources = materials.get(number)
+    layers = []
+    for source in sources:
+        coordinates = shape.get(LAYER.format(source.set))
+        if coordinates is None:
+            coordinates = np.zeros((len(shape["POSITION"]), 2), np.float32)
+        if not np.isfinite(coordinates).all():
+            raise ValueError("expected finite texture coordinates, got NaN or infinity")
+        layers.append(source.transformed(coordinates))
+    faces, turn = shape["faces"].astype(np.int64), place[:3, :3]
+    if np.linalg.det(turn) < 0:
+        faces = faces[:, ::-1]
+    vertices = shape["POSITION"] @ turn.T + place[:3, 3]
+    normals = shape.get("_NORMAL")
+    if normals is not None:
+        normals = normals.astype(np.float64) @ _cofactors(turn).T
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = np.where(length > 0, normals / np.where(length > 0, length, 1), np.nan)
+        normals = normals.astype(np.float32)
+    colors = shape.get("_COLOR_0")
+    if colors is not None:
+        colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
+        if materials.opaque(number):
+            colors[:, 3] = 1
+    return Part(vertices, faces, material, normals, colors, tuple(layers))
+
+
+def _cofactors(matrix: Floats) -> Floats:
+    """Return the cofactors (3, 3), by which normals turn; those of a mirror point inward too."""
+    a, b, c = matrix
+    sign = -1.0 if np.linalg.det(matrix) < 0 else 1.0
+    return sign * np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+
+
+class _Document:
+    """A glTF file: its header, and what the header refers to."""
+
+    def __init__(self, content: bytes, assets: Assets) -> None:
+        self.header, self._chunk = _split(content)
+        self._assets = assets
+        self._buffers: dict[int, bytes] = {}
+        version = str(self.header["asset"].get("version", "2.0"))
+        if not version.startswith("2."):
+            raise DataError(f"expected glTF 2.0, got {version}", assets.source)
+        needed = [str(name) for name in self.header.get("extensionsRequired", [])]
+        unknown = [name for name in needed if not name.startswith(KNOWN_EXTENSIONS)]
+        if unknown:
+            text = f"expected glTF extensions that are known, got one that needs {unknown[0]}"
+            raise DataError(text, assets.source)
+
+    def placed(self) -> Iterator[Placed]:
+        """Yield the primitives of the default scene, from the roots of its nodes (section 3.5)."""
+        nodes = self.header.get("nodes", [])
+        scenes = self.header.get("scenes")
+        if scenes:
+            roots = scenes[self.header.get("scene", 0)].get("nodes", [])
+        else:
+            children = {child for node in nodes for child in node.get("children", [])}
+            roots = [number for number in range(len(nodes)) if number not in children]
+            if nodes and not roots:
+                raise DataError("expected a tree of nodes, got a cycle", self._assets.source)
+        stack = [(number, np.eye(4)) for number in reversed(roots)]
+        seen: set[int] = set()
+        while stack:
+            number, above = stack.pop()
+            if number in seen:
+                text = f"expected a tree of nodes, got node {number} in a cycle or twice"
+                raise DataError(text, self._assets.source)
+            seen.add(number)
+            node = nodes[number]
+            extensions = node.get("extensions", {})
+            if not extensions.get("KHR_node_visibility", {}).get("visible", True):
+                continue
+            place = above @ _local(node)
+            stack += [(child, place) for child in reversed(node.get("children", []))]
+            if "mesh" not in node:
+                continue
+            copies = self._instances(extensions.get("EXT_mesh_gpu_instancing"))
+            for primitive in range(len(self.header["meshes"][node["mesh"]]["primitives"])):
+                for copy in copies:
+                    yield Placed(node["mesh"], primitive, place @ copy)
+
+    def primitive(self, item: Placed) -> Header:
+        """Return the header of a primitive."""
+        found: Header = self.header["meshes"][item.mesh]["primitives"][item.primitive]
+        return found
+
+    def face_count(self, item: Placed) -> int:
+        """Return the number of triangles of a primitive."""
+        primitive = self.primitive(item)
+        mode = primitive.get("mode", TRIANGLES)
+        if "POSITION" not in primitive["attributes"] or mode not in (TRIANGLES, STRIP, FAN):
+            return 0
+        accessor = primitive.get("indices", primitive["attributes"]["POSITION"])
+        count = int(self.header["accessors"][accessor]["count"])
+        return count // 3 if mode == TRIANGLES else max(0, count - 2)
+
+    def shapes(self, used: set[tuple[int, int]]) -> dict[tuple[int, int], dict[str, NDArray[Any]]]:
+        """Read primitives: faces, and attributes by the names that trimesh keeps."""
+        trimesh = require("trimesh.exchange.gltf", "render")
+        plain = _Plain(self)
+        meshes = []
+        for mesh, number in sorted(used):
+            primitive = self.primitive(Placed(mesh, number, np.eye(4)))
+            if self.face_count(Placed(mesh, number, np.eye(4))):
+                simple = plain.primitive(primitive)
+                meshes.append({"name": f"{mesh}.{number}", "primitives": [simple]})
+        header = {"asset": {"version": "2.0"}, "meshes": meshes, **plain.tables()}
+        text = io.BytesIO(json.dumps(header).encode())
+        resolver = {str(number): buffer for number, buffer in enumerate(plain.buffers)}
+        read = trimesh.load_gltf(text, resolver, skip_materials=True)["geometry"]
+        shapes = {}
+        for name, found in read.items():
+            mesh, number = map(int, name.split("."))
+            attributes = self.primitive(Placed(mesh, number, np.eye(4)))["attributes"]
+            shape = {"faces": np.asarray(found["faces"]), "POSITION": np.asarray(found["vertices"])}
+            shape |= {key: np.asarray(v) for key, v in found.get("vertex_attributes", {}).items()}
+            for key in list(shape):
+                if key != "faces":
+                    accessor = self.header["accessors"][attributes[key.removeprefix("_")]]
+                    shape[key] = _fractions(shape[key], bool(accessor.get("normalized")))
+            shape["POSITION"] = shape["POSITION"].astype(np.float64)
+            self._check(shape)
+            shapes[mesh, number] = shape
+        return shapes
+
+    def _check(self, shape: dict[str, NDArray[Any]]) -> None:
+        source, points, faces = self._assets.source, shape["POSITION"], shape["faces"]
+        if not np.isfinite(points).all():
+            raise DataError("expected finite vertices, got NaN or infinity", source)
+        if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
+            got = f"{faces.min()}…{faces.max()}"
+            text = f"expected faces that name vertices 0…{len(points) - 1}, got {got}"
+            raise DataError(text, source)
+        for name, values in shape.items():
+            if name != "faces" and len(values) != len(points):
+                text = f"expected {len(points)} values of {name.strip('_')}, got {len(values)}"
+                raise DataError(text, source)
+
+    def buffer(self, number: int) -> bytes:
+        """Return a buffer: in the file, or beside it."""
+        if number not in self._buffers:
+            entry = self.header["buffers"][number]
+            content = self.resource(entry["uri"]) if "uri" in entry else self._chunk
+            if len(content) < entry["byteLength"]:
+                text = f"expected a buffer of {entry['byteLength']} bytes, got {len(content)}"
+                raise DataError(text, self._assets.source)
+            self._buffers[number] = content
+        return self._buffers[number]
+
+    def resource(self, uri: str) -> bytes:
+        """Return what a URI names: a file, or the data that it consists of."""
+        if uri.startswith("data:"):
+            return base64.b64decode(uri.partition("base64,")[2])
+        return self._assets.get(uri)
+
+    def view(self, number: int) -> bytes:
+        """Return the bytes of a buffer view."""
+        view = self.header["bufferViews"][number]
+        start = view.get("byteOffset", 0)
+        content = self.buffer(view["buffer"])[start : start + view["byteLength"]]
+        if len(content) < view["byteLength"]:
+            text = f"expected {view['byteLength']} bytes of a buffer, got {len(content)}"
+            raise DataError(text, self._assets.source)
+        return content
+
+    def image_bytes(self, number: int) -> tuple[bytes, str]:
+        """Return an image, and its name for an error."""
+        image = self.header["images"][number]
+        if "uri" in image:
+            uri = image["uri"]
+            return self.resource(uri), str(number) if uri.startswith("data:") else repr(uri)
+        return self.view(image["bufferView"]), str(number)
+
+    def values(self, number: int) -> NDArray[Any]:
+        """Return the values (N, K) of an accessor, of which sparse ones replace some (3.6.2)."""
+        accessor = self.header["accessors"][number]
+        code, width = np.dtype(CODES[accessor["componentType"]]), WIDTHS[accessor["type"]]
+        count = accessor["count"]
+        values = np.zeros((count, width), code)
+        if "bufferView" in accessor:
+            content = self.view(accessor["bufferView"])
+            stride = self.header["bufferViews"][accessor["bufferView"]].get("byteStride", 0)
+            values = _strided(content, accessor.get("byteOffset", 0), count, width, code, stride)
+        if "sparse" in accessor:
+            sparse, values = accessor["sparse"], values.copy()
+            where, what = sparse["indices"], sparse["values"]
+            places = _strided(
+                self.view(where["bufferView"]),
+                where.get("byteOffset", 0),
+                sparse["count"],
+                1,
+                np.dtype(CODES[where["componentType"]]),
+            )
+            values[places[:, 0]] = _strided(
+                self.view(what["bufferView"]),
+                what.get("byteOffset", 0),
+                sparse["count"],
+                width,
+                code,
+            )
+        return _fractions(values, bool(accessor.get("normalized")))
+
+    def _instances(self, extension: Header | None) -> list[Floats]:
+        """Return the places (4, 4) of a node's mesh, which an extension repeats."""
+        if extension is None:
+            return [np.eye(4)]
+        names = {"TRANSLATION": "translation", "ROTATION": "rotation", "SCALE": "scale"}
+        given = {
+            names[key]: self.values(number)
+            for key, number in extension["attributes"].items()
+            if key in names
+        }
+        count = len(next(iter(given.values())))
+        return [_local({key: value[n] for key, value in given.items()}) for n in range(count)]
+
+
+class _Plain:
+    """What trimesh is to read: primitives of accessors that are neither sparse nor renamed."""
+
+    def __init__(self, document: _Document) -> None:
+        self.buffers: list[bytes] = []
+        self._document = document
+        self._accessors: list[Header] = []
+        self._views: list[Header] = []
+        self._known: dict[int, int] = {}
+
+    def tables(self) -> Header:
+        """Return accessors, buffer views and buffers of a header."""
+        sizes = [{"uri": str(n), "byteLength": len(b)} for n, b in enumerate(self.buffers)]
+        return {"accessors": self._accessors, "bufferViews": self._views, "buffers": sizes}
+
+    def primitive(self, primitive: Header) -> Header:
+        """Return the header of a primitive with the attributes that are used."""
+        kept = {
+            name if name == "POSITION" else f"_{name}": self._accessor(number)
+            for name, number in primitive["attributes"].items()
+            if name in ("POSITION", "NORMAL", "COLOR_0") or name.startswith("TEXCOORD_")
+        }
+        mode = primitive.get("mode", TRIANGLES)
+        simple: Header = {"attributes": kept, "mode": mode}
+        draco = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
+        if draco is not None:
+            require("DracoPy", "render")
+            names = {
+                name if name == "POSITION" else f"_{name}": number
+                for name, number in draco["attributes"].items()
+            }
+            view = self._view(self._document.view(draco["bufferView"]))
+            compressed = {"bufferView": view, "attributes": names}
+            simple["extensions"] = {"KHR_draco_mesh_compression": compressed}
+        if mode == FAN:
+            simple["mode"] = TRIANGLES
+            simple["indices"] = self._fan(primitive)
+        elif "indices" in primitive:
+            simple["indices"] = self._accessor(primitive["indices"])
+        return simple
+
+    def _accessor(self, number: int) -> int:
+        if number not in self._known:
+            accessor = dict(self._document.header["accessors"][number])
+            if "sparse" in accessor:
+                values = self._document.values(number)
+                self._known[number] = self._append(values, accessor["type"])
+                return self._known[number]
+            if "bufferView" in accessor:
+                view = self._document.header["bufferViews"][accessor["bufferView"]]
+                again = self._view(self._document.view(accessor["bufferView"]))
+                if "byteStride" in view:
+                    self._views[again]["byteStride"] = view["byteStride"]
+                accessor["bufferView"] = again
+            self._known[number] = len(self._accessors)
+            self._accessors.append(accessor)
+        return self._known[number]
+
+    def _fan(self, primitive: Header) -> int:
+        """Return the triangles of a fan, all of which begin at its first vertex."""
+        count = self._document.header["accessors"][primitive["attributes"]["POSITION"]]["count"]
+        order = np.arange(count)
+        if "indices" in primitive:
+            order = self._document.values(primitive["indices"])[:, 0]
+        faces = np.stack([order[1:-1], order[2:], np.full(len(order) - 2, order[0])], axis=1)
+        return self._append(faces.reshape(-1, 1).astype(np.uint32), "SCALAR")
+
+    def _append(self, values: NDArray[Any], kind: str) -> int:
+        values = values.astype(np.float32) if values.dtype.kind == "f" else values
+        code = next(code for code, name in CODES.items() if np.dtype(name) == values.dtype)
+        view = self._view(values.tobytes())
+        self._accessors.append(
+            {"bufferView": view, "componentType": code, "count": len(values), "type": kind}
+        )
+        return len(self._accessors) - 1
+
+    def _view(self, content: bytes) -> int:
+        self._views.append({"buffer": len(self.buffers), "byteLength": len(content)})
+        self.buffers.append(content)
+        return len(self._views) - 1
+
+
+def _split(content: bytes) -> tuple[Header, bytes]:
+    """Return header and binary chunk of a .glb file, or the header that a .gltf file is."""
+    if content[:4] != b"glTF":
+        header = json.loads(content)
+        return header, b""
+    _, size, length = struct.unpack_from("<III", content, 4)
+    if size > len(content):
+        raise ValueError(f"expected {size} bytes, got {len(content)}: the file is cut short")
+    header = json.loads(content[20 : 20 + length])
+    return header, content[20 + length + 8 :]
+
+
+def _local(node: Header) -> Floats:
+    """Return the matrix (4, 4) of a node: given, or scale, then rotation, then translation."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    x, y, z, w = np.asarray(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
+    norm = x * x + y * y + z * z + w * w
+    two = 2 / norm if norm > 0 else 0.0
+    turn = np.array(
+        [
+            [1 - two * (y * y + z * z), two * (x * y - z * w), two * (x * z + y * w)],
+            [two * (x * y + z * w), 1 - two * (x * x + z * z), two * (y * z - x * w)],
+            [two * (x * z - y * w), two * (y * z + x * w), 1 - two * (x * x + y * y)],
+        ]
+    )
+    matrix[:3, :3] = turn * np.asarray(node.get("scale", (1, 1, 1)), dtype=np.float64)
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _strided(
+    content: bytes, start: int, count: int, width: int, code: np.dtype[Any], stride: int = 0
+) -> NDArray[Any]:
+    """Return values (count, width) that stand ``stride`` bytes apart."""
+    stride = stride or width * code.itemsize
+    values: NDArray[Any] = np.ndarray((count, width), code, content, start, (stride, code.itemsize))
+    return values
+
+
+def _fractions(values: NDArray[Any], normalized: bool) -> NDArray[Any]:
+    """Return whole numbers that stand for 0…1 or −1…1 as such (section 3.6.2.2)."""
+    if not normalized or values.dtype.kind == "f":
+        return values
+    return np.maximum(values / np.float32(np.iinfo(values.dtype).max), -1).astype(np.float32)

@@ -1,0 +1,288 @@
+"""Materials of glTF 2.0: metallic-roughness with textures, and the extensions that change them.
+
+Known are KHR_materials_emissive_strength, ior, specular, transmission, unlit and
+pbrSpecularGlossiness, and KHR_texture_transform; coats, sheen, iridescence and volumes are left
+out. What is unlit becomes matte: in space it would be dark in the shadow too. What transmits lets
+through as much light without bending it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.errors import DataError
+from ffpose.render.spacecraft.materials import Material, Texture
+from ffpose.render.spacecraft.meshassets import one_line, open_image
+from ffpose.render.spacecraft.textures import (
+    CLAMP,
+    MIRROR,
+    REPEAT,
+    Convert,
+    Pyramid,
+    build_pyramid,
+    largest_side,
+    linear,
+)
+
+Codes = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+Header = dict[str, Any]
+
+WRAPS = {33071: CLAMP, 33648: MIRROR, 10497: REPEAT}
+"""Codes of a sampler (section 3.8.4.1)."""
+
+GLASS = 0.9
+"""Share of a transmitting surface that is not there: its reflections remain."""
+
+LEAST_ROUGHNESS = 0.05
+"""Roughness below which a sample of the sun's highlight would be a single spark."""
+
+LIGHT = linear(np.arange(256) / 255).astype(np.float32)
+"""Linear light of the codes of eight bits."""
+
+
+class Source(NamedTuple):
+    """Where the coordinates of a texture come from: a set, and KHR_texture_transform."""
+
+    set: int
+    offset: tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
+    scale: tuple[float, float] = (1.0, 1.0)
+
+    def transformed(self, coordinates: NDArray[Any]) -> Floats:
+        """Return coordinates (V, 2) scaled, then rotated, then moved."""
+        c, s = math.cos(self.rotation), math.sin(self.rotation)
+        turn = np.array([[c, s], [-s, c]])
+        placed = coordinates.astype(np.float64) * self.scale @ turn.T + self.offset
+        return np.asarray(placed, np.float32)
+
+
+class Materials:
+    """The materials of a document, each with the sources of its textures' coordinates.
+
+    Args:
+        header: The document.
+        image_bytes: Returns the content of an image and its name for errors.
+        path: The file, for errors.
+    """
+
+    def __init__(
+        self, header: Header, image_bytes: Callable[[int], tuple[bytes, str]], path: Any
+    ) -> None:
+        self._header = header
+        self._image_bytes = image_bytes
+        self._path = path
+        self._made: dict[int | None, tuple[Material, tuple[Source, ...]]] = {}
+        self._images: dict[int, Any] = {}
+        self._pyramids: dict[Any, Pyramid] = {}
+        self._most = self._fitting_side()
+
+    def get(self, number: int | None) -> tuple[Material, tuple[Source, ...]]:
+        """Return a material and the sources of its textures; None is the default one."""
+        if number not in self._made:
+            header = {} if number is None else self._header["materials"][number]
+            self._made[number] = self._make(header)
+        return self._made[number]
+
+    def opaque(self, number: int | None) -> bool:
+        """Return whether a material has no use for alpha."""
+        header = {} if number is None else self._header["materials"][number]
+        return bool(header.get("alphaMode", "OPAQUE") == "OPAQUE")
+
+    def _fitting_side(self) -> int:
+        """Return the largest side of textures with which all that materials use fit in memory."""
+        used: set[tuple[str, int]] = set()
+        for material in self._header.get("materials", []):
+            base, rough = _slots(material)
+            slots = {
+                "color": base,
+                "rough": rough,
+                "normal": material.get("normalTexture"),
+                "emission": material.get("emissiveTexture"),
+            }
+            for kind, slot in slots.items():
+                number = self._image_number(slot)
+                if number is not None:
+                    used.add((kind, number))
+        return largest_side([self._image(number).size for _, number in used])
+
+    def _make(self, header: Header) -> tuple[Material, tuple[Source, ...]]:
+        extensions = header.get("extensions", {})
+        base, rough = _slots(header)
+        sources: dict[Source, int] = {}
+        factors = _factors(header)
+        mode = header.get("alphaMode", "OPAQUE")
+        alpha = factors["color"][3] if mode != "OPAQUE" else 1.0
+        cutoff = header.get("alphaCutoff", 0.5) if mode == "MASK" else None
+        if cutoff is not None:
+            cutoff, alpha = cutoff / max(alpha, 1e-6), 1.0
+            if base is None:
+                alpha = float(cutoff <= 1)
+        glass = extensions.get("KHR_materials_transmission", {}).get("transmissionFactor", 0.0)
+        scale = header.get("normalTexture", {}).get("scale", 1.0)
+        glow = extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
+        emission = np.asarray(header.get("emissiveFactor", (0, 0, 0)), float) * glow
+        shine = factors.get("glossiness")
+        roughness = factors["roughness"] if shine is None or rough is None else 1.0
+        unlit = "KHR_materials_unlit" in extensions
+        material = Material(
+            _three(np.clip(factors["color"][:3], 0, 1)),
+            1.0 if unlit else float(max(roughness, LEAST_ROUGHNESS)),
+            0.0 if unlit else factors["metallic"],
+            _three(emission),
+            reflectance=(0.0, 0.0, 0.0) if unlit else factors["reflectance"],
+            alpha=float(np.clip(alpha * (1 - GLASS * glass), 0, 1)),
+            two_sided=bool(header.get("doubleSided", False)),
+            color_map=self._texture(base, sources, ("color", mode, cutoff), color_of(mode, cutoff)),
+            roughness_map=self._texture(
+                rough, sources, ("rough", shine), values_of if shine is None else _glossy(shine)
+            ),
+            normal_map=self._texture(
+                header.get("normalTexture"), sources, ("normal", scale), normals_of(scale)
+            ),
+            emission_map=self._texture(
+                header.get("emissiveTexture"), sources, ("emission",), color_of("OPAQUE", None)
+            ),
+        )
+        return material, tuple(sources)
+
+    def _texture(
+        self, slot: Header | None, sources: dict[Source, int], key: Any, convert: Convert
+    ) -> Texture | None:
+        """Return a texture of a slot, and note where its coordinates come from."""
+        number = self._image_number(slot)
+        if slot is None or number is None:
+            return None
+        entry = self._header["textures"][slot["index"]]
+        sampler = self._header["samplers"][entry["sampler"]] if "sampler" in entry else {}
+        wrap = (WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)])
+        key = (number, wrap, *key)
+        if key not in self._pyramids:
+            image = self._image(number)
+            self._pyramids[key] = self._decoded(image, number, convert, wrap)
+        change = slot.get("extensions", {}).get("KHR_texture_transform", {})
+        source = Source(
+            int(change.get("texCoord", slot.get("texCoord", 0))),
+            tuple(change.get("offset", (0.0, 0.0))),
+            float(change.get("rotation", 0.0)),
+            tuple(change.get("scale", (1.0, 1.0))),
+        )
+        return Texture(self._pyramids[key], sources.setdefault(source, len(sources)))
+
+    def _image_number(self, slot: Header | None) -> int | None:
+        """Return the image of a slot; None where there is none that Pillow reads."""
+        if slot is None:
+            return None
+        entry = self._header["textures"][slot["index"]]
+        webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
+        number = webp.get("source", entry.get("source"))
+        if number is None or self._header["images"][number].get("mimeType") == "image/ktx2":
+            return None
+        return int(number)
+
+    def _image(self, number: int) -> Any:
+        """Return an image, of which Pillow has read the head."""
+        if number not in self._images:
+            content, name = self._image_bytes(number)
+            self._images[number] = open_image(content, self._path, name)
+        return self._images[number]
+
+    def _decoded(self, image: Any, number: int, convert: Convert, wrap: tuple[int, int]) -> Pyramid:
+        try:
+            return build_pyramid(image, convert, self._most, wrap)
+        except (OSError, SyntaxError, ValueError) as error:
+            text = f"expected texture {number} that can be decoded, got {one_line(error)}"
+            raise DataError(text, self._path) from error
+
+
+def _slots(material: Header) -> tuple[Header | None, Header | None]:
+    """Return the slots of color and roughness."""
+    glossy = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
+    if glossy is not None:
+        return glossy.get("diffuseTexture"), glossy.get("specularGlossinessTexture")
+    rough = material.get("pbrMetallicRoughness", {})
+    return rough.get("baseColorTexture"), rough.get("metallicRoughnessTexture")
+
+
+def _factors(header: Header) -> dict[str, Any]:
+    """Return color with alpha, roughness, metalness, and reflectance at normal incidence."""
+    extensions = header.get("extensions", {})
+    glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
+    if glossy is not None:
+        return {
+            "color": np.asarray(glossy.get("diffuseFactor", (1, 1, 1, 1)), float),
+            "roughness": 1.0 - glossy.get("glossinessFactor", 1.0),
+            "metallic": 0.0,
+            "reflectance": _three(np.asarray(glossy.get("specularFactor", (1, 1, 1)), float)),
+            "glossiness": glossy.get("glossinessFactor", 1.0),
+        }
+    rough = header.get("pbrMetallicRoughness", {})
+    specular = extensions.get("KHR_materials_specular", {})
+    index = extensions.get("KHR_materials_ior", {}).get("ior", 1.5)
+    tint = np.asarray(specular.get("specularColorFactor", (1, 1, 1)), float)
+    mirror = ((index - 1) / (index + 1)) ** 2 if index > 0 else 1.0
+    reflectance = np.minimum(mirror * tint, 1) * specular.get("specularFactor", 1.0)
+    return {
+        "color": np.asarray(rough.get("baseColorFactor", (1, 1, 1, 1)), float),
+        "roughness": float(rough.get("roughnessFactor", 1.0)),
+        "metallic": float(rough.get("metallicFactor", 1.0)),
+        "reflectance": _three(reflectance),
+    }
+
+
+def color_of(mode: str, cutoff: float | None) -> Convert:
+    """Return what turns codes into light multiplied by alpha, and alpha."""
+
+    def convert(codes: Codes) -> Floats:
+        light = LIGHT[codes]
+        light[..., 3] = 1
+        if mode == "OPAQUE":
+            return light
+        alpha = codes[..., 3:] * np.float32(1 / 255)
+        if cutoff is not None:
+            alpha = (alpha >= cutoff).astype(np.float32)
+        result: Floats = light * alpha
+        return result
+
+    return convert
+
+
+def normals_of(scale: float) -> Convert:
+    """Return what turns codes into unit normals in the tangent frame."""
+
+    def convert(codes: Codes) -> Floats:
+        normal = codes * np.float32(2 / 255) - 1
+        normal[..., :2] *= np.float32(scale)
+        normal[..., 3] = 0
+        x, y, z = (normal[..., k] for k in range(3))
+        length = np.sqrt(x * x + y * y + z * z)
+        result: Floats = normal / np.maximum(length, np.float32(1e-6))[..., None]
+        return result
+
+    return convert
+
+
+def values_of(codes: Codes) -> Floats:
+    """Return codes as fractions of the largest."""
+    return codes * np.float32(1 / 255)
+
+
+def _glossy(factor: float) -> Convert:
+    """Return what turns glossiness in the fourth channel into roughness in the second."""
+
+    def convert(codes: Codes) -> Floats:
+        result = np.zeros(codes.shape, np.float32)
+        result[..., 1] = 1 - np.float32(factor / 255) * codes[..., 3]
+        return result
+
+    return convert
+
+
+def _three(values: Any) -> tuple[float, float, float]:
+    red, green, blue = (float(value) for value in values)
+    return red, green, blue

@@ -1,0 +1,78 @@
+"""Parts of a spacecraft as they come out of a mesh file, and one mesh of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose.render.spacecraft.materials import Material
+from ffpose.render.spacecraft.mesh import Mesh
+
+Floats = NDArray[np.float32]
+
+
+class Part(NamedTuple):
+    """Faces of one material.
+
+    Attributes:
+        vertices: (V, 3).
+        faces: (F, 3) vertex numbers, counter-clockwise seen from outside.
+        material: The material.
+        normals: (V, 3) unit normals, or None where they follow from the shape.
+        colors: (V, 4) linear colors and alpha of the vertices, (F, 1, 4) of the faces, or None.
+        layers: (V, 2) coordinates in textures, from the upper left.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    material: Material
+    normals: Floats | None = None
+    colors: Floats | None = None
+    layers: tuple[Floats, ...] = ()
+
+
+def joined(parts: Sequence[Part]) -> tuple[Mesh, tuple[Material, ...]]:
+    """Join parts into one mesh, and list its materials."""
+    materials = tuple(dict.fromkeys(part.material for part in parts))
+    numbers = {material: number for number, material in enumerate(materials)}
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=True)]
+    counts = [len(part.faces) for part in parts]
+    depth = max(len(part.layers) for part in parts)
+    normals = [_of_corners(part, part.normals, (np.nan,) * 3) for part in parts]
+    mesh = Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate(faces).astype(np.int32),
+        np.zeros((sum(counts), 3, 2)),
+        np.repeat([numbers[part.material] for part in parts], counts).astype(np.int32),
+        None if all(part.normals is None for part in parts) else np.concatenate(normals),
+        None
+        if all(part.colors is None for part in parts)
+        else np.concatenate([_colors(part) for part in parts]),
+        tuple(
+            np.concatenate(
+                [
+                    _of_corners(part, part.layers[k] if k < len(part.layers) else None, (0, 0))
+                    for part in parts
+                ]
+            )
+            for k in range(depth)
+        ),
+    )
+    return mesh, materials
+
+
+def _of_corners(part: Part, values: Floats | None, missing: tuple[float, ...]) -> Floats:
+    """Return values (F, 3, K) of the corners of a part, of those of its vertices."""
+    if values is not None:
+        return np.asarray(values, np.float32)[part.faces]
+    return np.broadcast_to(np.asarray(missing, np.float32), (len(part.faces), 3, len(missing)))
+
+
+def _colors(part: Part) -> Floats:
+    if part.colors is not None and part.colors.ndim == 3:
+        return np.repeat(part.colors, 3, axis=1)
+    return _of_corners(part, part.colors, (1, 1, 1, 1))

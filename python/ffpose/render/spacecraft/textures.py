@@ -1,0 +1,204 @@
+"""Textures as pyramids of linear light: each level averages four texels of the one before.
+
+Averages are of light, not of codes, and weighted by alpha, so that a far surface has the mean color
+of its texture (Williams 1983, "Pyramidal parametrics"). A pyramid has sides of powers of two; an
+image of other sides is averaged by area.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float32]
+
+BUDGET = 1 << 28
+"""Most bytes of all textures of a spacecraft together; larger ones are averaged down."""
+
+TEXEL_BYTES = 8
+"""Four channels of 16 bits."""
+
+MAX_SIDE = 4096
+BAND_TEXELS = 1 << 20
+"""Texels of an image that are decoded at once."""
+
+REPEAT, MIRROR, CLAMP = range(3)
+"""What lies beyond the border of a texture."""
+
+Convert = Callable[[NDArray[np.uint8]], Floats]
+
+
+def linear(code: ArrayLike) -> NDArray[np.float64]:
+    """Return the linear light of sRGB values in 0…1."""
+    value = np.asarray(code, dtype=np.float64)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Pyramid:
+    """Levels of a texture, (H, W, 4) each half as large as the one before, as float16.
+
+    Attributes:
+        texels: (N, 4) texels of all levels one after the other, row by row.
+        width: Texels of the finest level to the right, a power of two.
+        height: Texels of the finest level downward, a power of two.
+        wrap: What lies beyond the border to the right and downward: REPEAT, MIRROR or CLAMP.
+    """
+
+    texels: NDArray[np.float16]
+    width: int
+    height: int
+    wrap: tuple[int, int] = (REPEAT, REPEAT)
+
+    @cached_property
+    def _tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Widths, heights and first texels of the levels."""
+        sides = np.array(_sides(self.width, self.height))
+        starts = np.cumsum([0, *sides.prod(axis=1)[:-1]])
+        return sides[:, 0], sides[:, 1], starts
+
+    @property
+    def levels(self) -> int:
+        """Number of levels."""
+        return len(self._tables[0])
+
+    def level(self, number: int) -> NDArray[np.float16]:
+        """Return one level (H, W, 4)."""
+        widths, heights, starts = (table[number] for table in self._tables)
+        return self.texels[starts : starts + widths * heights].reshape(heights, widths, 4)
+
+    def sample(self, u: Floats, v: Floats, level: Floats) -> Floats:
+        """Interpolate between the four nearest texels of the nearest level.
+
+        Args:
+            u: (N,) coordinates to the right, 0…1 once over the texture.
+            v: (N,) coordinates downward.
+            level: (N,) levels, 0 the finest; what is beyond is the last one.
+
+        Returns:
+            (N, 4) values.
+        """
+        number = np.clip(np.rint(level), 0, self.levels - 1).astype(np.int64)
+        width, height, start = (table.take(number) for table in self._tables)
+        left, right, across = _neighbors(u, width, self.wrap[0])
+        top, bottom, down = _neighbors(v, height, self.wrap[1])
+        top, bottom = start + top * width, start + bottom * width
+        packed = self.texels.view(np.uint64).reshape(-1)
+
+        def at(index: NDArray[np.int64]) -> Floats:
+            return packed.take(index).view(np.float16).reshape(-1, 4).astype(np.float32)
+
+        upper = at(top + left)
+        upper += (at(top + right) - upper) * across
+        lower = at(bottom + left)
+        lower += (at(bottom + right) - lower) * across
+        upper += (lower - upper) * down
+        return upper
+
+
+def build_pyramid(
+    image: Any, convert: Convert, most: int = MAX_SIDE, wrap: tuple[int, int] = (REPEAT, REPEAT)
+) -> Pyramid:
+    """Build the pyramid of an image, of which a band at a time is in memory as numbers.
+
+    Args:
+        image: A Pillow image.
+        convert: From codes (N, W, 4) to values that may be averaged.
+        most: Largest side of the finest level.
+        wrap: As `Pyramid.wrap`.
+    """
+    image = _eight_bits(image)
+    width, height = (_power_of_two(side, most) for side in image.size)
+    finest = np.empty((height, width, 4), np.float16)
+    rows = max(1, BAND_TEXELS * height // (image.width * image.height))
+    edges = np.linspace(0, image.height, height + 1)
+    for first in range(0, height, rows):
+        part = edges[first : first + rows + 1]
+        top, bottom = math.floor(part[0]), math.ceil(part[-1])
+        codes = np.asarray(image.crop((0, top, image.width, bottom)).convert("RGBA"))
+        values = averaged(convert(codes), np.linspace(0, image.width, width + 1), 1)
+        finest[first : first + rows] = averaged(values, part - top, 0)
+    levels = [finest]
+    for columns, lines in _sides(width, height)[1:]:
+        last: Floats = levels[-1].astype(np.float32)
+        if last.shape[0] > lines:
+            last = (last[::2] + last[1::2]) * np.float32(0.5)
+        if last.shape[1] > columns:
+            last = (last[:, ::2] + last[:, 1::2]) * np.float32(0.5)
+        levels.append(last.astype(np.float16))
+    return Pyramid(np.concatenate([each.reshape(-1, 4) for each in levels]), width, height, wrap)
+
+
+def largest_side(sizes: Sequence[tuple[int, int]]) -> int:
+    """Return the largest side of finest levels with which textures of these sizes fit `BUDGET`."""
+    side = MAX_SIDE
+    while side > 1:
+        texels = sum(_power_of_two(w, side) * _power_of_two(h, side) for w, h in sizes)
+        if texels * TEXEL_BYTES * 4 // 3 <= BUDGET:
+            break
+        side //= 2
+    return side
+
+
+def averaged(values: Floats, edges: NDArray[np.float64], axis: int) -> Floats:
+    """Return the means of cells between edges along an axis, whose values are constant by index."""
+    count = values.shape[axis]
+    if len(edges) == count + 1 and np.array_equal(edges, np.arange(count + 1)):
+        return values
+    sums = np.cumsum(values, axis=axis, dtype=np.float64)
+    sums = np.insert(sums, 0, 0.0, axis=axis)
+    low = np.minimum(edges.astype(np.intp), count - 1)
+    shape = [1, 1, 1]
+    shape[axis] = -1
+    part = (edges - low).reshape(shape)
+    at = sums.take(low, axis) * (1 - part) + sums.take(low + 1, axis) * part
+    widths = np.diff(edges).reshape(shape)
+    return np.asarray(np.diff(at, axis=axis) / widths, dtype=np.float32)
+
+
+def _sides(width: int, height: int) -> list[tuple[int, int]]:
+    """Return width and height of each level, the last of one texel."""
+    sides = [(width, height)]
+    while sides[-1] != (1, 1):
+        width, height = max(1, width // 2), max(1, height // 2)
+        sides.append((width, height))
+    return sides
+
+
+def _power_of_two(side: int, most: int) -> int:
+    """Return the power of two nearest to a side, at most ``most``."""
+    return min(1 << round(math.log2(side)), most)
+
+
+def _eight_bits(image: Any) -> Any:
+    """Return an image of one channel of 16 or 32 bits as one of 8."""
+    return image.point(lambda code: code / 256).convert("L") if image.mode[0] == "I" else image
+
+
+def _neighbors(
+    coordinate: Floats, count: NDArray[np.int64], wrap: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+    """Return the texels before and after coordinates, and how far between them, (N, 1)."""
+    if wrap == REPEAT:
+        coordinate = coordinate - np.floor(coordinate)
+    place = coordinate * count.astype(np.float32) - np.float32(0.5)
+    below = np.floor(place)
+    part = (place - below)[:, None]
+    first = below.astype(np.int64)
+    second = first + 1
+    if wrap == REPEAT:
+        return first & (count - 1), second & (count - 1), part
+    if wrap == MIRROR:
+        return _mirrored(first, count), _mirrored(second, count), part
+    return np.clip(first, 0, count - 1), np.clip(second, 0, count - 1), part
+
+
+def _mirrored(index: NDArray[np.int64], count: NDArray[np.int64]) -> NDArray[np.int64]:
+    there = index & (2 * count - 1)
+    return np.asarray(np.minimum(there, 2 * count - 1 - there))

@@ -1,0 +1,209 @@
+"""Parts of .obj, .ply and .stl files, as trimesh reads them: colors, MTL materials and textures.
+
+Colors of faces, vertices and MTL files are sRGB, as textures are. A surface has two sides.
+"""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ffpose.errors import DataError, require
+from ffpose.render.spacecraft.gltfmaterials import (
+    LEAST_ROUGHNESS,
+    color_of,
+    normals_of,
+    values_of,
+)
+from ffpose.render.spacecraft.materials import Material, Texture
+from ffpose.render.spacecraft.meshassets import Assets, as_utf8, one_line, open_image
+from ffpose.render.spacecraft.parts import Part
+from ffpose.render.spacecraft.textures import Convert, Pyramid, build_pyramid, largest_side, linear
+
+ROUGHNESS = 0.55
+"""Roughness of what has no material."""
+
+DIELECTRIC = 0.08
+"""Reflectance that an MTL file's ``Ks`` of one stands for; a half is that of paint."""
+
+
+def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
+    """Read the parts of a file.
+
+    Args:
+        content: The file.
+        suffix: Its format, as ``".obj"``.
+        assets: The files beside it.
+
+    Raises:
+        DataError: The file is broken, or refers to one that is missing or cannot be used.
+    """
+    trimesh = require("trimesh", "render")
+    source = assets.source
+    try:
+        file = io.BytesIO(as_utf8(content) if suffix == ".obj" else content)
+        scene = trimesh.load(file, suffix[1:], resolver=assets, force="scene", process=False)
+        # A .obj, .ply or .stl file has no transforms: every geometry is in its place.
+        meshes = [each for each in scene.geometry.values() if isinstance(each, trimesh.Trimesh)]
+        meshes = [mesh for mesh in meshes if len(mesh.faces)]
+        for mesh in meshes:
+            _check(mesh, assets)
+        paints = _Paints(meshes, assets)
+        parts = [_part(mesh, paints) for mesh in meshes]
+    except DataError:
+        raise
+    except Exception as error:  # a broken file makes the readers raise anything
+        problem = assets.problems[0] if assets.problems else None
+        text = f"expected a triangle mesh, got {one_line(error)}"
+        raise problem or DataError(text, source) from error
+    if assets.problems:
+        raise assets.problems[0]
+    return parts
+
+
+def _check(mesh: Any, assets: Assets) -> None:
+    """Raise a DataError unless a mesh is triangles between finite vertices."""
+    points, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if points.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        got = f"{points.shape[1]} and {faces.shape[1]}"
+        raise DataError(f"expected 3 coordinates and 3 corners, got {got}", assets.source)
+    if not np.isfinite(points).all():
+        raise DataError("expected finite vertices, got NaN or infinity", assets.source)
+    if faces.min() < 0 or faces.max() >= len(points):
+        got = f"{faces.min()}…{faces.max()}"
+        text = f"expected faces that name vertices 0…{len(points) - 1}, got {got}"
+        raise DataError(text, assets.source)
+
+
+def _part(mesh: Any, paints: _Paints) -> Part:
+    visual = mesh.visual
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    normals = None
+    if "vertex_normals" in mesh._cache.cache:
+        given = np.asarray(mesh.vertex_normals, np.float32)
+        length = np.linalg.norm(given, axis=1, keepdims=True)
+        normals = np.where(length > 1e-6, given / np.maximum(length, 1e-6), np.nan)
+    if visual.kind == "texture":
+        material = paints.get(visual.material)
+        layers: tuple[NDArray[np.float32], ...] = ()
+        if material.maps:
+            uv = np.zeros((len(vertices), 2)) if visual.uv is None else np.asarray(visual.uv)
+            if not np.isfinite(uv).all():
+                raise ValueError("expected finite texture coordinates, got NaN or infinity")
+            layers = (np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1).astype(np.float32),)
+        colors = visual.vertex_attributes.get("color")
+        light = None if colors is None else _light(colors)
+        return Part(vertices, faces, material, normals, light, layers)
+    plain = Material((1.0, 1.0, 1.0), ROUGHNESS)
+    if visual.kind == "vertex":
+        return Part(vertices, faces, plain, normals, _light(visual.vertex_colors))
+    return Part(vertices, faces, plain, normals, _light(visual.face_colors)[:, None])
+
+
+def _light(codes: ArrayLike) -> NDArray[np.float32]:
+    """Return sRGB codes (N, 3 or 4) as linear colors (N, 4) without transparency."""
+    values = np.asarray(codes)
+    top = np.iinfo(values.dtype).max if np.issubdtype(values.dtype, np.integer) else 1
+    light = np.ones((len(values), 4), np.float32)
+    light[:, :3] = linear(np.clip(values[:, :3] / top, 0, 1))
+    return light
+
+
+class _Paints:
+    """The materials of an MTL file."""
+
+    def __init__(self, meshes: list[Any], assets: Assets) -> None:
+        self._assets = assets
+        self._made: dict[int, Material] = {}
+        self._images: dict[str, Any] = {}
+        self._pyramids: dict[Any, Pyramid] = {}
+        materials = [mesh.visual.material for mesh in meshes if mesh.visual.kind == "texture"]
+        sizes: dict[Any, tuple[int, int]] = {}
+        for material in materials:
+            if getattr(material, "image", None) is not None:
+                sizes[id(material.image)] = material.image.size
+            for key in ("map_ke", "norm", "map_pr"):
+                if key in getattr(material, "kwargs", {}):
+                    sizes[key, " ".join(material.kwargs[key])] = self._opened(material, key).size
+        self._most = largest_side(list(sizes.values()))
+
+    def get(self, material: Any) -> Material:
+        """Return a material as the renderer has them."""
+        if id(material) not in self._made:
+            self._made[id(material)] = self._make(material)
+        return self._made[id(material)]
+
+    def _make(self, material: Any) -> Material:
+        if hasattr(material, "to_simple"):  # of a .ply file that names a texture
+            material = material.to_simple()
+        given, image = material.kwargs, material.image
+        color = _triple(given.get("kd"))
+        if color is None:
+            # Trimesh's gray of a material without a color, and white beside a texture.
+            color = np.ones(3) if image is not None else np.asarray(material.diffuse[:3]) / 255
+        elif image is not None and not color.any():
+            color = np.ones(3)  # exporters write black beside a texture to be seen as it is
+        gloss = _number(given.get("ns"))
+        rough = ROUGHNESS if gloss is None else (2 / (max(gloss, 0) + 2)) ** 0.25
+        if "pr" in given:
+            rough = _number(given["pr"]) or 0.0
+        shine = _triple(given.get("ks"))
+        alpha = _number(given.get("d"), 1 - (_number(given.get("tr"), 0.0) or 0.0))
+        glow = _triple(given.get("ke"))
+        return Material(
+            _floats(linear(np.clip(color, 0, 1))),
+            float(np.clip(1.0 if "map_pr" in given else rough, LEAST_ROUGHNESS, 1)),
+            float(np.clip(_number(given.get("pm"), 0.0) or 0.0, 0, 1)),
+            _floats(np.zeros(3) if glow is None else glow),
+            reflectance=_floats(DIELECTRIC * np.clip((0.5,) * 3 if shine is None else shine, 0, 1)),
+            alpha=float(np.clip(1.0 if alpha is None else alpha, 0, 1)),
+            color_map=self._texture(image, color_of("BLEND", None)),
+            roughness_map=self._named(material, "map_pr", values_of),
+            normal_map=self._named(material, "norm", normals_of(1.0)),
+            emission_map=self._named(material, "map_ke", color_of("OPAQUE", None)),
+        )
+
+    def _named(self, material: Any, key: str, convert: Convert) -> Texture | None:
+        if key not in material.kwargs:
+            return None
+        return self._texture(self._opened(material, key), convert)
+
+    def _opened(self, material: Any, key: str) -> Any:
+        name = " ".join(material.kwargs[key])
+        if name not in self._images:
+            self._images[name] = open_image(self._assets.get(name), self._assets.source, repr(name))
+        return self._images[name]
+
+    def _texture(self, image: Any, convert: Convert) -> Texture | None:
+        if image is None:
+            return None
+        key = (id(image), convert.__qualname__)
+        if key not in self._pyramids:
+            try:
+                self._pyramids[key] = build_pyramid(image, convert, self._most)
+            except (OSError, SyntaxError, ValueError) as error:
+                text = f"expected a texture that can be decoded, got {one_line(error)}"
+                raise DataError(text, self._assets.source) from error
+        return Texture(self._pyramids[key])
+
+
+def _number(words: Any, missing: float | None = None) -> float | None:
+    """Return the number that an MTL file's words stand for."""
+    if words is None or (isinstance(words, list) and not words):
+        return missing
+    return float(words[-1] if isinstance(words, list) else words)
+
+
+def _triple(words: Any) -> NDArray[np.float64] | None:
+    """Return three numbers; a single one stands for three."""
+    if words is None:
+        return None
+    return np.array(np.broadcast_to(np.asarray(words, dtype=np.float64), 3))
+
+
+def _floats(values: ArrayLike) -> tuple[float, float, float]:
+    red, green, blue = np.asarray(values, dtype=np.float64).tolist()
+    return red, green, blue

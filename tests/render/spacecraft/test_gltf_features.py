@@ -1,0 +1,355 @@
+"""Each feature of glTF 2.0 by a file of its own: shape, materials, textures, and what is seen."""
+
+import io
+import json
+import struct
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ffpose.geometry import Camera, Pose
+from ffpose.render import load_craft
+from ffpose.render.renderer import prepared
+from ffpose.render.shading.maps import Maps
+from ffpose.render.shading.view import find_window, look
+from ffpose.render.spacecraft.textures import build_pyramid, linear
+
+SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+FACES = np.array([0, 1, 2, 0, 2, 3], np.uint16)
+PLACES = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+"""The whole texture, upright, on the square seen from +z."""
+
+CAMERA = Camera(64, 64, 64.0, 64.0, 32.0, 32.0)
+FROM_ABOVE = Pose((0.0, 0.0, 3.0), (0.0, 1.0, 0.0, 0.0))
+"""The camera at +z, x to the right and y up in the image."""
+
+KINDS = {
+    np.dtype("f4"): 5126,
+    np.dtype("u2"): 5123,
+    np.dtype("u1"): 5121,
+    np.dtype("i1"): 5120,
+    np.dtype("i2"): 5122,
+}
+
+
+class File:
+    """A .glb file under construction: a square, and what tests change."""
+
+    def __init__(self):
+        self.blob = b""
+        self.header = {
+            "asset": {"version": "2.0"},
+            "accessors": [],
+            "bufferViews": [],
+            "images": [],
+            "textures": [],
+            "materials": [],
+        }
+        self.attributes = {"POSITION": self.accessor(SQUARE), "TEXCOORD_0": self.accessor(PLACES)}
+        self.primitive = {"attributes": self.attributes, "indices": self.accessor(FACES)}
+        self.header["meshes"] = [{"primitives": [self.primitive]}]
+        self.header["nodes"] = [{"mesh": 0}]
+        self.header["scenes"] = [{"nodes": [0]}]
+
+    def view(self, content):
+        self.header["bufferViews"].append(
+            {"buffer": 0, "byteOffset": len(self.blob), "byteLength": len(content)}
+        )
+        self.blob += content + bytes(-len(content) % 4)
+        return len(self.header["bufferViews"]) - 1
+
+    def accessor(self, values, **more):
+        values = np.asarray(values)
+        width = values.shape[1] if values.ndim > 1 else 1
+        self.header["accessors"].append(
+            {
+                "bufferView": self.view(values.tobytes()),
+                "componentType": KINDS[values.dtype],
+                "count": len(values),
+                "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[width],
+                **more,
+            }
+        )
+        return len(self.header["accessors"]) - 1
+
+    def texture(self, pixels, **more):
+        file = io.BytesIO()
+        Image.fromarray(np.asarray(pixels, np.uint8)).save(file, "PNG")
+        self.header["images"].append(
+            {"bufferView": self.view(file.getvalue()), "mimeType": "image/png"}
+        )
+        self.header["textures"].append({"source": len(self.header["images"]) - 1, **more})
+        return len(self.header["textures"]) - 1
+
+    def material(self, **material):
+        self.header["materials"].append(material)
+        self.primitive["material"] = len(self.header["materials"]) - 1
+
+    def load(self, folder, **options):
+        self.header["buffers"] = [{"byteLength": len(self.blob)}]
+        text = json.dumps(self.header).encode()
+        text += b" " * (-len(text) % 4)
+        path = folder / "square.glb"
+        path.write_bytes(
+            struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(self.blob))
+            + struct.pack("<I4s", len(text), b"JSON")
+            + text
+            + struct.pack("<I4s", len(self.blob), b"BIN\0")
+            + self.blob
+        )
+        return load_craft(path, **options)
+
+
+def seen(craft, pose=FROM_ABOVE, samples=2):
+    """Surface at the hits of a view, and the hits' pixels (row, column)."""
+    tracer, finish = prepared(craft)
+    window = find_window(craft.mesh.vertices, pose, CAMERA)
+    view = look(tracer, window, CAMERA, pose, samples)
+    width = np.float32(1 / CAMERA.fx)
+    surface = finish.surface(view, view.hits.distance * width, samples)
+    row, column = np.divmod(view.hits.ray, window.shape[1] * samples)
+    return surface, (window.top + row / samples, window.left + column / samples)
+
+
+QUARTERS = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]])
+"""Red and green above, blue and white below."""
+
+
+def quarter(craft, top, left):
+    surface, (row, column) = seen(craft)
+    rows = (row > 15) & (row < 27) if top else (row > 37) & (row < 49)
+    columns = (column > 15) & (column < 27) if left else (column > 37) & (column < 49)
+    return surface.color[:, rows & columns].mean(axis=1)
+
+
+def textured(pixels, slot=None, **sampler):
+    file = File()
+    number = file.texture(pixels, **({"sampler": 0} if sampler else {}))
+    if sampler:
+        file.header["samplers"] = [sampler]
+    rough = {"baseColorTexture": {"index": number, **(slot or {})}, "metallicFactor": 0}
+    file.material(pbrMetallicRoughness=rough)
+    return file
+
+
+def test_a_texture_is_upright(tmp_path):
+    craft = textured(QUARTERS.repeat(8, 0).repeat(8, 1)).load(tmp_path)
+    expected = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)]
+    corners = [(True, True), (True, False), (False, True), (False, False)]
+    for where, color in zip(corners, expected, strict=True):
+        np.testing.assert_allclose(quarter(craft, *where), color, atol=0.02)
+
+
+def test_texture_transform_and_wrap(tmp_path):
+    """Moved by a half to the right: red and green change places; rotated by 90° they go round."""
+    pixels = QUARTERS.repeat(8, 0).repeat(8, 1)
+    change = {"extensions": {"KHR_texture_transform": {"offset": [0.5, 0.0]}}}
+    craft = textured(pixels, change).load(tmp_path)
+    np.testing.assert_allclose(quarter(craft, True, True), (0, 1, 0), atol=0.02)
+    change = {"extensions": {"KHR_texture_transform": {"scale": [2.0, 2.0]}}}
+    clamped = textured(pixels, change, wrapS=33071, wrapT=33071).load(tmp_path)
+    np.testing.assert_allclose(quarter(clamped, False, False), (1, 1, 1), atol=0.02)
+    turned = {"rotation": np.pi / 2, "offset": [0.0, 1.0]}
+    change = {"extensions": {"KHR_texture_transform": turned}}
+    craft = textured(pixels, change).load(tmp_path)
+    # (u, v) → (v, 1 − u) of the turned and moved coordinates: upper left shows the lower left.
+    np.testing.assert_allclose(quarter(craft, True, True), (0, 0, 1), atol=0.02)
+
+
+def test_a_second_set_of_coordinates(tmp_path):
+    file = textured(QUARTERS.repeat(8, 0).repeat(8, 1), {"texCoord": 1})
+    file.attributes["TEXCOORD_1"] = file.accessor(PLACES[:, ::-1].copy())
+    np.testing.assert_allclose(quarter(file.load(tmp_path), True, False), (0, 0, 1), atol=0.02)
+
+
+def test_nodes_scenes_and_instances_place_what_they_hold(tmp_path):
+    file = File()
+    half = float(np.sqrt(0.5))
+    file.header["nodes"] = [
+        {"translation": [5, 0, 0], "children": [1], "camera": 0},
+        {"mesh": 0, "rotation": [0, 0, half, half], "scale": [1, 2, 1]},
+        {"mesh": 0},
+    ]
+    file.header["cameras"] = [{"type": "perspective"}]
+    file.header["scenes"] = [{"nodes": [2]}, {"nodes": [0]}]
+    file.header["scene"] = 1
+    vertices = file.load(tmp_path).mesh.vertices
+    np.testing.assert_allclose(np.sort(vertices[:, 0]), [3, 3, 7, 7], atol=1e-6)
+    np.testing.assert_allclose(np.sort(vertices[:, 1]), [-1, -1, 1, 1], atol=1e-6)
+    copies = file.accessor(np.array([[0, 0, 0], [0, 0, 4]], np.float32))
+    attributes = {"attributes": {"TRANSLATION": copies}}
+    file.header["nodes"][1]["extensions"] = {"EXT_mesh_gpu_instancing": attributes}
+    assert set(file.load(tmp_path).mesh.vertices[:, 2].round(6)) == {0.0, 4.0}
+
+
+def test_a_mirror_keeps_outside_out(tmp_path):
+    file = File()
+    file.header["nodes"] = [{"mesh": 0, "scale": [-1, 1, 1]}]
+    craft = file.load(tmp_path)
+    a, b, c = craft.mesh.vertices[craft.mesh.faces[0]]
+    assert np.cross(b - a, c - a)[2] > 0
+    file.attributes["NORMAL"] = file.accessor(np.tile(np.float32([0, 0, 1]), (4, 1)))
+    np.testing.assert_allclose(file.load(tmp_path).mesh.corner_normals[0], [[0, 0, 1]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("mode", "indices"),
+    [(5, [0, 1, 3, 2]), (6, [0, 1, 2, 3]), (4, None)],
+    ids=["strip", "fan", "no indices"],
+)
+def test_modes_of_primitives(tmp_path, mode, indices):
+    file = File()
+    file.primitive["mode"] = mode
+    if indices is None:
+        del file.primitive["indices"]
+        file.attributes["POSITION"] = file.accessor(SQUARE[FACES])
+        del file.attributes["TEXCOORD_0"]
+    else:
+        file.primitive["indices"] = file.accessor(np.array(indices, np.uint16))
+    mesh = file.load(tmp_path).mesh
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    areas = np.cross(b - a, c - a)[:, 2] / 2
+    assert (areas > 0).all()
+    assert areas.sum() == pytest.approx(4)
+
+
+def test_whole_numbers_that_stand_for_fractions_and_sparse_values(tmp_path):
+    file = File()
+    file.attributes["POSITION"] = file.accessor((SQUARE * 127).astype(np.int8), normalized=True)
+    file.attributes["COLOR_0"] = file.accessor(np.full((4, 3), 51, np.uint8), normalized=True)
+    craft = file.load(tmp_path)
+    np.testing.assert_allclose(craft.mesh.vertices, SQUARE, atol=1e-6)
+    np.testing.assert_allclose(craft.mesh.colors[..., :3], 0.2, atol=1e-6)
+    file = File()
+    where = file.view(np.array([2], np.uint16).tobytes())
+    what = file.view(np.array([[3, 3, 0]], np.float32).tobytes())
+    file.header["accessors"][file.attributes["POSITION"]]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": where, "componentType": 5123},
+        "values": {"bufferView": what},
+    }
+    np.testing.assert_allclose(file.load(tmp_path).mesh.vertices[2], (3, 3, 0))
+
+
+def test_factors_and_extensions_of_materials(tmp_path):
+    file = File()
+    file.material(
+        pbrMetallicRoughness={
+            "baseColorFactor": [0.5, 0.25, 0.1, 1.0],
+            "metallicFactor": 0.7,
+            "roughnessFactor": 0.4,
+        },
+        emissiveFactor=[0.1, 0.2, 0.3],
+        extensions={
+            "KHR_materials_ior": {"ior": 2.0},
+            "KHR_materials_specular": {"specularFactor": 0.5},
+            "KHR_materials_emissive_strength": {"emissiveStrength": 4.0},
+        },
+    )
+    (material,) = file.load(tmp_path).materials
+    assert material.color == (0.5, 0.25, 0.1)
+    assert (material.metallic, material.roughness) == (0.7, 0.4)
+    np.testing.assert_allclose(material.reflectance, 0.5 * (1 / 3) ** 2)
+    np.testing.assert_allclose(material.emission, (0.4, 0.8, 1.2))
+    assert not material.two_sided
+    assert File().load(tmp_path).materials[0].metallic == 1.0  # the specification's defaults
+    assert file.load(tmp_path, two_sided=True).materials[0].two_sided
+
+
+def test_metal_and_roughness_come_from_their_channels(tmp_path):
+    file = File()
+    number = file.texture(np.full((4, 4, 3), (9, 102, 204)))
+    file.material(pbrMetallicRoughness={"metallicRoughnessTexture": {"index": number}})
+    surface, _ = seen(file.load(tmp_path))
+    np.testing.assert_allclose(surface.roughness, 0.4, atol=1e-3)
+    np.testing.assert_allclose(surface.metallic, 0.8, atol=1e-3)
+
+
+def test_a_normal_map_leans_right_and_up(tmp_path):
+    file = File()
+    code = np.round((np.array([0.6, 0.0, 0.8]) + 1) / 2 * 255)
+    file.material(normalTexture={"index": file.texture(np.full((4, 4, 3), code))})
+    surface, _ = seen(file.load(tmp_path))
+    np.testing.assert_allclose(surface.normal.mean(axis=1), (0.6, 0, 0.8), atol=0.01)
+    file = File()
+    code = np.round((np.array([0.0, 0.6, 0.8]) + 1) / 2 * 255)
+    file.material(normalTexture={"index": file.texture(np.full((4, 4, 3), code))})
+    surface, _ = seen(file.load(tmp_path))
+    np.testing.assert_allclose(surface.normal.mean(axis=1), (0, 0.6, 0.8), atol=0.01)
+
+
+@pytest.mark.parametrize(("mode", "share"), [("OPAQUE", 1.0), ("MASK", 0.5), ("BLEND", 0.625)])
+def test_alpha_modes(tmp_path, mode, share):
+    """A texture half of alpha 1 and half of alpha a quarter."""
+    pixels = np.full((16, 16, 4), 255)
+    pixels[:, 8:, 3] = 64
+    file = textured(pixels)
+    file.header["materials"][0]["alphaMode"] = mode
+    surface, _ = seen(file.load(tmp_path), samples=4)
+    full, _ = seen(textured(pixels).load(tmp_path), samples=4)
+    found = surface.color.shape[1] / full.color.shape[1]
+    assert found == pytest.approx(share, abs=0.02)
+
+
+def test_one_sided_surfaces_are_gone_from_behind(tmp_path):
+    behind = Pose((0.0, 0.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    file = File()
+    file.material(doubleSided=False)
+    assert seen(file.load(tmp_path), behind)[0].color.size == 0
+    assert seen(file.load(tmp_path), FROM_ABOVE)[0].color.size > 0
+    file.header["materials"][0]["doubleSided"] = True
+    assert seen(file.load(tmp_path), behind)[0].color.size > 0
+
+
+@pytest.mark.parametrize("distance", [4.0, 40.0, 400.0])
+def test_a_far_texture_has_its_mean_light(tmp_path, distance):
+    """Within 1 % at any distance, of the light: half of white would be 0.21 as a mean of codes."""
+    board = np.indices((64, 64)).sum(axis=0) % 2
+    pixels = np.random.default_rng(0).integers(0, 256, (64, 64, 3)) * board[..., None]
+    craft = textured(pixels).load(tmp_path)
+    light = linear(pixels / 255).mean(axis=(0, 1))
+    pose = Pose((0.0, 0.0, distance), (0.0, 1.0, 0.0, 0.0))
+    tracer, finish = prepared(craft)
+    camera = Camera(32, 32, 12.0 * distance, 12.0 * distance, 16.0, 16.0)
+    view = look(tracer, find_window(craft.mesh.vertices, pose, camera), camera, pose, 2)
+    shown = finish.surface(view, view.hits.distance / np.float32(camera.fx), 2).color
+    np.testing.assert_allclose(shown.mean(axis=1), light, rtol=0.01)
+    np.testing.assert_allclose(Maps(craft).mean("color_map")[:, :3].mean(axis=0), light, rtol=0.03)
+
+
+def test_nothing_of_a_neighbor_in_the_texture_bleeds_into_a_small_face(tmp_path):
+    pixels = np.zeros((64, 64, 3))
+    pixels[20:24, 20:24] = (255, 0, 0)
+    file = textured(pixels)
+    file.attributes["TEXCOORD_0"] = file.accessor(((20.5 + 3 * PLACES) / 64).astype(np.float32))
+    pose = Pose((0.0, 0.0, 90.0), (0.0, 1.0, 0.0, 0.0))
+    surface, _ = seen(file.load(tmp_path), pose)
+    np.testing.assert_allclose(surface.color.mean(axis=1), (1, 0, 0), atol=0.01)
+
+
+def test_levels_keep_the_mean_and_a_large_texture_is_averaged_down():
+    rng = np.random.default_rng(1)
+    codes = rng.integers(0, 256, (50, 70, 3), dtype=np.uint8)
+
+    def values(codes):
+        return linear(codes / 255).astype(np.float32)
+
+    pyramid = build_pyramid(Image.fromarray(codes), values, most=32)
+    assert (pyramid.width, pyramid.height) == (32, 32)
+    mean = linear(codes / 255).mean(axis=(0, 1))
+    for number in range(pyramid.levels):
+        level = pyramid.level(number).astype(np.float64)
+        np.testing.assert_allclose(level.mean(axis=(0, 1))[:3], mean, rtol=1e-3)
+
+
+def test_up_and_center_move_the_object_frame(tmp_path):
+    file = File()
+    file.header["nodes"] = [{"mesh": 0, "translation": [7, 8, 9]}]
+    vertices = file.load(tmp_path, up="y").mesh.vertices
+    np.testing.assert_allclose(vertices[:, 2], SQUARE[:, 1] + 8, atol=1e-6)
+    np.testing.assert_allclose(np.abs(vertices[:, 1]), 9, atol=1e-6)
+    centered = file.load(tmp_path, center=True).mesh.vertices
+    np.testing.assert_allclose(centered, SQUARE, atol=5e-3)
+    with pytest.raises(ValueError, match="mesh up: expected one of x, y, z"):
+        file.load(tmp_path, up="north")
