@@ -26,6 +26,8 @@ from ffpose.errors import DataError, MissingExtraError, explain, require
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
 
+    from ffpose.render.spacecraft.craft import Craft
+
 
 class Command(NamedTuple):
     """A command: one-line summary, arguments, function, and the extra that it needs."""
@@ -79,6 +81,32 @@ def demo(options: Namespace) -> None:
     print(out / "report.html")
 
 
+def mesh_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments that mend a mesh."""
+    from ffpose.render import Up
+
+    parser.add_argument("--mesh-scale", type=float, default=1.0, help="meters per unit of the mesh")
+    text = "axis of the mesh file that becomes the object's z (glTF files have y up)"
+    parser.add_argument("--mesh-up", choices=get_args(Up), default="z", help=text)
+    text = "move the origin to the middle of the bounding sphere"
+    parser.add_argument("--mesh-center", action="store_true", help=text)
+    text = "show the back of one-sided surfaces"
+    parser.add_argument("--mesh-two-sided", action="store_true", help=text)
+
+
+def craft_of(options: Namespace) -> Craft:
+    """Return the spacecraft of the mesh that a command takes."""
+    from ffpose.render import load_craft
+
+    return load_craft(
+        options.mesh,
+        options.mesh_scale,
+        options.mesh_up,
+        center=options.mesh_center,
+        two_sided=options.mesh_two_sided,
+    )
+
+
 def render_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `render`."""
     from ffpose.render.layers import LABELS
@@ -99,7 +127,7 @@ def render_arguments(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
     parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply, .glb, .gltf")
-    parser.add_argument("--mesh-scale", type=float, default=1.0, help="meters per unit of the mesh")
+    mesh_arguments(parser)
     parser.add_argument(
         "--eclipse-rate", type=float, help="share in the Earth's shadow; as in orbit by default"
     )
@@ -126,7 +154,7 @@ def render_arguments(parser: ArgumentParser) -> None:
 def render(options: Namespace) -> None:
     """Render images with exact labels, in URSO's layout."""
     from ffpose.geometry import Camera
-    from ffpose.render import Randomization, find_scene, load_craft
+    from ffpose.render import Randomization, find_scene
     from ffpose.render.dataset.writer import write_dataset
     from ffpose.render.layers import LAYERS
 
@@ -141,7 +169,7 @@ def render(options: Namespace) -> None:
         eclipse_rate=scene.eclipse_rate if options.eclipse_rate is None else options.eclipse_rate,
         randomization=Randomization.of_strength(options.randomize),
         camera=Camera.read(options.camera) if options.camera else scene.camera,
-        craft=load_craft(options.mesh, options.mesh_scale) if options.mesh else scene.craft,
+        craft=craft_of(options) if options.mesh else scene.craft,
         renderer=options.renderer,
     )
     written = write_dataset(
@@ -195,11 +223,11 @@ def train(options: Namespace) -> None:
         say(f"best epoch {result.best_epoch}: {result.folder.best}")
 
 
-def data_arguments(parser: ArgumentParser) -> None:
+def data_arguments(parser: ArgumentParser, *, required: bool = True) -> None:
     """Declare the arguments that choose a command's images."""
     kinds = "urso, speed, speedplus, cambridge, sevenscenes or csv"
-    parser.add_argument("--data.kind", required=True, help=f"layout of the image set: {kinds}")
-    parser.add_argument("--data.root", type=Path, required=True, help="folder of the image set")
+    parser.add_argument("--data.kind", required=required, help=f"layout of the image set: {kinds}")
+    parser.add_argument("--data.root", type=Path, required=required, help="folder of the image set")
     parser.add_argument(
         "--data.undistort", action="store_true", help="undistort images of cameras with distortion"
     )
@@ -224,7 +252,7 @@ def learn_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("mesh", type=Path, help="your spacecraft: .glb, .gltf, .obj, .ply, .stl")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument("--minutes", type=float, default=60.0, help="budget; more is better")
-    parser.add_argument("--mesh-scale", type=float, default=1.0, help="meters per unit of the mesh")
+    mesh_arguments(parser)
     parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
     parser.add_argument(
         "--distance",
@@ -266,6 +294,9 @@ def learn(options: Namespace) -> None:
             options.processes,
             options.seed,
             options.device,
+            mesh_up=options.mesh_up,
+            mesh_center=options.mesh_center,
+            mesh_two_sided=options.mesh_two_sided,
         ),
         say,
     )
@@ -443,22 +474,35 @@ def export(options: Namespace) -> None:
 
 def inspect_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `inspect`."""
-    data_arguments(parser)
+    text = "your spacecraft: .glb, .gltf, .obj, .ply, .stl; else --data.kind and --data.root"
+    parser.add_argument("mesh", nargs="?", type=Path, help=text)
+    mesh_arguments(parser)
+    data_arguments(parser, required=False)
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
 
 
 def inspect(options: Namespace) -> None:
-    """Count, check and draw a set of images.
+    """Describe and draw a mesh, or count, check and draw a set of images.
 
-    Every label is checked and every image decoded, some 5 ms for 640x480 pixels and one core. The
-    first file that cannot be used is named, with the line that lists it.
+    Of a mesh: its size, materials, twelve views, and what may be wrong with it, each with the
+    option that mends it. Of a set, every label is checked and every image decoded, some 5 ms for
+    640x480 pixels and one core. The first file that cannot be used is named, with the line that
+    lists it.
     """
     from ffpose.datasets import Decoding
     from ffpose.datasets.inspection import inspect_folder
 
     expect_folder(options.out)
     data = options.data
+    if (options.mesh is None) == (data.kind is None and data.root is None):
+        raise ValueError("mesh: expected a mesh file, or --data.kind and --data.root")
+    if options.mesh is not None:
+        inspect_mesh(options)
+        return
+    for name in ("kind", "root"):
+        if data[name] is None:
+            raise ValueError(f"--data.{name}: expected with a set of images")
     decoding = Decoding(data.undistort, data.white)
     summary = inspect_folder(data.kind, data.root, options.out, decoding)
     if options.json:
@@ -470,6 +514,34 @@ def inspect(options: Namespace) -> None:
     for split, images in summary["unlabeled"].items():
         print(f"{split}: {images} images without labels")
     print(f"{len(summary['shared_images'])} images are in more than one split")
+
+
+def inspect_mesh(options: Namespace) -> None:
+    """Describe and draw a mesh."""
+    from ffpose.render.inspection import inspect_mesh as run
+
+    y_up = options.mesh.suffix.lower() in (".glb", ".gltf") and options.mesh_up == "z"
+    summary = run(craft_of(options), options.out, y_up=y_up)
+    if options.json:
+        show(summary)
+        return
+    x, y, z = summary["size_m"]
+    print(f"size: {x:.4g} x {y:.4g} x {z:.4g} m (x, y, z), {summary['triangles']} triangles")
+    print(
+        f"bounding sphere: radius {summary['radius_m']:.4g} m,"
+        f" its middle {summary['origin_offset_m']:.3g} m from the origin"
+    )
+    for number, material in enumerate(summary["materials"]):
+        color = " ".join(f"{value:.2f}" for value in material["color"])
+        maps = ", ".join(material["textures"]) or "none"
+        print(
+            f"material {number}: {material['triangles']} triangles, color {color},"
+            f" roughness {material['roughness']:.2f}, metal {material['metallic']:.2f},"
+            f" textures: {maps}"
+        )
+    for doubt in summary["doubts"]:
+        print(f"doubtful: {doubt}")
+    say(str(options.out / "views.png"))
 
 
 def card_arguments(parser: ArgumentParser) -> None:
@@ -623,7 +695,7 @@ COMMANDS = {
     "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
     "calibrate": Command("calibrate weights", calibrate_arguments, calibrate, "pose,render"),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
-    "inspect": Command("count, check and draw a set of images", inspect_arguments, inspect),
+    "inspect": Command("check and draw a mesh or a set of images", inspect_arguments, inspect),
     "bench": Command("measure the filter, or the networks", bench_arguments, bench),
 }
 

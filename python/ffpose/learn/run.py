@@ -39,7 +39,7 @@ from ffpose.learn.plan import (
 from ffpose.learn.speed import measure_speed
 from ffpose.models.weights import checksum_path
 from ffpose.onnx.pose_graph import export_weights
-from ffpose.render import SceneFile
+from ffpose.render import SceneFile, Up
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.training import TrainConfig
 from ffpose.training.engine import TrainResult, train
@@ -73,6 +73,9 @@ class LearnConfig:
         device: "auto" (a GPU if there is one) or a device that torch knows.
         test_images: Number of images of the test.
         card_images: Number of images of each condition of the card; 0 for no card.
+        mesh_up: Axis of the mesh file that becomes the object's z.
+        mesh_center: Whether the origin is moved to the middle of the bounding sphere.
+        mesh_two_sided: Whether the back of one-sided surfaces is shown.
     """
 
     mesh: Path
@@ -87,6 +90,9 @@ class LearnConfig:
     device: str = "auto"
     test_images: int = TEST_IMAGES
     card_images: int = CARD_IMAGES
+    mesh_up: Up = "z"
+    mesh_center: bool = False
+    mesh_two_sided: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.minutes < math.inf:
@@ -181,7 +187,15 @@ def _inspected(config: LearnConfig) -> tuple[float, SceneFile]:
     """Return the spacecraft's radius about its origin in meters, and the set of its images."""
     name = config.mesh.stem
     unknown = SceneFile(
-        name, config.mesh, config.mesh_scale, (1.0, 2.0), config.attitude_range_deg, config.camera
+        name,
+        config.mesh,
+        config.mesh_scale,
+        (1.0, 2.0),
+        config.attitude_range_deg,
+        config.camera,
+        config.mesh_up,
+        config.mesh_center,
+        config.mesh_two_sided,
     )
     vertices = unknown.scene().build().mesh.vertices
     radius = float(np.linalg.norm(vertices, axis=1).max())

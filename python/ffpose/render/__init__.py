@@ -17,7 +17,7 @@ from ffpose.render.scene import SCENES, Scene, get_scene
 from ffpose.render.scene_file import SceneFile, find_scene, read_scene_file
 from ffpose.render.shading.randomization import Randomization
 from ffpose.render.shading.sensor import Sensor
-from ffpose.render.spacecraft.meshfile import load_craft
+from ffpose.render.spacecraft.meshfile import Up, load_craft
 
 __all__ = [
     "SCENES",
@@ -28,6 +28,7 @@ __all__ = [
     "Scene",
     "SceneFile",
     "Sensor",
+    "Up",
     "Written",
     "coordinates_limit",
     "find_scene",

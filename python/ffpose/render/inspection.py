@@ -1,4 +1,4 @@
-"""A look at a mesh before learning on it: its size, its materials, twelve views, and what is odd."""
+"""A look at a mesh before learning on it: size, materials, twelve views, and what is doubtful."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def studio_view(craft: Craft, pose: Pose, camera: Camera) -> NDArray[np.uint8]:
     rng = np.random.default_rng(0)
     draw_craft(radiance, camera, pose, craft, prepared(craft)[1], light, rng)
     level = np.clip(radiance / WHITE, 0, 1) ** (1 / 2.2)
-    return np.round(level * 255).astype(np.uint8)
+    return np.asarray(np.round(level * 255), np.uint8)
 
 
 def _view(name: str, center: NDArray[np.float64], radius: float) -> tuple[Pose, Camera]:
@@ -142,7 +142,21 @@ def _view(name: str, center: NDArray[np.float64], radius: float) -> tuple[Pose, 
     eye = center + toward * AWAY * radius
     focal = 0.46 * TILE * math.sqrt(AWAY**2 - 1)
     camera = Camera(TILE, TILE, focal, focal, TILE / 2, TILE / 2)
-    return Pose.from_matrix(rotation, -rotation @ eye), camera
+    return Pose(-rotation @ eye, _quaternion(rotation)), camera
+
+
+def _quaternion(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the quaternion (4,), scalar first, of a rotation (Bar-Itzhack 2000)."""
+    sums = np.zeros((4, 4))
+    sums[0, 1:] = sums[1:, 0] = [
+        matrix[2, 1] - matrix[1, 2],
+        matrix[0, 2] - matrix[2, 0],
+        matrix[1, 0] - matrix[0, 1],
+    ]
+    sums[0, 0] = np.trace(matrix)
+    sums[1:, 1:] = matrix + matrix.T - np.trace(matrix) * np.eye(3)
+    result: NDArray[np.float64] = np.linalg.eigh(sums)[1][:, -1]
+    return result
 
 
 def _tile(craft: Craft, name: str, center: NDArray[np.float64], radius: float) -> Image.Image:
@@ -207,9 +221,7 @@ def _doubts(craft: Craft, summary: dict[str, Any], y_up: bool) -> list[str]:
     doubts = []
     across = 2 * summary["radius_m"]
     if not SMALLEST_M <= across <= LARGEST_M:
-        fits = {
-            scale: unit for scale, unit in UNITS.items() if 0.3 <= across * scale <= LARGEST_M
-        }
+        fits = {scale: unit for scale, unit in UNITS.items() if 0.3 <= across * scale <= LARGEST_M}
         scale, unit = next(iter(fits.items()), (_round_length(5 / across), ""))
         reason = f" if the file is in {unit}" if unit else ""
         doubts.append(

@@ -282,10 +282,10 @@ def _bsdf(mi: Any, material: Material, tinted: bool) -> Any:
         color = values[..., :3] / np.maximum(values[..., 3:], np.float32(1e-3))
         inner["base_color"] = _texture(mi, np.clip(color * np.array(material.color), 0, 1))
     if material.roughness_map is not None:
-        values = _texels(material.roughness_map)
-        rough = np.clip(values[..., 1:2] * np.float32(material.roughness), 0.05, 1)
+        gloss = _texels(material.roughness_map)
+        rough = np.clip(gloss[..., 1:2] * np.float32(material.roughness), 0.05, 1)
         inner["roughness"] = _texture(mi, rough)
-        inner["metallic"] = _texture(mi, values[..., 2:3] * np.float32(material.metallic))
+        inner["metallic"] = _texture(mi, gloss[..., 2:3] * np.float32(material.metallic))
     if material.normal_map is not None:
         normals = _texels(material.normal_map)[..., :3]
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -294,12 +294,12 @@ def _bsdf(mi: Any, material: Material, tinted: bool) -> Any:
     if material.pattern != Pattern.PLAIN:
         surface = _baked(material)
         side = TILE * TEXELS
-        color = np.clip(surface.color, 0, 1).T.reshape(side, side, 3)
+        shown = np.clip(surface.color, 0, 1).T.reshape(side, side, 3)
         roughness = np.clip(surface.roughness, 0.05, 1).reshape(side, side, 1)
-        normal = (unit(surface.normal).T.reshape(side, side, 3) + np.float32(1)) / 2
-        inner["base_color"] = _texture(mi, color)
+        bent = (unit(surface.normal).T.reshape(side, side, 3) + np.float32(1)) / 2
+        inner["base_color"] = _texture(mi, shown)
         inner["roughness"] = _texture(mi, roughness)
-        inner = {"type": "normalmap", "normalmap": _texture(mi, normal), "bsdf": inner}
+        inner = {"type": "normalmap", "normalmap": _texture(mi, bent), "bsdf": inner}
     return mi.load_dict(_masked(mi, material, {"type": "twosided", "bsdf": inner}))
 
 

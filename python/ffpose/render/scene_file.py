@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,8 @@ from ffpose._internal.files import atomic_write, read_json, shortened
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
 from ffpose.render.scene import Scene, get_scene
-from ffpose.render.spacecraft.meshfile import load_craft
+from ffpose.render.spacecraft.craft import Craft
+from ffpose.render.spacecraft.meshfile import Up, load_craft
 
 SUFFIX = ".json"
 
@@ -34,6 +35,9 @@ class SceneFile:
         distance_m: ``(least, most)`` distance of the object's origin from the camera.
         attitude_range_deg: As of `ffpose.render.Scene`.
         camera: Camera of the images.
+        mesh_up: Axis of the mesh file that becomes the object's z.
+        mesh_center: Whether the origin is moved to the middle of the bounding sphere.
+        mesh_two_sided: Whether the back of one-sided surfaces is shown.
     """
 
     name: str
@@ -42,6 +46,23 @@ class SceneFile:
     distance_m: tuple[float, float]
     attitude_range_deg: tuple[float, float, float]
     camera: Camera
+    mesh_up: Up = "z"
+    mesh_center: bool = False
+    mesh_two_sided: bool = False
+
+    def craft(self) -> Craft:
+        """Read the mesh.
+
+        Raises:
+            As `ffpose.render.load_craft`.
+        """
+        return load_craft(
+            self.mesh,
+            self.mesh_scale,
+            self.mesh_up,
+            center=self.mesh_center,
+            two_sided=self.mesh_two_sided,
+        )
 
     def scene(self) -> Scene:
         """Return the set, with the mesh read.
@@ -51,7 +72,7 @@ class SceneFile:
         """
         return Scene(
             self.name,
-            load_craft(self.mesh, self.mesh_scale),
+            self.craft(),
             self.distance_m,
             self.distance_m[1],  # as far off the axis as the frame goes
             attitude_range_deg=self.attitude_range_deg,
@@ -95,7 +116,8 @@ def read_scene_file(path: Path) -> SceneFile:
     """
     values = read_json(path)
     names = [field.name for field in fields(SceneFile)]
-    if not isinstance(values, dict) or sorted(values) != sorted(names):
+    needed = {field.name for field in fields(SceneFile) if field.default is MISSING}
+    if not isinstance(values, dict) or not needed <= set(values) <= set(names):
         raise DataError(f"expected the keys {', '.join(names)}, got {shortened(values)}", path)
     try:
         return SceneFile(
@@ -105,6 +127,9 @@ def read_scene_file(path: Path) -> SceneFile:
             _numbers(values, "distance_m", 2),
             _numbers(values, "attitude_range_deg", 3),
             Camera(**values["camera"]),
+            values.get("mesh_up", "z"),
+            bool(values.get("mesh_center", False)),
+            bool(values.get("mesh_two_sided", False)),
         )
     except (TypeError, ValueError) as error:
         raise DataError(str(error), path) from error

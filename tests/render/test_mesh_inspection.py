@@ -1,0 +1,106 @@
+"""A mesh is described before it is learned: what it measures, and what may be wrong with it."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from ffpose.cli import main
+from ffpose.geometry import rotation_matrix
+from ffpose.render import load_craft
+from ffpose.render.inspection import DIRECTIONS, TILE, _quaternion, _view, inspect_mesh, studio_view
+from ffpose.render.spacecraft.craft import bounding_sphere
+
+
+def write_box(folder, size=(2.0, 1.0, 0.5), shift=(0.0, 0.0, 0.0), invert=False, drop=0):
+    mesh = trimesh.creation.box(size)
+    mesh.apply_translation(shift)
+    if invert:
+        mesh.invert()
+    if drop:
+        mesh.update_faces(np.arange(12) >= drop)
+    path = folder / "box.ply"
+    mesh.export(path)
+    return path
+
+
+def doubts(folder, scale=1.0, **box):
+    summary = inspect_mesh(load_craft(write_box(folder, **box), scale), folder / "out")
+    return " ".join(summary["doubts"])
+
+
+def test_a_sound_mesh_is_measured_and_not_doubted(tmp_path):
+    summary = inspect_mesh(load_craft(write_box(tmp_path)), tmp_path / "out")
+    np.testing.assert_allclose(summary["size_m"], (2, 1, 0.5))
+    assert summary["triangles"] == 12
+    assert summary["radius_m"] == pytest.approx(np.linalg.norm((1, 0.5, 0.25)), rel=2e-3)
+    assert summary["origin_offset_m"] == pytest.approx(0, abs=5e-3)
+    assert summary["inside_seen"] == 0
+    assert summary["doubts"] == []
+    assert json.loads((tmp_path / "out" / "summary.json").read_text()) == summary
+    with Image.open(tmp_path / "out" / "views.png") as sheet:
+        assert sheet.width == 4 * TILE
+        assert len(DIRECTIONS) == 12
+
+
+@pytest.mark.parametrize(
+    ("box", "scale", "doubt"),
+    [
+        ({}, 1000.0, r"2\.29e\+03 m across.*--mesh-scale 0\.001 .*millimeters"),
+        ({}, 0.001, r"0\.00229 m across.*--mesh-scale \d+"),
+        ({"shift": (90.0, 0, 0)}, 1.0, r"origin lies 90 m.*--mesh-center"),
+        ({"invert": True}, 1.0, "most faces are inside out: 100%"),
+        ({"drop": 4}, 1.0, r"faces are inside out or missing: \d+%"),
+    ],
+)
+def test_what_is_doubtful_is_said(tmp_path, box, scale, doubt):
+    assert re.search(doubt, doubts(tmp_path, scale, **box))
+
+
+def test_the_bounding_sphere_holds_all_and_is_the_least():
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        axis = rng.standard_normal(3)
+        ends = np.stack([axis, -axis]) + np.array([1, 2, 3])
+        inner = (1, 2, 3) + 0.5 * np.linalg.norm(axis) * rng.uniform(-1, 1, (500, 3)) / 3**0.5
+        center, radius = bounding_sphere(np.concatenate([inner, ends]))
+        np.testing.assert_allclose(center, (1, 2, 3), atol=2e-3 * np.linalg.norm(axis))
+        assert radius == pytest.approx(np.linalg.norm(axis), rel=2e-3)
+
+
+def test_quaternions_of_rotations():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        q = rng.standard_normal(4)
+        q /= np.linalg.norm(q)
+        matrix = rotation_matrix(q)
+        assert abs(_quaternion(matrix) @ q) == pytest.approx(1)
+
+
+def test_a_view_shows_the_side_that_its_name_says(tmp_path):
+    """A box with one red end: it fills the view from +x, and is not seen from −x."""
+    mesh = trimesh.creation.box((1.0, 1.0, 1.0))
+    end = mesh.triangles_center[:, 0] > 0.49
+    mesh.visual.face_colors = np.where(end[:, None], (230, 20, 20, 255), (20, 20, 230, 255))
+    mesh.export(tmp_path / "box.ply")
+    craft = load_craft(tmp_path / "box.ply")
+    for name, red in (("+x", True), ("-x", False)):
+        pose, camera = _view(name, np.zeros(3), 0.87)
+        pixel = studio_view(craft, pose, camera)[TILE // 2, TILE // 2].astype(int)
+        assert (pixel[0] > pixel[2]) == red
+
+
+def test_the_command(tmp_path, capsys):
+    path = write_box(tmp_path, shift=(9.0, 0, 0))
+    assert main(["inspect", str(path), "--out", str(tmp_path / "out")]) == 0
+    shown = capsys.readouterr().out
+    assert "size: 2 x 1 x 0.5 m" in shown
+    assert "--mesh-center" in shown
+    words = ["inspect", str(path), "--out", str(tmp_path / "out"), "--mesh-center", "--json"]
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["doubts"] == []
+    assert main(["inspect", "--out", str(tmp_path / "out")]) == 2
+    assert "expected a mesh file, or --data.kind" in capsys.readouterr().err
