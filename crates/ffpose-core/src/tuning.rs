@@ -94,10 +94,6 @@ pub(crate) struct Tuning {
     /// their last transform across the phases empty: on Zen 4 one of 512 takes 0.7 of the time, one of 4096 1.06 of it.
     pub(crate) narrow: usize,
 
-    /// Rows beyond which tokens of one or two columns, of several images together, are filtered in vectors of 8 lanes where there are
-    /// 16: on Zen 5 up to 8 images of 1000×2 took 0.8 of the time, 32 of them 1.4; of 64×2 0.94 and 1.5.
-    pub(crate) narrow_tokens: usize,
-
     /// Pieces for each thread from which on no narrower ones are worth making.
     pub(crate) pieces_each: usize,
 
@@ -127,7 +123,6 @@ static OF_MACHINE: LazyLock<Tuning> = LazyLock::new(|| Tuning {
     batched_plane: 1 << 10,
     batched_sequence: 1 << 12,
     narrow: 1 << 11,
-    narrow_tokens: 1 << 9,
     pieces_each: 8,
     sum_pieces: 64,
     most_sum_parts: 8,

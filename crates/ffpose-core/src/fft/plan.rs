@@ -36,7 +36,7 @@ impl<T: Real> Plan<T> {
         if let Some((isa, phases)) = polyphase::chosen::<T>(isa, shape, tuning) {
             return Self::Polyphase(Polyphase::new(isa, shape, phases));
         }
-        if let Some(isa) = batched::chosen::<T>(isa, shape, tuning) {
+        if batched::pays::<T>(isa, shape, tuning) {
             return Self::Batched(Batched::new(isa, shape, tuning));
         }
         if 2 * lines <= isa.lanes::<T>() {

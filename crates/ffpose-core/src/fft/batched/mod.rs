@@ -35,24 +35,18 @@ pub(crate) struct Batched<T> {
     lanes: usize,
 }
 
-/// The instruction set with which images are filtered several together, if they are. One alone takes as long as all of them, so
-/// that large ones are not, and that long tokens take the narrower vectors.
-pub(super) fn chosen<T: Element>(isa: Isa, shape: Shape, tuning: &Tuning) -> Option<Isa> {
+/// Whether images are filtered several together. One alone takes as long as all of them, so that large ones are not.
+pub(super) fn pays<T: Element>(isa: Isa, shape: Shape, tuning: &Tuning) -> bool {
     let Shape { layout, rows, columns, lanes: channels } = shape;
-    let isa = match layout {
-        Layout::Tokens if rows > tuning.narrow_tokens => isa.narrower().unwrap_or(isa),
-        _ => isa,
-    };
     let lanes = isa.lanes::<T>();
-    let pays = match layout {
+    match layout {
         // two columns fill a small part of the vectors across them
         Layout::Tokens => lanes > 2 && columns <= 2 && rows <= tuning.batched_sequence,
         Layout::Grid if rows == 1 => {
             channels < lanes && columns <= tuning.batched_sequence * channels
         }
         Layout::Grid => channels < lanes && rows * columns <= tuning.batched_plane * channels,
-    };
-    pays.then_some(isa)
+    }
 }
 
 /// What filters several images as one.
