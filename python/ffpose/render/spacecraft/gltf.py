@@ -36,7 +36,6 @@ KNOWN_EXTENSIONS = (
     "KHR_xmp_json_ld",
     "EXT_texture_webp",
     "EXT_mesh_gpu_instancing",
-    "EXT_meshopt_compression",
     "KHR_materials_",
 )
 """Beginnings of the names of extensions that are read, or that change neither shape nor color."""
