@@ -1,4 +1,4 @@
-"""``python -m benchmarks filter|model|attention|pages``, from the root of the repository."""
+"""``python -m benchmarks filter|model|attention|twist|pages``, from the root of the repository."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import benchmarks
+from benchmarks import twist
 from benchmarks.filter.run import run as run_filter
 from benchmarks.model import attention, deployment
 from benchmarks.output import in_threads
@@ -35,6 +36,11 @@ def build_parser() -> argparse.ArgumentParser:
     model.add_argument("--candidates", type=int, help="number of places looked at first")
     text = "base, small and tiny, with and without torch's attention and torch.fft"
     commands.add_parser("attention", help=text)
+    text = "change of the attitude with the twist of the second look's camera"
+    twisted = commands.add_parser("twist", help=text)
+    twisted.add_argument("network", help="weights of the preset polar")
+    twisted.add_argument("--scene", default="soyuz_easy", help="of the images (default: this)")
+    twisted.add_argument("--count", type=int, default=100, help="number of images")
     text = "measure data files, and put the figures of all into the pages"
     pages = commands.add_parser("pages", help=text)
     text = f"data files to measure: {', '.join(DOCUMENTS)}"
@@ -44,7 +50,7 @@ def build_parser() -> argparse.ArgumentParser:
     pages.add_argument("--note", default="", help="what the reader of the figures has to know")
     threads = sorted({1, min(2, cores())})
     pages.add_argument("--threads", type=int, nargs="+", default=threads, help="(default: 1, 2)")
-    for each in commands.choices.values():
+    for each in (filter, model, commands.choices["attention"], pages):
         each.add_argument("--quick", action="store_true", help="few cases, short timings")
         if each is not pages:
             each.add_argument("--json", action="store_true", help="print every timing as JSON")
@@ -84,6 +90,8 @@ def _run(options: argparse.Namespace) -> None:
             )
         case "attention":
             attention.run(options.json, options.quick)
+        case "twist":
+            twist.run(options.network, options.scene, options.count)
         case _:
             _fill_pages(options)
 

@@ -1,0 +1,112 @@
+"""How far the attitude of trained weights changes with the twist of the second look's camera.
+
+PolarPose's second look commutes with rotations of its virtual camera about the viewing ray by cells
+of its last map, whatever the weights. By other angles it does as far as its layers keep frequencies
+apart: convolutions and ReLUs make frequencies that a map of fewer angles takes for others
+(aliasing). So here the camera is pointed at the true place of an object and twisted by random
+angles, and attitudes in the camera's frame are compared with those of the camera without a twist.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+
+from ffpose._internal.seeds import CHOICES, refuse_final
+from ffpose.arrays import rotation_error
+from ffpose.evaluation.attitude import rotation_parts
+from ffpose.models import PolarPose, load_network, read_metadata
+from ffpose.models.virtual_camera import look_into, pyramid
+from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
+from ffpose.render import render
+
+SEED = CHOICES[345_678]
+TWISTS = 8
+"""Random angles for each image."""
+
+QUANTILES = {"median": 0.5, "90 %": 0.9}
+
+Changes = dict[str, NDArray[np.float64]]
+
+
+def attitudes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) -> Tensor:
+    """Return the orientations ``(K, 4)`` in the camera's frame, by second looks of each twist.
+
+    Args:
+        model: The network.
+        image: ``(1, 3, H, W)``, standardized.
+        point: ``(3,)``, what the virtual camera is pointed at, meters, camera frame.
+        twists: ``(K,)``, radians.
+    """
+    points = point.expand(len(twists), 3)
+    with torch.inference_mode():
+        view = model.view_at(points, twists)
+        crops = look_into(pyramid(image), view, points, model.intrinsics, len(points))
+        numbers = model.read(model.see(crops))
+        seen = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
+        return matrix_to_quaternion(view.rotation.mT @ seen)
+
+
+def changes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) -> Changes:
+    """Return the changes ``(K,)`` of the attitude, degrees: whole, in-plane and out-of-plane.
+
+    Arguments as `attitudes`.
+    """
+    q = attitudes(model, image, point, torch.cat((torch.zeros(1), twists))).double().numpy()
+    plain = np.repeat(q[:1], len(twists), axis=0)
+    rays = np.repeat(point[None].double().numpy(), len(twists), axis=0)
+    parts = rotation_parts(q[1:], rays, plain)
+    return {
+        "attitude": rotation_error(q[1:], plain),
+        "in-plane": parts.in_plane_deg,
+        "out-of-plane": parts.out_of_plane_deg,
+    }
+
+
+def run(network: str, scene: str, count: int, seed: int = SEED) -> dict[str, Any]:
+    """Measure a network on rendered images, and print quantiles of the changes, degrees.
+
+    Args:
+        network: Weights of a `PolarPose`, a file or a name.
+        scene: Of the images.
+        count: Number of images.
+        seed: Of the images.
+
+    Returns:
+        By part of the attitude, the quantiles.
+
+    Raises:
+        ValueError: The network has no polar second look, or the seed is one of final images.
+    """
+    refuse_final(seed)
+    model, preprocessing = load_network(Path(network)), read_metadata(network).preprocessing
+    if not isinstance(model, PolarPose):
+        raise ValueError(f"network: expected a PolarPose, got {type(model).__name__}")
+    height, width = preprocessing.size
+    generator = torch.Generator().manual_seed(seed)
+    found: dict[str, list[NDArray[np.float64]]] = {}
+    for number in range(count):
+        shown = render(scene, seed, number, size=(width, height))
+        image = torch.from_numpy(preprocessing.array(Image.fromarray(shown.image)))[None]
+        point = torch.tensor(shown.pose.t.tolist())
+        twists = torch.rand(TWISTS, generator=generator) * 2 * math.pi
+        for part, values in changes(model, image, point, twists).items():
+            found.setdefault(part, []).append(values)
+    summary = {
+        part: {
+            name: float(np.quantile(np.concatenate(values), share))
+            for name, share in QUANTILES.items()
+        }
+        for part, values in found.items()
+    }
+    for part, figures in summary.items():
+        words = ", ".join(f"{name} {value:.2f}°" for name, value in figures.items())
+        print(f"{part}: {words}")
+    return summary

@@ -1,0 +1,65 @@
+"""The attitude and the twist of the camera: none by cells of the last map, on any weights."""
+
+import math
+
+import pytest
+import torch
+
+from benchmarks import twist
+from benchmarks.__main__ import main
+from ffpose.models import build_network
+
+FIELDS = {
+    "image_size": (96, 128),
+    "camera": (64.0, 66.0, 64.0, 48.0),
+    "first_stride": 4,
+    "first_reduction": 4,
+    "object_size": (16, 96),
+    "object_width": 32,
+    "channels": (4, 8, 12),
+    "blocks": (1, 1),
+    "latent": 16,
+    "angles": 24,
+    "directions": 50,
+}
+CELL = 2 * math.pi / 12
+
+
+@pytest.fixture
+def model():
+    torch.manual_seed(0)
+    model = build_network("polar", backbone_weights="none", **FIELDS).eval()
+    for module in model.modules():
+        if isinstance(module, torch.nn.Linear):
+            torch.nn.init.normal_(module.weight, std=1.5 * module.in_features**-0.5)
+    with torch.no_grad():
+        model.orientation.weight.normal_()
+    return model
+
+
+def test_a_twist_by_cells_changes_nothing_and_another_something(model):
+    coarse = torch.rand(1, 3, 12, 16, generator=torch.Generator().manual_seed(1))
+    image = torch.nn.functional.interpolate(coarse, (96, 128), mode="bicubic")
+    point = torch.tensor([1.0, -2.0, 14.0])
+    cells = twist.changes(model, image, point, torch.tensor([1.0, 5.0, 11.0]) * CELL)
+    between = twist.changes(model, image, point, torch.tensor([0.3, 4.5]) * CELL)
+    assert set(cells) == {"attitude", "in-plane", "out-of-plane"}
+    for part, values in cells.items():
+        assert values.max() < 0.05, part
+    assert between["attitude"].min() > 2 * cells["attitude"].max()
+
+
+def test_quantiles_are_printed(model, tmp_path, capsys):
+    weights = tmp_path / "own.safetensors"
+    model.save_pretrained(weights)
+    assert main(["twist", str(weights), "--count", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["attitude", "in-plane", "out-of-plane"]
+
+
+def test_another_network_is_refused(tmp_path, capsys):
+    weights = tmp_path / "tiny.safetensors"
+    fields = {"image_size": (64, 64), "backbone": "test_efficientnet"}
+    build_network("tiny", backbone_weights="none", **fields).save_pretrained(weights)
+    assert main(["twist", str(weights)]) == 1
+    assert "expected a PolarPose, got FilterformerPose" in capsys.readouterr().err
