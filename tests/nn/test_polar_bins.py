@@ -7,10 +7,16 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from ffpose.nn.orientation import NEIGHBORHOOD_DEG
 from ffpose.nn.polar import interpolation
 from ffpose.nn.polar_bins import MODE_DEG, PolarBinsHead, attitudes, cell_centers, sphere
 
 LATENT, MAP, ANGLES, DIRECTIONS = 8, 6, 12, 40
+
+
+def bins_of(head):
+    """The quaternions of a head's bins."""
+    return attitudes(cell_centers(len(head.halves)), sphere(head.weight.shape[1])).flatten(0, 1)
 
 
 @pytest.fixture
@@ -89,12 +95,24 @@ def test_a_bin_of_all_weight_is_decoded(head):
     assert (expected.inv() * got).magnitude().max() < 1e-4
 
 
+def test_the_attitude_is_the_mean_near_the_most_likely_bin(head):
+    raw, bins = 0.3 * torch.randn(6, MAP * LATENT), scipy(bins_of(head))
+    for row, got in zip(
+        head.logits(raw).double().softmax(-1), scipy(head.decode(raw)), strict=True
+    ):
+        p = row.detach().numpy()
+        near = (bins[int(p.argmax())].inv() * bins).magnitude() < math.radians(NEIGHBORHOOD_DEG)
+        assert near.sum() > 5
+        expected = bins[near].mean(weights=p[near])
+        assert (expected.inv() * got).magnitude() < 1e-5
+
+
 def test_the_loss_is_the_cross_entropy_with_matrix_fisher_labels(head):
     """By the angles of SciPy: exp(k cos²(angle / 2)), which near the truth has the width."""
     raw = torch.randn(4, MAP * LATENT)
     truth = Rotation.random(4, rng=np.random.default_rng(0))
     q = torch.from_numpy(truth.as_quat(scalar_first=True)).float()
-    angles = np.stack([(one.inv() * scipy(head.bins)).magnitude() for one in truth])
+    angles = np.stack([(one.inv() * scipy(bins_of(head))).magnitude() for one in truth])
     label = np.exp(2 / math.radians(20) ** 2 * (np.cos(angles / 2) ** 2 - 1))
     label /= label.sum(1, keepdims=True)
     log_p = head.logits(raw).double().log_softmax(-1).detach().numpy()
@@ -108,7 +126,7 @@ def peaked(head, *peaks):
     Returns:
         The probability that bins near a turn have, as a function of it.
     """
-    bins = scipy(head.bins)
+    bins = scipy(bins_of(head))
 
     def angles(turn):
         return np.degrees((Rotation.from_rotvec(turn, degrees=True).inv() * bins).magnitude())
@@ -145,10 +163,10 @@ def test_a_shoulder_of_the_first_peak_is_no_second_mode():
 
 def test_a_certain_attitude_has_a_finite_alternative():
     head = PolarBinsHead(LATENT, cell_centers(MAP), ANGLES, DIRECTIONS, 20.0)
-    logits = torch.full((1, len(head.bins)), -500.0)
+    logits = torch.full((1, len(bins_of(head))), -500.0)
     logits[0, 7] = 500.0
     head.logits = lambda raw: logits
     modes = head.modes(torch.zeros(1, LATENT * MAP))
-    torch.testing.assert_close(modes.orientation.abs(), head.bins[7:8].abs())
+    torch.testing.assert_close(modes.orientation.abs(), bins_of(head)[7:8].float().abs())
     torch.testing.assert_close(modes.alternative.norm(dim=1), torch.ones(1))
     torch.testing.assert_close(modes.probabilities, torch.tensor([[1.0, 0.0]]))

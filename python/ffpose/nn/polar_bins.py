@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ffpose.nn.orientation import mean_near_mode
+from ffpose.nn.orientation import NEIGHBORHOOD_DEG, mean_quaternion
 from ffpose.nn.polar import interpolation
 
 WEIGHT_STD = 0.02
@@ -63,7 +63,9 @@ class PolarBinsHead(nn.Module):
     """
 
     start = None
-    bins: Tensor
+    halves: Tensor
+    squares: Tensor
+    ends: Tensor
     outer: Tensor
     interpolation: Tensor
 
@@ -73,10 +75,19 @@ class PolarBinsHead(nn.Module):
         super().__init__()
         self.latent, self.features = latent, len(map_angles) * latent
         self.concentration = 2 / math.radians(width_deg) ** 2
-        bins = attitudes(cell_centers(angles), sphere(directions)).flatten(0, 1)
-        outer = (bins[:, :, None] * bins[:, None]).flatten(1)  # (bins, 16)
-        self.register_buffer("bins", bins.float(), persistent=False)
-        self.register_buffer("outer", outer.float(), persistent=False)
+        # A bin is cos(a / 2) times its direction's least rotation r plus sin(a / 2) times that
+        # after half a turn, s; products of bins follow from those of r and s.
+        half = cell_centers(angles) / 2
+        c, s = half.cos(), half.sin()
+        ends = attitudes(torch.tensor([0.0, math.pi]).double(), sphere(directions))  # (2, J, 4)
+        rr, rs, sr, ss = (a[:, :, None] * b[:, None] for a in ends for b in ends)  # (J, 4, 4)
+        for name, values in (
+            ("halves", torch.stack([c, s], dim=1)),  # (K, 2)
+            ("squares", torch.stack([c * c, c * s, s * s])),  # (3, K)
+            ("ends", ends),
+            ("outer", torch.cat((rr, rs + sr, ss)).flatten(1)),  # (3 J, 16)
+        ):
+            self.register_buffer(name, values.float(), persistent=False)
         series = interpolation(map_angles.double(), cell_centers(angles))
         self.register_buffer("interpolation", series.float(), persistent=False)
         self.weight = nn.Parameter(torch.randn(latent, directions) * WEIGHT_STD)
@@ -89,26 +100,41 @@ class PolarBinsHead(nn.Module):
 
     def decode(self, raw: Tensor) -> Tensor:
         """Return unit quaternions ``(B, 4)``: the weighted mean near the most likely bin."""
-        return mean_near_mode(self.logits(raw), self.bins, self.outer)
+        return self._mean_near_mode(self.logits(raw))
+
+    def _mean_near_mode(self, logits: Tensor) -> Tensor:
+        """Return the mean of the attitudes within `NEIGHBORHOOD_DEG` of the most likely bin."""
+        p = logits.softmax(-1)
+        best, count = p.argmax(-1), self.ends.shape[1]
+        halves, ends = self.halves[best // count], self.ends[:, best % count]
+        mode = halves[:, :1] * ends[0] + halves[:, 1:] * ends[1]  # (B, 4)
+        near = self._within(mode, NEIGHBORHOOD_DEG)
+        weights = torch.unflatten(p * near, 1, (-1, count))  # (B, K, J)
+        matrix = (self.squares @ weights).flatten(1) @ self.outer  # sum of p q qT
+        return mean_quaternion(torch.unflatten(matrix, 1, (4, 4)), mode)
 
     def modes(self, raw: Tensor) -> Modes:
         """Return the two most likely modes of the distributions."""
         logits = self.logits(raw)
-        first = mean_near_mode(logits, self.bins, self.outer)
+        first = self._mean_near_mode(logits)
         away = ~self._within(first, 2 * MODE_DEG)
-        second = mean_near_mode(logits.masked_fill(~away, -math.inf), self.bins, self.outer)
+        second = self._mean_near_mode(logits.masked_fill(~away, -math.inf))
         p = logits.softmax(-1)
         near = (self._within(first, MODE_DEG), self._within(second, MODE_DEG) & away)
         return Modes(first, second, torch.stack([(p * each).sum(-1) for each in near], dim=1))
 
     def _within(self, q: Tensor, degrees: float) -> Tensor:
         """Return which bins ``(B, bins)`` are closer to ``q (B, 4)`` than an angle."""
-        return (q @ self.bins.T).abs() > math.cos(math.radians(degrees) / 2)
+        return self._overlaps(q).abs() > math.cos(math.radians(degrees) / 2)
+
+    def _overlaps(self, q: Tensor) -> Tensor:
+        """Return the products ``(B, bins)`` of quaternions ``(B, 4)`` with those of the bins."""
+        ends = torch.unflatten(q @ self.ends.flatten(0, 1).T, 1, (2, -1))
+        return (self.halves @ ends).flatten(1)
 
     def loss(self, raw: Tensor, q: Tensor) -> Tensor:
         """Return the cross-entropy with soft labels for each sample ``(B,)``."""
-        pairs = (q[:, :, None] * q[:, None]).flatten(1)
-        target = (self.concentration * pairs @ self.outer.T).softmax(-1)  # of <q, b>^2
+        target = (self.concentration * self._overlaps(q).square()).softmax(-1)
         return F.cross_entropy(self.logits(raw), target, reduction="none")
 
 
