@@ -64,7 +64,7 @@ def changes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) -> C
     rays = np.repeat(point[None].double().numpy(), len(twists), axis=0)
     parts = rotation_parts(q[1:], rays, plain)
     return {
-        "attitude": rotation_error(q[1:], plain),
+        "attitude": np.asarray(rotation_error(q[1:], plain), np.float64),
         "in-plane": parts.in_plane_deg,
         "out-of-plane": parts.out_of_plane_deg,
     }

@@ -17,7 +17,7 @@ Q = np.ones((2, 4))
 T = np.ones((2, 3))
 
 FUNCTIONS = [
-    *(getattr(_rust, name) for name in _rust.__all__ if callable(getattr(_rust, name))),
+    *(getattr(_rust, name) for name in _rust.__all__ if inspect.isbuiltin(getattr(_rust, name))),
     *(
         function
         for name, function in inspect.getmembers(arrays, inspect.isfunction)

@@ -27,6 +27,9 @@ ALLOWED = {
         *("onnx", "ops", "training"),
     },
     "inference": {"models", "onnx", "geometry", "imaging", "arrays"},
+    "tracking": {
+        *("_rust", "geometry", "imaging", "inference", "datasets", "evaluation", "arrays"),
+    },
     "onnx": {"ops", "models", "config", "geometry", "imaging", "arrays"},
     "render": {"geometry", "arrays", "imaging"},
     "bench": {
@@ -119,10 +122,10 @@ def test_heavy_libraries_are_imported_where_they_are_used(path):
     assert not {name.split(".")[0] for name in names} & LAZY
 
 
-def test_only_ops_and_arrays_touch_the_extension():
+def test_only_ops_arrays_and_tracking_touch_the_extension():
     users = {
         room(path)
         for path in sources()
         if any(name.startswith("ffpose._rust") for name in imported(ast.parse(path.read_text())))
     }
-    assert users == {"arrays", "ops"}
+    assert users == {"arrays", "ops", "tracking"}

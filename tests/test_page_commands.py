@@ -42,6 +42,7 @@ SMALL = {
     "--count 1000": "--count 2",
     "--count 100": "--count 2 --size 128x96",
     "--size 640x480": "--size 64x48",
+    "--seconds 120": "--seconds 1 --size 64x48",
     # trainings: an epoch, without the backbone's download, of a network that is soon trained
     "--epochs 100": TRAINING,
     "--model small": "--model tiny",
@@ -83,6 +84,7 @@ NOT_RUN = {
     "OPENBLAS_NUM_THREADS=1": "measures for a minute, and needs a new process",
     "camera-process": "stands for the reader's own program",
     "ffpose-onboard": "is built apart from ffpose; tests/onboard runs it",
+    "track": "poses 240 frames; tests/tracking/test_run.py follows a sequence",
     "mitsuba": "needs a package of 60 MB; tests/render/test_second_renderer.py renders with it",
     "torchrun": "waits for other machines or takes minutes; --processes sets the same environment,"
     " and tests/training/test_processes.py restarts processes as torchrun does",

@@ -11,13 +11,14 @@ gave other memory meanwhile is a RuntimeError.
 """
 
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
 __all__ = [
+    "Tracker",
     "__version__",
     "canonical_quaternion",
     "esa_score",
@@ -95,3 +96,19 @@ def esa_score(
 def speed_plus_score(
     t_hat: NDArray[_Real], q_hat: NDArray[_Real], t: NDArray[_Real], q: NDArray[_Real]
 ) -> NDArray[_Real]: ...
+
+@final
+class Tracker:
+    def __new__(cls, settings: dict[str, float]) -> Tracker: ...
+    @staticmethod
+    def from_state(state: bytes, tag: bytes) -> Tracker: ...
+    def state(self, tag: bytes) -> bytes: ...
+    def step(
+        self,
+        time: float,
+        poses: Sequence[tuple[Any, ...]],
+        camera_rate: Sequence[float],
+    ) -> dict[str, Any]: ...
+    def alternative(self) -> dict[str, Any] | None: ...
+    @property
+    def time(self) -> float | None: ...

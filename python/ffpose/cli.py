@@ -26,6 +26,7 @@ from ffpose.errors import DataError, MissingExtraError, explain, require
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
 
+    from ffpose.render import Scene
     from ffpose.render.spacecraft.craft import Craft
 
 
@@ -113,11 +114,24 @@ def render_arguments(parser: ArgumentParser) -> None:
     from ffpose.render.scene import Renderer
 
     parser.add_argument(
-        "scene", help="soyuz_easy, soyuz_hard, dragon_hard, or a scene.json of ffpose learn"
+        "scene",
+        help="soyuz_easy, soyuz_hard, dragon_hard, or a scene.json of ffpose learn; "
+        "or a motion: approach, tumble, flyby",
     )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--count", type=int, required=True, help="how many images")
+    parser.add_argument("--count", type=int, help="how many images of a scene")
     parser.add_argument("--start", type=int, default=0, help="index of the first image")
+    parser.add_argument(
+        "--scene", dest="within", help="of a motion, as soyuz_hard (the default) or a scene.json"
+    )
+    parser.add_argument("--seconds", type=float, default=120.0, help="length of a motion")
+    parser.add_argument("--rate", type=float, default=2.0, help="frames a second of a motion")
+    parser.add_argument("--drop", type=float, default=0.0, help="share of a motion's frames lost")
+    parser.add_argument(
+        "--trajectory",
+        type=Path,
+        help="CSV file of time,tx,ty,tz,qw,qx,qy,qz: one frame of the scene for each row",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the set")
     parser.add_argument("--size", type=size_type(), help="WIDTHxHEIGHT in pixels, as 640x480")
     parser.add_argument("--workers", type=int, default=1, help="processes")
@@ -152,17 +166,25 @@ def render_arguments(parser: ArgumentParser) -> None:
 
 
 def render(options: Namespace) -> None:
-    """Render images with exact labels, in URSO's layout."""
+    """Render images of a scene, or the frames of a motion, with exact labels."""
+    expect_folder(options.out)
+    from ffpose.render.motion import KINDS
+
+    if options.scene in KINDS or options.trajectory is not None:
+        render_motion(options)
+    else:
+        render_set(options)
+
+
+def chosen_scene(options: Namespace, name: str) -> Scene:
+    """Return the scene that the arguments of `render` describe."""
     from ffpose.geometry import Camera
     from ffpose.render import Randomization, find_scene
-    from ffpose.render.dataset.writer import write_dataset
-    from ffpose.render.layers import LAYERS
 
-    expect_folder(options.out)
-    scene = find_scene(options.scene)
+    scene = find_scene(name)
     sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
     limits = options.attitude_range
-    scene = replace(
+    return replace(
         scene,
         sensor=sensor,
         attitude_range_deg=tuple(limits) if limits else scene.attitude_range_deg,
@@ -172,8 +194,17 @@ def render(options: Namespace) -> None:
         craft=craft_of(options) if options.mesh else scene.craft,
         renderer=options.renderer,
     )
+
+
+def render_set(options: Namespace) -> None:
+    """Render images of a scene, in URSO's layout."""
+    from ffpose.render.dataset.writer import write_dataset
+    from ffpose.render.layers import LAYERS
+
+    if options.count is None:
+        raise ValueError("count: expected --count N, the number of images of a scene")
     written = write_dataset(
-        scene,
+        chosen_scene(options, options.scene),
         options.out,
         options.count,
         options.seed,
@@ -186,6 +217,28 @@ def render(options: Namespace) -> None:
     say(f"{written.folder}: {written.rendered} images in {written.seconds:.1f} s")
     if not written.closed:
         say("the folder has images of other runs too: one run over all images writes the labels")
+
+
+def render_motion(options: Namespace) -> None:
+    """Render the frames of a motion, as a csv set with times."""
+    from ffpose.render.dataset.sequence_writer import write_sequence
+    from ffpose.render.sequence import Sequence, read_trajectory
+
+    for name in ("count", "labels", "layers", "motion"):
+        if options[name]:
+            raise ValueError(f"{name}: expected for a scene's images, got it for a motion's frames")
+    size = None if options.size is None else width_and_height(options.size)
+    if options.trajectory is not None:
+        scene = chosen_scene(options, options.within or options.scene)
+        motion = read_trajectory(options.trajectory)
+        sequence = Sequence.along(scene, motion, options.seed, size)
+    else:
+        scene = chosen_scene(options, options.within or "soyuz_hard")
+        sequence = Sequence.of_kind(
+            options.scene, scene, options.seconds, options.rate, options.seed, size
+        )
+    written = write_sequence(sequence, options.out, drop=options.drop, workers=options.workers)
+    say(f"{written.folder}: {written.rendered} frames in {written.seconds:.1f} s")
 
 
 def train_arguments(parser: ArgumentParser) -> None:
@@ -413,6 +466,51 @@ def predict(options: Namespace) -> None:
         raise failures[0].error
     if failures:
         raise DataError(f"{len(failures)} of {len(images)} images have no pose")
+
+
+def track_arguments(parser: ArgumentParser) -> None:
+    """Declare the arguments of `track`."""
+    weights_argument(parser)
+    parser.add_argument("images", type=Path, help="folder of the frames")
+    parser.add_argument(
+        "--times",
+        type=Path,
+        help="CSV file of image,time (seconds), perhaps with poses (default: frames.csv there)",
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder to write")
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        help="of the images (default: camera.json beside them, or that of the weights)",
+    )
+    parser.add_argument(
+        "--resize", action="store_true", help="resize images of any camera to the network's input"
+    )
+
+
+def track(options: Namespace) -> None:
+    """Track a spacecraft through the frames of a sequence: position, attitude, velocities."""
+    from ffpose.geometry import CAMERA_FILE, Camera
+    from ffpose.inference.load import load
+    from ffpose.tracking.frames import read_frames
+    from ffpose.tracking.run import TRAJECTORY
+    from ffpose.tracking.run import run as run_track
+
+    expect_folder(options.out)
+    frames = read_frames(options.images, options.times)
+    beside = options.images / CAMERA_FILE
+    path = options.camera or (beside if beside.is_file() and not options.resize else None)
+    estimator = load(
+        options.weights,
+        camera=None if path is None else Camera.read(path),
+        resize=options.resize,
+        device=options.device,
+        warm_up=0,
+    )
+    title = f"{options.images.name}, tracked by {options.weights.name}"
+    followed = run_track(estimator, frames, options.out, title=title)
+    accepted = sum(each.step.accepted for each in followed)
+    say(f"{options.out / TRAJECTORY}: {len(followed)} frames, {accepted} accepted")
 
 
 def view_arguments(parser: ArgumentParser) -> None:
@@ -692,6 +790,7 @@ COMMANDS = {
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict),
+    "track": Command("track a spacecraft through a sequence", track_arguments, track),
     "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
     "calibrate": Command("calibrate weights", calibrate_arguments, calibrate, "pose,render"),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),

@@ -1,4 +1,4 @@
-//! `ffpose._rust`: ffpose-core for NumPy arrays and torch tensors. Every function checks, releases the GIL, computes and maps errors.
+//! `ffpose._rust`: ffpose-core and ffpose-track for NumPy arrays and torch tensors. Every function checks, releases the GIL, computes and maps errors.
 
 mod border;
 mod earth;
@@ -8,6 +8,7 @@ mod pool;
 mod pose;
 mod spectral;
 mod tensor;
+mod tracking;
 
 use pyo3::prelude::*;
 
@@ -31,6 +32,8 @@ mod _rust {
         filter_tensors, filter_tensors_backward, isa, isas, spectral_filter,
         spectral_filter_backward,
     };
+    #[pymodule_export]
+    use super::tracking::PyTracker;
 
     #[pymodule_init]
     #[allow(clippy::unnecessary_wraps)] // the form that pyo3 expects

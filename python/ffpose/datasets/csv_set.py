@@ -9,6 +9,7 @@ split. Columns, in any order:
 * ``camera``, optional: path of the camera file of the image, relative to the folder; without the
   column, ``camera.json`` for all. `ffpose.geometry.Camera.read` says what it holds; ``distortion``
   is optional.
+* ``time``, optional: time of the middle of the exposure, seconds; `ffpose track` needs it.
 
 ``docs/datasets.md`` has an example.
 """
@@ -68,21 +69,23 @@ def read(root: Path, split: str) -> list[Record]:
         name = names.add(entry, entry.text("image"))
         image = find_image(root, name, entry)
         seen_by = camera(_camera_file(root, entry))
+        time = entry.parsed(("time",))[0] if "time" in header else None
         if not labeled:
-            records.append(Record(image, name, seen_by, None, path, entry.line))
+            records.append(Record(image, name, seen_by, None, path, entry.line, time=time))
             continue
         tx, ty, tz, w, x, y, z = entry.parsed(POSE)
         pose = entry.pose((tx, ty, tz), (w, x, y, z))
-        records.append(Record(image, name, seen_by, pose, path, entry.line, (w, x, y, z)))
+        raw = (w, x, y, z)
+        records.append(Record(image, name, seen_by, pose, path, entry.line, raw, time=time))
     return records
 
 
 def _has_labels(header: list[str], path: Path) -> bool:
     """Return whether a split has labels; check its columns."""
-    expected = f"expected the columns image, {', '.join(POSE)} and, optional, camera"
+    expected = f"expected the columns image, {', '.join(POSE)} and, optional, camera and time"
     labeled = any(name in header for name in POSE)
     required = {"image", *POSE} if labeled else {"image"}
-    if set(header) - {"camera"} != required:
+    if set(header) - {"camera", "time"} != required:
         raise DataError(f"{expected}, got {', '.join(header)}", path, 1)
     return labeled
 

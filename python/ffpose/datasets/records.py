@@ -56,6 +56,7 @@ class Record:
             it and `Pose` chooses its sign; None for a label that comes from no quaternion.
         lens: Camera of the file, where decoding undistorts it; None where it does not.
         white: Level or percentile that becomes 255, as for `Decoding`.
+        time: Time of the middle of the exposure, seconds; None where the set has none.
     """
 
     image: Path
@@ -67,6 +68,7 @@ class Record:
     raw_quaternion: tuple[float, float, float, float] | None = None
     lens: DistortedCamera | None = None
     white: float | str | None = None
+    time: float | None = None
 
     def decoded_by(self, decoding: Decoding) -> Record:
         """Return the record whose image is decoded as ``decoding`` says."""

@@ -151,13 +151,13 @@ def shoot_each(
     craft = scene.build()
     pose = sample_pose(scene, craft, pose_rng)
     around = sample_surroundings(scene, light_rng)
-    radiance = _background(scene, camera, around, star_rng, odd_rng, side)
+    radiance = background(scene, camera, around, star_rng, odd_rng, side)
     lit = np.zeros((3, 0), dtype=np.float32)
     if not empty:
         finish = prepared(craft)[1]
         if scene.randomization.materials > 0:
             finish = finish.varied(scene.randomization.materials, odd_rng)
-        light = _object_light(pose, around, scene.randomization.light, odd_rng)
+        light = object_light(pose, around, scene.randomization.light, odd_rng)
         if scene.renderer == "mitsuba":
             lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
         else:
@@ -229,18 +229,19 @@ def _streams(seed: int, index: int) -> list[np.random.Generator]:
     return np.random.default_rng([seed, index]).spawn(6)
 
 
-def _background(
+def background(
     scene: Scene,
     camera: Camera,
     around: Surroundings,
     star_rng: np.random.Generator,
     odd_rng: np.random.Generator,
     side: int,
+    turn: NDArray[np.float64] | None = None,
 ) -> Floats:
-    """Compute the radiance (H, W, 3) of everything behind the spacecraft."""
+    """Compute the radiance (H, W, 3) behind the spacecraft; `turn` as for `draw_stars`."""
     if odd_rng.random() < scene.randomization.background:
         return _draw_backdrop(camera, odd_rng)
-    radiance = draw_stars(camera, star_rng, side)
+    radiance = draw_stars(camera, star_rng, side, turn)
     _draw_background(radiance, camera, around, side)
     return radiance
 
@@ -279,16 +280,16 @@ def draw_craft(
     window = find_window(craft.mesh.vertices, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
-    tracer, samples = prepared(craft)[0], _sample_count(window, camera)
+    tracer, samples = prepared(craft)[0], sample_count(window, camera)
     colors = []
     for band in window.bands(BAND // samples**2):
         view = look(tracer, band, camera, pose, samples)
-        colors.append(_shade(view, tracer, band, samples, camera, finish, light, rng))
-        _composite(radiance, band, view.hits.ray, colors[-1], samples)
+        colors.append(shade(view, tracer, band, samples, camera, finish, light, rng))
+        composite(radiance, band, view.hits.ray, colors[-1], samples)
     return np.concatenate(colors, axis=1)
 
 
-def _shade(
+def shade(
     view: View,
     tracer: Tracer,
     window: Window,
@@ -309,13 +310,13 @@ def _shade(
     return reflected(surface, view, light, sunlit, earthlit)
 
 
-def _sample_count(window: Window, camera: Camera) -> int:
+def sample_count(window: Window, camera: Camera) -> int:
     """Choose samples per pixel side; a distant, small spacecraft gets more at little cost."""
     share = math.prod(window.shape) / (camera.width * camera.height)
     return next(samples for most, samples in SAMPLES if share <= most)
 
 
-def _object_light(
+def object_light(
     pose: Pose, around: Surroundings, spread: float, rng: np.random.Generator
 ) -> Light:
     """Return the lights in the object frame, varied by stops of standard deviation `spread`."""
@@ -334,7 +335,7 @@ def _object_light(
     )
 
 
-def _composite(
+def composite(
     radiance: Floats, window: Window, ray: NDArray[np.intp], color: Floats, samples: int
 ) -> None:
     """Average the samples of each pixel and composite them over the background."""

@@ -25,8 +25,8 @@ def test_the_situation_is_the_one_that_is_rendered(monkeypatch):
         seen.append((pose, around))
         return light(pose, around, *rest)
 
-    light = renderer._object_light
-    monkeypatch.setattr(renderer, "_object_light", record)
+    light = renderer.object_light
+    monkeypatch.setattr(renderer, "object_light", record)
     for index in range(3):
         render("soyuz_easy", 4, index, SIZE)
         pose, around, backdrop = situation("soyuz_easy", 4, index)

@@ -22,16 +22,24 @@ STAR_FLUX = 0.25
 """Radiance of a star of magnitude zero, collected in one pixel at 640 pixels of focal length."""
 
 
-def draw_stars(camera: Camera, rng: np.random.Generator, side: int = 1) -> Floats:
+def draw_stars(
+    camera: Camera,
+    rng: np.random.Generator,
+    side: int = 1,
+    turn: NDArray[np.float64] | None = None,
+) -> Floats:
     """Draw stars uniformly over the sky with the true count per magnitude: radiance (H, W, 3).
 
     Args:
         camera: Camera of the image.
         rng: Generator of the stars.
         side: Pixels of a finer image along each side of one of this, which is its mean.
+        turn: (3, 3) rotation of the sky in the camera frame since the generator's stars were drawn.
     """
     total = rng.poisson(STARS_TO_MAGNITUDE_ZERO * 10 ** (0.5 * FAINTEST))
     rays = rng.standard_normal((total, 3))
+    if turn is not None:
+        rays = rays @ turn.T
     # Counts grow as 10^(0.5 m), so a uniform share of them gives a magnitude.
     magnitude = FAINTEST + 2.0 * np.log10(1.0 - rng.random(total))
     warmth = rng.normal(0.0, 0.18, total)

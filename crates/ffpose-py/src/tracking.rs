@@ -1,0 +1,133 @@
+//! The tracker for Python: numbers in, a dictionary out.
+
+use ffpose_track::{
+    Error, Estimate, MODES, Measurement, Mode, Outcome, Parameters, Step, TAG_BYTES, Tracker,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+
+type Matrix = [[f64; 3]; 3];
+
+/// Position, orientation, their covariances, and the probability.
+type Pose = ([f64; 3], [f64; 4], Matrix, Matrix, f64);
+
+/// The tracker of ffpose-track; `ffpose.tracking.Tracker` explains it.
+#[pyclass(name = "Tracker", module = "ffpose._rust")]
+pub(crate) struct PyTracker(Tracker);
+
+#[pymethods]
+impl PyTracker {
+    /// A tracker with settings by name, in SI units and radians; those left out are the usual ones.
+    #[new]
+    fn new(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
+        let mut parameters = Parameters::default();
+        for (name, value) in settings {
+            *setting(&mut parameters, name.extract()?)? = value.extract()?;
+        }
+        Tracker::new(parameters).map(Self).map_err(raised)
+    }
+
+    /// The tracker of `state`, whose tag of 32 bytes must be the same.
+    #[staticmethod]
+    fn from_state(state: &[u8], tag: [u8; TAG_BYTES]) -> PyResult<Self> {
+        Tracker::from_bytes(state, &tag).map(Self).map_err(raised)
+    }
+
+    /// The tracker as bytes, with a tag of 32 bytes.
+    fn state<'py>(&self, py: Python<'py>, tag: [u8; TAG_BYTES]) -> Bound<'py, PyBytes> {
+        PyBytes::new(py, &self.0.to_bytes(&tag))
+    }
+
+    /// Move on to a frame at `time` that shows one of `poses`, or nothing where there is none.
+    fn step<'py>(
+        &mut self,
+        py: Python<'py>,
+        time: f64,
+        poses: Vec<Pose>,
+        camera_rate: [f64; 3],
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let measurement = measured(&poses).map_err(raised)?;
+        let step = self.0.step(time, measurement.as_ref(), camera_rate).map_err(raised)?;
+        told(py, &step)
+    }
+
+    /// The next best attitude that frames have agreed on, or None.
+    fn alternative<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        self.0.alternative().map(|estimate| motion(py, &estimate)).transpose()
+    }
+
+    /// Seconds of the last frame, or None.
+    #[getter]
+    fn time(&self) -> Option<f64> {
+        self.0.time()
+    }
+}
+
+fn measured(poses: &[Pose]) -> Result<Option<Measurement>, Error> {
+    if poses.is_empty() {
+        return Ok(None);
+    }
+    if poses.len() > MODES {
+        return Err(Error::Modes { got: poses.len() });
+    }
+    let mode = |(t, q, c, r, probability): &Pose| Mode::new(*t, *q, *c, *r, *probability);
+    let mut modes = [mode(&poses[0])?; MODES];
+    for (place, pose) in modes.iter_mut().zip(poses) {
+        *place = mode(pose)?;
+    }
+    Measurement::new(&modes[..poses.len()]).map(Some)
+}
+
+fn setting<'a>(parameters: &'a mut Parameters, name: &str) -> PyResult<&'a mut f64> {
+    Ok(match name {
+        "acceleration" => &mut parameters.acceleration,
+        "angular_acceleration" => &mut parameters.angular_acceleration,
+        "velocity" => &mut parameters.velocity,
+        "rate" => &mut parameters.rate,
+        "position_angle" => &mut parameters.position_angle,
+        "attitude_angle" => &mut parameters.attitude_angle,
+        "position_noise" => &mut parameters.position_noise,
+        "attitude_noise" => &mut parameters.attitude_noise,
+        "gate" => &mut parameters.gate,
+        "tails" => &mut parameters.tails,
+        "agreeing" => &mut parameters.agreeing,
+        "coasting" => &mut parameters.coasting,
+        _ => return Err(PyValueError::new_err(format!("expected a setting, got {name}"))),
+    })
+}
+
+fn told<'py>(py: Python<'py>, step: &Step) -> PyResult<Bound<'py, PyDict>> {
+    let told = PyDict::new(py);
+    told.set_item("outcome", outcome(step.outcome))?;
+    told.set_item("nis", step.nis)?;
+    told.set_item("mode", step.mode)?;
+    told.set_item("estimate", step.estimate.map(|one| motion(py, &one)).transpose()?)?;
+    Ok(told)
+}
+
+fn motion<'py>(py: Python<'py>, estimate: &Estimate) -> PyResult<Bound<'py, PyDict>> {
+    let motion = PyDict::new(py);
+    motion.set_item("position", estimate.position)?;
+    motion.set_item("orientation", estimate.orientation)?;
+    motion.set_item("velocity", estimate.velocity)?;
+    motion.set_item("rate", estimate.rate)?;
+    let covariance: [[f64; 12]; 12] = estimate.covariance.into();
+    motion.set_item("covariance", covariance)?;
+    Ok(motion)
+}
+
+fn outcome(outcome: Outcome) -> &'static str {
+    match outcome {
+        Outcome::Accepted => "accepted",
+        Outcome::Switched => "switched",
+        Outcome::Gated => "gated",
+        Outcome::Coasted => "coasted",
+        Outcome::Acquiring => "acquiring",
+        Outcome::Lost => "lost",
+    }
+}
+
+fn raised(error: Error) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}

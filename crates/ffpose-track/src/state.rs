@@ -1,0 +1,171 @@
+//! A tracker as bytes, to be taken up again after a restart.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use crate::error::Error;
+use crate::filter::{Covariance, Filter};
+use crate::parameters::{self, Parameters};
+use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
+
+/// The first bytes of each state; the number is the format's version.
+const MAGIC: [u8; 8] = *b"FFTRACK1";
+
+/// Bytes that say whose track it is, such as the digest of a network's file.
+pub const TAG_BYTES: usize = 32;
+
+/// Numbers of a hypothesis: whether there is one, score, frames, time, state and covariance.
+const OF_HYPOTHESIS: usize = 4 + 19 + 18 * 18;
+
+/// Numbers of a tracker.
+const NUMBERS: usize = parameters::NUMBERS + 1 + 3 + 1 + HYPOTHESES * OF_HYPOTHESIS;
+
+/// Bytes of a state.
+pub const STATE_BYTES: usize = MAGIC.len() + TAG_BYTES + 8 * NUMBERS + 8;
+
+impl Tracker {
+    /// The tracker as bytes, exact; `tag` says whose track it is.
+    #[must_use]
+    pub fn to_bytes(&self, tag: &[u8; TAG_BYTES]) -> [u8; STATE_BYTES] {
+        let mut bytes = [0; STATE_BYTES];
+        let mut writer = Writer { bytes: &mut bytes, at: 0 };
+        writer.put(&MAGIC);
+        writer.put(tag);
+        writer.numbers(&self.parameters.to_array());
+        writer.numbers(&[self.time.unwrap_or(f64::NAN)]);
+        writer.numbers(self.camera_rate.as_slice());
+        writer.numbers(&[self.leading.map_or(-1.0, |place| place as f64)]);
+        for hypothesis in &self.hypotheses {
+            match hypothesis {
+                None => writer.at += 8 * OF_HYPOTHESIS,
+                Some(one) => writer.hypothesis(one),
+            }
+        }
+        let sum = checksum(&bytes[..STATE_BYTES - 8]);
+        bytes[STATE_BYTES - 8..].copy_from_slice(&sum.to_le_bytes());
+        bytes
+    }
+
+    /// The tracker of [`Self::to_bytes`], whose tag must be the same.
+    ///
+    /// # Errors
+    ///
+    /// The bytes are no state, cut short or damaged, or have another tag.
+    pub fn from_bytes(bytes: &[u8], tag: &[u8; TAG_BYTES]) -> Result<Self, Error> {
+        let fault = |reason| Error::State { reason };
+        if !bytes.starts_with(&MAGIC) {
+            return Err(fault("expected the saved state of a tracker, got other bytes"));
+        }
+        if bytes.len() != STATE_BYTES {
+            return Err(fault("expected the saved state of a tracker, got it cut short or longer"));
+        }
+        let (body, sum) = bytes.split_at(STATE_BYTES - 8);
+        if checksum(body).to_le_bytes() != sum {
+            return Err(fault("damaged: its checksum is not that of its bytes"));
+        }
+        if body[MAGIC.len()..MAGIC.len() + TAG_BYTES] != *tag {
+            return Err(fault("expected one of this model, got that of another"));
+        }
+        let mut reader = Reader { bytes: body, at: MAGIC.len() + TAG_BYTES };
+        let parameters = Parameters::from_array(reader.numbers());
+        parameters.check()?;
+        let [time] = reader.numbers();
+        let camera_rate = Vector3::from(reader.numbers::<3>());
+        let [leading] = reader.numbers();
+        let mut hypotheses = [None; HYPOTHESES];
+        for place in &mut hypotheses {
+            *place = reader.hypothesis();
+            if place.is_some_and(|one: Hypothesis| !one.filter.is_sound()) {
+                return Err(fault("expected finite numbers and positive covariances"));
+            }
+        }
+        let leading = (0..HYPOTHESES)
+            .find(|place| (*place as f64).total_cmp(&leading).is_eq())
+            .filter(|place| hypotheses[*place].is_some());
+        Ok(Self {
+            parameters,
+            time: Some(time).filter(|t| t.is_finite()),
+            camera_rate,
+            hypotheses,
+            leading,
+        })
+    }
+}
+
+struct Writer<'a> {
+    bytes: &'a mut [u8; STATE_BYTES],
+    at: usize,
+}
+
+impl Writer<'_> {
+    fn put(&mut self, bytes: &[u8]) {
+        self.bytes[self.at..self.at + bytes.len()].copy_from_slice(bytes);
+        self.at += bytes.len();
+    }
+
+    fn numbers(&mut self, numbers: &[f64]) {
+        for number in numbers {
+            self.put(&number.to_le_bytes());
+        }
+    }
+
+    fn hypothesis(&mut self, one: &Hypothesis) {
+        let filter = &one.filter;
+        self.numbers(&[1.0, one.score, one.agreed, one.last]);
+        let first = [filter.position, filter.velocity];
+        let last = [filter.rate, filter.position_bias, filter.attitude_bias];
+        for part in first {
+            self.numbers(part.as_slice());
+        }
+        self.numbers(filter.orientation.coords.as_slice());
+        for part in last {
+            self.numbers(part.as_slice());
+        }
+        self.numbers(filter.covariance.as_slice());
+    }
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn numbers<const COUNT: usize>(&mut self) -> [f64; COUNT] {
+        core::array::from_fn(|_| {
+            let mut bytes = [0; 8];
+            bytes.copy_from_slice(&self.bytes[self.at..self.at + 8]);
+            self.at += 8;
+            f64::from_le_bytes(bytes)
+        })
+    }
+
+    fn vector(&mut self) -> Vector3<f64> {
+        Vector3::from(self.numbers::<3>())
+    }
+
+    fn hypothesis(&mut self) -> Option<Hypothesis> {
+        let [present, score, agreed, last] = self.numbers();
+        let (position, velocity) = (self.vector(), self.vector());
+        let [i, j, k, w] = self.numbers();
+        let orientation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
+        let (rate, position_bias, attitude_bias) = (self.vector(), self.vector(), self.vector());
+        let covariance = Covariance::from_column_slice(&self.numbers::<{ 18 * 18 }>());
+        let filter = Filter {
+            position,
+            velocity,
+            orientation,
+            rate,
+            position_bias,
+            attitude_bias,
+            covariance,
+        };
+        (present != 0.0).then_some(Hypothesis { filter, score, agreed, last })
+    }
+}
+
+/// FNV-1a, 64 bits: against damage, not against malice.
+fn checksum(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |sum, byte| {
+        (sum ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    })
+}

@@ -1,0 +1,354 @@
+//! Which of several tracks the frames speak for.
+
+use libm::{exp, log};
+use nalgebra::{SMatrix, Vector3};
+
+use crate::error::Error;
+use crate::filter::{Filter, Innovation};
+use crate::measurement::{Measurement, Mode, finite};
+use crate::parameters::Parameters;
+
+/// The most attitudes that are followed at once.
+pub const HYPOTHESES: usize = 3;
+
+// Evidence is counted in independent views: a frame that shows what the last one showed says hardly anything new.
+/// What a frame says at least.
+const OLD_VIEW: f64 = 0.02;
+/// What a hypothesis begins with.
+const BEGINNING: f64 = 0.2;
+/// The most that it can gather, so that a changed attitude is believed in the end.
+const MOST: f64 = 4.0;
+/// By how much another must be ahead to lead.
+const AHEAD: f64 = 0.25;
+
+// Hypotheses this close are one.
+const SAME_ANGLE: f64 = 0.087;
+const SAME_RATE: f64 = 0.017;
+const SAME_POSITION: f64 = 0.05;
+
+/// What became of a frame.
+#[derive(Clone, Copy, Debug, Eq, PartialEq)]
+pub enum Outcome {
+    /// It has corrected the track.
+    Accepted,
+    /// It speaks for another attitude, which leads from now on.
+    Switched,
+    /// It is too far from what was expected, and the track goes on without it.
+    Gated,
+    /// It says nothing, and the track goes on without it.
+    Coasted,
+    /// There is no track yet.
+    Acquiring,
+    /// The track has gone too long without a frame that it could believe, and has ended.
+    Lost,
+}
+
+/// Motion of the object at the time of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Position, m, camera frame.
+    pub position: [f64; 3],
+    /// Orientation `(w, x, y, z)` from the object's to the camera's axes, `w` not negative.
+    pub orientation: [f64; 4],
+    /// Velocity, m/s, camera axes; with a gyro that against a camera that does not turn.
+    pub velocity: [f64; 3],
+    /// Angular velocity relative to the camera, rad/s, object's axes.
+    pub rate: [f64; 3],
+    /// Covariance of the errors of position (m, camera axes), velocity (m/s), attitude (rad, object's axes:
+    /// `R_true = R exp([θ]×)`) and angular velocity (rad/s).
+    pub covariance: SMatrix<f64, 12, 12>,
+}
+
+/// What a frame has brought.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// What became of the frame.
+    pub outcome: Outcome,
+    /// The motion; None without a track.
+    pub estimate: Option<Estimate>,
+    /// Squared Mahalanobis distance (6 degrees of freedom) of the frame from the track; None without either.
+    pub nis: Option<f64>,
+    /// Which of the frame's modes the track was compared with; None without either.
+    pub mode: Option<usize>,
+}
+
+/// One attitude that is followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Hypothesis {
+    pub(crate) filter: Filter,
+    /// Evidence, in independent views.
+    pub(crate) score: f64,
+    /// Frames that it has believed.
+    pub(crate) agreed: f64,
+    /// The time of the last of them.
+    pub(crate) last: f64,
+}
+
+/// A spacecraft's motion from the poses of its images.
+///
+/// A track is there once [`Parameters::agreeing`] frames agree. A network that takes one side of the object for another does so
+/// in many frames on end, so that a frame's word counts by the angle that the object has turned since the last: what no
+/// hypothesis explains becomes one of its own, and the one with most evidence leads.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tracker {
+    pub(crate) parameters: Parameters,
+    /// Time of the last frame.
+    pub(crate) time: Option<f64>,
+    pub(crate) camera_rate: Vector3<f64>,
+    pub(crate) hypotheses: [Option<Hypothesis>; HYPOTHESES],
+    pub(crate) leading: Option<usize>,
+}
+
+impl Tracker {
+    /// A tracker that has seen nothing.
+    ///
+    /// # Errors
+    ///
+    /// A setting is out of its range.
+    pub fn new(parameters: Parameters) -> Result<Self, Error> {
+        parameters.check()?;
+        Ok(Self {
+            parameters,
+            time: None,
+            camera_rate: Vector3::zeros(),
+            hypotheses: [None; HYPOTHESES],
+            leading: None,
+        })
+    }
+
+    /// The settings.
+    #[must_use]
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// The time of the last frame, seconds.
+    #[must_use]
+    pub fn time(&self) -> Option<f64> {
+        self.time
+    }
+
+    /// Moves on to the time of a frame, seconds, and takes in what it says.
+    ///
+    /// `measurement` is None for a frame that says nothing. `camera_rate` is the camera's own angular velocity since the last frame,
+    /// rad/s along its axes, where a gyro measures it; else zero.
+    ///
+    /// # Errors
+    ///
+    /// The time is not later than the last, or a number is not finite; nothing has changed then.
+    pub fn step(
+        &mut self,
+        time: f64,
+        measurement: Option<&Measurement>,
+        camera_rate: [f64; 3],
+    ) -> Result<Step, Error> {
+        finite("time", [time].iter())?;
+        finite("camera_rate", camera_rate.iter())?;
+        if let Some(last) = self.time.filter(|last| time <= *last) {
+            return Err(Error::Time { last, got: time });
+        }
+        let elapsed = self.time.map_or(0.0, |last| time - last);
+        self.time = Some(time);
+        self.camera_rate = Vector3::from(camera_rate);
+
+        let before = self.leading;
+        let mut frame = Frame { time, explained: [false; crate::MODES], of_leader: None };
+        for place in 0..HYPOTHESES {
+            self.follow(place, elapsed, measurement, &mut frame);
+        }
+        if let Some(measurement) = measurement {
+            for (_, pose) in measurement.modes().filter(|(mode, _)| !frame.explained[*mode]) {
+                self.propose(pose, time);
+            }
+        }
+        self.unite();
+        self.choose();
+        Ok(self.told(before, measurement.is_some(), &frame))
+    }
+
+    /// The motion at the time of the last frame; None without a track.
+    #[must_use]
+    pub fn estimate(&self) -> Option<Estimate> {
+        self.motion(self.leading?)
+    }
+
+    /// The motion of the next best attitude that frames have agreed on; None if there is none.
+    #[must_use]
+    pub fn alternative(&self) -> Option<Estimate> {
+        self.motion(self.best(|place| Some(place) != self.leading)?)
+    }
+
+    /// Moves a hypothesis on, and compares it with the frame; it ends where too little speaks for it.
+    fn follow(
+        &mut self,
+        place: usize,
+        elapsed: f64,
+        measurement: Option<&Measurement>,
+        frame: &mut Frame,
+    ) {
+        let Some(hypothesis) = &mut self.hypotheses[place] else { return };
+        let parameters = &self.parameters;
+        let turned = hypothesis.filter.predict(elapsed, &self.camera_rate, parameters);
+        let news = OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle);
+        let mut ends = frame.time - hypothesis.last > parameters.coasting;
+        if let Some(measurement) = measurement {
+            let found = closest(&hypothesis.filter, measurement, parameters);
+            let accepted = found.filter(|(_, _, innovation)| innovation.nis <= parameters.gate);
+            if let Some((mode, pose, innovation)) = &accepted {
+                hypothesis.filter.correct(innovation, parameters);
+                hypothesis.score += news * (2.0 * pose.probability - 1.0);
+                hypothesis.agreed += 1.0;
+                hypothesis.last = frame.time;
+                frame.explained[*mode] = true;
+                ends = false;
+            } else {
+                hypothesis.score -= news;
+                ends |= hypothesis.score <= 0.0;
+            }
+            hypothesis.score = hypothesis.score.clamp(0.0, MOST);
+            if self.leading == Some(place) {
+                frame.of_leader =
+                    found.map(|(mode, _, innovation)| (mode, innovation.nis, accepted.is_some()));
+            }
+        }
+        if ends || !hypothesis.filter.is_sound() {
+            self.hypotheses[place] = None;
+        }
+    }
+
+    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on.
+    fn propose(&mut self, pose: &Mode, time: f64) {
+        let agreeing = self.parameters.agreeing;
+        let weight = |hypothesis: &Option<Hypothesis>| match hypothesis {
+            None => -1.0,
+            Some(young) if young.agreed < agreeing => young.score,
+            Some(_) => f64::INFINITY,
+        };
+        let least = (0..HYPOTHESES)
+            .min_by(|a, b| weight(&self.hypotheses[*a]).total_cmp(&weight(&self.hypotheses[*b])));
+        if let Some(place) = least.filter(|place| weight(&self.hypotheses[*place]).is_finite()) {
+            self.hypotheses[place] = Some(Hypothesis {
+                filter: Filter::new(pose, &self.parameters),
+                score: BEGINNING,
+                agreed: 1.0,
+                last: time,
+            });
+        }
+    }
+
+    /// Ends hypotheses that have become another one.
+    fn unite(&mut self) {
+        for first in 0..HYPOTHESES {
+            for second in first + 1..HYPOTHESES {
+                let (Some(a), Some(b)) = (&self.hypotheses[first], &self.hypotheses[second]) else {
+                    continue;
+                };
+                if !a.filter.is_same(&b.filter) {
+                    continue;
+                }
+                let keeps_second = self.leading != Some(first)
+                    && (self.leading == Some(second) || b.score > a.score);
+                self.hypotheses[if keeps_second { first } else { second }] = None;
+            }
+        }
+    }
+
+    /// Chooses who leads.
+    fn choose(&mut self) {
+        self.leading = self.leading.filter(|place| self.hypotheses[*place].is_some());
+        let score =
+            |place: usize| self.hypotheses[place].map_or(0.0, |hypothesis| hypothesis.score);
+        let best = self.best(|_| true);
+        self.leading = match (self.leading, best) {
+            (Some(leader), Some(best)) if score(best) > score(leader) + AHEAD => Some(best),
+            (Some(leader), _) => Some(leader),
+            (None, best) => best,
+        };
+    }
+
+    /// The place of the hypothesis with most evidence among those that frames have agreed on and that are `allowed`.
+    fn best(&self, allowed: impl Fn(usize) -> bool) -> Option<usize> {
+        let mut best: Option<(usize, f64)> = None;
+        for (place, hypothesis) in self.hypotheses.iter().enumerate() {
+            if let Some(one) = hypothesis
+                && one.agreed >= self.parameters.agreeing
+                && allowed(place)
+                && best.is_none_or(|(_, score)| one.score > score)
+            {
+                best = Some((place, one.score));
+            }
+        }
+        best.map(|(place, _)| place)
+    }
+
+    fn told(&self, before: Option<usize>, measured: bool, frame: &Frame) -> Step {
+        let estimate = self.estimate();
+        let outcome = match (before, self.leading) {
+            (None, None) => Outcome::Acquiring,
+            (Some(_), None) => Outcome::Lost,
+            (None, Some(_)) => Outcome::Accepted,
+            (Some(before), Some(now)) if before != now => Outcome::Switched,
+            _ if frame.of_leader.is_some_and(|(_, _, accepted)| accepted) => Outcome::Accepted,
+            _ if measured => Outcome::Gated,
+            _ => Outcome::Coasted,
+        };
+        let of_leader = frame.of_leader.filter(|_| estimate.is_some());
+        Step {
+            outcome,
+            estimate,
+            nis: of_leader.map(|(_, nis, _)| nis),
+            mode: of_leader.map(|(mode, _, _)| mode),
+        }
+    }
+
+    fn motion(&self, place: usize) -> Option<Estimate> {
+        let filter = &self.hypotheses[place]?.filter;
+        let q = filter.orientation.quaternion();
+        let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
+        let of_camera = filter.orientation.inverse_transform_vector(&self.camera_rate);
+        Some(Estimate {
+            position: filter.position.into(),
+            orientation: [q.w, q.i, q.j, q.k].map(|number| number * sign),
+            velocity: filter.velocity.into(),
+            rate: (filter.rate - of_camera).into(),
+            covariance: filter.covariance.fixed_view::<12, 12>(0, 0).into_owned(),
+        })
+    }
+}
+
+impl Filter {
+    /// Whether two tracks have become one.
+    fn is_same(&self, other: &Self) -> bool {
+        self.orientation.angle_to(&other.orientation) < SAME_ANGLE
+            && (self.rate - other.rate).norm() < SAME_RATE
+            && (self.position - other.position).norm() < SAME_POSITION * self.position.norm()
+    }
+}
+
+/// What the hypotheses make of a frame.
+struct Frame {
+    time: f64,
+    explained: [bool; crate::MODES],
+    /// The mode that the leader was compared with, its distance, and whether the leader has believed it.
+    of_leader: Option<(usize, f64, bool)>,
+}
+
+/// The mode of a frame that a track most likely shows.
+fn closest<'a>(
+    filter: &Filter,
+    measurement: &'a Measurement,
+    parameters: &Parameters,
+) -> Option<(usize, &'a Mode, Innovation)> {
+    let cost = |pose: &Mode, nis: f64| nis - 2.0 * log(pose.probability);
+    let mut best: Option<(usize, &Mode, Innovation)> = None;
+    for (mode, pose) in measurement.modes() {
+        if let Some(innovation) = filter.innovation(pose, parameters)
+            && best
+                .as_ref()
+                .is_none_or(|(_, other, known)| cost(pose, innovation.nis) < cost(other, known.nis))
+        {
+            best = Some((mode, pose, innovation));
+        }
+    }
+    best
+}

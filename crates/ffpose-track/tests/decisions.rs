@@ -1,0 +1,133 @@
+//! Acquisition, loss, outliers and attitudes that look alike.
+
+mod common;
+
+use common::{Random, Shown};
+use ffpose_track::{Measurement, Outcome, Parameters, Tracker};
+use nalgebra::{UnitQuaternion, Vector3};
+
+const STILL: [f64; 3] = [0.0; 3];
+
+fn tracker() -> Tracker {
+    Tracker::new(Parameters::default()).unwrap()
+}
+
+fn flipped(shown: &Shown) -> Shown {
+    let half = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, std::f64::consts::PI, 0.0));
+    Shown { orientation: shown.orientation * half, ..*shown }
+}
+
+fn away(estimate: &ffpose_track::Estimate, shown: &Shown) -> f64 {
+    let [w, x, y, z] = estimate.orientation;
+    UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z))
+        .angle_to(&shown.orientation)
+}
+
+#[test]
+fn a_track_needs_frames_that_agree() {
+    let mut random = Random(1);
+    let mut tracker = tracker();
+    let outcomes: Vec<Outcome> = (0..5)
+        .map(|i| {
+            let t = f64::from(i) * 0.5;
+            let shown = Shown::tumbling(t, &mut random);
+            tracker.step(t, Some(&shown.measurement()), STILL).unwrap().outcome
+        })
+        .collect();
+    assert_eq!(outcomes[..3], [Outcome::Acquiring; 3]);
+    assert_eq!(outcomes[3..], [Outcome::Accepted; 2]);
+}
+
+#[test]
+fn poses_that_never_agree_make_no_track() {
+    let mut random = Random(2);
+    let mut tracker = tracker();
+    for i in 0..200 {
+        let t = f64::from(i) * 0.5;
+        let mut shown = Shown::tumbling(t, &mut random);
+        shown.position = Vector3::new(0.0, 0.0, 25.0) + random.vector() * 5.0;
+        shown.orientation = UnitQuaternion::from_scaled_axis(random.vector() * 2.0);
+        let step = tracker.step(t, Some(&shown.measurement()), STILL).unwrap();
+        assert_eq!((step.outcome, step.estimate), (Outcome::Acquiring, None));
+    }
+}
+
+#[test]
+fn a_long_flip_is_gated_and_a_longer_one_is_believed() {
+    let mut random = Random(4);
+    let mut tracker = tracker();
+    let mut switched = None;
+    for i in 0..400 {
+        let t = f64::from(i) * 0.5;
+        let shown = Shown::tumbling(t, &mut random);
+        // 16 frames on end, 17°; then for good
+        let wrong = (100..116).contains(&i) || i >= 160;
+        let seen = if wrong { flipped(&shown) } else { shown };
+        let step = tracker.step(t, Some(&seen.measurement()), STILL).unwrap();
+        if i < 160 && i > 4 {
+            assert_eq!(step.outcome == Outcome::Gated, wrong, "frame {i}");
+            assert!(away(&step.estimate.unwrap(), &shown) < 0.1);
+        }
+        if step.outcome == Outcome::Switched {
+            switched = Some(i);
+        }
+    }
+    assert!(switched.is_some_and(|frame| frame > 170), "{switched:?}");
+}
+
+#[test]
+fn what_is_not_seen_for_long_is_lost_and_found_again() {
+    let mut random = Random(5);
+    let mut tracker = tracker();
+    let mut outcomes = vec![];
+    for i in 0..60 {
+        let t = f64::from(i) * 0.5;
+        let shown = Shown::tumbling(t, &mut random).measurement();
+        let seen = Some(&shown).filter(|_| !(10..40).contains(&i));
+        outcomes.push(tracker.step(t, seen, STILL).unwrap().outcome);
+    }
+    assert!(outcomes[10..29].iter().all(|outcome| *outcome == Outcome::Coasted));
+    assert_eq!(outcomes[30], Outcome::Lost);
+    assert!(outcomes[31..43].iter().all(|outcome| *outcome == Outcome::Acquiring));
+    assert!(outcomes[43..].iter().all(|outcome| *outcome == Outcome::Accepted));
+}
+
+#[test]
+fn five_seconds_without_frames_are_coasted() {
+    let mut random = Random(6);
+    let mut tracker = tracker();
+    for i in 0..60 {
+        let t = f64::from(i) * 0.5;
+        let shown = Shown::tumbling(t, &mut random);
+        let seen = shown.measurement();
+        let step = tracker.step(t, Some(&seen).filter(|_| !(20..30).contains(&i)), STILL).unwrap();
+        if i >= 30 {
+            assert_eq!(step.outcome, Outcome::Accepted);
+            assert!(away(&step.estimate.unwrap(), &shown) < 0.05);
+        }
+    }
+}
+
+#[test]
+fn two_attitudes_are_followed_while_there_are_two() {
+    let mut random = Random(8);
+    let mut tracker = tracker();
+    for i in 0..80 {
+        let t = f64::from(i) * 0.5;
+        let shown = Shown::tumbling(t, &mut random);
+        let other = flipped(&shown);
+        // as likely as each other for a while, then the first is the less likely one
+        let likely = if i < 40 { 0.5 } else { 0.05 };
+        let modes = [shown.mode(1.0, likely), other.mode(1.0, 1.0 - likely)];
+        tracker.step(t, Some(&Measurement::new(&modes).unwrap()), STILL).unwrap();
+        if (5..40).contains(&i) {
+            let pair = [tracker.estimate().unwrap(), tracker.alternative().unwrap()];
+            let nearest =
+                |to: &Shown| pair.iter().map(|one| away(one, to)).fold(f64::MAX, f64::min);
+            assert!(nearest(&shown) < 0.1 && nearest(&other) < 0.1);
+        }
+        if i == 79 {
+            assert!(away(&tracker.estimate().unwrap(), &other) < 0.1);
+        }
+    }
+}

@@ -1,0 +1,133 @@
+"""Errors of a track where the true poses are known, and of the same frames posed alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffpose.geometry import FloatArray
+from ffpose.geometry.trajectory import Trajectory, conjugate, logarithm, product
+from ffpose.tracking.follow import Followed
+
+NEES_BOUNDS = (4.40, 23.34)
+NIS_BOUNDS = (1.24, 14.45)
+"""Between which 95 % lie of χ² with 12 and with 6 degrees of freedom."""
+
+SETTLED_S = 20.0
+"""Seconds after acquisition from which on velocities count."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackErrors:
+    """Errors of each frame; NaN where there is no track, no pose or no truth.
+
+    Attributes:
+        times: ``(N,)`` seconds.
+        errors: ``(N, 12)`` true minus estimated position (m), velocity (m/s), attitude (deg, about
+            the object's axes) and angular velocity (deg/s).
+        deviations: ``(N, 12)`` standard deviations that the track gives for them.
+        nees: ``(N,)`` normalized estimation error squared, of 12 degrees of freedom.
+        nis: ``(N,)`` normalized innovation squared, of 6 degrees of freedom.
+        alone: ``(N, 2)`` errors of the frame alone: position (m) and attitude (deg).
+        turned: ``(N,)`` degrees that the object has turned since acquisition, along its way.
+        since: ``(N,)`` seconds since the track was acquired, or acquired again.
+    """
+
+    times: FloatArray
+    errors: FloatArray
+    deviations: FloatArray
+    nees: FloatArray
+    nis: FloatArray
+    alone: FloatArray
+    turned: FloatArray
+    since: FloatArray
+
+    @property
+    def tracked(self) -> FloatArray:
+        """Errors of the track ``(N, 2)``: position (m) and attitude (deg)."""
+        t, r = self.errors[:, :3], self.errors[:, 6:9]
+        return np.stack([np.linalg.norm(t, axis=1), np.linalg.norm(r, axis=1)], axis=1)
+
+    def summary(self) -> dict[str, float]:
+        """Return medians and shares by name, over the frames with a track and a truth."""
+        there = np.isfinite(self.nees)
+        both = there & np.isfinite(self.alone[:, 0])
+        settled = there & (self.since >= SETTLED_S)
+        tracked, low, high = self.tracked, *NEES_BOUNDS
+        inside = (self.nees[there] >= low) & (self.nees[there] <= high)
+        return {
+            "frames": float(len(self.times)),
+            "tracked": float(there.sum()),
+            "median_position_m": _median(tracked[both, 0]),
+            "median_position_alone_m": _median(self.alone[both, 0]),
+            "p99_position_m": _high(tracked[both, 0]),
+            "p99_position_alone_m": _high(self.alone[both, 0]),
+            "median_attitude_deg": _median(tracked[both, 1]),
+            "median_attitude_alone_deg": _median(self.alone[both, 1]),
+            "p99_attitude_deg": _high(tracked[both, 1]),
+            "p99_attitude_alone_deg": _high(self.alone[both, 1]),
+            "largest_attitude_deg": float(tracked[there, 1].max()) if there.any() else np.nan,
+            "median_velocity_m_s": _median(np.linalg.norm(self.errors[settled, 3:6], axis=1)),
+            "median_rate_deg_s": _median(np.linalg.norm(self.errors[settled, 9:], axis=1)),
+            "nees_inside": float(inside.mean()) if there.any() else np.nan,
+        }
+
+
+def track_errors(followed: Sequence[Followed]) -> TrackErrors:
+    """Compare a track with the frames' poses; frames without one leave gaps."""
+    count = len(followed)
+    errors, deviations = np.full((2, count, 12), np.nan)
+    nees, nis, turned, since = np.full((4, count), np.nan)
+    alone = np.full((count, 2), np.nan)
+    truth, places = _truth(followed)
+    start, way = np.nan, 0.0
+    for row, each in enumerate(followed):
+        one, pose = each.step.estimate, each.frame.pose
+        nis[row] = np.nan if each.step.nis is None else each.step.nis
+        if pose is not None and each.alone is not None and not each.alone.flagged:
+            turn = logarithm(product(conjugate(each.alone.q), pose.q))
+            alone[row] = np.linalg.norm(pose.t - each.alone.t), np.degrees(np.linalg.norm(turn))
+        if one is None:
+            start = np.nan
+            continue
+        deviations[row] = one.standard_deviations
+        if np.isnan(start):
+            start, way = each.frame.time, 0.0
+        since[row] = each.frame.time - start
+        if pose is None:
+            continue
+        place = places[row]
+        if place and since[row] > 0:
+            passed = truth.times[place] - truth.times[place - 1]
+            way += float(np.degrees(np.linalg.norm(truth.w[place]))) * passed
+        turned[row] = way
+        turn = logarithm(product(conjugate(one.q), pose.q))
+        rate = truth.w[place] - np.radians(one.w)
+        error = np.concatenate([pose.t - one.t, truth.v[place] - one.v, turn, rate])
+        nees[row] = error @ np.linalg.solve(one.covariance, error)
+        error[6:] = np.degrees(error[6:])
+        errors[row] = error
+    times = np.array([each.frame.time for each in followed])
+    return TrackErrors(times, errors, deviations, nees, nis, alone, turned, since)
+
+
+def _truth(followed: Sequence[Followed]) -> tuple[Trajectory, dict[int, int]]:
+    """Return the true motion, and for each frame with a true pose its row there."""
+    known = [
+        (row, each.frame.time, each.frame.pose)
+        for row, each in enumerate(followed)
+        if each.frame.pose is not None
+    ]
+    places = {row: place for place, (row, _, _) in enumerate(known)}
+    times = np.array([time for _, time, _ in known])
+    return Trajectory.through(times, [pose for _, _, pose in known]), places
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else np.nan
+
+
+def _high(values: FloatArray) -> float:
+    return float(np.quantile(values, 0.99)) if len(values) else np.nan

@@ -1,0 +1,239 @@
+"""The tracker of ``crates/ffpose-track``, which the onboard program runs too.
+
+A multiplicative extended Kalman filter (Lefferts, Markley and Shuster, *Journal of Guidance,
+Control, and Dynamics* 5(5), 1982; Markley, *ibid.* 26(2), 2003) over position, velocity, attitude
+and angular velocity. A network's errors repeat while the object shows the same side, so they are
+states too: first-order Gauss-Markov processes in the angle turned, not in time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ffpose import _rust
+from ffpose.geometry import FloatArray, Pose
+
+Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquiring", "lost"]
+"""What became of a frame: it corrected the track; it speaks for another attitude, which leads from
+now on; it is too far from what was expected; it shows no spacecraft; there was no pose; there is no
+track yet; the track went too long without a frame that it could believe."""
+
+ANGLES = ("angular_acceleration", "rate", "position_angle", "attitude_angle")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a tracker expects of the motion and of the network's errors, and how it decides.
+
+    Attributes:
+        acceleration: White acceleration of the relative motion, m/s² per √Hz.
+        angular_acceleration: White angular acceleration, deg/s² per √Hz.
+        velocity: Standard deviation of each component of a velocity not yet seen, m/s.
+        rate: Standard deviation of each component of an angular velocity not yet seen, deg/s.
+        position_angle: Angle turned at which the correlation of the position's errors has fallen
+            to 1/e, degrees.
+        attitude_angle: The same of the attitude's errors.
+        position_noise: Share of the position's variance that is new in each frame, above 0 to 1.
+        attitude_noise: The same of the attitude's variance.
+        gate: Squared Mahalanobis distance, of six degrees of freedom, above which a frame is not
+            believed; infinite for none.
+        tails: Degrees of freedom of the errors' tails; frames far off count less. Infinite for
+            Gaussian errors.
+        agreeing: Frames in agreement that make a track.
+        coasting: Seconds without a believed frame after which the track is lost.
+    """
+
+    acceleration: float = 2e-3
+    angular_acceleration: float = 0.05
+    velocity: float = 0.3
+    rate: float = 5.0
+    position_angle: float = 40.0
+    attitude_angle: float = 25.0
+    position_noise: float = 0.02
+    attitude_noise: float = 0.02
+    gate: float = 30.0
+    tails: float = 5.0
+    agreeing: int = 4
+    coasting: float = 10.0
+
+    def in_radians(self) -> dict[str, float]:
+        """Return the settings by name, angles in radians."""
+        values = {name: float(value) for name, value in asdict(self).items()}
+        return values | {name: math.radians(values[name]) for name in ANGLES}
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Motion of the object at the time of a frame.
+
+    Attributes:
+        t: Position ``(3,)``, meters, camera frame.
+        q: Unit quaternion ``(w, x, y, z)`` ``(4,)`` from the object's to the camera's axes.
+        v: Velocity ``(3,)``, m/s along the camera's axes; with ``camera_rate`` that against a
+            camera that does not turn.
+        w: Angular velocity relative to the camera ``(3,)``, deg/s along the object's axes.
+        covariance: ``(12, 12)`` of the errors of position (m), velocity (m/s), attitude (rad, the
+            vector ``r`` along the object's axes with ``R_true = R exp([r]x)``) and angular velocity
+            (rad/s).
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    w: FloatArray
+    covariance: FloatArray
+
+    @property
+    def pose(self) -> Pose:
+        """Position and orientation."""
+        return Pose(self.t, self.q)
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """``(12,)``: meters, m/s, degrees and deg/s, in the order of the covariance."""
+        deviations = np.sqrt(np.diag(self.covariance))
+        deviations[6:] = np.degrees(deviations[6:])
+        return deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What a frame has brought.
+
+    Attributes:
+        time: Its time, seconds.
+        outcome: What became of it.
+        estimate: The motion at its time; None without a track.
+        nis: Squared Mahalanobis distance of its pose from what was expected, six degrees of
+            freedom: the normalized innovation squared. None without a track or a pose.
+        mode: Which of its orientations the track was compared with, 0 or 1; None as above.
+    """
+
+    time: float
+    outcome: Outcome
+    estimate: Estimate | None
+    nis: float | None
+    mode: int | None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the frame corrected the track."""
+        return self.outcome in ("accepted", "switched")
+
+
+class Tracker:
+    """Position, velocity, attitude and angular velocity from poses and times.
+
+    Args:
+        settings: What it expects and how it decides.
+
+    Raises:
+        ValueError: A setting is out of its range.
+
+    Examples:
+        >>> from ffpose.geometry import PoseUncertainty
+        >>> tracker = Tracker(Settings(agreeing=2))
+        >>> said = PoseUncertainty(0.01 * np.eye(3), 0.001 * np.eye(3), in_view=1)
+        >>> for time in range(20):
+        ...     pose = Pose([0, 0, 20 - 0.1 * time], [1, 0, 0, 0], said)
+        ...     step = tracker.step(time, pose)
+        >>> step.estimate.v.round(2).tolist()
+        [0.0, 0.0, -0.1]
+    """
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self._tracker = _rust.Tracker((settings or Settings()).in_radians())
+
+    @property
+    def time(self) -> float | None:
+        """Time of the last frame, seconds; None before the first."""
+        return self._tracker.time
+
+    def step(
+        self,
+        time: float,
+        pose: Pose | None,
+        *,
+        camera_rate: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Step:
+        """Move on to the time of a frame, and take in what it says.
+
+        Args:
+            time: Middle of the exposure, seconds; later than the frame before.
+            pose: Pose of the object as a network with uncertainty gives it, a second orientation
+                included; None for a frame without one. A flagged pose says nothing.
+            camera_rate: The camera's own angular velocity since the frame before, as a gyro
+                measures it ``(3,)``, deg/s along the camera's axes.
+
+        Raises:
+            TypeError: The pose is none.
+            ValueError: The time is not later, the pose has no uncertainty, or a covariance is not
+                positive definite; nothing has changed then.
+        """
+        rows = [] if pose is None else _modes(pose)
+        flagged = pose is not None and pose.flagged
+        turning = np.radians(np.asarray(camera_rate, np.float64))
+        if turning.shape != (3,):
+            raise ValueError(f"camera_rate: expected shape (3,), got {turning.shape}")
+        told = self._tracker.step(float(time), [] if flagged else rows, turning.tolist())
+        outcome: Outcome = told["outcome"]
+        if flagged and outcome == "coasted":
+            outcome = "flagged"
+        estimate = None if told["estimate"] is None else _estimate(told["estimate"])
+        return Step(float(time), outcome, estimate, told["nis"], told["mode"])
+
+    @property
+    def alternative(self) -> Estimate | None:
+        """The next best attitude that frames have agreed on; None if there is none."""
+        told = self._tracker.alternative()
+        return None if told is None else _estimate(told)
+
+    def state(self, model: bytes = b"") -> bytes:
+        """Return the tracker as bytes, exact, for `from_state`.
+
+        Args:
+            model: What tells the network from others, as the bytes of its file; its digest is kept.
+        """
+        return self._tracker.state(hashlib.sha256(model).digest())
+
+    @classmethod
+    def from_state(cls, state: bytes, model: bytes = b"") -> Tracker:
+        """Return the tracker of `state`, which goes on as if it had never stopped.
+
+        Raises:
+            ValueError: The bytes are no state, damaged, or of another model.
+        """
+        tracker = cls.__new__(cls)
+        tracker._tracker = _rust.Tracker.from_state(state, hashlib.sha256(model).digest())
+        return tracker
+
+
+def _modes(pose: Pose) -> list[tuple[Any, ...]]:
+    """Return position, orientation, covariances and probability of each orientation."""
+    if not isinstance(pose, Pose):
+        raise TypeError(f"pose: expected a Pose, got {type(pose).__name__}")
+    said = pose.uncertainty
+    if said is None:
+        raise ValueError("pose: expected one with uncertainty, got one without")
+    covariances = said.translation_covariance.tolist(), said.rotation_covariance.tolist()
+    first, second = (float(share) for share in said.probabilities)
+    modes = [(pose.t.tolist(), pose.q.tolist(), *covariances, first)]
+    if said.alternative is not None:
+        modes.append((pose.t.tolist(), said.alternative.tolist(), *covariances, second))
+    return modes
+
+
+def _estimate(told: dict[str, Any]) -> Estimate:
+    return Estimate(
+        np.array(told["position"]),
+        np.array(told["orientation"]),
+        np.array(told["velocity"]),
+        np.degrees(told["rate"]),
+        np.array(told["covariance"]),
+    )

@@ -1,0 +1,191 @@
+"""Frames of a motion: its laws, the light over time, and files that any number of workers write."""
+
+import csv
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from ffpose import cli
+from ffpose.datasets import read_records
+from ffpose.geometry import Pose
+from ffpose.geometry.trajectory import Trajectory
+from ffpose.render import get_scene
+from ffpose.render.dataset.sequence_writer import write_sequence
+from ffpose.render.motion import sample_motion, sample_orbit
+from ffpose.render.sampler import visible_share
+from ffpose.render.sequence import Sequence, read_trajectory, render_frame
+
+SCENE = replace(get_scene("soyuz_hard"), attitude_range_deg=(180.0, 90.0, 180.0))
+SIZE = (64, 48)
+
+
+def rotations(q):
+    return Rotation.from_quat(q, scalar_first=True)
+
+
+@pytest.fixture(scope="module", params=["approach", "tumble", "flyby"])
+def motion(request):
+    times = np.arange(60) / 2
+    return sample_motion(request.param, SCENE, SCENE.build(), times, np.random.default_rng(1))
+
+
+def test_motions_stay_in_the_scenes_ranges_and_in_view(motion):
+    distance = np.linalg.norm(motion.t, axis=1)
+    assert distance.min() >= 8
+    assert distance.max() <= 42
+    outline = SCENE.build().outline
+    for t, q in zip(motion.t, motion.q, strict=True):
+        points = rotations(q).apply(outline) + t
+        assert visible_share(points, SCENE.camera) >= SCENE.min_visible
+
+
+def test_velocities_are_the_derivatives_of_the_poses(motion):
+    np.testing.assert_allclose(np.diff(motion.t, axis=0) * 2, motion.v[1:], atol=1e-9)
+    turned = (rotations(motion.q[:-1]).inv() * rotations(motion.q[1:])).as_rotvec() * 2
+    np.testing.assert_allclose(turned, (motion.w[1:] + motion.w[:-1]) / 2, atol=2e-4)
+
+
+def test_a_tumble_keeps_angular_momentum_and_energy():
+    craft = SCENE.build()
+    motion = sample_motion("tumble", SCENE, craft, np.arange(240) / 2, np.random.default_rng(2))
+    points = craft.outline - craft.outline.mean(axis=0)
+    inertia = (points**2).sum() * np.eye(3) - points.T @ points
+    momentum = rotations(motion.q).apply(motion.w @ inertia)
+    np.testing.assert_allclose(momentum, momentum[[0]].repeat(240, 0), rtol=1e-6, atol=1e-6)
+    energy = np.einsum("ni,ij,nj->n", motion.w, inertia, motion.w)
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-6)
+
+
+def test_an_orbit_turns_once_in_its_period():
+    orbit = sample_orbit(SCENE, 120, np.random.default_rng(3))
+    period = 2 * np.pi / orbit.rate
+    assert 91 * 60 < period < 94 * 60  # low Earth orbit, 380 to 440 km
+    np.testing.assert_allclose(orbit.turn(period), np.eye(3), atol=1e-9)
+    quarter = orbit.at(period / 4)
+    np.testing.assert_allclose(quarter.nadir, orbit.start.nadir)
+    assert abs(quarter.sun @ orbit.normal - orbit.start.sun @ orbit.normal) < 1e-12
+    # what the sun lights of the ground stays: directions in the Earth's frame are those of before
+    np.testing.assert_allclose(
+        quarter.ground @ quarter.sun, orbit.start.ground @ orbit.start.sun, atol=1e-12
+    )
+
+
+def test_a_third_of_the_sequences_crosses_the_shadow():
+    def crosses(seed):
+        orbit = sample_orbit(SCENE, 120, np.random.default_rng([seed, 8]))
+        return orbit.start.eclipsed != orbit.at(120).eclipsed
+
+    assert 12 <= sum(map(crosses, range(60))) <= 30
+
+
+def test_a_steady_motion_between_the_poses_of_a_file(tmp_path):
+    path = tmp_path / "motion.csv"
+    turn = Rotation.from_rotvec([0, 0.1, 0])
+    rows = ["qw,qx,qy,qz,tx,ty,tz,time"]
+    for step in range(3):
+        q = (turn**step).as_quat(scalar_first=True)
+        rows.append(",".join(map(str, [*q, 1, step, 20, 10 + 2 * step])))
+    path.write_text("\n".join(rows) + "\n")
+    motion = read_trajectory(path)
+    np.testing.assert_allclose(motion.w, [[0, 0.05, 0]] * 3, atol=1e-12)
+    np.testing.assert_allclose(motion.pose(1, 0.5).t, [1, 1.25, 20])
+    half = rotations(motion.pose(0, 1.0).q)
+    np.testing.assert_allclose(half.as_rotvec(), [0, 0.05, 0], atol=1e-12)
+
+
+def short(seed=5, frames=4):
+    return Sequence.of_kind("tumble", SCENE, frames / 2, 2, seed, SIZE)
+
+
+def test_files_are_a_csv_set_with_times_and_the_same_for_any_workers(tmp_path):
+    sequence = short()
+    write_sequence(sequence, tmp_path / "one")
+    write_sequence(sequence, tmp_path / "two", workers=2)
+    names = sorted(path.name for path in (tmp_path / "one").iterdir())
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    records = read_records("csv", tmp_path / "one", "frames")
+    assert [record.time for record in records] == [0, 0.5, 1, 1.5]
+    for index, record in enumerate(records):
+        np.testing.assert_allclose(record.pose.vector, sequence.pose(index).vector, rtol=1e-14)
+    assert records[0].camera == sequence.camera
+    again = write_sequence(sequence, tmp_path / "one")
+    assert (again.rendered, again.kept) == (0, 4)
+
+
+def test_dropped_frames_leave_the_others_as_they_are(tmp_path):
+    sequence = short(frames=30)
+    written = write_sequence(sequence, tmp_path / "some", drop=0.8)
+    assert 2 <= written.rendered < 14
+    with (tmp_path / "some/frames.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == written.rendered
+    last = round(float(rows[-1]["time"]) * 2)
+    with Image.open(tmp_path / "some" / rows[-1]["image"]) as image:
+        np.testing.assert_array_equal(np.asarray(image), render_frame(sequence, last))
+
+
+def test_fast_motion_blurs_and_a_rolling_shutter_shears():
+    """A far sideways motion smears the outline along it; nothing else of the frame changes."""
+    still = Trajectory.through(np.array([0.0]), [Pose([0, 0, 15], [1, 0, 0, 0])])
+    moving = replace(still, v=np.array([[30.0, 0, 0]]))
+    frames = []
+    for trajectory, readout in ((still, 0.0), (moving, 0.0), (moving, 0.05)):
+        sequence = Sequence.along(SCENE, trajectory, 3, SIZE)
+        sequence = replace(sequence, exposure_s=0.05, readout_s=readout)
+        frames.append(render_frame(sequence, 0).astype(float).mean(axis=2))
+    assert np.abs(frames[1] - frames[0]).mean() > 1
+    assert np.abs(frames[2] - frames[1]).mean() > 0.3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,tx\n1,2\n", r"motion\.csv:1: expected the columns time, tx.*ty is missing"),
+        ("time,tx,ty,tz,qw,qx,qy,qz\n", "expected at least one row"),
+        ("time,tx,ty,tz,qw,qx,qy,qz\n0,0,0,9,1,0,0,0\n0,0,0,9,1,0,0,0\n", r":3: time: expected"),
+        ("time,tx,ty,tz,qw,qx,qy,qz\nnan,0,0,9,1,0,0,0\n", r":2: time: expected seconds"),
+        ("time,tx,ty,tz,qw,qx,qy,qz\n0,0,0,9,0,0,0,0\n", r":2: .*norm"),
+        ("time,tx,ty,tz,qw,qx,qy,qz\n0,0,0,,1,0,0,0\n", r":2: could not convert"),
+    ],
+)
+def test_files_that_are_no_motion(tmp_path, capsys, text, message):
+    path = tmp_path / "motion.csv"
+    path.write_text(text)
+    out = str(tmp_path / "out")
+    assert cli.main(["render", "soyuz_hard", "--trajectory", str(path), "--out", out]) == 1
+    assert re.search(message, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["soyuz_hard"], "count: expected --count N"),
+        (["approach", "--count", "3"], "count: expected for a scene's images"),
+        (["approach", "--rate", "0"], "expected seconds in 0…100000 and rate in 0…1000"),
+        (["approach", "--drop", "1"], "drop: expected a share"),
+        (["approach", "--seconds", "9000"], "found no motion of"),
+        (["approach", "--scene", "moon"], "scene: expected one of soyuz_easy"),
+    ],
+)
+def test_options_that_contradict_themselves(tmp_path, capsys, options, message):
+    assert cli.main(["render", *options, "--out", str(tmp_path / "out")]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_another_sequence_or_other_files_are_not_overwritten(tmp_path):
+    write_sequence(short(frames=1), tmp_path / "one")
+    with pytest.raises(ValueError, match=r"same sequence as before, got another in \['poses"):
+        write_sequence(short(6, frames=1), tmp_path / "one")
+    (tmp_path / "one/sequence.json").write_text(json.dumps([]))
+    with pytest.raises(ValueError, match="expected the parameters of a sequence"):
+        write_sequence(short(frames=1), tmp_path / "one")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/notes.txt").write_text("mine")
+    with pytest.raises(ValueError, match="files without sequence"):
+        write_sequence(short(frames=1), tmp_path / "other")

@@ -1,0 +1,159 @@
+"""`ffpose track` on a small sequence: its files, and frames, times and states that are none."""
+
+import csv
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from ffpose.errors import DataError
+from ffpose.geometry import Camera, Pose, PoseUncertainty
+from ffpose.tracking import Settings, Tracker
+from ffpose.tracking.errors import track_errors
+from ffpose.tracking.follow import COLUMNS, Followed
+from ffpose.tracking.frames import Frame, read_frames
+from ffpose.tracking.run import run
+
+CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
+SAID = np.diag([0.01, 0.01, 0.04]), 1e-3 * np.eye(3)
+
+
+class Estimator:
+    """A network that reads the pose from the brightness of the frame: its number."""
+
+    class metadata:
+        locates = "object"
+        white = None
+
+    camera = CAMERA
+
+    def __init__(self, poses):
+        self.poses = poses
+
+    def preprocess(self, path):
+        with Image.open(path) as image:
+            if image.size != (64, 48):
+                raise ValueError(f"image: expected 64x48, got {image.size}")
+            return np.full((3, 48, 64), image.getpixel((0, 0))[0], np.float32)
+
+    def estimate(self, inputs):
+        return [self.poses[int(one[0, 0, 0])] for one in inputs]
+
+
+def pose(step, in_view=1.0):
+    turn = Rotation.from_rotvec([0, 0.02 * step, 0])
+    said = PoseUncertainty(*SAID, in_view, 0.5)
+    return Pose([0.1, 0, 20 - 0.05 * step], turn.as_quat(scalar_first=True), said)
+
+
+def frames(folder, count, time=lambda step: step / 2):
+    folder.mkdir(exist_ok=True)
+    for step in range(count):
+        Image.new("RGB", (64, 48), (step, 0, 0)).save(folder / f"{step}.png")
+    truth = [Pose(pose(step).t, pose(step).q) for step in range(count)]
+    return [Frame(folder / f"{step}.png", time(step), truth[step]) for step in range(count)]
+
+
+def rows(out):
+    with (out / "trajectory.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_row_for_each_frame_and_the_other_files(tmp_path):
+    poses = [pose(step, 0.01 if step in (20, 21) else 1.0) for step in range(30)]
+    out = tmp_path / "out"
+    run(Estimator(poses), frames(tmp_path / "set", 30), out)
+    table = rows(out)
+    assert tuple(table[0]) == COLUMNS
+    assert [row["reason"] for row in table[:4]] == ["acquiring"] * 3 + ["accepted"]
+    assert [row["reason"] for row in table[19:23]] == ["accepted", "flagged", "flagged", "accepted"]
+    assert [row["accepted"] for row in table[19:23]] == ["1", "0", "0", "1"]
+    assert table[0]["tx"] == ""
+    assert table[20]["tx"] != ""
+    last = {name: float(table[-1][name]) for name in COLUMNS if name != "reason"}
+    assert last["time"] == 14.5
+    assert abs(last["tz"] - (20 - 0.05 * 29)) < 0.1
+    assert abs(last["vz"] + 0.1) < 0.05
+    assert abs(last["wy"] - np.degrees(0.04)) < 1
+    assert all(last[name] > 0 for name in COLUMNS if name.startswith("sd_"))
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64") == 3
+    with Image.open(out / "overlay.webp") as overlay:
+        assert overlay.size == (480, 360)
+        assert overlay.n_frames > 1  # frames that look the same are one
+
+
+def test_an_image_that_cannot_be_used_is_coasted_over_and_told(tmp_path):
+    sequence = frames(tmp_path / "set", 12)
+    (tmp_path / "set/6.png").unlink()
+    Image.new("RGB", (48, 48)).save(tmp_path / "set/8.png")
+    with pytest.raises(DataError, match=r"2 of 12 images have no pose; the first: .*6\.png"):
+        run(Estimator([pose(step) for step in range(12)]), sequence, tmp_path / "out")
+    table = rows(tmp_path / "out")
+    assert "6.png" in table[6]["reason"]
+    assert "48x48" not in table[6]["reason"]
+    assert "expected 64x48" in table[8]["reason"]
+    assert table[6]["tx"] != ""
+    assert table[6]["accepted"] == "0"
+
+
+def test_an_empty_sky_has_no_track(tmp_path):
+    poses = [pose(step, 0.0) for step in range(8)]
+    with pytest.raises(DataError, match="no track: of 8 frames 8 are flagged"):
+        run(Estimator(poses), frames(tmp_path / "set", 8), tmp_path / "out")
+    assert [row["tx"] for row in rows(tmp_path / "out")] == [""] * 8
+
+
+def test_what_was_done_before_an_interruption_is_written(tmp_path):
+    def stop(followed):
+        if followed.frame.time == 3:
+            raise KeyboardInterrupt
+
+    poses = [pose(step) for step in range(12)]
+    with pytest.raises(KeyboardInterrupt):
+        run(Estimator(poses), frames(tmp_path / "set", 12), tmp_path / "out", said=stop)
+    assert len(rows(tmp_path / "out")) == 7
+
+
+TIMES = "image,time\na.png,0\nb.png,0.5\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (TIMES.replace("0.5", "0"), r"t\.csv:3: time: expected later than 0\.0 s, .* got 0\.0 s"),
+        (TIMES.replace("0.5", "-1"), r"t\.csv:3: time: expected later"),
+        (TIMES.replace("0.5", "nan"), r"t\.csv:3: time: expected a finite number"),
+        (TIMES.replace("time", "when"), r"t\.csv:1: expected the columns image, time"),
+        (TIMES.replace("b.png", "a.png"), r"t\.csv:3: a\.png is on line 2 already"),
+        ("image,time\n", r"t\.csv: expected at least one row"),
+    ],
+)
+def test_times_that_are_none(tmp_path, text, message):
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(DataError, match=message):
+        read_frames(tmp_path, path)
+
+
+def test_folders_without_times(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"frames\.csv, or another file as --times"):
+        read_frames(tmp_path)
+
+
+def test_errors_are_those_of_hand_made_tracks():
+    """The first frame is believed as it is; the second truth is 1 m and 10 degrees away."""
+    tracker = Tracker(Settings(agreeing=1))
+    followed = []
+    for step in range(3):
+        seen = pose(step)
+        turn = Rotation.from_quat(seen.q, scalar_first=True)
+        true = turn * Rotation.from_rotvec(np.radians([10, 0, 0]) * step)
+        truth = Pose(seen.t + np.array([step, 0, 0]), true.as_quat(scalar_first=True))
+        taken = tracker.step(step, seen)
+        followed.append(Followed(Frame("none", step, truth), seen, taken, taken.outcome))
+    measured = track_errors(followed)
+    np.testing.assert_allclose(measured.alone, [[0, 0], [1, 10], [2, 20]], atol=1e-9)
+    np.testing.assert_allclose(measured.errors[0, :3], 0, atol=1e-12)
+    np.testing.assert_allclose(measured.since, [0, 1, 2])

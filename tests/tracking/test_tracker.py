@@ -1,0 +1,278 @@
+"""The tracker against a textbook Kalman filter, its own noise, and malformed poses."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, sqrtm
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.tracking import Settings, Tracker
+
+PLAIN = Settings(gate=np.inf, tails=np.inf, agreeing=1, coasting=np.inf)
+"""A filter alone, which believes everything."""
+
+
+def hat(v):
+    """The matrix whose product with u is v x u."""
+    return np.cross(v, np.eye(3)).T
+
+
+def pose(t, rotation, ct, cr, in_view=1.0, threshold=None):
+    said = PoseUncertainty(ct, cr, in_view, threshold)
+    return Pose(t, rotation.as_quat(scalar_first=True), said)
+
+
+def jacobian(v):
+    """exp(v + e) = exp(v) exp(J e), by central differences of SciPy's rotations."""
+    step, inverse = 1e-6, Rotation.from_rotvec(v).inv()
+    return np.stack(
+        [
+            (
+                (inverse * Rotation.from_rotvec(v + step * e)).as_rotvec()
+                - (inverse * Rotation.from_rotvec(v - step * e)).as_rotvec()
+            )
+            / (2 * step)
+            for e in np.eye(3)
+        ],
+        axis=1,
+    )
+
+
+class Textbook:
+    """The same filter with whole matrices; transition and noise by Van Loan."""
+
+    def __init__(self, settings, t, rotation, ct, cr):
+        self.s = settings
+        self.p, self.v, self.r, self.w = np.array(t), np.zeros(3), rotation, np.zeros(3)
+        self.bias = np.zeros(6)
+        self.cov = np.zeros((18, 18))
+        m = rotation.as_matrix()
+        self.cov[:3, :3], self.cov[6:9, 6:9] = ct, m.T @ cr @ m
+        self.cov[3:6, 3:6] = settings.velocity**2 * np.eye(3)
+        self.cov[9:12, 9:12] = np.radians(settings.rate) ** 2 * np.eye(3)
+        self.cov[12:, 12:] = np.eye(6)
+        for place, bias, root in zip((0, 6), (12, 15), self.roots(rotation, ct, cr), strict=True):
+            self.cov[place : place + 3, bias : bias + 3] = -root
+            self.cov[bias : bias + 3, place : place + 3] = -root
+
+    def roots(self, rotation, ct, cr):
+        m = rotation.as_matrix()
+        shares = 1 - self.s.position_noise, 1 - self.s.attitude_noise
+        return sqrtm(ct * shares[0]).real, sqrtm(m.T @ cr @ m * shares[1]).real
+
+    def predict(self, dt):
+        s = self.s
+        ray = np.cross(self.p, self.v) / (self.p @ self.p)
+        seen = self.w - self.r.inv().apply(ray)
+        turned = dt * np.sqrt(seen @ seen + np.trace(self.cov[9:12, 9:12]))
+        a, g = np.zeros((12, 12)), np.zeros((12, 12))
+        a[:3, 3:6] = np.eye(3)
+        a[6:9, 6:9], a[6:9, 9:] = -hat(self.w), np.eye(3)
+        g[3:6, 3:6] = s.acceleration**2 * np.eye(3)
+        g[9:, 9:] = np.radians(s.angular_acceleration) ** 2 * np.eye(3)
+        loan = expm(np.block([[-a, g], [np.zeros((12, 12)), a.T]]) * dt)  # Van Loan, 1978
+        f, q = np.eye(18), np.zeros((18, 18))
+        f[:12, :12] = loan[12:, 12:].T
+        q[:12, :12] = f[:12, :12] @ loan[:12, 12:]
+        for place, angle in ((12, s.position_angle), (15, s.attitude_angle)):
+            kept = np.exp(-turned / np.radians(angle))
+            f[place : place + 3, place : place + 3] = kept * np.eye(3)
+            q[place : place + 3, place : place + 3] = (1 - kept**2) * np.eye(3)
+        self.p = self.p + self.v * dt
+        self.r = self.r * Rotation.from_rotvec(self.w * dt)
+        self.cov = f @ self.cov @ f.T + q
+
+    def correct(self, t, rotation, ct, cr):
+        s, m = self.s, rotation.as_matrix()
+        st, sr = self.roots(rotation, ct, cr)
+        h = np.zeros((6, 18))
+        h[:3, :3], h[:3, 12:15], h[3:, 6:9], h[3:, 15:] = np.eye(3), st, np.eye(3), sr
+        noise = np.zeros((6, 6))
+        noise[:3, :3], noise[3:, 3:] = ct * s.position_noise, m.T @ cr @ m * s.attitude_noise
+        turn = (self.r.inv() * rotation).as_rotvec()
+        y = np.concatenate([t - self.p, turn]) - np.concatenate(
+            [st @ self.bias[:3], sr @ self.bias[3:]]
+        )
+        inverse = np.linalg.inv(h @ self.cov @ h.T + noise)
+        gain = self.cov @ h.T @ inverse
+        dx = gain @ y
+        self.p, self.v, self.w = self.p + dx[:3], self.v + dx[3:6], self.w + dx[9:12]
+        self.r = self.r * Rotation.from_rotvec(dx[6:9])
+        self.bias = self.bias + dx[12:]
+        joseph = np.eye(18) - gain @ h
+        self.cov = joseph @ self.cov @ joseph.T + gain @ noise @ gain.T
+        reset = np.eye(18)
+        reset[6:9, 6:9] = jacobian(dx[6:9])
+        self.cov = reset @ self.cov @ reset.T
+        return y @ inverse @ y
+
+
+def covariances(rng):
+    half = rng.normal(size=(2, 3, 3)) * np.array([0.1, 0.03])[:, None, None]
+    return half @ half.transpose(0, 2, 1) + np.array([1e-4, 1e-5])[:, None, None] * np.eye(3)
+
+
+def test_equals_a_textbook_filter_with_whole_matrices():
+    rng = np.random.default_rng(3)
+    rotation, t, time = Rotation.random(random_state=4), np.array([1.0, -2.0, 15.0]), 0.0
+    rate, velocity = np.array([0.03, -0.05, 0.02]), np.array([0.05, 0.02, -0.1])
+    ct, cr = covariances(rng)
+    textbook, tracker = Textbook(PLAIN, t, rotation, ct, cr), Tracker(PLAIN)
+    tracker.step(time, pose(t, rotation, ct, cr))
+    for _ in range(40):
+        dt = rng.uniform(0.05, 2.0)
+        time += dt
+        t, rotation = t + velocity * dt, rotation * Rotation.from_rotvec(rate * dt)
+        ct, cr = covariances(rng)
+        seen_t = t + rng.normal(size=3) * 0.05
+        seen_r = rotation * Rotation.from_rotvec(rng.normal(size=3) * 0.02)
+        textbook.predict(dt)
+        nis = textbook.correct(seen_t, seen_r, ct, cr)
+        step = tracker.step(time, pose(seen_t, seen_r, ct, cr))
+        mine = step.estimate
+        np.testing.assert_allclose(step.nis, nis, rtol=1e-6)
+        np.testing.assert_allclose(mine.t, textbook.p, atol=1e-9)
+        np.testing.assert_allclose(mine.v, textbook.v, atol=1e-9)
+        np.testing.assert_allclose(np.radians(mine.w), textbook.w, atol=1e-9)
+        q = Rotation.from_quat(mine.q, scalar_first=True)
+        assert (q.inv() * textbook.r).magnitude() < 1e-9
+        np.testing.assert_allclose(mine.covariance, textbook.cov[:12, :12], atol=1e-10)
+
+
+def walk(rng, settings, frames, dt):
+    """One run of the model itself: a motion, frames with its noise, and the truths."""
+    s = settings
+    p, v = np.array([0.0, 0.0, 20.0]), rng.normal(size=3) * s.velocity
+    r, w = Rotation.random(random_state=rng), rng.normal(size=3) * np.radians(s.rate)
+    a, b = rng.normal(size=(2, 3))
+    ct, cr = np.diag([0.05, 0.05, 0.3]) ** 2, np.diag([0.02, 0.03, 0.015]) ** 2
+    substeps = 20
+    for _ in range(frames):
+        m = r.as_matrix()
+        body = m.T @ cr @ m
+        n = rng.normal(size=(2, 3))
+        shares = s.position_noise, s.attitude_noise
+        et = sqrtm(ct).real @ (np.sqrt(1 - shares[0]) * a + np.sqrt(shares[0]) * n[0])
+        er = sqrtm(body).real @ (np.sqrt(1 - shares[1]) * b + np.sqrt(shares[1]) * n[1])
+        # the frame's own covariance is of its camera's axes, and turned by its own attitude
+        seen = r * Rotation.from_rotvec(er)
+        turned = seen.as_matrix()
+        yield (p.copy(), v.copy(), r, w.copy()), pose(p + et, seen, ct, turned @ body @ turned.T)
+        turn = 0.0
+        for _ in range(substeps):
+            h = dt / substeps
+            p = p + v * h
+            v = v + rng.normal(size=3) * s.acceleration * np.sqrt(h)
+            r = r * Rotation.from_rotvec(w * h)
+            w = w + rng.normal(size=3) * np.radians(s.angular_acceleration) * np.sqrt(h)
+            seen_rate = w - r.inv().apply(np.cross(p, v) / (p @ p))
+            turn += np.linalg.norm(seen_rate) * h
+        for bias, angle in ((a, s.position_angle), (b, s.attitude_angle)):
+            kept = np.exp(-turn / np.radians(angle))
+            bias *= kept
+            bias += np.sqrt(1 - kept**2) * rng.normal(size=3)
+
+
+def test_covariances_are_those_of_the_errors_on_the_models_own_noise():
+    settings = Settings(
+        gate=np.inf, tails=np.inf, agreeing=1, velocity=0.05, rate=2.0, angular_acceleration=0.02
+    )
+    nees, nis = [], []
+    for seed in range(60):
+        tracker = Tracker(settings)
+        for frame, ((p, v, r, w), seen) in enumerate(
+            walk(np.random.default_rng([seed, 1]), settings, 60, 0.5)
+        ):
+            step = tracker.step(0.5 * frame, seen)
+            if frame % 20 == 19:
+                mine = step.estimate
+                turn = Rotation.from_quat(mine.q, scalar_first=True).inv() * r
+                error = [p - mine.t, v - mine.v, turn.as_rotvec(), w - np.radians(mine.w)]
+                error = np.concatenate(error)
+                nees.append(error @ np.linalg.solve(mine.covariance, error))
+            if frame > 5:
+                nis.append(step.nis)
+    # the mean of n independent χ² of 12 degrees of freedom, runs being independent
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], 12 * 60) / 60
+    for age in range(3):
+        assert low < np.mean(nees[age::3]) < high
+    assert 5.7 < np.mean(nis) < 6.3
+
+
+def steady(seconds, rng, settings=None):
+    tracker = Tracker(settings)
+    for frame in range(2 * seconds):
+        said = np.diag([0.01, 0.01, 0.04]), 1e-3 * np.eye(3)
+        seen = pose([0, 0, 20 - 0.05 * frame], Rotation.from_rotvec([0, 0.02 * frame, 0]), *said)
+        step = tracker.step(0.5 * frame, seen)
+    return tracker, step
+
+
+def test_velocity_and_angular_velocity_in_the_units_of_their_names():
+    _, step = steady(60, np.random.default_rng(0))
+    np.testing.assert_allclose(step.estimate.v, [0, 0, -0.1], atol=0.01)
+    np.testing.assert_allclose(step.estimate.w, np.degrees([0, 0.04, 0]), atol=0.2)
+    deviations = step.estimate.standard_deviations
+    np.testing.assert_allclose(deviations[:6] ** 2, np.diag(step.estimate.covariance)[:6])
+    np.testing.assert_allclose(
+        np.radians(deviations[6:]) ** 2, np.diag(step.estimate.covariance)[6:]
+    )
+
+
+def test_flagged_frames_and_frames_without_a_pose_are_coasted():
+    tracker, _ = steady(20, np.random.default_rng(0))
+    empty = pose([3, 3, 9], Rotation.identity(), np.eye(3), np.eye(3), 0.01, 0.5)
+    assert tracker.step(20, empty).outcome == "flagged"
+    assert tracker.step(20.5, None).outcome == "coasted"
+    assert Tracker().step(0, empty).outcome == "acquiring"
+
+
+def test_a_second_orientation_is_followed_beside_the_first():
+    tracker, half = Tracker(), Rotation.from_rotvec([0, np.pi, 0])
+    for frame in range(20):
+        turn = Rotation.from_rotvec([0, 0.02 * frame, 0])
+        other = (turn * half).as_quat(scalar_first=True)
+        said = PoseUncertainty(
+            0.01 * np.eye(3), 1e-3 * np.eye(3), 1.0, alternative=other, probabilities=(0.5, 0.5)
+        )
+        step = tracker.step(frame / 2, Pose([0, 0, 20], turn.as_quat(scalar_first=True), said))
+    assert abs(step.estimate.q @ tracker.alternative.q) < 0.1
+    first = Rotation.from_quat(step.estimate.q, scalar_first=True)
+    assert min((first.inv() * each).magnitude() for each in (turn, turn * half)) < 0.05
+
+
+def test_a_state_is_that_of_its_model():
+    tracker, _ = steady(20, np.random.default_rng(0))
+    again = Tracker.from_state(tracker.state(b"network"), b"network")
+    assert again.step(20, None).estimate.t.tolist() == tracker.step(20, None).estimate.t.tolist()
+    with pytest.raises(ValueError, match="of this model, got that of another"):
+        Tracker.from_state(tracker.state(b"network"), b"other")
+
+
+GOOD = pose([0, 0, 9], Rotation.identity(), np.eye(3), np.eye(3))
+SKEW = pose([0, 0, 9], Rotation.identity(), np.eye(3), np.diag([1.0, 1.0, -1.0]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ((5.0, GOOD), ValueError, "time: expected later than 9.5 s, the frame before, got 5 s"),
+        ((9.5, GOOD), ValueError, "time: expected later"),
+        ((np.nan, GOOD), ValueError, "time: expected finite"),
+        ((20.0, SKEW), ValueError, "rotation_covariance: expected a positive definite matrix"),
+        ((20.0, Pose([0, 0, 9], [1, 0, 0, 0])), ValueError, "uncertainty, got one without"),
+        ((20.0, [GOOD]), TypeError, "pose: expected a Pose, got list"),
+    ],
+)
+def test_what_is_no_frame_is_refused_and_changes_nothing(arguments, error, message):
+    tracker, _ = steady(10, np.random.default_rng(0))
+    before = tracker.state()
+    with pytest.raises(error, match=message):
+        tracker.step(*arguments)
+    assert tracker.state() == before
+
+
+def test_settings_out_of_range_are_refused():
+    with pytest.raises(ValueError, match="attitude_noise: expected a share above 0, up to 1"):
+        Tracker(Settings(attitude_noise=0))
