@@ -19,7 +19,7 @@ from ffpose.geometry import URSO_CAMERA
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import build_network
 from speedplus_sets import write_speedplus
-from tiny_runs import SIZE, write_set
+from tiny_runs import SIZE, random_pose, write_set
 
 ROOT = Path(__file__).parents[1]
 VIEW = URSO_CAMERA.resized(*SIZE)
@@ -87,6 +87,22 @@ def write_mesh(path):
     trimesh.creation.box((2000, 1500, 3000)).export(path)
 
 
+def write_csv_set(folder):
+    """Write labeled images as kind csv, and their camera."""
+    width, height = SIZE
+    generator = np.random.default_rng(5)
+    for split, count in (("train", 6), ("val", 4), ("test", 2)):
+        rows = ["image,tx,ty,tz,qw,qx,qy,qz"]
+        for number in range(count):
+            name = f"{split}-{number}.png"
+            write_picture(folder / name, number)
+            pose = random_pose(generator)
+            rows.append(",".join([name, *map(str, [*pose.t, *pose.q])]))
+        (folder / f"{split}.csv").write_text("\n".join(rows) + "\n")
+    camera = {"width": width, "height": height, "fx": 40.0, "fy": 40.0, "cx": 32.0, "cy": 24.0}
+    (folder / "camera.json").write_text(json.dumps(camera))
+
+
 def write_stages(path):
     """Write two of the paper's stages, of an epoch each."""
     second = "{name: translation, epochs: 1, freeze: [backbone, orientation_branch]}"
@@ -110,6 +126,11 @@ OF_PAGES = {
         "camera.json": write_camera,
     },
     "docs/onboard.md": {"look.safetensors": write_looking},
+    "docs/own-spacecraft.md": {
+        "satellite.glb": write_mesh,
+        "image.png": write_picture,
+        "real": write_csv_set,
+    },
     "docs/scenes.md": {"camera.json": write_camera, "satellite.glb": write_mesh},
     "docs/training.md": {
         "URSO/soyuz_hard": write_set,

@@ -7,6 +7,7 @@ other programs too, so that a page that gets a new one has to say what becomes o
 
 import os
 import shlex
+from functools import partial
 from importlib.util import find_spec
 from itertools import chain
 
@@ -18,6 +19,8 @@ from benchmarks.filter.cases import Case, Plan
 from ffpose.arrays import instruction_set
 from ffpose.bench import filter as quick_bench
 from ffpose.cli import main
+from ffpose.learn import run as learn
+from ffpose.learn.plan import Speed, Stage
 from option_words import changes_of, options_of
 from pages import TEXTS, blocks_in_order, code_blocks
 from reader_files import FILTERFORMER, OF_PAGES, POSENET, write_files
@@ -54,6 +57,7 @@ SMALL = {
     "configs/dragon.yaml": f"configs/dragon.yaml {VIEWS}",
     "--count 60": "--count 2 --size 64x48",
     "--data.count 200": "--data.count 2",
+    "--epochs 40": "--epochs 1 --batch-size 2 --data.workers 0 --processes 1",
     # studies: one run of a variant or two
     "--seeds 3 --minutes 3": "--seeds 1 --minutes 0.0001 --test-images 2"
     f" --variants tokens posenet {RENDERED}",
@@ -150,6 +154,11 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "ALLOCATORS", ["default"])  # each has a process of its own
     monkeypatch.setattr(quick_bench, "FEW", (("tokens", (4, 6)),))
     monkeypatch.setattr(quick_bench, "BATCHES", (1,))
+    monkeypatch.setattr(learn, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
+    tiny = (Stage("first", 40, 1), Stage("second", 40, 1))
+    monkeypatch.setattr(learn, "stages", lambda minutes, speed: tiny)
+    small = partial(learn.LearnConfig, test_images=3, card_images=2, processes=1)
+    monkeypatch.setattr(learn, "LearnConfig", lambda *given, **named: small(*given[:7], **named))
     return tmp_path
 
 
