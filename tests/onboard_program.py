@@ -112,7 +112,7 @@ def expected(estimator, image):
 
 def assert_same(got, wanted, tolerance):
     assert list(got) == list(wanted)
-    words = {"image", "flagged", "locates"}
+    words = {"image", "flagged", "locates", "degrees_of_freedom"}
     assert all(got.get(name) == wanted.get(name) for name in words)
     for name in wanted.keys() - words - {"roll_pitch_yaw_deg"}:
         np.testing.assert_allclose(got[name], wanted[name], rtol=0, atol=tolerance)

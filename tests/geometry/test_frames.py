@@ -268,3 +268,41 @@ def test_a_pose_is_flagged_below_the_networks_threshold():
     assert pose.flagged is True
     with pytest.raises(ValueError, match=r"in_view_threshold: expected a probability, got 1\.5"):
         flagged(0.25, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"degrees_of_freedom": (4.0, 2.0)}, r"degrees_of_freedom: expected above 2 each, got \(4"),
+        ({"alternative": [1.0, 1.0, 0.0, 0.0]}, "expected norm 1"),
+        ({"alternative": np.eye(4)}, r"alternative: expected shape \(4,\), got \(4, 4\)"),
+        ({"probabilities": (0.5, 1.5)}, r"probabilities: expected in 0…1, got \(0\.5, 1\.5\)"),
+    ],
+)
+def test_tails_and_modes_that_are_none_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        PoseUncertainty(np.eye(3), np.eye(3), 0.5, **wrong)
+
+
+def test_uncertainties_with_other_modes_differ():
+    fields = {"alternative": [0.0, 1.0, 0.0, 0.0], "probabilities": (0.5, 0.25)}
+    one, same = (PoseUncertainty(np.eye(3), np.eye(3), 0.5, **fields) for _ in range(2))
+    assert one == same
+    assert hash(one) == hash(same)
+    for change in ({"alternative": [0.0, 0.0, 1.0, 0.0]}, {"probabilities": (0.5, 0.5)}):
+        assert one != PoseUncertainty(np.eye(3), np.eye(3), 0.5, **(fields | change))
+    assert one != PoseUncertainty(np.eye(3), np.eye(3), 0.5, None, (5.0, 5.0), **fields)
+
+
+def test_a_batch_has_a_second_mode_each():
+    covariances = np.tile(np.eye(3), (2, 1, 1))
+    second = [[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]]
+    found = poses(
+        *(np.tile([0, 0, 10], (2, 1)), np.tile([1, 0, 0, 0], (2, 1)), covariances, covariances),
+        *([0.5, 0.75], second, [[0.75, 0.25], [0.5, 0.125]]),
+        degrees_of_freedom=(5.0, 3.0),
+    )
+    said = [pose.uncertainty for pose in found]
+    assert [each.alternative.tolist() for each in said] == [second[0], [0.0, 0.0, 0.0, 1.0]]
+    assert [each.probabilities for each in said] == [(0.75, 0.25), (0.5, 0.125)]
+    assert [each.degrees_of_freedom for each in said] == [(5.0, 3.0)] * 2

@@ -1,3 +1,4 @@
+import json
 import re
 from dataclasses import replace
 from typing import NamedTuple
@@ -302,10 +303,25 @@ def test_the_json_form_holds_the_uncertainty(tmp_path):
     document = Prediction(tmp_path / "a.png", sure_pose(threshold=0.2)).to_dict()
     assert document["translation_covariance_m2"] == TRANSLATION_COVARIANCE.tolist()
     assert document["rotation_covariance_rad2"] == ROTATION_COVARIANCE.tolist()
+    assert document["degrees_of_freedom"] is None
+    assert document["probabilities"] == [1.0, 0.0]
     assert document["in_view"] == 0.25
     assert document["flagged"] is False
     unknown = Prediction(tmp_path / "a.png", sure_pose()).to_dict()
     assert unknown == {name: value for name, value in document.items() if name != "flagged"}
+
+
+def test_the_json_form_holds_tails_and_the_second_mode(tmp_path):
+    said = PoseUncertainty(
+        *(TRANSLATION_COVARIANCE, ROTATION_COVARIANCE, 0.25),
+        degrees_of_freedom=(4.5, 3.0),
+        alternative=[0.0, -0.6, 0.0, 0.8],
+        probabilities=(0.75, 0.125),
+    )
+    document = Prediction(tmp_path / "a.png", Pose([0, 0, 10], [1, 0, 0, 0], said)).to_dict()
+    assert json.loads(json.dumps(document))["degrees_of_freedom"] == [4.5, 3.0]
+    assert document["alternative_wxyz"] == [0.0, 0.6, 0.0, -0.8]
+    assert document["probabilities"] == [0.75, 0.125]
 
 
 def test_in_words_with_uncertainty():

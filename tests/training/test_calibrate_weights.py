@@ -3,6 +3,7 @@
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -62,6 +63,7 @@ def test_the_command_in_the_header_calibrates_to_the_same_values(trained, tmp_pa
     [
         CalibrationImages(),
         CalibrationImages(seed=CALIBRATION.start + 5, count=3, attitude_range_deg=(9.0, 8.0, 7.0)),
+        CalibrationImages(cut=True, randomized=True, distance=(0.75, 1.5)),
         CalibrationImages("urso", Path("set"), split="train", start=3, step=6, undistort=True),
         CalibrationImages("csv", Path("set"), white="p99.5"),
     ],
@@ -86,6 +88,29 @@ def test_the_set_is_the_first_that_the_weights_were_trained_on(trained, tmp_path
     FilterformerPose.from_pretrained(trained).save_pretrained(unknown)
     with pytest.raises(ValueError, match=r"data\.scene: expected the name of a rendered set, got"):
         calibrate_weights(unknown, images)
+
+
+def test_the_kinds_are_those_that_training_saw(trained, tmp_path):
+    """Objects that the border cuts and randomized scenes, at distances beyond the set's."""
+    header, weights = read_metadata(trained), tmp_path / "cut.safetensors"
+    seen = header.recipe["data"] | {"cut": 1, "randomized": 2, "distance": [0.75, 1.5]}
+    FilterformerPose.from_pretrained(trained).save_pretrained(
+        weights, recipe=header.recipe | {"data": seen}, data=header.data
+    )
+    images = CalibrationImages(root=tmp_path / "images", seed=CALIBRATION.start + 3, count=COUNT)
+    calibrate_weights(weights, images)
+    said = read_metadata(weights).calibration
+    assert [each["seed"] - CALIBRATION.start for each in said["images"]] == [
+        *(3, 300_003, 400_003, 500_003),
+    ]
+    for word in ("--data.cut", "--data.randomized", "--data.distance 0.75,1.5"):
+        assert word in said["command"]
+    labels = sorted((tmp_path / "images").glob("frames-*/gt.csv"))
+    assert len(labels) == 3
+    places = [np.loadtxt(path, delimiter=",", skiprows=1, usecols=(0, 1, 2)) for path in labels]
+    distances = np.linalg.norm(np.concatenate(places), axis=1)
+    assert distances.min() > 0.75 * 8
+    assert distances.max() < 1.5 * 22
 
 
 def test_a_network_that_looks_once_is_refused(tmp_path):

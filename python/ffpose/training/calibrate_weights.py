@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 from ffpose import __version__
 from ffpose.config import looks_twice
 from ffpose.datasets import PoseDataset, Sample
-from ffpose.models import SecondLookNetwork, load_network, read_metadata
+from ffpose.models import SecondLookNetwork, WeightsMetadata, load_network, read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.models.zoo import resolve
 from ffpose.training.calibrate import Calibration, calibrate
@@ -53,9 +53,24 @@ def calibrate_weights(
     if out is None and resolve(weights) != Path(weights):
         raise ValueError(f"out: expected a file, as {weights} is installed for all; got none")
     if images.kind == "scenes" and images.scene is None:
-        sets = (metadata.data or {}).get("sets", [])
-        images = replace(images, scene=sets[0]["scene"] if sets else None)
+        images = _as_trained(images, metadata)
     return write_calibrated(weights, open_calibration(images, metadata.preprocessing), out=out)
+
+
+def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> CalibrationImages:
+    """Return images of the first set that the weights were trained on, of all kinds that they saw.
+
+    ``scene`` stays None where the header names no set.
+    """
+    sets = (metadata.data or {}).get("sets", [])
+    seen = (metadata.recipe or {}).get("data", {})
+    return replace(
+        images,
+        scene=sets[0]["scene"] if sets else None,
+        cut=images.cut or seen.get("cut", 0) > 0,
+        randomized=images.randomized or seen.get("randomized", 0) > 0,
+        distance=tuple(seen.get("distance", images.distance)),
+    )
 
 
 def write_calibrated(

@@ -35,7 +35,7 @@ class CalibrationImages:
             kind (whole, cut by the border, randomized, without the object) ``count`` are rendered.
         root: Folder of the image set; for kind "scenes" that which keeps the images.
         scene: For kind "scenes": name of the rendered set; None for the first that the weights were
-            trained on.
+            trained on, and what is below of it as in that training.
         seed: For kind "scenes": seed of the set, one of `ffpose._internal.seeds.CALIBRATION`.
         count: For kind "scenes": number of images of each kind, 2 or more.
         cut: For kind "scenes": objects that the border cuts too.
