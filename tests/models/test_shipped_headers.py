@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ffpose._internal.seeds import CALIBRATION, TRAINING
-from ffpose.cli import build_parser
+from ffpose.cli import build_parser, words_of
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.card.seen import trainings
 from ffpose.models import read_metadata, zoo
@@ -78,7 +78,8 @@ def test_the_command_in_the_header_names_the_images_in_the_header(name):
     said = read_metadata(name).calibration
     words = shlex.split(said["command"])
     assert words[:2] == ["ffpose", "calibrate"]
-    options = build_parser("calibrate").parse_args(words[2:])
+    parser = build_parser("calibrate")
+    options = parser.instantiate(parser.parse_args(words_of("calibrate", words[2:])))
     data = options.data
     kinds = ((True, 0), (data.cut, CUT_SEEDS), (data.randomized, RANDOMIZED_SEEDS))
     seeds = [data.seed + more for shown, more in (*kinds, (True, EMPTY_SEEDS)) if shown]
