@@ -153,5 +153,5 @@ def test_the_reference_names_what_exists(page, name):
 
 
 def test_every_page_is_in_the_navigation():
-    named = set(re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text()))
+    named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text()))
     assert named == {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}

@@ -388,6 +388,7 @@ def test_uncertainty_stands_in_the_files(uncertain, evaluation, tmp_path):
     [
         ({"translation_covariance": np.zeros((6, 3, 3))}, "translation_covariance: .* in row 0"),
         ({"rotation_covariance": np.ones((5, 3, 3))}, r"expected shape \(6, 3, 3\)"),
+        ({"rotation_covariance": np.tile(np.eye(3), (6, 1, 1))}, "expected both or none, got one"),
         ({"in_view": np.full(6, 1.5)}, "in_view: expected probabilities, got 1.5"),
         ({"in_view": np.ones(5)}, r"in_view: expected shape \(6,\), got \(5,\)"),
         ({"in_view_empty": np.array([])}, r"in_view_empty: expected shape \(M,\)"),

@@ -146,8 +146,8 @@ def test_the_errors_say_what_is_wrong(written, tmp_path):
         read_model_metadata(written(altered))
     with pytest.raises(DataError, match="altered: expected SHA-256"):
         read_model_metadata(written(FILE + graph_bytes({})))
-    newer = METADATA.to_entries() | {"ffpose_format": "2", "ffpose_version": "9.9"}
-    with pytest.raises(DataError, match=r"format 1, .* got format 2, written by ffpose 9\.9"):
+    newer = METADATA.to_entries() | {"ffpose_format": "3", "ffpose_version": "9.9"}
+    with pytest.raises(DataError, match=r"format 2, .* got format 3, written by ffpose 9\.9"):
         read_model_metadata(written(sealed(graph_bytes(newer))))
     other = METADATA.to_entries() | {"quaternion_order": "xyzw"}
     with pytest.raises(DataError, match=r"quaternion_order: expected .*'wxyz'.*, got 'xyzw'"):

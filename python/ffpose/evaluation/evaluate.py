@@ -77,7 +77,7 @@ class Evaluation:
 
     Raises:
         ValueError: A covariance is not symmetric and positive definite, a probability is outside
-            0…1, or shapes do not match.
+            0…1, shapes do not match, or there is one covariance alone.
     """
 
     dataset: PoseDataset
@@ -96,6 +96,8 @@ class Evaluation:
         for name in ("translation_covariance", "rotation_covariance"):
             if (covariance := getattr(self, name)) is not None:
                 check_covariance(name, covariance, len(self.dataset))
+        if (self.translation_covariance is None) != (self.rotation_covariance is None):
+            raise ValueError("covariances: expected both or none, got one")
         for name, count in (("in_view", len(self.dataset)), ("in_view_empty", None)):
             if (probability := getattr(self, name)) is not None:
                 check_probability(name, probability, count)
@@ -214,9 +216,8 @@ class Evaluation:
             name: summarize_regions(probability)
             for name, probability in self.region_probabilities.items()
         }
-        if self.translation_covariance is not None:
+        if self.translation_covariance is not None and self.rotation_covariance is not None:
             result["translation"]["median_sigma_m"] = _median_sigma(self.translation_covariance)
-        if self.rotation_covariance is not None:
             sigma = _median_sigma(self.rotation_covariance)
             result["rotation"]["median_sigma_deg"] = float(np.degrees(sigma))
         if self.in_view is not None:

@@ -92,13 +92,14 @@ def test_the_page_shows_parts_conditions_and_uncertainty(dataset, tmp_path):
     sure = replace(
         evaluation,
         translation_covariance=np.tile(np.eye(3), (5, 1, 1)),
+        rotation_covariance=np.tile(np.eye(3), (5, 1, 1)),
         in_view=np.linspace(0.2, 1, 5),
         in_view_empty=np.array([0.1]),
     )
     told = page(sure, tmp_path / "told.html")
     assert "Predicted uncertainty" in told
     assert "<td>truths in the 90 % region of translation</td><td>100.0 %</td>" in told
-    assert "region of rotation" not in told
+    assert "truths in the 90 % region of rotation" in told
     assert "<td>images with it that are flagged</td><td>40.0 %</td>" in told
     assert "<td>area under the ROC curve</td><td>1.0000</td>" in told
     assert told.count("<img ") == plain.count("<img ") + 1
