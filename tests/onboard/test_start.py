@@ -26,7 +26,7 @@ NEWER = {"ffpose_format": "3", "ffpose_version": "9.9"}
         (onnx.ModelProto(ir_version=9).SerializeToString(), "without its metadata"),
         (projections(), "the file was altered: expected its SHA-256 in it, got none"),
         (sealed(projections()).replace(b"wxyz", b"xyzw"), "the file was altered"),
-        (sealed(projections(**NEWER)), "format 1, .* got format 3, written by ffpose 9.9"),
+        (sealed(projections(**NEWER)), "format 2, .* got format 3, written by ffpose 9.9"),
         (sealed(projections(filter="fast")), "filter: expected one of custom, matmul, none"),
         (sealed(projections(preprocessing="{}")), "expected metadata that ffpose"),
         (sealed(projections()[60:]), "expected an ONNX file|without its metadata"),

@@ -96,7 +96,8 @@ class PolarPose(PoseNetwork):
         points, log_mass = self.translation_branch.candidates(*maps, count)
         numbers, view = self._look(levels, points.flatten(0, 1), count)
         if count > 1:
-            score = F.logsigmoid(torch.unflatten(numbers.in_view, 0, (-1, count))) + log_mass
+            # Not logsigmoid: in graphs that is a sigmoid's, which runtimes clamp at 18.
+            score = log_mass - F.softplus(-torch.unflatten(numbers.in_view, 0, (-1, count)))
             best = score.argmax(-1) + count * torch.arange(images.shape[0], device=images.device)
             numbers, view = numbers.of(best), view.of(best)
         for _ in range(1, self.config.looks):
