@@ -60,8 +60,8 @@ def write_filterformer(path):
 
 def write_looking(path):
     """Write weights of a network with a second look."""
-    fields = {"first_stride": 2, "object_size": [32, 32], "dim": 16, "bins": 100, "bins_degree": 1}
-    write_weights(path, "compact", fields)
+    fields = {"first_stride": 2, "object_size": [16, 96], "directions": 50}
+    write_weights(path, "polar", fields)
 
 
 def write_picture(path, seed=0):
