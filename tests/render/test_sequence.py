@@ -83,6 +83,12 @@ def test_a_third_of_the_sequences_crosses_the_shadow():
     assert 12 <= sum(map(crosses, range(60))) <= 30
 
 
+def test_a_single_instant_has_light_too():
+    for seed in range(12):
+        orbit = sample_orbit(SCENE, 0, np.random.default_rng([seed, 8]))
+        assert orbit.at(0).eclipsed == orbit.start.eclipsed
+
+
 def test_a_steady_motion_between_the_poses_of_a_file(tmp_path):
     path = tmp_path / "motion.csv"
     turn = Rotation.from_rotvec([0, 0.1, 0])
@@ -163,18 +169,18 @@ def test_files_that_are_no_motion(tmp_path, capsys, text, message):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "code", "message"),
     [
-        (["soyuz_hard"], "count: expected --count N"),
-        (["approach", "--count", "3"], "count: expected for a scene's images"),
-        (["approach", "--rate", "0"], "expected seconds in 0…100000 and rate in 0…1000"),
-        (["approach", "--drop", "1"], "drop: expected a share"),
-        (["approach", "--seconds", "9000"], "found no motion of"),
-        (["approach", "--scene", "moon"], "scene: expected one of soyuz_easy"),
+        (["soyuz_hard"], 2, "count: expected --count N"),
+        (["approach", "--count", "3"], 2, "count: expected for a scene's images"),
+        (["approach", "--rate", "0"], 1, "expected seconds in 0…100000 and rate in 0…1000"),
+        (["approach", "--drop", "1"], 2, "drop: expected a share"),
+        (["approach", "--seconds", "9000"], 1, "found no motion of"),
+        (["approach", "--scene", "moon"], 2, "scene: expected one of soyuz_easy"),
     ],
 )
-def test_options_that_contradict_themselves(tmp_path, capsys, options, message):
-    assert cli.main(["render", *options, "--out", str(tmp_path / "out")]) == 1
+def test_options_that_contradict_themselves(tmp_path, capsys, options, code, message):
+    assert cli.main(["render", *options, "--out", str(tmp_path / "out")]) == code
     assert message in capsys.readouterr().err
 
 

@@ -7,6 +7,7 @@ passes below it, and the sun and the stars turn about the orbit's normal.
 from __future__ import annotations
 
 import math
+from itertools import count
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -80,17 +81,22 @@ class Orbit(NamedTuple):
 def sample_orbit(scene: Scene, seconds: float, rng: np.random.Generator) -> Orbit:
     """Sample sun and Earth; a share `TERMINATOR_RATE` of the sequences crosses the Earth's shadow.
 
-    The others are in the shadow, all the time or not at all, as often as the scene's images.
+    The others are in the shadow, all the time or not at all, as often as the scene's images; so are
+    those too short to cross it.
     """
     crossing = rng.random() < TERMINATOR_RATE
     eclipsed = rng.random() < scene.eclipse_rate
-    while True:
+    for attempt in count():
         start = sample_surroundings(scene, rng)
         normal = np.cross(start.nadir, rng.standard_normal(3))
         orbit = Orbit(start, normal / np.linalg.norm(normal))
         ends = start.eclipsed, orbit.at(seconds).eclipsed
-        if ends[0] != ends[1] if crossing else ends == (eclipsed, eclipsed):
-            return orbit
+        wanted = (
+            ends[0] != ends[1] if crossing and attempt < TRIES else ends == (eclipsed, eclipsed)
+        )
+        if wanted:
+            break
+    return orbit
 
 
 def sample_motion(
