@@ -41,6 +41,7 @@ from benchmarks.model.report import draw, make_document, print_results
 from benchmarks.model.subjects import Subject, subject
 from benchmarks.output import in_threads, make_progress, print_document
 from ffpose.bench.timing import Latency, expect_place, percentiles, take_turns, timed, torch_threads
+from ffpose.models.zoo import resolve
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,7 @@ def _measure_starts(
     if measured.weights is None or plan.starts == 0:
         return {}
     starts = {
-        TORCH: Start("torch", measured.weights),
+        TORCH: Start("torch", resolve(measured.weights)),
         _runtime(plan): Start("onnxruntime", graphs["custom"].path),
     }
     if OPENVINO in plan.names:

@@ -127,11 +127,12 @@ def int8(source: Source) -> str:
     threads, found = _first(figures)
     if INT8 not in found:
         return "int8 was not measured on this machine"
-    wide, narrow = found[PLAIN]["p50"], found[INT8]["p50"]
+    runtime = _runtime(found)
+    wide, narrow = found[runtime]["p50"], found[INT8]["p50"]
     shares = figures.results["operator_shares"]
     convolutions = (
         sum(share for name, share in shares[each].items() if "Conv" in name)
-        for each in (PLAIN, INT8)
+        for each in (runtime, INT8)
     )
     before, after = (f"{100 * share:.0f} %" for share in convolutions)
     return (

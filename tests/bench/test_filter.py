@@ -32,6 +32,15 @@ def test_both_filters_compute_the_same(kind, size):
         torch.testing.assert_close(ours, first.movedim(1, -1))
 
 
+def test_the_weight_of_a_network_in_channels_last_may_have_that_layout():
+    weight = torch.randn(4, 4, 3, 2, generator=torch.Generator().manual_seed(1))
+    x = torch.randn(2, 4, 6, 3, generator=torch.Generator().manual_seed(2))
+    strided = weight.contiguous(memory_format=torch.channels_last)
+    assert strided.stride(-1) != 1
+    theirs = torch_filter(DIMS["grid"])
+    torch.testing.assert_close(theirs(x, strided), theirs(x, weight))
+
+
 def test_a_document_a_table_and_a_plot(tmp_path, capsys):
     plot = tmp_path / "filter.png"
     assert main(["bench", "filter", "--quick", "--json", "--plot", str(plot)]) == 0

@@ -171,7 +171,8 @@ def torch_filter(dim: tuple[int, ...]) -> Filter:
     """Return the filter in torch.fft over these dimensions: ``irfft2(rfft2(x) * W)``, or 1-D."""
 
     def plain(x: Tensor, weight: Tensor) -> Tensor:
-        spectrum = torch.fft.rfftn(x, dim=dim) * torch.view_as_complex(weight)
+        # A network in the layout channels_last has its weights of four axes in that layout too.
+        spectrum = torch.fft.rfftn(x, dim=dim) * torch.view_as_complex(weight.contiguous())
         y: Tensor = torch.fft.irfftn(spectrum, s=[x.shape[d] for d in dim], dim=dim)
         return y
 

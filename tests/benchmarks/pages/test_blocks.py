@@ -1,7 +1,9 @@
 """Blocks of the pages from data files that are written by hand."""
 
+import pytest
+
 from benchmarks.filter.cases import CHANNELS_FIRST, COMPILED, MATRICES, TORCH
-from benchmarks.model.contenders import INT8, OPENVINO, PLAIN
+from benchmarks.model.contenders import CUSTOM, INT8, OPENVINO, PLAIN
 from benchmarks.model.networks import BEFORE, FFT, SDPA
 from benchmarks.pages.blocks import BLOCKS
 from benchmarks.pages.documents import Figures
@@ -155,9 +157,10 @@ def test_latencies_of_a_network_with_shares_of_the_first():
     assert "- quick" not in found
 
 
-def test_int8_in_words():
-    shares = {PLAIN: {"Conv": 0.5, "FusedConv": 0.1}, INT8: {"QLinearConv": 0.3, "Add": 0.2}}
-    (line,) = shown("int8", soyuz=network("torch", PLAIN, INT8, operator_shares=shares))
+@pytest.mark.parametrize("runtime", [PLAIN, CUSTOM])
+def test_int8_in_words(runtime):
+    shares = {runtime: {"Conv": 0.5, "FusedConv": 0.1}, INT8: {"QLinearConv": 0.3, "Add": 0.2}}
+    (line,) = shown("int8", soyuz=network("torch", runtime, INT8, operator_shares=shares))
     assert line == (
         "0.67 of the time in ONNX Runtime (33 ms of 50, p50, 1 thread; 0.33 of PyTorch's)."
         " Convolutions take 60 % of the time of the graph's nodes, and 30 % in int8"
