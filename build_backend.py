@@ -7,6 +7,7 @@ import shutil
 from typing import Any
 
 import maturin
+
 from build_library import build_library
 
 
