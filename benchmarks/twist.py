@@ -48,7 +48,7 @@ def attitudes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) ->
     points = point.expand(len(twists), 3)
     with torch.inference_mode():
         view = model.view_at(points, twists)
-        crops = look_into(pyramid(image), view, points, model.intrinsics, len(points))
+        crops = look_into(pyramid(image), view, points, model.intrinsics)
         numbers = model.read(model.see(crops))
         seen = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
         return matrix_to_quaternion(view.rotation.mT @ seen)

@@ -30,7 +30,7 @@ ALLOWED = {
     "tracking": {
         *("_rust", "geometry", "imaging", "inference", "datasets", "evaluation", "arrays"),
     },
-    "onnx": {"ops", "models", "config", "geometry", "imaging", "arrays"},
+    "onnx": {"ops", "nn", "models", "config", "geometry", "imaging", "arrays"},
     "render": {"geometry", "arrays", "imaging"},
     "bench": {
         *("ops", "arrays", "models", "nn", "config", "onnx", "geometry", "imaging", "inference"),

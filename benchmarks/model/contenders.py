@@ -26,7 +26,7 @@ from benchmarks.model.networks import (
 from benchmarks.model.subjects import Subject
 from ffpose.errors import require
 from ffpose.onnx.backends import open_session
-from ffpose.onnx.exporter import record, relative_differences, serialized, tensors_of
+from ffpose.onnx.exporter import FilterChoice, record, relative_differences, serialized, tensors_of
 from ffpose.onnx.int8 import quantize
 from ffpose.onnx.matmul import filters_of
 from ffpose.onnx.metadata import Filter
@@ -187,7 +187,7 @@ def write_graphs(
     entries: Callable[[Filter], Mapping[str, str]] = lambda _: {},
     output_names: Sequence[str] | None = None,
 ) -> dict[GraphKind, Graph]:
-    """Write the graphs of a network, recorded once but for ``"dft"``.
+    """Write the graphs of a network, each kind of operators recorded once.
 
     Args:
         model: In evaluation mode.
@@ -198,16 +198,20 @@ def write_graphs(
         output_names: Of the graph's outputs, in order.
     """
     ir = require("onnx_ir", "export")
-    recorded = ir.to_proto(record(model, (images,), output_names=output_names))
+    recorded: dict[FilterChoice, Any] = {}
     graphs: dict[GraphKind, Graph] = {}
     for kind in (kind for kind in kinds if kind != "int8"):
+        choice: FilterChoice = "matmul" if kind == "matmul" else "custom"
         if kind == "dft":
             graph = record(with_torch_fft(model), (images,), output_names=output_names)
         else:
-            graph = ir.from_proto(recorded)
+            if choice not in recorded:
+                network = record(model, (images,), None, output_names, choice)
+                recorded[choice] = ir.to_proto(network)
+            graph = ir.from_proto(recorded[choice])
         if kind == "without":
             leave_out_filters(graph)
-        data, filter = serialized(graph, "matmul" if kind == "matmul" else "custom", entries)
+        data, filter = serialized(graph, choice, entries)
         path = folder / f"{kind}.onnx"
         path.write_bytes(data)
         graphs[kind] = Graph(path, filter)

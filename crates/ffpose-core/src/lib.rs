@@ -21,6 +21,7 @@
 //! - **Vectors** (`simd`): the vector trait and its instruction sets, memory as vectors; the only unsafe code.
 //! - **Elements**: `real` is what is computed in, `number` what is stored; `shape` the layouts; `views` parts of images.
 //! - **Machine**: `parallel` the threads, `scratch` the memory, [`tuning`] each constant that was measured.
+//! - **Images**: [`pyramid`], sampled for virtual cameras.
 //! - **Poses**: [`quaternion`], [`pose_error`], over `arrays`; no filter.
 
 #![deny(unsafe_code)]
@@ -32,6 +33,7 @@ mod kernel;
 mod number;
 mod parallel;
 pub mod pose_error;
+pub mod pyramid;
 pub mod quaternion;
 mod real;
 mod scratch;

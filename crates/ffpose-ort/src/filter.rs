@@ -29,6 +29,7 @@ pub(crate) struct Filter<X: Element, W> {
 impl<X: Element, W: Element<Real = X::Real>> Kernel for Filter<X, W> {
     const NAME: &'static CStr = c"SpectralFilter";
     const INPUTS: &'static [ElementType] = &[X::TYPE, W::TYPE];
+    const LIKE_FIRST: bool = true;
 
     fn create(info: &Info<'_>) -> Result<Self, Failure> {
         let layout = info.string(c"layout").map_err(|failure| {

@@ -14,6 +14,7 @@ the norm to divide by is not close to zero at first.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -35,8 +36,8 @@ from ffpose.models.object_look import (
     split_numbers,
 )
 from ffpose.models.virtual_camera import (
-    Pyramid,
     VirtualCamera,
+    downsampled,
     look_into,
     pyramid,
     turn_to,
@@ -269,7 +270,7 @@ class FilterformerPose(FrameNetwork):
     def _look_twice(self, images: Tensor) -> UncertainPose:
         """Locate the object in the frame, then look at it ``config.looks`` times."""
         levels = pyramid(images)
-        points = self.located(self.locate(F.avg_pool2d(images, self.config.first_stride)))
+        points = self.located(self.locate(downsampled(levels, self.config.first_stride)))
         for _ in range(self.config.looks):
             pose = self._look_at(levels, points)
             points = pose.translation
@@ -279,7 +280,7 @@ class FilterformerPose(FrameNetwork):
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
         return turn_to(points, self.config.object_radius_m, self.config.object_size, twist)
 
-    def _look_at(self, levels: Pyramid, points: Tensor) -> UncertainPose:
+    def _look_at(self, levels: Sequence[Tensor], points: Tensor) -> UncertainPose:
         """Look at points ``(B, 3)``; the covariances are multiplied by ``variance_scales``."""
         view = self.view_at(points)
         numbers = self.look(look_into(levels, view, points, self.intrinsics))

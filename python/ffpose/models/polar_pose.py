@@ -9,6 +9,7 @@ again where its offset says that the object is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -28,7 +29,7 @@ from ffpose.models.object_look import (
     points_at,
 )
 from ffpose.models.polar_look import PolarBackbone, PolarHead, map_angles
-from ffpose.models.virtual_camera import Pyramid, VirtualCamera, look_into, pyramid, turn_to
+from ffpose.models.virtual_camera import VirtualCamera, downsampled, look_into, pyramid, turn_to
 from ffpose.nn.polar_bins import PolarBinsHead
 from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 
@@ -91,10 +92,10 @@ class PolarPose(PoseNetwork):
         """
         self.check_images(images)
         levels = pyramid(images)
-        maps = self.locate(F.avg_pool2d(images, self.config.first_stride))
+        maps = self.locate(downsampled(levels, self.config.first_stride))
         count = self.config.candidates
         points, log_mass = self.translation_branch.candidates(*maps, count)
-        numbers, view = self._look(levels, points.flatten(0, 1), count)
+        numbers, view = self._look(levels, points.flatten(0, 1))
         if count > 1:
             # Not logsigmoid: in graphs that is a sigmoid's, which runtimes clamp at 18.
             score = log_mass - F.softplus(-torch.unflatten(numbers.in_view, 0, (-1, count)))
@@ -105,11 +106,11 @@ class PolarPose(PoseNetwork):
         return calibrated(self._pose(numbers, view), self.config)
 
     def _look(
-        self, levels: Pyramid, points: Tensor, views: int = 1
+        self, levels: Sequence[Tensor], points: Tensor
     ) -> tuple[LookNumbers, VirtualCamera]:
-        """Look at points ``(B * views, 3)``, the ``views`` of the first image first."""
+        """Look at points ``(V, 3)``, those of the first image first."""
         view = self.view_at(points)
-        crops = look_into(levels, view, points, self.intrinsics, views)
+        crops = look_into(levels, view, points, self.intrinsics)
         return self.read(self.see(crops)), view
 
     def _pose(self, numbers: LookNumbers, view: VirtualCamera) -> UncertainPose:

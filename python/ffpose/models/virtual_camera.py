@@ -20,6 +20,7 @@ shift of the image's columns (Esteves et al., "Polar Transformer Networks", ICLR
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -27,11 +28,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ffpose.imaging.views import LEVELS, SHARPNESS
-
-LEAST_DEPTH = 1e-3
-"""Least depth of a ray in the source camera's frame; other rays see nothing."""
-
-FAR_OUTSIDE = -1e6
+from ffpose.nn.pyramid import LEAST_DEPTH, sample_planes, sample_pyramid, source_planes
 
 
 class VirtualCamera(NamedTuple):
@@ -164,20 +161,8 @@ def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
         ``(B, h, w, 2)`` continuous pixel coordinates (u, v); far outside for rays that the source
         camera cannot see.
     """
-    return torch.stack(_source_planes(view, intrinsics), dim=-1)
-
-
-def _source_planes(view: VirtualCamera, intrinsics: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the coordinates u and v ``(B, h, w)`` of `source_pixels`, one after the other.
-
-    Runtimes compute on whole planes in vectors, and on pairs of coordinates one by one.
-    """
-    plane = view.image_plane()
-    pixels = torch.cat((plane, torch.ones_like(plane[:1]))).flatten(1)  # (3, h w)
-    x, y, depth = torch.unflatten(homography(view, intrinsics) @ pixels, 2, view.size).unbind(1)
-    ahead, least = depth > LEAST_DEPTH, depth.clamp_min(LEAST_DEPTH)
-    far = torch.full_like(depth, FAR_OUTSIDE)
-    return torch.where(ahead, x / least, far), torch.where(ahead, y / least, far)
+    planes = source_planes(homography(view, intrinsics), view.image_plane())
+    return torch.stack(planes, dim=-1)
 
 
 def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
@@ -198,14 +183,7 @@ def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
 def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:
     """Sample images ``(B, C, H, W)`` at ``pixels (B, h, w, 2)``; zero outside."""
     u, v = pixels.unbind(-1)
-    return _sample_planes(image, u, v, mode)
-
-
-def _sample_planes(image: Tensor, u: Tensor, v: Tensor, mode: str = "bilinear") -> Tensor:
-    """Sample images as `sample`, at the coordinates ``u`` and ``v``, each ``(B, h, w)``."""
-    rows, columns = image.shape[-2:]
-    grid = torch.stack((u * (2 / columns) - 1, v * (2 / rows) - 1), dim=-1)
-    return F.grid_sample(image, grid.to(image.dtype), mode=mode, align_corners=False)
+    return sample_planes(image, u, v, mode)
 
 
 def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:
@@ -223,54 +201,32 @@ def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor
     return look_into(pyramid(images), view, points, intrinsics)
 
 
-class Pyramid(NamedTuple):
-    """Pyramid of 2 x 2 means of images, its levels below each other in one image, amid zeros.
-
-    One image is sampled once, whatever the level.
-
-    Attributes:
-        images: ``(B, C, rows, W)``, the levels, finest first, with a row of zeros between them.
-        levels: ``(L, 4)``, pixels of the level per pixel of the finest, its first row, its width
-            and its height.
-    """
-
-    images: Tensor
-    levels: Tensor
-
-
-def pyramid(images: Tensor) -> Pyramid:
-    """Return the pyramid of images ``(B, C, H, W)``; each level has half the size of the last."""
+def pyramid(images: Tensor) -> list[Tensor]:
+    """Return the pyramid of images ``(B, C, H, W)``, finest first; each level has half the size."""
     levels = [images]
     for _ in range(1, LEVELS):
         levels.append(F.avg_pool2d(levels[-1], 2))
-    rows, first = [], 0
-    for number, level in enumerate(levels):
-        height, width = level.shape[-2:]
-        rows.append((0.5**number, first, width, height))
-        first += height + 1
-    wide = images.shape[-1]
-    below = [F.pad(level, (0, wide - level.shape[-1], 1, 0)) for level in levels[1:]]
-    return Pyramid(torch.cat((images, *below), dim=2), images.new_tensor(rows))
+    return levels
+
+
+def downsampled(pyramid: Sequence[Tensor], stride: int) -> Tensor:
+    """Return the means of ``stride`` x ``stride`` pixels, those of a level if it has them."""
+    level = stride.bit_length() - 1
+    if stride == 2**level and level < LEVELS:
+        return pyramid[level]
+    return F.avg_pool2d(pyramid[0], stride)
 
 
 def look_into(
-    pyramid: Pyramid, view: VirtualCamera, points: Tensor, intrinsics: Tensor, views: int = 1
+    pyramid: Sequence[Tensor], view: VirtualCamera, points: Tensor, intrinsics: Tensor
 ) -> Tensor:
-    """Render the images of virtual cameras as `look`, from a `Pyramid`.
+    """Render the images of virtual cameras as `look`, from the `pyramid` of each image.
 
-    Of each image there are ``views``; view and points hold those of the first image, then those of
-    the second.
+    There may be several views of each image; view and points hold those of the first image, then
+    those of the second.
     """
-    u, v = _source_planes(view, intrinsics)  # each (V, h, w)
-    level = pyramid.levels[pyramid_level(view, points, intrinsics)].to(u.dtype)
-    scale, first, right, bottom = (column[:, None, None] for column in level.unbind(-1))
-    # Half a pixel outside a level there are zeros, as everywhere beyond.
-    u = torch.minimum((u * scale).clamp_min(-0.5), right + 0.5)
-    v = torch.minimum((v * scale).clamp_min(-0.5), bottom + 0.5) + first
-    height, width = view.size
-    below = (pyramid.images.shape[0], views * height, width)  # the views of an image
-    seen = _sample_planes(pyramid.images, u.view(below), v.view(below))
-    return torch.unflatten(seen, 2, (views, height)).transpose(1, 2).flatten(0, 1)
+    level = pyramid_level(view, points, intrinsics).to(view.focal.dtype)
+    return sample_pyramid(homography(view, intrinsics), level, view.image_plane(), pyramid)
 
 
 def pyramid_level(view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:

@@ -28,7 +28,7 @@ from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import SCOPES
 from ffpose.onnx.matmul import filters_of, replace_filters
 from ffpose.onnx.metadata import Filter, sealed
-from ffpose.onnx.operators import translations
+from ffpose.onnx.operators import DOMAIN, translations
 
 OPSET = 18
 """Opset of the standard operators, supported by ONNX Runtime 1.17, OpenVINO 2024 and later."""
@@ -145,7 +145,7 @@ def write_graph(
     if module.training:
         raise ValueError("module: expected evaluation mode, got training; call module.eval()")
     say("recording the graph")
-    model = record(module, batches[0], input_names, output_names)
+    model = record(module, batches[0], input_names, output_names, filter)
     if filter == "matmul":
         say(f"replacing {len(filters_of(model))} filters by matrices")
     data, kind = serialized(model, filter, entries)
@@ -172,7 +172,8 @@ def serialized(
         filter: As `export`.
         entries: As `write_graph`.
     """
-    kind: Filter = filter if filters_of(model) else "none"
+    ours = any(node.domain == DOMAIN for node in model.graph)
+    kind: Filter = filter if ours else "none"
     if filter == "matmul":
         replace_filters(model)
         replace_attention(model)
@@ -199,8 +200,13 @@ def record(
     args: tuple[Tensor, ...],
     input_names: Sequence[str] | None = None,
     output_names: Sequence[str] | None = None,
+    filter: FilterChoice = "custom",
 ) -> Any:
-    """Return the `onnx_ir.Model` of a module, its batch of any size; arguments as `export`."""
+    """Return the `onnx_ir.Model` of a module, its batch of any size; arguments as `export`.
+
+    With ``"matmul"`` it is written in standard operators but for its filters, which
+    `replace_filters` can replace.
+    """
     optimizer = require("onnxscript.optimizer", "export")
     shapes = tuple({0: torch.export.Dim.DYNAMIC} for _ in args)
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), torch.no_grad():
@@ -214,7 +220,7 @@ def record(
             input_names=input_names,
             output_names=output_names,
             dynamic_shapes=shapes,
-            custom_translation_table=translations(),
+            custom_translation_table=translations(standard=filter == "matmul"),
             optimize=False,
         )
         assert program is not None

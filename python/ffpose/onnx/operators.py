@@ -1,18 +1,23 @@
-"""ONNX forms of the operators of `ffpose.ops`: one of our own domain, one in terms of it.
+"""ONNX forms of the operators of `ffpose.ops`: two of our own domain, one of standard operators.
 
 ``ffpose::SpectralFilter(x, weight) -> y``, attribute ``layout``, is `ffpose.ops.spectral_filter`;
 the library of `ffpose.onnx.get_library_path` computes it, with the weight prepared once a session
 where it is a constant. `ffpose.onnx.matmul` replaces it by standard operators.
+
+``ffpose::SamplePyramid(homographies, levels, plane, finest, half, quarter, eighth) -> y`` is
+`ffpose.nn.pyramid.sample_pyramid`, float32, of the same library. Without a translation torch
+writes the standard operators that it consists of.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 
-import ffpose.ops  # noqa: F401 - registers the operators that are translated
+import ffpose.nn.pyramid
+import ffpose.ops  # noqa: F401 - both register operators that are translated
 from ffpose.errors import require
 from ffpose.onnx.attention import translate_attention
 from ffpose.onnx.schema import script_op
@@ -20,17 +25,38 @@ from ffpose.onnx.schema import script_op
 DOMAIN = "ffpose"
 DOMAIN_VERSION = 1
 SPECTRAL_FILTER = "SpectralFilter"
+SAMPLE_PYRAMID = "SamplePyramid"
 
 FLOATS = ("float", "double", "float16", "bfloat16")
 
 
-def translations() -> dict[Callable[..., Any], Callable[..., Any]]:
-    """Return the table for `torch.onnx.export`: from our operators to functions of onnxscript."""
-    return {
+def translations(*, standard: bool = False) -> dict[Callable[..., Any], Callable[..., Any]]:
+    """Return the table for `torch.onnx.export`: from our operators to functions of onnxscript.
+
+    Args:
+        standard: Leave out what only the library computes and torch can write otherwise.
+    """
+    table: dict[Callable[..., Any], Callable[..., Any]] = {
         torch.ops.aten.scaled_dot_product_attention.default: translate_attention,
         torch.ops.ffpose.spectral_filter.default: _spectral_filter,
         torch.ops.ffpose.normalize_quaternion.default: _normalize_quaternion,
     }
+    if not standard:
+        table[torch.ops.ffpose.sample_pyramid.default] = _sample_pyramid
+    return table
+
+
+def _sample_pyramid(homographies: Any, levels: Any, plane: Any, pyramid: Sequence[Any]) -> Any:
+    names = ("finest", "half", "quarter", "eighth")
+    op = script_op(
+        SAMPLE_PYRAMID,
+        DOMAIN,
+        DOMAIN_VERSION,
+        ("homographies", "levels", "plane", *names),
+        (("homographies", ("float",)),),
+        (),
+    )
+    return op(homographies, levels, plane, *pyramid)
 
 
 def _spectral_filter(x: Any, weight: Any, layout: str) -> Any:

@@ -11,10 +11,12 @@ use super::pool::SessionThreads;
 use super::sys::{ApiTable, CustomOp, KernelContext, KernelInfo, ShapeContext, StatusPtr, VERSION};
 use super::tensor::ElementType;
 
-/// What computes a node: one output, of the type and shape of the first input.
+/// What computes a node: one output, of the type of the first input.
 pub(crate) trait Kernel: Send + Sync + Sized {
     const NAME: &'static CStr;
     const INPUTS: &'static [ElementType];
+    /// Whether the output has the shape of the first input; nothing is inferred of another.
+    const LIKE_FIRST: bool;
 
     /// Makes the kernel of a node, once a session.
     fn create(info: &Info<'_>) -> Result<Self, Failure>;
@@ -60,7 +62,7 @@ impl Operator {
             variadic_output_homogeneity: one,
             create: create::<K>,
             compute: compute::<K>,
-            infer,
+            infer: infer::<K>,
             start_version: one,
             end_version: any_later,
         };
@@ -164,10 +166,13 @@ unsafe extern "system" fn compute<K: Kernel>(
 
 /// # Safety
 /// ONNX Runtime calls it with an operator that was registered, and the context of an inference of shapes.
-unsafe extern "system" fn infer(
+unsafe extern "system" fn infer<K: Kernel>(
     operator: *const CustomOp,
     context: *mut ShapeContext,
 ) -> StatusPtr {
+    if !K::LIKE_FIRST {
+        return ptr::null_mut();
+    }
     // SAFETY: what was registered is the table of an `Operator`, at its beginning.
     let api = unsafe { (*operator.cast::<Operator>()).api };
     // SAFETY: the context lives for this call.

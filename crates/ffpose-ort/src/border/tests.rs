@@ -148,6 +148,7 @@ struct Panics<const CREATE: bool>;
 impl<const CREATE: bool> Kernel for Panics<CREATE> {
     const NAME: &'static CStr = c"Panics";
     const INPUTS: &'static [ElementType] = &[f32::TYPE];
+    const LIKE_FIRST: bool = true;
 
     fn create(_: &Info<'_>) -> Result<Self, Failure> {
         assert!(!CREATE, "in the making");

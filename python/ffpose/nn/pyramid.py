@@ -1,0 +1,99 @@
+"""Images of virtual cameras, sampled from the pyramids of their source images.
+
+``ffpose::sample_pyramid`` is an operator so that an exported graph can hold it as one node; in
+torch it consists of torch's own operators, and is differentiable as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+SAMPLE_PYRAMID = "ffpose::sample_pyramid"
+
+LEAST_DEPTH = 1e-3
+"""Least depth of a ray in the source camera's frame; other rays see nothing."""
+
+FAR_OUTSIDE = -1e6
+
+torch.library.define(
+    SAMPLE_PYRAMID,
+    "(Tensor homographies, Tensor levels, Tensor plane, Tensor[] pyramid) -> Tensor",
+    tags=(torch.Tag.pt2_compliant_tag,),
+)
+_op: Callable[..., Tensor] = torch.ops.ffpose.sample_pyramid.default
+
+
+def sample_pyramid(
+    homographies: Tensor, levels: Tensor, plane: Tensor, pyramid: Sequence[Tensor]
+) -> Tensor:
+    """Sample each view from one level of the pyramid of its image: bilinear, zeros outside.
+
+    Args:
+        homographies: ``(V, 3, 3)``, from the places of a view's pixels to continuous pixel
+            coordinates of the finest level, times the depth of the ray.
+        levels: ``(V,)``, whole numbers: the level for each view, in the dtype of the homographies.
+        plane: ``(2, h, w)``, the places of a view's pixels.
+        pyramid: Levels of images ``(B, C, H, W)``, finest first, each of half the size of the one
+            before; four in a graph. There are ``V / B`` views of each image, those of the first
+            image first.
+
+    Returns:
+        ``(V, C, h, w)``.
+    """
+    return _op(homographies, levels, plane, list(pyramid))
+
+
+def source_planes(homographies: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the source coordinates u and v ``(V, h, w)`` of places ``(2, h, w)``.
+
+    They are far outside for rays that the source camera cannot see. Planes, as runtimes compute on
+    whole planes in vectors, and on pairs of coordinates one by one.
+    """
+    pixels = torch.cat((plane, torch.ones_like(plane[:1]))).flatten(1)  # (3, h w)
+    x, y, depth = torch.unflatten(homographies @ pixels, 2, plane.shape[1:]).unbind(1)
+    ahead, least = depth > LEAST_DEPTH, depth.clamp_min(LEAST_DEPTH)
+    far = torch.full_like(depth, FAR_OUTSIDE)
+    return torch.where(ahead, x / least, far), torch.where(ahead, y / least, far)
+
+
+def sample_planes(image: Tensor, u: Tensor, v: Tensor, mode: str = "bilinear") -> Tensor:
+    """Sample images ``(B, C, H, W)`` at the coordinates ``u`` and ``v``, each ``(B, h, w)``."""
+    rows, columns = image.shape[-2:]
+    grid = torch.stack((u * (2 / columns) - 1, v * (2 / rows) - 1), dim=-1)
+    return F.grid_sample(image, grid.to(image.dtype), mode=mode, align_corners=False)
+
+
+def _sample_pyramid(
+    homographies: Tensor, levels: Tensor, plane: Tensor, pyramid: Sequence[Tensor]
+) -> Tensor:
+    """Sample all views at once, from an image that holds the levels below each other, amid zeros.
+
+    One image is sampled once, whatever the level.
+    """
+    finest = pyramid[0]
+    rows, first = [], 0
+    for number, level in enumerate(pyramid):
+        height, width = level.shape[-2:]
+        rows.append((0.5**number, first, width, height))
+        first += height + 1
+    wide = finest.shape[-1]
+    below = [F.pad(level, (0, wide - level.shape[-1], 1, 0)) for level in pyramid[1:]]
+    atlas = torch.cat((finest, *below), dim=2)
+    of_level = homographies.new_tensor(rows)[levels.long()]
+    scale, top, right, bottom = (column[:, None, None] for column in of_level.unbind(-1))
+    u, v = source_planes(homographies, plane)  # each (V, h, w)
+    # Half a pixel outside a level there are zeros, as everywhere beyond.
+    u = torch.minimum((u * scale).clamp_min(-0.5), right + 0.5)
+    v = torch.minimum((v * scale).clamp_min(-0.5), bottom + 0.5) + top
+    height, width = plane.shape[1:]
+    views = homographies.shape[0] // finest.shape[0]
+    together = (finest.shape[0], views * height, width)  # the views of an image
+    seen = sample_planes(atlas, u.view(together), v.view(together))
+    return torch.unflatten(seen, 2, (views, height)).transpose(1, 2).flatten(0, 1)
+
+
+torch.library.impl(SAMPLE_PYRAMID, "CompositeImplicitAutograd", _sample_pyramid)
