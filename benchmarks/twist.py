@@ -49,7 +49,7 @@ def attitudes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) ->
     with torch.inference_mode():
         view = model.view_at(points, twists)
         crops = look_into(pyramid(image), view, points, model.intrinsics)
-        numbers = model.read(model.see(crops))
+        numbers = model.read(model.see(crops, view.slopes))
         seen = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
         return matrix_to_quaternion(view.rotation.mT @ seen)
 

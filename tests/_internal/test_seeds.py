@@ -64,7 +64,10 @@ TAKE_SEEDS = {
 }
 """Commands that take the seed of scenes as their last argument."""
 
-RENDER_NO_CHOSEN_SCENES = {"evaluate", "predict", "export", "inspect", "bench", "demo"}
+RENDER_NO_CHOSEN_SCENES = {
+    *("evaluate", "predict", "track", "export", "inspect", "bench", "demo"),
+    "learn",  # by `matching`
+}
 
 
 def test_every_command_is_known_here():

@@ -260,6 +260,7 @@ def random_batch(model, objective, count=4):
         frames=torch.randn(2, 3, rows, columns),
         translation=torch.randn(2, 3) + torch.tensor([0.0, 0.0, 20.0]),
         crops=torch.randn(count, 3, *config.object_size),
+        slopes=torch.rand(count),
         orientation=torch.nn.functional.normalize(torch.randn(count, 4), dim=1),
         offset=torch.randn(count, 3),
         coordinates=coordinates,

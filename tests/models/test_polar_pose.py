@@ -65,7 +65,7 @@ def looked(model, twist):
     view = model.view_at(points, torch.full((3,), twist, dtype=torch.float64))
     with torch.no_grad():
         crops = look_into(pyramid(images().double()), view, points, model.intrinsics)
-        numbers = model.read(model.see(crops))
+        numbers = model.read(model.see(crops, view.slopes))
         matrix = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
     return {
         "t": view.points_back(points_at(numbers.offset, view)),
@@ -100,7 +100,7 @@ def test_logits_are_shifted_by_a_turn(model):
         view = model.view_at(POINTS, torch.full((3,), twist))
         with torch.no_grad():
             crops = look_into(pyramid(images()), view, POINTS, model.intrinsics)
-            raw = model.read(model.see(crops)).orientation
+            raw = model.read(model.see(crops, view.slopes)).orientation
             logits.append(model.orientation.logits(raw).unflatten(1, (24, 50)))
     torch.testing.assert_close(logits[1], logits[0].roll(2, 1), rtol=1e-4, atol=1e-4)
     assert (logits[1] - logits[0]).abs().max() > 0.1
@@ -206,6 +206,7 @@ def test_the_objective_trains_every_weight():
         frames=torch.randn(2, 3, 24, 32),
         translation=t[:2],
         crops=torch.randn(4, 3, 16, 96),
+        slopes=view.slopes,
         orientation=torch.nn.functional.normalize(torch.randn(4, 4), dim=1),
         offset=offset_of(view.points(t), view),
         coordinates=coordinates,
@@ -234,7 +235,7 @@ def test_turned_attitudes_are_scipys(model):
         view = model.view_at(POINTS, torch.full((3,), twist))
         with torch.no_grad():
             crops = look_into(pyramid(images()), view, POINTS, model.intrinsics)
-            q = model.orientation.decode(model.read(model.see(crops)).orientation)
+            q = model.orientation.decode(model.read(model.see(crops, view.slopes)).orientation)
         attitudes.append(Rotation.from_quat(q.double().numpy(), scalar_first=True))
     turn = Rotation.from_rotvec([0, 0, 2 * CELL])
     assert ((turn * attitudes[0]).inv() * attitudes[1]).magnitude().max() < 1e-4
@@ -273,7 +274,8 @@ def test_both_modes_are_those_of_the_last_view_in_the_cameras_frame():
         maps = model.locate(torch.nn.functional.avg_pool2d(shown, model.config.first_stride))
         points = model.translation_branch.candidates(*maps, 1)[0].flatten(0, 1)
         view = model.view_at(points)
-        numbers = model.read(model.see(look_into(levels, view, points, model.intrinsics)))
+        crops = look_into(levels, view, points, model.intrinsics)
+        numbers = model.read(model.see(crops, view.slopes))
         modes, pose = model.orientation.modes(numbers.orientation), model(shown)
     turn = view.rotation.mT
     for got, expected in ((pose.orientation, modes[0]), (pose.alternative, modes[1])):

@@ -34,6 +34,7 @@ def batch():
         frames=torch.zeros(2, 3, 4, 4),
         translation=torch.randn(2, 3),
         crops=torch.zeros(COUNT, 3, 4, 4),
+        slopes=torch.ones(COUNT),
         orientation=torch.nn.functional.normalize(torch.randn(COUNT, 4), dim=1),
         offset=torch.randn(COUNT, 3),
         coordinates=coordinates,
@@ -68,7 +69,7 @@ class Answers:
         assert len(frames) == len(translation)
         return self.first
 
-    def see(self, crops):
+    def see(self, crops, slopes):
         return self.feature_map
 
     def read(self, feature_map):

@@ -80,7 +80,7 @@ def stages(minutes: float, speed: Speed) -> tuple[Stage, Stage]:
 
     Examples:
         >>> stages(60, Speed(views=30, samples=400))
-        (Stage(name='first', views=4752, epochs=37), Stage(name='second', views=16000, epochs=49))
+        (Stage(name='first', views=4752, epochs=31), Stage(name='second', views=16000, epochs=52))
     """
     seconds = 60 * minutes * (1 - TEST_SHARE)
     shares = {"first": FIRST_SHARE * seconds, "second": (1 - FIRST_SHARE) * seconds}

@@ -338,8 +338,11 @@ class FilterformerPose(FrameNetwork):
         """Compute the second look's outputs for views of the object ``(B, 3, h, w)``."""
         return self.read(self.see(views))
 
-    def see(self, views: Tensor) -> Tensor:
-        """Compute the feature map ``(B, C, rows, columns)`` of views of the object."""
+    def see(self, views: Tensor, slopes: Tensor | None = None) -> Tensor:
+        """Compute the feature map ``(B, C, rows, columns)`` of views of the object.
+
+        It does not depend on the ``slopes`` of `PolarPose.see`.
+        """
         assert self.object_backbone is not None
         feature_map: Tensor = self.object_backbone(
             views.contiguous(memory_format=torch.channels_last)

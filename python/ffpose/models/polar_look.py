@@ -56,17 +56,27 @@ class PolarBackbone(nn.Module):
         self.pool = SpectralPool(rays // 2)
         self.widen = PolarConv(stem, first, (2, 1))
         self.pool_again = SpectralPool(rays // 4)
+        self.perspective = nn.Linear(1, first)
         self.first = blocks(before, (2 * radii, angles, first))
         self.down = PolarConv(first, last, (2, 1))
         self.last = blocks(after, (radii, angles, last))
         self.channels = (last,)
         self.to(memory_format=torch.channels_last)
 
-    def forward(self, views: Tensor) -> Tensor:
-        """Return the map ``(B, C, radii', angles')`` of polar images ``(B, 3, radii, angles)``."""
+    def forward(self, views: Tensor, slopes: Tensor) -> Tensor:
+        """Return the map ``(B, C, radii', angles')`` of polar images.
+
+        Args:
+            views: ``(B, 3, radii, angles)``.
+            slopes: ``(B,)``, as `VirtualCamera.slopes`.
+        """
         x = self.begin(views.contiguous(memory_format=torch.channels_last))
         x = self.widen(self.pool(x.permute(0, 2, 3, 1)).permute(0, 3, 1, 2))
-        x = self.first(self.pool_again(x.permute(0, 2, 3, 1))).permute(0, 3, 1, 2)
+        x = (
+            self.pool_again(x.permute(0, 2, 3, 1))
+            + self.perspective(slopes[:, None])[:, None, None]
+        )
+        x = self.first(x).permute(0, 3, 1, 2)
         result: Tensor = self.last(self.down(x).permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
         return result
 

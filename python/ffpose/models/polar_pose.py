@@ -105,13 +105,11 @@ class PolarPose(PoseNetwork):
             numbers, view = self._look(levels, _located(numbers, view))
         return calibrated(self._pose(numbers, view), self.config)
 
-    def _look(
-        self, levels: Sequence[Tensor], points: Tensor
-    ) -> tuple[LookNumbers, VirtualCamera]:
+    def _look(self, levels: Sequence[Tensor], points: Tensor) -> tuple[LookNumbers, VirtualCamera]:
         """Look at points ``(V, 3)``, those of the first image first."""
         view = self.view_at(points)
         crops = look_into(levels, view, points, self.intrinsics)
-        return self.read(self.see(crops)), view
+        return self.read(self.see(crops, view.slopes)), view
 
     def _pose(self, numbers: LookNumbers, view: VirtualCamera) -> UncertainPose:
         """Return the poses that the outputs of second looks mean, in the camera's frame."""
@@ -154,9 +152,14 @@ class PolarPose(PoseNetwork):
                 logits.float(), distances.float(), translation, DISTANCE_SMOOTH
             )
 
-    def see(self, views: Tensor) -> Tensor:
-        """Compute the feature map ``(B, C, radii, angles)`` of polar views of the object."""
-        feature_map: Tensor = self.object_backbone(views)
+    def see(self, views: Tensor, slopes: Tensor) -> Tensor:
+        """Compute the feature map ``(B, C, radii, angles)`` of polar views of the object.
+
+        Args:
+            views: ``(B, 3, radii, angles)``.
+            slopes: ``(B,)``, as `VirtualCamera.slopes`.
+        """
+        feature_map: Tensor = self.object_backbone(views, slopes)
         return feature_map
 
     def read(self, feature_map: Tensor) -> LookNumbers:

@@ -53,6 +53,15 @@ class VirtualCamera(NamedTuple):
     width: int
     polar: bool = False
 
+    @property
+    def slopes(self) -> Tensor:
+        """Tangents ``(B,)`` of half the angle of the view: of an object of its radius, the size.
+
+        They tell how strong the perspective is, which the view does not: it shows an object in one
+        size, whatever its distance.
+        """
+        return self.width / (2 * self.focal)
+
     def of(self, rows: Tensor | slice) -> VirtualCamera:
         """Return the cameras of some rows of the batch: indices, a mask or a slice."""
         tensors = (self.rotation[rows], self.focal[rows], self.distance[rows])

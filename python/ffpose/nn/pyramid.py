@@ -90,7 +90,7 @@ def _sample_pyramid(
     u = torch.minimum((u * scale).clamp_min(-0.5), right + 0.5)
     v = torch.minimum((v * scale).clamp_min(-0.5), bottom + 0.5) + top
     height, width = plane.shape[1:]
-    views = homographies.shape[0] // finest.shape[0]
+    views = homographies.shape[0] // max(finest.shape[0], 1)
     together = (finest.shape[0], views * height, width)  # the views of an image
     seen = sample_planes(atlas, u.view(together), v.view(together))
     return torch.unflatten(seen, 2, (views, height)).transpose(1, 2).flatten(0, 1)

@@ -317,7 +317,7 @@ class ViewAugmentation:
         look_lateral: Standard deviation of the simulated error of the first look across the viewing
             ray, as a fraction of the virtual camera's radius at the object.
         look_distance: Standard deviation of that error along the ray, in log distance.
-        look_outliers: Fraction of samples whose simulated errors are three times as large.
+        look_outliers: Fraction of samples whose simulated errors are five times as large.
         twist_deg: Largest rotation of the virtual camera about the viewing ray, degrees.
         brightness: Standard deviation of the base-2 logarithm of the brightness factor.
         noise: Largest standard deviation of Gaussian noise on pixel values in [0, 1].

@@ -64,7 +64,7 @@ class ObjectObjective(nn.Module):
     def forward(self, model: SecondLookNetwork, batch: ViewBatch) -> LossTerms:
         """Return the loss, the mean position errors in meters at unit distance, and the head's."""
         first = model.first_loss(batch.frames, batch.translation)
-        feature_map = model.see(batch.crops)
+        feature_map = model.see(batch.crops, batch.slopes)
         numbers = model.read(feature_map)
         with torch.autocast(feature_map.device.type, enabled=False):  # half: the network's alone
             return self._terms(model, batch, first, feature_map.float(), numbers.float())

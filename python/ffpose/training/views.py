@@ -47,6 +47,9 @@ SUPPLY = 1 << 21
 LEAST_BLUR, LEAST_NOISE = 0.02, 0.001
 """Blur and noise below these are left out: they change nothing, and cost as much as any."""
 
+OUTLIER = 5.0
+"""Errors of a first look that misses relative to those of one that does not."""
+
 FRAME_MARGIN = 0.02
 """Least distance of the object's origin from the border after a rotation, relative to the frame."""
 
@@ -58,6 +61,8 @@ class ViewBatch(NamedTuple):
         frames: ``(F, 3, h, w)``, standardized input of the first look for the first F samples.
         translation: ``(F, 3)``, where they show the object, meters.
         crops: ``(B, 3, h, w)``, standardized input of the second look.
+        slopes: ``(B,)``, tangents of half the angle that it covers, as
+            `ffpose.models.virtual_camera.VirtualCamera.slopes`.
         orientation: ``(B, 4)``, unit quaternions in the virtual camera's frame.
         offset: ``(B, 3)``, as `ffpose.models.object_look.offset_of`.
         coordinates: ``(B, 4, rows, columns)``: object coordinates in [-1, 1], and a mask of the
@@ -71,6 +76,7 @@ class ViewBatch(NamedTuple):
     frames: Tensor
     translation: Tensor
     crops: Tensor
+    slopes: Tensor
     orientation: Tensor
     offset: Tensor
     coordinates: Tensor
@@ -163,6 +169,7 @@ class ViewBatches:
             frames.contiguous(memory_format=torch.channels_last),
             t_frame,
             crops.contiguous(memory_format=torch.channels_last),
+            view.slopes,
             matrix_to_quaternion(view.rotation @ rotation),
             offset_of(view.points(t), view),
             self._coordinates(index, view, intrinsics),
@@ -196,7 +203,7 @@ class ViewBatches:
         """Return positions where a first look might have found objects at ``t (B, 3)``."""
         a = self.augmentation
         outlier = torch.rand(len(t), generator=generator) < a.look_outliers
-        scale = 1 + 2 * outlier[:, None].float()
+        scale = 1 + (OUTLIER - 1) * outlier[:, None].float()
         error = torch.randn(len(t), 3, generator=generator) * scale
         lateral = a.look_lateral * self.model.config.object_radius_m * error[:, :2]
         distance = t.norm(dim=-1, keepdim=True)
