@@ -180,10 +180,12 @@ def test_points_behind_a_virtual_camera_are_out_of_its_view():
 
 
 def test_views_are_twisted_displaced_and_scaled(model, poses, dotted):
-    batch = all_of(batches(model, [dotted]))
+    batch = all_of(batches(model, [dotted], look_outliers=0.0))
     spread = batch.offset.std(dim=0)
     # Lateral: 0.08 of the radius, which is two; the logarithm of the distance, 0.09, counts four.
     np.testing.assert_allclose(spread, [0.16, 0.16, 0.36], rtol=0.6)
+    missed = all_of(batches(model, [dotted], look_outliers=1.0))
+    np.testing.assert_allclose(missed.offset.std(dim=0), [0.8, 0.8, 1.8], rtol=0.6)
     still = all_of(
         batches(model, [dotted], twist_deg=0, look_lateral=0, look_distance=0, look_outliers=0)
     )
@@ -199,7 +201,7 @@ def test_views_are_twisted_displaced_and_scaled(model, poses, dotted):
 
 
 def test_coordinates_of_a_cell_are_seen_in_it(model, poses, dotted):
-    batch = all_of(batches(model, [dotted]))
+    batch = all_of(batches(model, [dotted], look_outliers=0.0))  # finer than the stored cells
     assert batch.coordinates.shape == (COUNT, 4, CELLS, CELLS)
     shown = batch.coordinates[:, 3].numpy()
     assert set(np.unique(shown)) == {0, 1}
