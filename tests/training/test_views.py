@@ -185,7 +185,7 @@ def test_views_are_twisted_displaced_and_scaled(model, poses, dotted):
     # Lateral: 0.08 of the radius, which is two; the logarithm of the distance, 0.09, counts four.
     np.testing.assert_allclose(spread, [0.16, 0.16, 0.36], rtol=0.6)
     missed = all_of(batches(model, [dotted], look_outliers=1.0))
-    np.testing.assert_allclose(missed.offset.std(dim=0), [0.8, 0.8, 1.8], rtol=0.6)
+    np.testing.assert_allclose(missed.offset[:, 2].std(), 1.8, rtol=0.6)
     still = all_of(
         batches(model, [dotted], twist_deg=0, look_lateral=0, look_distance=0, look_outliers=0)
     )
