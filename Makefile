@@ -10,7 +10,7 @@ ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml -
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-slow test-arm test-onboard docs bench figures ort onboard weights wheel clean tools cards
+.PHONY: help demo test all format lint typecheck test-rust test-python test-slow test-arm test-onboard docs bench figures ort onboard weights graphs wheel clean tools cards
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -81,6 +81,11 @@ weights: runs/soyuz/.trained runs/dragon/.trained ## train the shipped weights f
 runs/%/.trained: configs/%.yaml | $(VENV)/.user
 	$(BIN)/ffpose train --config $< --resume
 	@touch $@
+
+graphs: $(VENV)/.user ## export the shipped weights as the graphs that ship beside them, two minutes
+	for name in soyuz dragon; do \
+		$(BIN)/ffpose export $$name --out python/ffpose/weights/$$name.onnx || exit 1; \
+	done
 
 wheel: $(VENV)/.dev ort ## build the wheel, the one file in dist
 	rm -rf dist

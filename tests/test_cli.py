@@ -222,7 +222,7 @@ def test_a_camera_is_nothing_to_weights_without(square, capsys):
 
 
 def test_weights_of_the_package_go_by_name(trained, image_set, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("ffpose.models.zoo.FOLDER", tmp_path)
+    monkeypatch.setattr("ffpose._internal.zoo.FOLDER", tmp_path)
     shutil.copy(trained / "best.safetensors", tmp_path / "soyuz.safetensors")
     images = [str(image_set / "0_rgb.png")]
     assert main(["predict", str(trained / "best.safetensors"), *images, "--json"]) == 0
@@ -446,7 +446,7 @@ def test_a_command_names_the_extra_that_it_needs(missing, words, extra, tmp_path
     done = without(missing, words, tmp_path)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
-    assert f"pip install 'WHEEL[{extra}]'" in line
+    assert f"pip install 'ffpose[{extra}]'" in line
 
 
 @pytest.mark.parametrize("words", [["--help"], ["--version"], ["info"]])

@@ -26,7 +26,7 @@ def test_require_gives_the_module():
 
 @pytest.mark.parametrize("module", ["embreeeex", "embreeeex.mesh"])
 def test_a_missing_extra_names_the_command(module):
-    with pytest.raises(MissingExtraError, match=r"embreeeex, .*pip install 'WHEEL\[render\]'"):
+    with pytest.raises(MissingExtraError, match=r"embreeeex, .*pip install 'ffpose\[render\]'"):
         require(module, "render")
 
 

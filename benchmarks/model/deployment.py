@@ -40,8 +40,8 @@ from benchmarks.model.plan import DeploymentPlan, make_plan
 from benchmarks.model.report import draw, make_document, print_results
 from benchmarks.model.subjects import Subject, subject
 from benchmarks.output import in_threads, make_progress, print_document
+from ffpose._internal.zoo import resolve
 from ffpose.bench.timing import Latency, expect_place, percentiles, take_turns, timed, torch_threads
-from ffpose.models.zoo import resolve
 
 
 @dataclass(frozen=True)

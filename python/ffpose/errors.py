@@ -45,7 +45,7 @@ class MissingExtraError(ImportError):
         """Return an error that tells how to install ``package``, a dependency of ``extra``."""
         return cls(
             f"this part of ffpose needs {package}, of the extra [{extra}]; install it with: pip "
-            f"install 'WHEEL[{extra}]', WHEEL being the file that `make wheel` leaves in dist/"
+            f"install 'ffpose[{extra}]'"
         )
 
 

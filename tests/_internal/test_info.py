@@ -70,4 +70,4 @@ def test_another_command_names_the_missing_extra_in_one_line():
     assert done.returncode == 1
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
-    assert "pip install 'WHEEL[pose]'" in done.stderr
+    assert "pip install 'ffpose[pose]'" in done.stderr

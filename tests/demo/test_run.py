@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from ffpose._internal import zoo
 from ffpose._internal.seeds import CHOICES
 from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import FOLDERS
@@ -18,7 +19,7 @@ from ffpose.demo.run import run
 from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.views import LABELS
-from ffpose.models import FilterformerPose, zoo
+from ffpose.models import FilterformerPose
 from ffpose.render.renderer import label
 
 pytestmark = pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
+from ffpose._internal.zoo import names
 from ffpose.cli import main
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.geometry import Camera
@@ -19,7 +20,6 @@ from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.in_torch import TorchSession
 from ffpose.inference.load import load
 from ffpose.models import FilterformerPose, PolarPose, build_network, read_metadata
-from ffpose.models.zoo import names
 from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.metadata import read_model_metadata
 from tiny_runs import write_set

@@ -4,8 +4,9 @@ import shutil
 
 import pytest
 
+from ffpose._internal.zoo import FOLDER
+from ffpose.inference import source as module
 from ffpose.inference.source import Source, find_source
-from ffpose.models.zoo import FOLDER
 
 
 @pytest.fixture
@@ -27,8 +28,19 @@ def test_a_file_is_of_the_kind_that_its_suffix_says(tmp_path):
     assert weights == Source(tmp_path / "a.safetensors", is_graph=False)
 
 
-def test_a_name_is_of_shipped_weights():
-    assert find_source("soyuz") == Source(FOLDER / "soyuz.safetensors", is_graph=False)
+@pytest.fixture
+def without_torch(monkeypatch):
+    """An installation whose torch is not there."""
+    find_spec = module.find_spec
+    absent = {"torch"}
+    monkeypatch.setattr(module, "find_spec", lambda n: None if n in absent else find_spec(n))
+
+
+def test_a_name_is_of_a_shipped_network():
+    weights = Source(FOLDER / "soyuz.safetensors", is_graph=False)
+    assert find_source("soyuz") == find_source("soyuz", "torch") == weights
+    graph = Source(FOLDER / "soyuz.onnx", is_graph=True)
+    assert find_source("soyuz", "onnxruntime") == graph
     with pytest.raises(FileNotFoundError, match=r"a file or a name \(.*soyuz.*\), got moon"):
         find_source("moon")
 
@@ -66,6 +78,12 @@ def test_a_folder_of_none_or_several_is_refused(folder, names, backend, error, m
         find_source(folder(*names), backend)
 
 
+@pytest.mark.usefixtures("without_torch")
+def test_graphs_go_first_without_torch(folder):
+    assert find_source("soyuz") == Source(FOLDER / "soyuz.onnx", is_graph=True)
+    assert find_source(folder("a.onnx", "a.safetensors")).path.name == "a.onnx"
+
+
 def test_a_folder_is_a_name_too_unless_it_holds_a_network(folder, monkeypatch):
     monkeypatch.chdir(folder())
     mine = folder() / "soyuz"
@@ -79,7 +97,7 @@ def test_a_folder_is_a_name_too_unless_it_holds_a_network(folder, monkeypatch):
     ("name", "backend", "message"),
     [
         ("a.onnx", "torch", r"backend: expected onnxruntime or openvino for the graph a\.onnx"),
-        ("soyuz", "openvino", "backend: expected torch for the weights soyuz, got 'op"),
+        ("a.safetensors", "openvino", "backend: expected torch for the weights a.safe.*, got 'op"),
         ("soyuz", "tensorrt", r"backend: expected one of \('torch', .*, got 'tensorrt'"),
     ],
 )

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ffpose._internal import zoo
 from ffpose._internal.seeds import CALIBRATION, TRAINING
 from ffpose.cli import build_parser, words_of
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.card.seen import trainings
-from ffpose.models import read_metadata, zoo
+from ffpose.models import read_metadata
 from ffpose.render import label
 from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM
 from ffpose.training.calibration_images import (

@@ -12,6 +12,7 @@ from safetensors import safe_open
 
 import ffpose
 from ffpose import DataError
+from ffpose._internal import zoo
 from ffpose.config import PolarPoseConfig
 from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.imaging.preprocessing import Preprocessing
@@ -21,7 +22,6 @@ from ffpose.models import (
     WeightsMetadata,
     load_network,
     read_metadata,
-    zoo,
 )
 from ffpose.models import weights as files
 from ffpose.models.registry import open_weights

@@ -108,6 +108,34 @@ def test_the_operator_computes_the_graph_with_constant_weights(mixed):
         np.testing.assert_allclose(values, expected, rtol=0, atol=2e-5)
 
 
+class Constants(nn.Module):
+    """Constants that float16 holds, and others: beyond its range, its precision, and few."""
+
+    def __init__(self):
+        super().__init__()
+        numbers = torch.randn(4, 32, 64).half().float()
+        held, large, fine, few = numbers[0], 1e5 * numbers[1], numbers[2] + 1e-6, numbers[3, 0]
+        for name, value in {"held": held, "large": large, "fine": fine, "few": few}.items():
+            self.register_buffer(name, value)
+
+    def forward(self, x):
+        return (x * self.held + self.large) * self.fine + self.few
+
+
+def test_constants_that_float16_holds_are_stored_so(tmp_path):
+    """The graph computes in float32 with the very numbers, and halves what it can."""
+    torch.manual_seed(0)
+    module, x = Constants().eval(), torch.randn(2, 32, 64)
+    exported = ffpose.onnx.export(module, (x,), tmp_path / "a.onnx")
+    constants = onnx.load(exported.path).graph.initializer
+    kinds = {tensor.name: tensor.data_type for tensor in constants}
+    half, single = onnx.TensorProto.FLOAT16, onnx.TensorProto.FLOAT
+    assert kinds == {"held/float16": half, "large": single, "fine": single, "few": single}
+    session = runtime.InferenceSession(exported.path, providers=["CPUExecutionProvider"])
+    (got,) = session.run(None, {session.get_inputs()[0].name: x.numpy()})
+    np.testing.assert_array_equal(got, module(x).numpy())
+
+
 @needs_library
 def test_the_library_gives_what_torch_gives(mixed, tmp_path):
     exported = ffpose.onnx.export(mixed, (torch.randn(2, 36, 8),), tmp_path / "mixed.onnx")

@@ -23,6 +23,7 @@ from safetensors.torch import load_file
 from ffpose._internal.figures import new_figure, save_figure, style_axes
 from ffpose._internal.info import collect
 from ffpose._internal.machine import cores, processor
+from ffpose._internal.zoo import resolve
 from ffpose.bench.timing import (
     Latency,
     expect_place,
@@ -36,7 +37,6 @@ from ffpose.inference.load import load
 from ffpose.inference.source import Backend
 from ffpose.models import build_network, read_metadata
 from ffpose.models.weights import write_weights
-from ffpose.models.zoo import resolve
 from ffpose.onnx.pose_graph import export_weights, pose_differences, random_images
 
 APART = 1e-3

@@ -18,6 +18,7 @@ from typing import Any
 import ffpose
 from ffpose._internal.figures import save_figure
 from ffpose._internal.files import atomic_write
+from ffpose._internal.zoo import resolve
 from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import DemoRecord
 from ffpose.demo.report import SHIPPED, Outcome, Weights, document, page
@@ -25,7 +26,6 @@ from ffpose.evaluation.evaluate import evaluate
 from ffpose.evaluation.report.page import write_report
 from ffpose.evaluation.report.plots import training_curves, write_evaluation_figures
 from ffpose.evaluation.report.results import write_results
-from ffpose.models.zoo import resolve
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.training import TrainConfig
 from ffpose.training.checkpoint import RunFolder

@@ -32,10 +32,12 @@ def load(
     """Open a network, which then gives the pose of the spacecraft in an image.
 
     Args:
-        network: Weights file, exported graph (``.onnx``), a folder that holds one, or a name of
-            shipped weights such as ``"soyuz"`` (`ffpose.inference.source.find_source`).
+        network: Weights file, exported graph (``.onnx``), a folder that holds one, or a name of a
+            shipped network such as ``"soyuz"``, of which there are both
+            (`ffpose.inference.source.find_source`).
         backend: ``"torch"`` for weights; ``"onnxruntime"`` or ``"openvino"`` for a graph, which
-            need no torch. None: what the file is for, of the runtimes the first that is installed.
+            need no torch. None: what the file is for, of the runtimes the first that is installed;
+            of a name torch, where it is installed.
         threads: Number of threads within an image, on the CPU; None for the backend's default.
         camera: Camera of the images, which are reprojected to the network's view if it is another
             than that of training; None for that of training.

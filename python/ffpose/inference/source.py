@@ -1,16 +1,18 @@
-"""What a user names: shipped weights, a weights file, an exported graph, or a folder with one."""
+"""What a user names: a shipped network, a weights file, an exported graph, or a folder with one."""
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
+from ffpose._internal.zoo import GRAPH, WEIGHTS, resolve
 from ffpose.errors import require
 
 Backend = Literal["torch", "onnxruntime", "openvino"]
 """What computes a network: torch, for weights; one of the others, for an exported graph."""
 
-WEIGHTS, GRAPH = ".safetensors", ".onnx"
+NEEDED_BY_WEIGHTS = ("torch", "safetensors")
 BEST = "best.safetensors"
 """The weights of a training's folder; beside them are those of its last epoch."""
 
@@ -30,14 +32,15 @@ class Source(NamedTuple):
 def find_source(network: str | Path, backend: Backend | None = None) -> Source:
     """Find the file of a network.
 
-    A word without folder and suffix is a name of shipped weights, unless a file has that name, or a
-    folder with a network. In a folder, weights come before graphs where no backend is named, and
-    ``best.safetensors`` before other weights.
+    A word without folder and suffix is a name of a shipped network, unless a file has that name, or
+    a folder with a network. Names and folders stand for weights where torch computes, which it does
+    where it is installed and no other backend is named; elsewhere for graphs. In a folder that has
+    only one of these that one is taken, and ``best.safetensors`` goes before other weights.
 
     Args:
         network: Weights file, graph (by its suffix ``.onnx``), a folder that holds one, or a name
-            of shipped weights.
-        backend: What is to compute it; in a folder, this chooses between weights and graph.
+            of a shipped network.
+        backend: What is to compute it; of names and folders, this chooses weights or graph.
 
     Raises:
         FileNotFoundError: There is no such file or name, or the folder holds no network.
@@ -48,8 +51,10 @@ def find_source(network: str | Path, backend: Backend | None = None) -> Source:
     if backend is not None and backend not in get_args(Backend):
         raise ValueError(f"backend: expected one of {get_args(Backend)}, got {backend!r}")
     path = Path(network)
+    in_torch = backend == "torch" or (backend is None and all(map(find_spec, NEEDED_BY_WEIGHTS)))
     if path.is_dir():
-        path = _network_in(path, backend) or path
+        path = _network_in(path, backend, in_torch=in_torch) or path
+    path = resolve(path, WEIGHTS if in_torch else GRAPH)
     source = Source(path, path.suffix.lower() == GRAPH)
     if source.is_graph:
         if backend == "torch":
@@ -62,19 +67,19 @@ def find_source(network: str | Path, backend: Backend | None = None) -> Source:
             f"backend: expected torch for the weights {path}, got {backend!r}, which computes what"
             " `ffpose export` makes of them"
         )
-    for module in ("torch", "PIL.Image"):
+    for module in NEEDED_BY_WEIGHTS:
         require(module, "pose")
-    from ffpose.models.zoo import resolve
-
-    return Source(resolve(path), is_graph=False)
+    return source
 
 
-def _network_in(folder: Path, backend: Backend | None) -> Path | None:
-    """Return the one network in a folder; None where it may be a name of weights instead."""
+def _network_in(folder: Path, backend: Backend | None, *, in_torch: bool) -> Path | None:
+    """Return the one network in a folder; None where it may be a name instead."""
     weights, graphs = (sorted(folder.glob(f"*{suffix}")) for suffix in (WEIGHTS, GRAPH))
-    best = [path for path in weights if path.name == BEST]
-    choice = {"torch": best or weights, None: best or weights or graphs}
-    found = choice.get(backend, graphs)
+    weights = [path for path in weights if path.name == BEST] or weights
+    if backend is None:
+        found = (weights or graphs) if in_torch else (graphs or weights)
+    else:
+        found = weights if in_torch else graphs
     if not found and len(folder.parts) == 1:
         return None
     if not found:

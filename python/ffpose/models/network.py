@@ -18,13 +18,13 @@ import torch
 from torch import Tensor, nn
 
 from ffpose._internal.torch_internals import register_named_tuple
+from ffpose._internal.zoo import resolve
 from ffpose.config import PRESETS, FrameConfig, NetworkConfig
 from ffpose.errors import DataError
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.backbone import Backbone, backbone_preprocessing
 from ffpose.models.pretrained import BackboneSource
 from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
-from ffpose.models.zoo import resolve
 from ffpose.nn.orientation import OrientationHead
 
 
@@ -227,7 +227,7 @@ class PoseNetwork(nn.Module, ABC):
 
         Args:
             path: Weights file, or name of shipped weights such as ``"soyuz"``
-                (`ffpose.models.zoo.names`).
+                (`ffpose._internal.zoo.names`).
             **fields: Fields of the config to change that the weights do not depend on: ``looks``,
                 and ``candidates`` of PolarPose, for less latency.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ffpose._internal.zoo import resolve
 from ffpose.config import PRESETS, NetworkConfig
 from ffpose.models.filterformer_pose import FilterformerPose
 from ffpose.models.network import PoseNetwork
@@ -12,7 +13,6 @@ from ffpose.models.polar_pose import PolarPose
 from ffpose.models.pose_net import PoseNet
 from ffpose.models.urso_net import UrsoNet
 from ffpose.models.weights import WeightsMetadata, read_metadata
-from ffpose.models.zoo import resolve
 
 NETWORKS: dict[str, type[PoseNetwork]] = {
     each.config_type.architecture: each for each in (FilterformerPose, PolarPose, UrsoNet, PoseNet)
@@ -60,7 +60,7 @@ def load_network(path: str | Path, **fields: Any) -> PoseNetwork:
     """Load a network of any kind, in evaluation mode.
 
     Args:
-        path: Weights file, or name of shipped weights (`ffpose.models.zoo.names`).
+        path: Weights file, or name of shipped weights (`ffpose._internal.zoo.names`).
         **fields: As in `PoseNetwork.from_pretrained`.
 
     Raises:

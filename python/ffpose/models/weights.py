@@ -27,12 +27,12 @@ from torch import Tensor, nn
 
 from ffpose import __version__
 from ffpose._internal.files import atomic_write, sha256
+from ffpose._internal.zoo import resolve
 from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type, degrees_of_freedom
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.pretrained import BackboneSource
-from ffpose.models.zoo import resolve
 
 logger = logging.getLogger(__name__)
 
@@ -175,7 +175,7 @@ def read_metadata(path: str | Path) -> WeightsMetadata:
     """Read the header of a weights file, without its tensors.
 
     Args:
-        path: The file, or a name, as in `ffpose.models.zoo.resolve`.
+        path: The file, or a name, as in `ffpose._internal.zoo.resolve`.
 
     Raises:
         FileNotFoundError: ``path`` is neither a file nor a name of shipped weights.

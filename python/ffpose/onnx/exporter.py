@@ -42,6 +42,9 @@ ROUNDINGS = 8
 FOLDED = 1 << 26
 """Largest constant that is folded, bytes; above the size of filters' weights."""
 
+FEWEST_HALVED = 1024
+"""Fewest numbers of a constant that is stored as float16, as that takes a node more."""
+
 FilterChoice = Literal["custom", "matmul"]
 Say = Callable[[str], None]
 
@@ -177,6 +180,7 @@ def serialized(
     if filter == "matmul":
         replace_filters(model)
         replace_attention(model)
+    halve(model)
     model.metadata_props.clear()
     model.metadata_props.update(entries(kind))
     return sealed(require("onnx_ir", "export").to_proto(model).SerializeToString()), kind
@@ -250,6 +254,34 @@ def compact(model: Any) -> None:
             del node.metadata_props[key]
         for output in node.outputs:
             output.metadata_props.clear()
+
+
+def halve(model: Any) -> None:
+    """Store as float16 those constants of an `onnx_ir.Model` that lose nothing by it, in place.
+
+    Shipped weights are such numbers. A node makes float32 of each, which runtimes compute as they
+    load the graph, not as they run it.
+    """
+    ir, graph = require("onnx_ir", "export"), model.graph
+    for name, value in list(graph.initializers.items()):
+        whole = value.const_value.numpy()
+        few = whole.size < FEWEST_HALVED
+        if whole.dtype != np.float32 or few or value.is_graph_output():
+            continue
+        with np.errstate(over="ignore"):
+            half = whole.astype(np.float16)
+        if not np.array_equal(half, whole):
+            continue
+        node = ir.node("Cast", [ir.Value(name=f"{name}/float16")], {"to": ir.DataType.FLOAT})
+        stored, (cast,) = node.inputs[0], node.outputs
+        stored.const_value = ir.tensor(half, name=stored.name)
+        stored.shape, stored.dtype = value.shape, ir.DataType.FLOAT16
+        cast.shape, cast.dtype = value.shape, value.dtype
+        ir.convenience.replace_all_uses_with(value, cast)
+        del graph.initializers[name]
+        cast.name = name
+        graph.register_initializer(stored)
+        graph.insert_before(graph[0], node)
 
 
 def tensors_of(result: Any) -> list[Tensor]:

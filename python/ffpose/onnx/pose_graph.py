@@ -10,11 +10,11 @@ import numpy as np
 import torch
 
 from ffpose._internal.files import sha256
+from ffpose._internal.zoo import resolve
 from ffpose.config import NetworkConfig, looks_twice
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import PosePrediction, WeightsMetadata, open_weights
 from ffpose.models.network import UncertainPose
-from ffpose.models.zoo import resolve
 from ffpose.onnx.exporter import (
     TOLERANCE,
     Exported,

@@ -12,11 +12,11 @@ from safetensors.torch import load_file
 from torch.utils.data import DataLoader
 
 from ffpose import __version__
+from ffpose._internal.zoo import resolve
 from ffpose.config import looks_twice
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.models import SecondLookNetwork, WeightsMetadata, load_network, read_metadata
 from ffpose.models.weights import write_weights
-from ffpose.models.zoo import resolve
 from ffpose.training.calibrate import Calibration, calibrate
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
 from ffpose.training.config import CalibrationImages

@@ -4,12 +4,12 @@ import json
 
 import pytest
 
+from ffpose._internal import zoo
 from ffpose._internal.files import sha256
 from ffpose._internal.seeds import FINAL
 from ffpose.errors import DataError
 from ffpose.evaluation.card.page import PART, fill_page, filled, read_cards
 from ffpose.evaluation.card.tables import format_card
-from ffpose.models import zoo
 from pages import ROOT
 
 CARDS = {"dragon_hard": "dragon", "soyuz_easy": "soyuz", "soyuz_hard": "soyuz"}

@@ -369,7 +369,7 @@ def test_a_scheduler_renders_the_same_image():
 def test_a_second_renderer_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     scene = replace(SCENES["soyuz_easy"], renderer="mitsuba")
-    with pytest.raises(ImportError, match=r"WHEEL\[mitsuba\]"):
+    with pytest.raises(ImportError, match=r"ffpose\[mitsuba\]"):
         write_dataset(scene, tmp_path / "new", 3, size=SIZE)
     assert not (tmp_path / "new").exists()
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from ffpose import DataError
-from ffpose.models import FilterformerPose, load_network, read_metadata, zoo
+from ffpose._internal import zoo
+from ffpose.models import FilterformerPose, load_network, read_metadata
 
 
 @pytest.fixture
