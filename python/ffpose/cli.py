@@ -747,20 +747,22 @@ def calibrate(options: Namespace) -> None:
 def bench_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `bench`."""
     parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
-    text = "of a model: base, small, tiny, compact, or weights (default: base; quick: tiny)"
+    text = "of a model: a preset, such as base or polar, or weights (default: base; quick: tiny)"
     parser.add_argument("network", nargs="?", help=text)
     parser.add_argument("--json", action="store_true", help="print every timing as JSON")
     parser.add_argument("--plot", type=Path, help="picture to draw, PNG")
     parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
     parser.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")
     parser.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
+    text = "graphs that take turns with a model, in ONNX Runtime: an older one, an int8 one"
+    parser.add_argument("--beside", type=Path, nargs="+", metavar="GRAPH", help=text)
     view_arguments(parser)
 
 
 def bench(options: Namespace) -> None:
     """Measure the filter against torch.fft, or a network in torch, ONNX Runtime and OpenVINO."""
     if options.subject == "filter":
-        for name in ("network", "batch", "threads", "looks", "candidates"):
+        for name in ("network", "batch", "threads", "beside", "looks", "candidates"):
             if options[name] is not None:
                 raise ValueError(f"{name}: expected with model, got {options[name]} with filter")
         from ffpose.bench.filter import run
@@ -776,6 +778,7 @@ def bench(options: Namespace) -> None:
         options.quick,
         batches=options.batch,
         threads=options.threads,
+        beside=options.beside or (),
         **view_fields(options),
     )
 

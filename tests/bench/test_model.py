@@ -48,6 +48,17 @@ def test_a_document_a_table_and_a_plot(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("at_once")
+def test_another_graph_takes_turns(tmp_path, capsys):
+    other = tmp_path / "other.onnx"
+    bench.export_weights(bench.weights_of("speck", tmp_path), other)
+    words = ["--quick", "--json", "--beside", str(other)]
+    assert main(["bench", "model", "speck", *words]) == 0
+    (result,) = json.loads(capsys.readouterr().out)["results"]
+    assert list(result["latencies"])[-1] == "other.onnx"
+    assert "other.onnx" not in result["differences"]
+
+
+@pytest.mark.usefixtures("at_once")
 def test_a_backend_that_computes_other_poses_is_refused(monkeypatch, capsys):
     monkeypatch.setattr(bench, "APART", -1.0)
     assert main(["bench", "model", "speck", "--quick"]) == 1

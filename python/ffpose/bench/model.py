@@ -1,19 +1,21 @@
 """``ffpose bench model NETWORK``: latency of a network in torch, ONNX Runtime and OpenVINO.
 
 The contenders of a case take turns in this process, each with its own copy of the network, and
-their poses are compared before they are timed. A runtime that is not installed is left out.
+their poses are compared before they are timed. A runtime that is not installed is left out. Other
+graphs may take turns with them, such as an older one, or the same in int8.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import torch
 from rich.console import Console
@@ -33,10 +35,12 @@ from ffpose.bench.timing import (
     torch_threads,
 )
 from ffpose.config import PRESETS
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
 from ffpose.inference.source import Backend
 from ffpose.models import build_network, read_metadata
 from ffpose.models.weights import write_weights
+from ffpose.onnx.backends import OnnxRuntimeSession
 from ffpose.onnx.pose_graph import export_weights, pose_differences, random_images
 
 APART = 1e-3
@@ -47,7 +51,7 @@ BATCHES = (1, 8)
 
 @dataclass(frozen=True)
 class Result:
-    """Latencies of a network by backend, and differences of the outputs from torch's."""
+    """Latencies by backend or other graph, and how far the outputs of backends are from torch's."""
 
     batch: int
     threads: int
@@ -63,6 +67,7 @@ def run(
     *,
     batches: Sequence[int] | None = None,
     threads: Sequence[int] | None = None,
+    beside: Sequence[Path] = (),
     **fields: int,
 ) -> None:
     """Time a network, and print a table, or all latencies as JSON, on standard output.
@@ -74,6 +79,7 @@ def run(
         quick: Batch 1, one thread, short timings.
         batches: Images a batch; None for 1 and 8.
         threads: Numbers of threads; None for 1, 2 and all.
+        beside: Graphs that take turns with it in ONNX Runtime, each named by its file.
         **fields: Fields of the network to change: ``looks`` and ``candidates``.
 
     Raises:
@@ -91,7 +97,7 @@ def run(
         weights = weights_of(network, Path(name), **fields)
         files = _files(weights, Path(name))
         results = [
-            _measure(files, batch, count, 0.5 if quick else 5.0)
+            _measure(files, beside, batch, count, 0.5 if quick else 5.0)
             for count, batch in product(counts, batches or ((1,) if quick else BATCHES))
         ]
     if as_json:
@@ -146,14 +152,18 @@ def _files(weights: Path, folder: Path) -> dict[Backend, Path]:
     return files
 
 
-def _measure(files: Mapping[Backend, Path], batch: int, threads: int, seconds: float) -> Result:
+def _measure(
+    files: Mapping[Backend, Path], beside: Sequence[Path], batch: int, threads: int, seconds: float
+) -> Result:
     with torch_threads(threads):
         estimators = {
             name: load(path, backend=name, threads=threads, device="cpu")
             for name, path in files.items()
         }
         inputs = random_images(estimators["torch"].preprocessing, batch).numpy()
-        calls = {name: partial(each.run, inputs) for name, each in estimators.items()}
+        calls: dict[str, Callable[[], Mapping[str, Any]]] = {
+            name: partial(each.run, inputs) for name, each in estimators.items()
+        }
         expected = calls["torch"]()
         apart: dict[str, float] = {
             name: max(pose_differences(call(), expected).values()) for name, call in calls.items()
@@ -161,11 +171,19 @@ def _measure(files: Mapping[Backend, Path], batch: int, threads: int, seconds: f
         for name, difference in apart.items():
             if not difference <= APART:
                 raise RuntimeError(f"poses by {name} differ from torch's by {difference:.1e}")
+        calls |= {graph.name: _call(graph, batch, threads) for graph in beside}
         samples = take_turns({name: timed(call) for name, call in calls.items()}, seconds)
         latencies: dict[str, Latency] = {
             name: percentiles(times) for name, times in samples.items()
         }
     return Result(batch, threads, latencies, apart)
+
+
+def _call(graph: Path, batch: int, threads: int) -> Callable[[], Mapping[str, Any]]:
+    """Return what runs a graph of any version of ffpose in ONNX Runtime, on random images."""
+    session = OnnxRuntimeSession(graph, "custom", threads)
+    *_, height, width = session.session.get_inputs()[0].shape
+    return partial(session.run, random_images(Preprocessing((height, width)), batch).numpy())
 
 
 def _table(network: str, results: Sequence[Result]) -> Table:
@@ -180,7 +198,7 @@ def _table(network: str, results: Sequence[Result]) -> Table:
                 *(str(each.batch), str(each.threads), name),
                 *(f"{1e3 * value:.1f}" for value in (latency.p50, latency.p95, latency.p99)),
                 f"{latency.p50 / each.latencies['torch'].p50:.2f}",
-                f"{each.differences[name]:.0e}",
+                f"{each.differences[name]:.0e}" if name in each.differences else "",
             )
     return table
 
