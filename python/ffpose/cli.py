@@ -26,6 +26,7 @@ from ffpose.errors import DataError, MissingExtraError, explain, require
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser, Namespace
 
+    from ffpose.onnx.exporter import Exported
     from ffpose.render import Scene
     from ffpose.render.spacecraft.craft import Craft
 
@@ -486,6 +487,9 @@ def track_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--resize", action="store_true", help="resize images of any camera to the network's input"
     )
+    parser.add_argument(
+        "--whole", action="store_true", help="search each frame as a whole, as if without a track"
+    )
 
 
 def track(options: Namespace) -> None:
@@ -505,8 +509,11 @@ def track(options: Namespace) -> None:
         camera=None if path is None else Camera.read(path),
         resize=options.resize,
         device=options.device,
+        track=not options.whole,
         warm_up=0,
     )
+    if estimator.near is None and not options.whole:
+        say("each frame is searched as a whole: no single look (ffpose export --track)")
     title = f"{options.images.name}, tracked by {options.weights.name}"
     followed = run_track(estimator, frames, options.out, title=title)
     accepted = sum(each.step.accepted for each in followed)
@@ -519,7 +526,7 @@ def view_arguments(parser: ArgumentParser) -> None:
         parser.add_argument(f"--{name}", type=int, help=f"number of {what}, for less latency")
 
 
-def view_fields(options: Namespace) -> dict[str, int]:
+def view_fields(options: Namespace) -> dict[str, Any]:
     """Return the fields of a network that `view_arguments` changes."""
     return {name: options[name] for name in ("looks", "candidates") if options[name] is not None}
 
@@ -536,6 +543,11 @@ def export_arguments(parser: ArgumentParser) -> None:
     )
     view_arguments(parser)
     parser.add_argument(
+        "--track",
+        action="store_true",
+        help="write the single look of a track too, X.track.onnx beside X.onnx",
+    )
+    parser.add_argument(
         "--int8", action="store_true", help="convolutions and matrix products in 8 bits"
     )
     parser.add_argument(
@@ -549,25 +561,33 @@ def export(options: Namespace) -> None:
     With --int8, the differences of poses from float32 on the calibration images are printed too.
     """
     from ffpose.imaging.images import image_files
+    from ffpose.inference.source import TRACK_SUFFIX
     from ffpose.onnx.pose_graph import export_weights
     from ffpose.onnx.pose_int8 import quantize_graph
 
     if options.int8 != (options.calibrate is not None):
         raise ValueError("int8: expected with --calibrate DIR, both or neither, got one")
+    if options.int8 and options.track:
+        raise ValueError("track: expected without --int8, got both")
     images = image_files(options.calibrate, "calibrate") if options.int8 else []
     with TemporaryDirectory(prefix="ffpose-export-") as folder:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
-        exported = export_weights(
-            options.weights, path, options.filter, say=say, **view_fields(options)
-        )
-        for name, difference in exported.differences.items():
-            print(f"largest difference of {name}: {difference:.2g}")
-        say(f"float32: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
+        if options.track:
+            beside = options.out.with_suffix(TRACK_SUFFIX)
+            tell(export_weights(options.weights, beside, options.filter, takes_point=True, say=say))
+        tell(export_weights(options.weights, path, options.filter, say=say, **view_fields(options)))
         if options.int8:
             quantized = quantize_graph(path, options.out, images, say=say)
             print(*quantized.lines(), sep="\n")
             say(f"int8: {quantized.bytes / 1e6:.1f} MB, {quantized.nodes} nodes")
     say(str(options.out))
+
+
+def tell(exported: Exported) -> None:
+    """Print how much a graph differs from torch, its size and how it computes filters."""
+    for name, difference in exported.differences.items():
+        print(f"largest difference of {name}: {difference:.2g}")
+    say(f"{exported.path.name}: {exported.bytes / 1e6:.1f} MB, filters: {exported.filter}")
 
 
 def inspect_arguments(parser: ArgumentParser) -> None:

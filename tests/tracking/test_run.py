@@ -27,6 +27,7 @@ class Estimator:
         white = None
 
     camera = CAMERA
+    near = None
 
     def __init__(self, poses):
         self.poses = poses
@@ -37,7 +38,7 @@ class Estimator:
                 raise ValueError(f"image: expected 64x48, got {image.size}")
             return np.full((3, 48, 64), image.getpixel((0, 0))[0], np.float32)
 
-    def estimate(self, inputs):
+    def estimate(self, inputs, points=None):
         return [self.poses[int(one[0, 0, 0])] for one in inputs]
 
 

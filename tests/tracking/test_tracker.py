@@ -1,5 +1,7 @@
 """The tracker against a textbook Kalman filter, its own noise, and malformed poses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm, sqrtm
@@ -68,6 +70,9 @@ class Textbook:
         turned = dt * np.sqrt(seen @ seen + np.trace(self.cov[9:12, 9:12]))
         a, g = np.zeros((12, 12)), np.zeros((12, 12))
         a[:3, 3:6] = np.eye(3)
+        n = np.radians(s.orbital_rate)  # gravity's gradient, centrifugal and Coriolis forces
+        a[3:6, :3] = n @ n * (3 * np.outer(s.zenith, s.zenith) - np.eye(3)) - hat(n) @ hat(n)
+        a[3:6, 3:6] = -2 * hat(n)
         a[6:9, 6:9], a[6:9, 9:] = -hat(self.w), np.eye(3)
         g[3:6, 3:6] = s.acceleration**2 * np.eye(3)
         g[9:, 9:] = np.radians(s.angular_acceleration) ** 2 * np.eye(3)
@@ -79,7 +84,7 @@ class Textbook:
             kept = np.exp(-turned / np.radians(angle))
             f[place : place + 3, place : place + 3] = kept * np.eye(3)
             q[place : place + 3, place : place + 3] = (1 - kept**2) * np.eye(3)
-        self.p = self.p + self.v * dt
+        self.p, self.v = np.split(f[:6, :6] @ np.concatenate([self.p, self.v]), 2)
         self.r = self.r * Rotation.from_rotvec(self.w * dt)
         self.cov = f @ self.cov @ f.T + q
 
@@ -113,12 +118,18 @@ def covariances(rng):
     return half @ half.transpose(0, 2, 1) + np.array([1e-4, 1e-5])[:, None, None] * np.eye(3)
 
 
-def test_equals_a_textbook_filter_with_whole_matrices():
+ORBIT = {"orbital_rate": (0.03, 0.0, 0.04), "zenith": (0.0, 1.0, 0.0)}
+"""Close to a low orbit's 0.065 deg/s."""
+
+
+@pytest.mark.parametrize("orbit", [{}, ORBIT])
+def test_equals_a_textbook_filter_with_whole_matrices(orbit):
+    settings = replace(PLAIN, **orbit)
     rng = np.random.default_rng(3)
     rotation, t, time = Rotation.random(random_state=4), np.array([1.0, -2.0, 15.0]), 0.0
     rate, velocity = np.array([0.03, -0.05, 0.02]), np.array([0.05, 0.02, -0.1])
     ct, cr = covariances(rng)
-    textbook, tracker = Textbook(PLAIN, t, rotation, ct, cr), Tracker(PLAIN)
+    textbook, tracker = Textbook(settings, t, rotation, ct, cr), Tracker(settings)
     tracker.step(time, pose(t, rotation, ct, cr))
     for _ in range(40):
         dt = rng.uniform(0.05, 2.0)
@@ -127,7 +138,9 @@ def test_equals_a_textbook_filter_with_whole_matrices():
         ct, cr = covariances(rng)
         seen_t = t + rng.normal(size=3) * 0.05
         seen_r = rotation * Rotation.from_rotvec(rng.normal(size=3) * 0.02)
+        expected = tracker.expected(time)
         textbook.predict(dt)
+        np.testing.assert_allclose(expected, textbook.p, atol=1e-9)
         nis = textbook.correct(seen_t, seen_r, ct, cr)
         step = tracker.step(time, pose(seen_t, seen_r, ct, cr))
         mine = step.estimate
@@ -220,6 +233,42 @@ def test_velocity_and_angular_velocity_in_the_units_of_their_names():
     )
 
 
+def test_an_orbit_bends_the_way_of_a_free_body():
+    """Clohessy and Wiltshire: a body that rests above falls behind by 12 pi heights an orbit."""
+    n = np.radians(0.05)
+    tracker = Tracker(replace(PLAIN, coasting=np.inf, acceleration=0, velocity=1e-9, **ORBIT))
+    start = np.array([0.0, 1.0, 30.0])  # the zenith is +y, the orbit's normal (0.6, 0, 0.8)
+    tiny = 1e-12 * np.eye(3)
+    tracker.step(0, pose(start, Rotation.identity(), tiny, tiny))
+    tracker.step(1e-9, pose(start, Rotation.identity(), tiny, tiny))
+    height, along, across = start[1], start @ [-0.8, 0, 0.6], start @ [0.6, 0, 0.8]
+    for orbits in (0.25, 1):
+        angle = 2 * np.pi * orbits
+        got = tracker.expected(angle / n) @ np.array([[0, 1, 0], [-0.8, 0, 0.6], [0.6, 0, 0.8]]).T
+        wanted = [(4 - 3 * np.cos(angle)) * height, 0, np.cos(angle) * across]
+        wanted[1] = along + 6 * (np.sin(angle) - angle) * height
+        np.testing.assert_allclose(got, wanted, atol=1e-3)
+
+
+def test_with_an_orbit_there_is_no_gyro():
+    tracker = Tracker(Settings(**ORBIT))
+    with pytest.raises(ValueError, match="camera_rate: expected zero with an orbital rate"):
+        tracker.step(0, GOOD, camera_rate=(0.01, 0, 0))
+
+
+def test_where_to_look_is_known_while_frames_correct_the_track():
+    tracker = Tracker()
+    assert tracker.expected(1) is None
+    tracker, _ = steady(20, np.random.default_rng(0))
+    np.testing.assert_allclose(tracker.expected(20), [0, 0, 18], atol=0.1)
+    assert tracker.expected(19.5) is None  # the last frame's time
+    assert tracker.expected(30) is None  # later than a track lasts
+    turned = tracker.expected(20, camera_rate=(0, 10, 0))  # by 5 degrees: it moves to the left
+    np.testing.assert_allclose(turned[0] / turned[2], -np.tan(np.radians(5)), atol=0.01)
+    tracker.step(20, None)
+    assert tracker.expected(20.5) is None
+
+
 def test_flagged_frames_and_frames_without_a_pose_are_coasted():
     tracker, _ = steady(20, np.random.default_rng(0))
     empty = pose([3, 3, 9], Rotation.identity(), np.eye(3), np.eye(3), 0.01, 0.5)
@@ -276,3 +325,7 @@ def test_what_is_no_frame_is_refused_and_changes_nothing(arguments, error, messa
 def test_settings_out_of_range_are_refused():
     with pytest.raises(ValueError, match="attitude_noise: expected a share above 0, up to 1"):
         Tracker(Settings(attitude_noise=0))
+    with pytest.raises(ValueError, match="zenith: expected a vector of norm 1, got 2"):
+        Tracker(Settings(zenith=(0, 2, 0)))
+    with pytest.raises(ValueError, match="orbital_rate: expected a vector across the zenith"):
+        Tracker(Settings(orbital_rate=(0, 0.06, 0)))

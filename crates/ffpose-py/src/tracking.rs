@@ -18,12 +18,13 @@ pub(crate) struct PyTracker(Tracker);
 
 #[pymethods]
 impl PyTracker {
-    /// A tracker with settings by name, in SI units and radians; those left out are the usual ones.
+    /// A tracker with settings by name, each a list of numbers, angles in degrees; those left out are the usual ones.
     #[new]
     fn new(settings: &Bound<'_, PyDict>) -> PyResult<Self> {
         let mut parameters = Parameters::default();
         for (name, value) in settings {
-            *setting(&mut parameters, name.extract()?)? = value.extract()?;
+            let values: Vec<f64> = value.extract()?;
+            parameters.set(name.extract()?, &values).map_err(raised)?;
         }
         Tracker::new(parameters).map(Self).map_err(raised)
     }
@@ -52,6 +53,11 @@ impl PyTracker {
         told(py, &step)
     }
 
+    /// Where to look for the object in a frame at `time`, meters in the camera frame, or None for everywhere.
+    fn expected(&self, time: f64, camera_rate: [f64; 3]) -> Option<[f64; 3]> {
+        self.0.expected(time, camera_rate)
+    }
+
     /// The next best attitude that frames have agreed on, or None.
     fn alternative<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
         self.0.alternative().map(|estimate| motion(py, &estimate)).transpose()
@@ -77,24 +83,6 @@ fn measured(poses: &[Pose]) -> Result<Option<Measurement>, Error> {
         *place = mode(pose)?;
     }
     Measurement::new(&modes[..poses.len()]).map(Some)
-}
-
-fn setting<'a>(parameters: &'a mut Parameters, name: &str) -> PyResult<&'a mut f64> {
-    Ok(match name {
-        "acceleration" => &mut parameters.acceleration,
-        "angular_acceleration" => &mut parameters.angular_acceleration,
-        "velocity" => &mut parameters.velocity,
-        "rate" => &mut parameters.rate,
-        "position_angle" => &mut parameters.position_angle,
-        "attitude_angle" => &mut parameters.attitude_angle,
-        "position_noise" => &mut parameters.position_noise,
-        "attitude_noise" => &mut parameters.attitude_noise,
-        "gate" => &mut parameters.gate,
-        "tails" => &mut parameters.tails,
-        "agreeing" => &mut parameters.agreeing,
-        "coasting" => &mut parameters.coasting,
-        _ => return Err(PyValueError::new_err(format!("expected a setting, got {name}"))),
-    })
 }
 
 fn told<'py>(py: Python<'py>, step: &Step) -> PyResult<Bound<'py, PyDict>> {

@@ -48,6 +48,8 @@ pub enum Error {
         /// The value that was given.
         got: f64,
     },
+    /// A setting that there is not, or of another number of numbers.
+    Setting,
     /// A saved state that cannot be taken up.
     State {
         /// Why.
@@ -74,6 +76,9 @@ impl Display for Error {
             Self::Modes { got } => write!(f, "modes: expected 1 to {}, got {got}", crate::MODES),
             Self::Parameter { name, expected, got } => {
                 write!(f, "{name}: expected {expected}, got {got}")
+            }
+            Self::Setting => {
+                write!(f, "expected a setting of the tracker: a number, or three of a vector")
             }
             Self::State { reason } => write!(f, "state: {reason}"),
         }

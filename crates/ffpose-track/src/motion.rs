@@ -1,4 +1,5 @@
-//! How a state moves on between two frames: constant velocity and angular velocity, with white accelerations.
+//! How a state moves on between two frames: constant velocity, or that of an orbit, and constant angular velocity, with
+//! white accelerations.
 
 use libm::{exp, sqrt};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -7,7 +8,7 @@ use crate::filter::{
     ATTITUDE, ATTITUDE_BIAS, Covariance, Filter, POSITION, POSITION_BIAS, RATE, VELOCITY,
 };
 use crate::parameters::Parameters;
-use crate::rotation::Turn;
+use crate::rotation::{Quotients, Turn};
 
 impl Filter {
     /// Moves on by `t` seconds, with noise discretized exactly for any `t`.
@@ -19,19 +20,21 @@ impl Filter {
     pub fn predict(&mut self, t: f64, camera_rate: &Vector3<f64>, parameters: &Parameters) -> f64 {
         let angle = self.angle_turned(t);
         let turn = Turn::new(&self.rate, t);
-        self.position += self.velocity * t;
+        let way = Way::new(parameters, t);
+        (self.position, self.velocity) = way.of(&self.position, &self.velocity);
         self.orientation *= UnitQuaternion::from_scaled_axis(self.rate * t);
         self.orientation.renormalize();
         let p = &mut self.covariance;
         let kept =
             [exp(-angle / parameters.position_angle), exp(-angle / parameters.attitude_angle)];
-        move_rows(p, t, &turn, kept);
+        move_rows(p, &way, &turn, kept);
         p.transpose_mut();
-        move_rows(p, t, &turn, kept);
+        move_rows(p, &way, &turn, kept);
         let white = parameters.acceleration * parameters.acceleration;
-        add(p, POSITION, POSITION, &Matrix3::from_diagonal_element(white * t * t * t / 3.0));
-        add(p, POSITION, VELOCITY, &Matrix3::from_diagonal_element(white * t * t / 2.0));
-        add(p, VELOCITY, VELOCITY, &Matrix3::from_diagonal_element(white * t));
+        let [of_position, across, of_velocity] = spread(parameters, t);
+        add(p, POSITION, POSITION, &(of_position * white));
+        add(p, POSITION, VELOCITY, &(across * white));
+        add(p, VELOCITY, VELOCITY, &(of_velocity * white));
         let white = parameters.angular_acceleration * parameters.angular_acceleration;
         add(p, ATTITUDE, ATTITUDE, &(turn.square * white));
         add(p, ATTITUDE, RATE, &(turn.cross * white));
@@ -44,6 +47,17 @@ impl Filter {
         }
         self.tidy();
         angle
+    }
+
+    /// Where the object will be after `t` seconds, m along the axes of the camera, which turns at `camera_rate` until then.
+    pub(crate) fn position_after(
+        &self,
+        t: f64,
+        camera_rate: &Vector3<f64>,
+        parameters: &Parameters,
+    ) -> Vector3<f64> {
+        let (position, _) = Way::new(parameters, t).of(&self.position, &self.velocity);
+        UnitQuaternion::from_scaled_axis(camera_rate * t).inverse() * position
     }
 
     /// The angle, radians, by which the object will have turned after `t` seconds as the camera sees it.
@@ -76,10 +90,89 @@ impl Filter {
     }
 }
 
+/// How position and velocity follow from those before: blocks of a matrix, by rows.
+struct Way {
+    of_position: [Matrix3<f64>; 2],
+    of_velocity: [Matrix3<f64>; 2],
+}
+
+impl Way {
+    /// A straight line, or the solution of W. H. Clohessy and R. S. Wiltshire (*Journal of the Aerospace Sciences* 27(9), 1960)
+    /// for a camera on a circular orbit that keeps its attitude to the Earth.
+    fn new(parameters: &Parameters, t: f64) -> Self {
+        let one = Matrix3::identity();
+        if !parameters.has_orbit() {
+            return Self { of_position: [one, one * t], of_velocity: [Matrix3::zeros(), one] };
+        }
+        let rate = Vector3::from(parameters.orbital_rate);
+        let n = rate.norm();
+        let (up, normal) = (Vector3::from(parameters.zenith), rate / n);
+        let along = normal.cross(&up);
+        let x = n * t;
+        let q = Quotients::new(x);
+        let (sine, versine) = (x * q.sine, x * x * q.cosine); // sin x and 1 - cos x
+        let (radial, forward, across) =
+            (up * up.transpose(), along * along.transpose(), normal * normal.transpose());
+        let lag = along * up.transpose();
+        let swirl = lag.transpose() - lag;
+        let plane = radial + across;
+        Self {
+            of_position: [
+                one + radial * (3.0 * versine)
+                    - across * versine
+                    - lag * (6.0 * x * x * x * q.sine_rest),
+                plane * (t * q.sine)
+                    + forward * (t * (4.0 * q.sine - 3.0))
+                    + swirl * (2.0 * t * x * q.cosine),
+            ],
+            of_velocity: [
+                (radial * 3.0 - across) * (n * sine) - lag * (6.0 * n * versine),
+                one - plane * versine - forward * (4.0 * versine) + swirl * (2.0 * sine),
+            ],
+        }
+    }
+
+    fn of(&self, p: &Vector3<f64>, v: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+        let Self { of_position, of_velocity } = self;
+        (of_position[0] * p + of_position[1] * v, of_velocity[0] * p + of_velocity[1] * v)
+    }
+}
+
+/// What a white acceleration of density one has made of position, position with velocity, and velocity after `t` seconds.
+fn spread(parameters: &Parameters, t: f64) -> [Matrix3<f64>; 3] {
+    if !parameters.has_orbit() {
+        return [t * t * t / 3.0, t * t / 2.0, t].map(Matrix3::from_diagonal_element);
+    }
+    // The integral by the rule of Gauss and Legendre: exact for powers up to nine, and an orbit turns little in `t`.
+    let mut sums = [Matrix3::zeros(); 3];
+    for (place, weight) in GAUSS {
+        let way = Way::new(parameters, t * (0.5 + place));
+        let (p, v) = (&way.of_position[1], &way.of_velocity[1]);
+        for (sum, product) in
+            sums.iter_mut().zip([p * p.transpose(), p * v.transpose(), v * v.transpose()])
+        {
+            *sum += product * (weight * t);
+        }
+    }
+    sums
+}
+
+/// Places from the middle of an interval of length one and their weights, of the rule of five points.
+const GAUSS: [(f64, f64); 5] = [
+    (-0.453_089_922_969_332, 0.118_463_442_528_094_54),
+    (-0.269_234_655_052_841_55, 0.239_314_335_249_683_23),
+    (0.0, 0.284_444_444_444_444_44),
+    (0.269_234_655_052_841_55, 0.239_314_335_249_683_23),
+    (0.453_089_922_969_332, 0.118_463_442_528_094_54),
+];
+
 /// `F P`, where `F` is the transition of the errors.
-fn move_rows(p: &mut Covariance, t: f64, turn: &Turn, kept: [f64; 2]) {
-    let rows = p.fixed_rows::<3>(POSITION) + p.fixed_rows::<3>(VELOCITY) * t;
-    p.fixed_rows_mut::<3>(POSITION).copy_from(&rows);
+fn move_rows(p: &mut Covariance, way: &Way, turn: &Turn, kept: [f64; 2]) {
+    let (positions, velocities) = (p.fixed_rows::<3>(POSITION), p.fixed_rows::<3>(VELOCITY));
+    let moved = [way.of_position, way.of_velocity]
+        .map(|[of_position, of_velocity]| of_position * positions + of_velocity * velocities);
+    p.fixed_rows_mut::<3>(POSITION).copy_from(&moved[0]);
+    p.fixed_rows_mut::<3>(VELOCITY).copy_from(&moved[1]);
     let rows = turn.error * p.fixed_rows::<3>(ATTITUDE) + turn.of_rate * p.fixed_rows::<3>(RATE);
     p.fixed_rows_mut::<3>(ATTITUDE).copy_from(&rows);
     for (place, kept) in [POSITION_BIAS, ATTITUDE_BIAS].into_iter().zip(kept) {

@@ -1,6 +1,12 @@
 //! The settings of a tracker: what it expects of the motion, of the network's errors, and how it decides.
 
+use core::slice;
+
+use libm::fabs;
+use nalgebra::Vector3;
+
 use crate::error::Error;
+use crate::measurement::finite;
 
 /// The settings of a [`Tracker`](crate::Tracker), in SI units and radians.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,10 +35,15 @@ pub struct Parameters {
     pub agreeing: f64,
     /// Seconds without a believed frame after which the track is lost.
     pub coasting: f64,
+    /// The orbit's angular velocity, rad/s along the camera's axes, of a camera that keeps its attitude to the Earth:
+    /// position and velocity then move as Clohessy and Wiltshire's equations say; zero for straight lines.
+    pub orbital_rate: [f64; 3],
+    /// Unit vector away from the Earth, along the camera's axes; counts with an orbital rate alone.
+    pub zenith: [f64; 3],
 }
 
 /// How many numbers [`Parameters`] are.
-pub(crate) const NUMBERS: usize = 12;
+pub(crate) const NUMBERS: usize = 18;
 
 impl Default for Parameters {
     fn default() -> Self {
@@ -49,14 +60,20 @@ impl Default for Parameters {
             tails: 5.0,
             agreeing: 4.0,
             coasting: 10.0,
+            orbital_rate: [0.0; 3],
+            zenith: [0.0, -1.0, 0.0],
         }
     }
 }
+
+/// How far from one the norm of the zenith may be, and from zero its cosine with the orbit's normal.
+const DIRECTION_TOLERANCE: f64 = 1e-3;
 
 impl Parameters {
     /// The numbers, in the order of the fields.
     pub(crate) fn to_array(self) -> [f64; NUMBERS] {
         let p = self;
+        let ([rx, ry, rz], [zx, zy, zz]) = (p.orbital_rate, p.zenith);
         [
             p.acceleration,
             p.angular_acceleration,
@@ -70,6 +87,12 @@ impl Parameters {
             p.tails,
             p.agreeing,
             p.coasting,
+            rx,
+            ry,
+            rz,
+            zx,
+            zy,
+            zz,
         ]
     }
 
@@ -88,7 +111,42 @@ impl Parameters {
             tails: n[9],
             agreeing: n[10],
             coasting: n[11],
+            orbital_rate: [n[12], n[13], n[14]],
+            zenith: [n[15], n[16], n[17]],
         }
+    }
+
+    /// Sets a setting by its name: a number, or three of a vector; angles and their rates in degrees.
+    ///
+    /// # Errors
+    ///
+    /// There is no such setting, or it has another number of numbers.
+    pub fn set(&mut self, name: &str, values: &[f64]) -> Result<(), Error> {
+        const DEGREE: f64 = core::f64::consts::PI / 180.0;
+        let (place, unit): (&mut [f64], f64) = match name {
+            "acceleration" => (slice::from_mut(&mut self.acceleration), 1.0),
+            "angular_acceleration" => (slice::from_mut(&mut self.angular_acceleration), DEGREE),
+            "velocity" => (slice::from_mut(&mut self.velocity), 1.0),
+            "rate" => (slice::from_mut(&mut self.rate), DEGREE),
+            "position_angle" => (slice::from_mut(&mut self.position_angle), DEGREE),
+            "attitude_angle" => (slice::from_mut(&mut self.attitude_angle), DEGREE),
+            "position_noise" => (slice::from_mut(&mut self.position_noise), 1.0),
+            "attitude_noise" => (slice::from_mut(&mut self.attitude_noise), 1.0),
+            "gate" => (slice::from_mut(&mut self.gate), 1.0),
+            "tails" => (slice::from_mut(&mut self.tails), 1.0),
+            "agreeing" => (slice::from_mut(&mut self.agreeing), 1.0),
+            "coasting" => (slice::from_mut(&mut self.coasting), 1.0),
+            "orbital_rate" => (&mut self.orbital_rate, DEGREE),
+            "zenith" => (&mut self.zenith, 1.0),
+            _ => return Err(Error::Setting),
+        };
+        if place.len() != values.len() {
+            return Err(Error::Setting);
+        }
+        for (place, value) in place.iter_mut().zip(values) {
+            *place = value * unit;
+        }
+        Ok(())
     }
 
     /// Checks each setting.
@@ -147,6 +205,26 @@ impl Parameters {
             if !accept {
                 return Err(Error::Parameter { name, expected, got });
             }
+        }
+        self.check_orbit()
+    }
+
+    /// Whether position and velocity move as in an orbit.
+    pub(crate) fn has_orbit(&self) -> bool {
+        self.orbital_rate.iter().any(|part| *part != 0.0)
+    }
+
+    fn check_orbit(&self) -> Result<(), Error> {
+        let (rate, zenith) = (Vector3::from(self.orbital_rate), Vector3::from(self.zenith));
+        finite("orbital_rate", rate.iter())?;
+        finite("zenith", zenith.iter())?;
+        if fabs(zenith.norm() - 1.0) > DIRECTION_TOLERANCE {
+            let (name, expected) = ("zenith", "a vector of norm 1");
+            return Err(Error::Parameter { name, expected, got: zenith.norm() });
+        }
+        if fabs(rate.dot(&zenith)) > DIRECTION_TOLERANCE * rate.norm() {
+            let (name, expected) = ("orbital_rate", "a vector across the zenith, a cosine of 0");
+            return Err(Error::Parameter { name, expected, got: rate.dot(&zenith) / rate.norm() });
         }
         Ok(())
     }

@@ -46,14 +46,14 @@ pub(crate) fn right_jacobian(v: &Vector3<f64>) -> Matrix3<f64> {
     Turn::new(v, 1.0).of_rate
 }
 
-/// The quotients of an angle `x` that the integrals share.
-struct Quotients {
+/// The quotients of an angle `x` that integrals of steady turns share.
+pub(crate) struct Quotients {
     /// `sin x / x`.
-    sine: f64,
+    pub sine: f64,
     /// `(1 - cos x) / x²`.
-    cosine: f64,
+    pub cosine: f64,
     /// `(x - sin x) / x³`.
-    sine_rest: f64,
+    pub sine_rest: f64,
     /// `(x²/2 + cos x - 1) / x⁴`.
     cosine_rest: f64,
     /// `(1/3 - 2 (x - sin x) / x³) / x²`.
@@ -61,7 +61,7 @@ struct Quotients {
 }
 
 impl Quotients {
-    fn new(x: f64) -> Self {
+    pub fn new(x: f64) -> Self {
         let x2 = x * x;
         if x < SMALL {
             return Self {

@@ -144,6 +144,12 @@ impl Tracker {
     ) -> Result<Step, Error> {
         finite("time", [time].iter())?;
         finite("camera_rate", camera_rate.iter())?;
+        let turning = Vector3::from(camera_rate).norm();
+        if turning > 0.0 && self.parameters.has_orbit() {
+            let expected =
+                "zero with an orbital rate, of a camera that keeps its attitude to the Earth";
+            return Err(Error::Parameter { name: "camera_rate", expected, got: turning });
+        }
         if let Some(last) = self.time.filter(|last| time <= *last) {
             return Err(Error::Time { last, got: time });
         }
@@ -170,6 +176,22 @@ impl Tracker {
     #[must_use]
     pub fn estimate(&self) -> Option<Estimate> {
         self.motion(self.leading?)
+    }
+
+    /// Where to look for the object in a frame at `time`, seconds: its expected position, m, camera frame.
+    ///
+    /// None where the whole frame must be searched: without a track, where the last frame did not correct it, or where the frame
+    /// comes too late or the object would be behind the camera. `camera_rate` is as for [`Self::step`].
+    #[must_use]
+    pub fn expected(&self, time: f64, camera_rate: [f64; 3]) -> Option<[f64; 3]> {
+        let leader = self.hypotheses[self.leading?]?;
+        let elapsed = time - self.time?;
+        if leader.last < self.time? || !(elapsed > 0.0 && elapsed <= self.parameters.coasting) {
+            return None;
+        }
+        let position =
+            leader.filter.position_after(elapsed, &Vector3::from(camera_rate), &self.parameters);
+        (position.z > 0.0).then(|| position.into())
     }
 
     /// The motion of the next best attitude that frames have agreed on; None if there is none.

@@ -29,12 +29,14 @@ class PoseEstimator:
     Args:
         session: The network.
         metadata: What its file says of it.
+        near: The network's single look, which takes points as its second input; None without.
         camera: Camera of the images, which are reprojected to the network's view if it is another
             than that of training; None for that of training.
         resize: Resize any image to the network's input, as if taken by the camera of training.
 
     Attributes:
         session: The network.
+        near: The argument.
         metadata: What its file says of it.
         preprocessing: Conversion from image to network input.
         camera: Camera of the images, possibly for another image size; None where unknown.
@@ -52,10 +54,12 @@ class PoseEstimator:
         session: Session,
         metadata: Description,
         *,
+        near: Session | None = None,
         camera: Camera | None = None,
         resize: bool = False,
     ) -> None:
         self.session = session
+        self.near = near
         self.metadata = metadata
         self.camera = camera or metadata.camera
         self.preprocessing, self._expected = for_images(
@@ -104,20 +108,26 @@ class PoseEstimator:
         expect_aspect(self._expected, *picture.size)
         return self.preprocessing.array(picture)
 
-    def estimate(self, inputs: NDArray[np.float32]) -> list[Pose]:
+    def estimate(
+        self, inputs: NDArray[np.float32], points: NDArray[np.float64] | None = None
+    ) -> list[Pose]:
         """Return the poses for a batch of inputs; arguments and errors are those of `run`."""
         return poses(
-            **self.run(inputs),
+            **self.run(inputs, points),
             locates=self.metadata.locates,
             in_view_threshold=self.metadata.in_view_threshold,
             degrees_of_freedom=self.metadata.degrees_of_freedom,
         )
 
-    def run(self, inputs: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
+    def run(
+        self, inputs: NDArray[np.float32], points: NDArray[np.float64] | None = None
+    ) -> dict[str, NDArray[Any]]:
         """Return the network's outputs by name for a batch of inputs.
 
         Args:
             inputs: Images ``(B, 3, h, w)``, float32, standardized as by `preprocess`.
+            points: Where the objects are expected ``(B, 3)``, meters, camera frame, for a single
+                look there; None for everywhere.
 
         Returns:
             ``translation (B, 3)``, meters, and ``orientation (B, 4)``, scalar first and of either
@@ -127,7 +137,8 @@ class PoseEstimator:
 
         Raises:
             TypeError: The dtype is not float32.
-            ValueError: The shape is not ``(B, 3, h, w)``, or a number is not finite.
+            ValueError: A shape is not as above, a number is not finite, or there are points and the
+                network's single look was not opened.
         """
         expected = (3, *self.preprocessing.size)
         if inputs.dtype != np.float32:
@@ -137,13 +148,23 @@ class PoseEstimator:
             raise ValueError(f"inputs: expected shape (B, {sizes}), got {inputs.shape}")
         if not np.isfinite(inputs).all():
             raise ValueError("inputs: expected finite numbers, got NaN or infinity")
-        return self.session.run(inputs)
+        if points is None:
+            return self.session.run(inputs)
+        if self.near is None:
+            raise ValueError("points: expected an estimator of ffpose.load(track=True)")
+        if points.shape != (len(inputs), 3) or not np.isfinite(points).all():
+            raise ValueError(
+                f"points: expected finite numbers of shape ({len(inputs)}, 3), got {points}"
+            )
+        return self.near.run(inputs, points.astype(np.float32))
 
     def warm_up(self, runs: int) -> None:
         """Run the network on a black image, so that memory is allocated and plans are made."""
         black = np.zeros((1, 3, *self.preprocessing.size), np.float32)
         for _ in range(runs):
             self.run(black)
+            if self.near is not None:
+                self.run(black, np.array([[0.0, 0.0, 1.0]]))
 
 
 def as_image(image: ImageLike, white: float | str | None = None) -> Image.Image:

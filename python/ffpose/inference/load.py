@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ffpose.errors import require
+from ffpose.errors import DataError, require
 from ffpose.geometry import Camera
-from ffpose.inference.source import Backend, Source, find_source
+from ffpose.inference.source import TRACK_SUFFIX, Backend, find_source
 
 if TYPE_CHECKING:
     from ffpose.inference.estimator import PoseEstimator
@@ -27,6 +28,7 @@ def load(
     device: str = "auto",
     precision: Precision = "float32",
     providers: Sequence[str] | None = None,
+    track: bool = False,
     warm_up: int = 1,
 ) -> PoseEstimator:
     """Open a network, which then gives the pose of the spacecraft in an image.
@@ -46,6 +48,9 @@ def load(
             run on the CPU.
         precision: Of a graph: ``"float32"``, or ``"bfloat16"`` where backend and CPU support it.
         providers: ONNX Runtime's execution providers; None for the CPU's.
+        track: Open the network's single look at a point too (`PoseEstimator.run` with points) where
+            there is one: in weights of a PolarPose, or in ``X.track.onnx`` beside a graph
+            ``X.onnx``.
         warm_up: Number of runs on a black image, which allocate memory and plan, so that the first
             real image is not slowed by a cold start.
 
@@ -74,11 +79,27 @@ def load(
         if device not in ("auto", "cpu"):
             raise ValueError(f"device: expected auto or cpu for an exported graph, got {device!r}")
         graph, data = read_model(source.path)
-        session = _open_graph(source, graph, data, backend, threads, precision, providers)
-        estimator = PoseEstimator(session, graph, camera=camera, resize=resize)
+        if graph.takes_point:
+            raise DataError(
+                "expected a graph of whole frames, got one of single looks, which `track` opens"
+                " beside it",
+                source.path,
+            )
+        open_one = partial(
+            _open_graph,
+            backend=backend,
+            threads=threads,
+            precision=precision,
+            providers=providers,
+        )
+        session = open_one(source.path, graph, data)
+        beside = _read_beside(source.path, graph) if track else None
+        near = None if beside is None else open_one(*beside)
+        estimator = PoseEstimator(session, graph, near=near, camera=camera, resize=resize)
     else:
         from ffpose.inference.in_torch import TorchSession
-        from ffpose.models import open_weights
+        from ffpose.models import PolarPose, open_weights
+        from ffpose.models.polar_pose import OneLook
 
         if precision != "float32":
             raise ValueError(f"precision: expected float32 for weights, got {precision!r}")
@@ -86,15 +107,38 @@ def load(
             raise ValueError(f"providers: expected with a graph, got {providers} with weights")
         model, weights = open_weights(source.path)
         session = TorchSession(model, device, threads)
-        estimator = PoseEstimator(session, weights, camera=camera, resize=resize)
+        near = (
+            TorchSession(OneLook(model), device, threads)
+            if track and isinstance(model, PolarPose)
+            else None
+        )
+        estimator = PoseEstimator(session, weights, near=near, camera=camera, resize=resize)
     estimator.warm_up(warm_up)
     return estimator
 
 
+def _read_beside(path: Path, whole: ModelMetadata) -> tuple[Path, ModelMetadata, bytes] | None:
+    """Return path, metadata and bytes of the single looks beside a graph; None without.
+
+    Raises:
+        ffpose.DataError: The file cannot be used, or is of other weights.
+    """
+    from ffpose.onnx.metadata import read_model
+
+    beside = path.with_suffix(TRACK_SUFFIX)
+    if not beside.is_file():
+        return None
+    graph, data = read_model(beside)
+    if not graph.takes_point or graph.weights_sha256 != whole.weights_sha256:
+        raise DataError(f"expected the single looks of the weights of {path.name}", beside)
+    return beside, graph, data
+
+
 def _open_graph(
-    source: Source,
+    path: Path,
     metadata: ModelMetadata,
     data: bytes,
+    *,
     backend: Backend | None,
     threads: int | None,
     precision: Precision,
@@ -105,7 +149,7 @@ def _open_graph(
     if backend is None and find_spec("onnxruntime") is None and find_spec("openvino") is not None:
         backend = "openvino"
     return open_session(
-        source.path,
+        path,
         metadata.filter,
         backend="openvino" if backend == "openvino" else "onnxruntime",
         threads=threads,

@@ -118,7 +118,11 @@ class Failure:
 
 
 def predict(
-    estimator: PoseEstimator, images: Iterable[Path], *, batch: int = 1
+    estimator: PoseEstimator,
+    images: Iterable[Path],
+    *,
+    batch: int = 1,
+    point: NDArray[np.float64] | None = None,
 ) -> Iterator[Prediction | Failure]:
     """Predict the pose in each image file, in order, as soon as it is known.
 
@@ -129,28 +133,34 @@ def predict(
         estimator: The network.
         images: Image files.
         batch: Number of images that are computed together.
+        point: Where the object is expected ``(3,)``, as in `PoseEstimator.run`; None: everywhere.
 
     Raises:
         ValueError: ``batch`` is below one.
     """
     if batch < 1:
         raise ValueError(f"batch: expected at least 1, got {batch}")
-    return _predictions(estimator, iter(images), batch)
+    return _predictions(estimator, iter(images), batch, point)
 
 
 def _predictions(
-    estimator: PoseEstimator, images: Iterator[Path], batch: int
+    estimator: PoseEstimator,
+    images: Iterator[Path],
+    batch: int,
+    point: NDArray[np.float64] | None,
 ) -> Iterator[Prediction | Failure]:
     metadata = estimator.metadata
     while paths := list(islice(images, batch)):
-        for path, answer in zip(paths, _answers(estimator, paths), strict=True):
+        for path, answer in zip(paths, _answers(estimator, paths, point), strict=True):
             if isinstance(answer, Exception):
                 yield Failure(path, answer)
             else:
                 yield Prediction(path, answer, estimator.camera, metadata.locates, metadata.white)
 
 
-def _answers(estimator: PoseEstimator, paths: Sequence[Path]) -> list[Pose | Exception]:
+def _answers(
+    estimator: PoseEstimator, paths: Sequence[Path], point: NDArray[np.float64] | None
+) -> list[Pose | Exception]:
     """Return for each file its pose, or why it has none."""
     inputs: dict[int, NDArray[np.float32]] = {}
     answers: dict[int, Pose | Exception] = {}
@@ -163,16 +173,27 @@ def _answers(estimator: PoseEstimator, paths: Sequence[Path]) -> list[Pose | Exc
             answers[place] = DataError(str(error), path)
     if inputs:
         try:
-            found: Sequence[Pose | Exception] = estimator.estimate(np.stack([*inputs.values()]))
+            found: Sequence[Pose | Exception] = estimator.estimate(
+                np.stack([*inputs.values()]), _of_each(point, len(inputs))
+            )
         except ValueError:  # a number that is not finite, of one image or more
-            found = [_alone(estimator, inputs[place], paths[place]) for place in inputs]
+            found = [_alone(estimator, inputs[place], paths[place], point) for place in inputs]
         answers.update(zip(inputs, found, strict=True))
     return [answers[place] for place in range(len(paths))]
 
 
-def _alone(estimator: PoseEstimator, inputs: NDArray[np.float32], path: Path) -> Pose | Exception:
+def _of_each(point: NDArray[np.float64] | None, count: int) -> NDArray[np.float64] | None:
+    return None if point is None else np.tile(point, (count, 1))
+
+
+def _alone(
+    estimator: PoseEstimator,
+    inputs: NDArray[np.float32],
+    path: Path,
+    point: NDArray[np.float64] | None,
+) -> Pose | Exception:
     try:
-        return estimator.estimate(inputs[None])[0]
+        return estimator.estimate(inputs[None], _of_each(point, 1))[0]
     except ValueError as error:
         return DataError(str(error), path)
 

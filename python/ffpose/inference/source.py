@@ -13,6 +13,9 @@ Backend = Literal["torch", "onnxruntime", "openvino"]
 """What computes a network: torch, for weights; one of the others, for an exported graph."""
 
 NEEDED_BY_WEIGHTS = ("torch", "safetensors")
+TRACK_SUFFIX = ".track.onnx"
+"""Ending, in place of ``.onnx``, of a graph that looks once, at points of its second input."""
+
 BEST = "best.safetensors"
 """The weights of a training's folder; beside them are those of its last epoch."""
 
@@ -76,6 +79,7 @@ def _network_in(folder: Path, backend: Backend | None, *, in_torch: bool) -> Pat
     """Return the one network in a folder; None where it may be a name instead."""
     weights, graphs = (sorted(folder.glob(f"*{suffix}")) for suffix in (WEIGHTS, GRAPH))
     weights = [path for path in weights if path.name == BEST] or weights
+    graphs = [path for path in graphs if not path.name.endswith(TRACK_SUFFIX)]
     if backend is None:
         found = (weights or graphs) if in_torch else (graphs or weights)
     else:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose.config import PolarPoseConfig
@@ -105,6 +105,22 @@ class PolarPose(PoseNetwork):
             numbers, view = self._look(levels, _located(numbers, view))
         return calibrated(self._pose(numbers, view), self.config)
 
+    def look_at(self, images: Tensor, points: Tensor) -> UncertainPose:
+        """Predict the poses of objects that are known to be near given points.
+
+        One second look, without a first one and without a correction of where to look.
+
+        Args:
+            images: As in `forward`.
+            points: ``(B, 3)``, meters, camera frame, in front of the camera.
+
+        Raises:
+            ValueError: The shape of ``images`` is not as above.
+        """
+        self.check_images(images)
+        numbers, view = self._look(pyramid(images), in_front(points))
+        return calibrated(self._pose(numbers, view), self.config)
+
     def _look(self, levels: Sequence[Tensor], points: Tensor) -> tuple[LookNumbers, VirtualCamera]:
         """Look at points ``(V, 3)``, those of the first image first."""
         view = self.view_at(points)
@@ -173,6 +189,18 @@ class PolarPose(PoseNetwork):
         return cls(
             config, build_backbone(config.backbone, (config.first_reduction,), backbone_weights)
         )
+
+
+class OneLook(nn.Module):
+    """`PolarPose.look_at` as a module's forward."""
+
+    def __init__(self, network: PolarPose) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor, point: Tensor) -> UncertainPose:
+        """Predict poses of objects near points, as `PolarPose.look_at`."""
+        return self.network.look_at(images, point)
 
 
 def _located(numbers: LookNumbers, view: VirtualCamera) -> Tensor:

@@ -6,7 +6,8 @@ All entries are strings: ``ffpose_format`` (version of these entries), ``ffpose_
 ``in_view_threshold`` and ``degrees_of_freedom`` (of the errors of translation and rotation, null
 for Gaussian ones). An int8 graph also has ``precision`` and ``calibration_sha256``, the SHA-256
 of the concatenated hexadecimal SHA-256s of its calibration images. A graph that locates the camera
-in the world has ``locates``, with the value ``camera``.
+in the world has ``locates``, with the value ``camera``. One that takes the point where to look as a
+second input, ``point``, has ``takes_point``, with the value ``true``.
 
 The last record of the file is the entry ``ffpose_sha256``, the SHA-256 of all bytes before it,
 which shows alterations without a second file. ONNX files are protobuf messages, whose records may
@@ -59,6 +60,7 @@ class ModelMetadata:
         locates: What the network locates.
         undistorted: Whether the training images were undistorted.
         white: Level that became 255 in training images of more than 8 bits.
+        takes_point: Whether the graph looks once, at points that are its input ``point``.
     """
 
     config: NetworkConfig
@@ -73,6 +75,7 @@ class ModelMetadata:
     locates: Target = "object"
     undistorted: bool = False
     white: float | str | None = None
+    takes_point: bool = False
 
     @property
     def degrees_of_freedom(self) -> tuple[float, float] | None:
@@ -100,6 +103,7 @@ class ModelMetadata:
             "config": self.config.to_json(),
             **self._int8_entries(),
             **({} if self.locates == "object" else {"locates": self.locates}),
+            **({"takes_point": "true"} if self.takes_point else {}),
             **({"decoding": json.dumps(decoding)} if any(decoding.values()) else {}),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
         }
@@ -141,6 +145,7 @@ class ModelMetadata:
             precision,
             entries.get("calibration_sha256") or None,
             locates,
+            takes_point=entries.get("takes_point") == "true",
             **json.loads(entries.get("decoding", "{}")),
         )
 

@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 
 from ffpose._internal.files import sha256
 from ffpose._internal.zoo import resolve
-from ffpose.config import NetworkConfig, looks_twice
+from ffpose.config import NetworkConfig, PolarPoseConfig, looks_twice
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import PosePrediction, WeightsMetadata, open_weights
+from ffpose.models import PolarPose, PosePrediction, WeightsMetadata, open_weights
 from ffpose.models.network import UncertainPose
+from ffpose.models.polar_pose import OneLook
 from ffpose.onnx.exporter import (
     TOLERANCE,
     Exported,
@@ -30,6 +32,8 @@ BATCHES = (2, 1, 3)
 """Sizes of the batches that graph and network are compared on; the first is exported with."""
 
 INPUT_NAMES = ["images"]
+POINT_NAMES = ["images", "point"]
+"""Names of a graph's inputs, and of one that takes the point where to look."""
 
 PATCHES = 8
 """Number of patches along each side of a random image."""
@@ -43,6 +47,7 @@ def export_weights(
     path: str | Path,
     filter: FilterChoice = "custom",
     *,
+    takes_point: bool = False,
     tolerance: float = TOLERANCE,
     say: Say = lambda _: None,
     **fields: Any,
@@ -53,6 +58,8 @@ def export_weights(
         weights: A weights file, or the name of weights that come with the package.
         path: The ONNX file to write; its folder must exist.
         filter: ``"custom"`` or ``"matmul"``, as `ffpose.onnx.export`.
+        takes_point: Write the single look at points that a track expects the object at
+            (`ffpose.models.PolarPose.look_at`); that of the graph ``X.onnx`` is ``X.track.onnx``.
         tolerance: Difference of graph and network on random images that is taken for rounding,
             whatever the network (`ffpose.onnx.export`).
         say: Is told what is under way.
@@ -61,28 +68,47 @@ def export_weights(
     Raises:
         FileNotFoundError: No such weights, or the operator's library is not installed.
         ffpose.DataError: The weights cannot be used.
-        ValueError: An unknown filter or field.
+        ValueError: An unknown filter or field, or the network cannot look at a point.
         RuntimeError: Graph and network differ by more than rounding.
     """
     if Path(path).suffix != ".onnx":
         raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
     network, source = open_weights(weights, **fields)
+    module: nn.Module = network
+    batches: list[tuple[torch.Tensor, ...]] = [
+        (random_images(source.preprocessing, count),) for count in BATCHES
+    ]
+    if takes_point:
+        if not isinstance(network, PolarPose):
+            raise ValueError(
+                "track: expected weights of a PolarPose, which can look at a point, got those of a"
+                f" {network.config.architecture}"
+            )
+        module = OneLook(network).eval()
+        batches = [(*each, _middles(network.config, len(each[0]))) for each in batches]
     return write_graph(
-        network,
-        [(random_images(source.preprocessing, count),) for count in BATCHES],
+        module,
+        batches,
         path,
         filter,
-        graph_entries(weights, source, **fields),
+        graph_entries(weights, source, takes_point=takes_point, **fields),
         pose_differences,
-        input_names=INPUT_NAMES,
+        input_names=POINT_NAMES if takes_point else INPUT_NAMES,
         output_names=output_names(source.config),
         tolerance=tolerance,
         say=say,
     )
 
 
+def _middles(config: PolarPoseConfig, count: int) -> torch.Tensor:
+    """Return points ``(count, 3)`` on the boresight, where `random_images` have their patches."""
+    near, far = config.distance_m
+    depths = torch.linspace(near, (near * far) ** 0.5, count)
+    return torch.stack([torch.zeros(count), torch.zeros(count), depths], dim=1)
+
+
 def graph_entries(
-    weights: str | Path, source: WeightsMetadata, **fields: Any
+    weights: str | Path, source: WeightsMetadata, *, takes_point: bool = False, **fields: Any
 ) -> Callable[[Filter], dict[str, str]]:
     """Return what gives the metadata of a graph of these weights, for how it computes filters."""
     digest = sha256(resolve(weights))
@@ -98,6 +124,7 @@ def graph_entries(
             locates=source.locates,
             undistorted=source.undistorted,
             white=source.white,
+            takes_point=takes_point,
         ).to_entries()
 
     return entries

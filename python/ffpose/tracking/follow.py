@@ -34,7 +34,8 @@ class Followed(NamedTuple):
 
     Attributes:
         frame: Image and time.
-        alone: The pose of the image alone; None where it has none.
+        alone: The pose of the image alone, or of a look where the object was expected; None where
+            it has none.
         step: What the tracker made of it.
         reason: The step's outcome, or why the image has no pose.
     """
@@ -53,7 +54,9 @@ def follow(
     An image that cannot be used is coasted over.
 
     Args:
-        estimator: A network with uncertainty.
+        estimator: A network with uncertainty. If its single look was opened, it looks where the
+            object is expected, and searches a whole frame where that is not known
+            (`Tracker.expected`).
         frames: The frames, in the order of their times.
         tracker: The tracker; it goes on from where it is.
 
@@ -64,7 +67,8 @@ def follow(
     if estimator.metadata.locates == "camera":
         raise ValueError("weights: expected some that locate an object, got ones of a camera")
     for frame in frames:
-        (answer,) = predict(estimator, [frame.image])
+        point = None if estimator.near is None else tracker.expected(frame.time)
+        (answer,) = predict(estimator, [frame.image], point=point)
         alone = None if isinstance(answer, Failure) else answer.pose
         step = tracker.step(frame.time, alone)
         reason = explain(answer.error) if isinstance(answer, Failure) else step.outcome

@@ -9,7 +9,6 @@ states too: first-order Gauss-Markov processes in the angle turned, not in time.
 from __future__ import annotations
 
 import hashlib
-import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -23,8 +22,6 @@ Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquir
 """What became of a frame: it corrected the track; it speaks for another attitude, which leads from
 now on; it is too far from what was expected; it shows no spacecraft; there was no pose; there is no
 track yet; the track went too long without a frame that it could believe."""
-
-ANGLES = ("angular_acceleration", "rate", "position_angle", "attitude_angle")
 
 
 @dataclass(frozen=True)
@@ -47,6 +44,11 @@ class Settings:
             Gaussian errors.
         agreeing: Frames in agreement that make a track.
         coasting: Seconds without a believed frame after which the track is lost.
+        orbital_rate: The orbit's angular velocity, deg/s along the camera's axes, of a camera that
+            keeps its attitude to the Earth: position and velocity then move as Clohessy and
+            Wiltshire's equations say. Zero for straight lines.
+        zenith: Unit vector away from the Earth along the camera's axes; counts with an orbital rate
+            alone.
     """
 
     acceleration: float = 2e-3
@@ -61,11 +63,8 @@ class Settings:
     tails: float = 5.0
     agreeing: int = 4
     coasting: float = 10.0
-
-    def in_radians(self) -> dict[str, float]:
-        """Return the settings by name, angles in radians."""
-        values = {name: float(value) for name, value in asdict(self).items()}
-        return values | {name: math.radians(values[name]) for name in ANGLES}
+    orbital_rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    zenith: tuple[float, float, float] = (0.0, -1.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +147,10 @@ class Tracker:
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
-        self._tracker = _rust.Tracker((settings or Settings()).in_radians())
+        named = asdict(settings or Settings()).items()
+        self._tracker = _rust.Tracker(
+            {name: np.atleast_1d(np.asarray(value, np.float64)).tolist() for name, value in named}
+        )
 
     @property
     def time(self) -> float | None:
@@ -169,7 +171,7 @@ class Tracker:
             pose: Pose of the object as a network with uncertainty gives it, a second orientation
                 included; None for a frame without one. A flagged pose says nothing.
             camera_rate: The camera's own angular velocity since the frame before, as a gyro
-                measures it ``(3,)``, deg/s along the camera's axes.
+                measures it ``(3,)``, deg/s along the camera's axes; zero with an orbital rate.
 
         Raises:
             TypeError: The pose is none.
@@ -178,15 +180,32 @@ class Tracker:
         """
         rows = [] if pose is None else _modes(pose)
         flagged = pose is not None and pose.flagged
-        turning = np.radians(np.asarray(camera_rate, np.float64))
-        if turning.shape != (3,):
-            raise ValueError(f"camera_rate: expected shape (3,), got {turning.shape}")
-        told = self._tracker.step(float(time), [] if flagged else rows, turning.tolist())
+        turning = _turning(camera_rate)
+        told = self._tracker.step(float(time), [] if flagged else rows, turning)
         outcome: Outcome = told["outcome"]
         if flagged and outcome == "coasted":
             outcome = "flagged"
         estimate = None if told["estimate"] is None else _estimate(told["estimate"])
         return Step(float(time), outcome, estimate, told["nis"], told["mode"])
+
+    def expected(
+        self, time: float, *, camera_rate: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> FloatArray | None:
+        """Return where to look for the object in a frame at a time.
+
+        Args:
+            time: Seconds, as for `step`.
+            camera_rate: As for `step`.
+
+        Returns:
+            The expected position ``(3,)``, meters, camera frame; None where the whole frame must be
+            searched, as there is no track, or the last frame did not correct it.
+
+        Raises:
+            ValueError: The shape of ``camera_rate`` is not as above.
+        """
+        point = self._tracker.expected(float(time), _turning(camera_rate))
+        return None if point is None else np.array(point)
 
     @property
     def alternative(self) -> Estimate | None:
@@ -212,6 +231,14 @@ class Tracker:
         tracker = cls.__new__(cls)
         tracker._tracker = _rust.Tracker.from_state(state, hashlib.sha256(model).digest())
         return tracker
+
+
+def _turning(camera_rate: ArrayLike) -> list[float]:
+    """Return the numbers of an angular velocity in rad/s."""
+    turning = np.radians(np.asarray(camera_rate, np.float64))
+    if turning.shape != (3,):
+        raise ValueError(f"camera_rate: expected shape (3,), got {turning.shape}")
+    return [float(each) for each in turning]
 
 
 def _modes(pose: Pose) -> list[tuple[Any, ...]]:

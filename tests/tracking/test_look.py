@@ -1,0 +1,156 @@
+"""The single look where a track expects the object: that of the network, as a graph, unbiased."""
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from ffpose._internal.seeds import CHOICES
+from ffpose.cli import main
+from ffpose.errors import DataError
+from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.inference.load import load
+from ffpose.models import build_network
+from ffpose.models.virtual_camera import look
+from ffpose.onnx.metadata import read_model_metadata
+from ffpose.tracking import Settings, Tracker
+from ffpose.tracking.follow import follow
+from ffpose.tracking.frames import Frame
+
+FIELDS = {
+    "image_size": (96, 128),
+    "camera": (64.0, 66.0, 64.0, 48.0),
+    "first_stride": 4,
+    "first_reduction": 4,
+    "first_channels": 16,
+    "object_size": (16, 96),
+    "object_width": 32,
+    "channels": (4, 8, 12),
+    "blocks": (1, 1),
+    "latent": 16,
+    "angles": 24,
+    "directions": 50,
+    "degrees_of_freedom": (5.0, 4.0),
+}
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    path = tmp_path_factory.mktemp("look") / "small.safetensors"
+    torch.manual_seed(0)
+    build_network("polar", backbone_weights="none", **FIELDS).save_pretrained(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def graph(weights):
+    pytest.importorskip("onnxscript")
+    pytest.importorskip("onnxruntime")
+    out = weights.with_suffix(".onnx")
+    assert main(["export", str(weights), "--out", str(out), "--track"]) == 0
+    return out
+
+
+def picture(seed=0):
+    pixels = np.random.default_rng(seed).integers(0, 256, (12, 16, 3), dtype=np.uint8)
+    return Image.fromarray(pixels).resize((128, 96), Image.Resampling.BICUBIC)
+
+
+def test_it_is_the_second_look_alone(weights):
+    """Of the network's parts the view of the point counts: another frame with this view agrees."""
+    estimator = load(weights, track=True, device="cpu", warm_up=0)
+    network = estimator.session.model
+    x = estimator.preprocess(picture())[None]
+    point = np.array([[1.0, -0.5, 14.0]])
+    got = estimator.run(x, point)
+    where = torch.from_numpy(point.astype(np.float32))
+    view = network.view_at(where)
+    images = torch.from_numpy(x)
+    with torch.inference_mode():
+        crop = look(images, view, where, network.intrinsics)
+        wanted = network._pose(network.read(network.see(crop, view.slopes)), view)
+    np.testing.assert_allclose(got["in_view"], wanted.in_view, atol=1e-6)
+    np.testing.assert_allclose(got["orientation"], wanted.orientation, atol=1e-5)
+    assert np.linalg.norm(got["translation"] - estimator.run(x)["translation"]) > 1e-3
+
+
+@pytest.mark.slow
+def test_the_graph_beside_gives_the_looks_of_torch(weights, graph):
+    beside = graph.with_suffix(".track.onnx")
+    assert read_model_metadata(beside).takes_point
+    assert not read_model_metadata(graph).takes_point
+    network, ours = (load(each, track=True, warm_up=1) for each in (weights, graph))
+    x = np.stack([network.preprocess(picture(seed)) for seed in range(3)])
+    points = np.array([[1.0, -0.5, 14.0], [0.0, 0.0, 9.0], [-3.0, 2.0, 30.0]])
+    got, wanted = ours.run(x, points), network.run(x, points)
+    np.testing.assert_allclose(got["translation"], wanted["translation"], atol=1e-4)
+    np.testing.assert_allclose(abs((got["orientation"] * wanted["orientation"]).sum(1)), 1)
+    with pytest.raises(DataError, match="expected a graph of whole frames, got one of single"):
+        load(beside)
+
+
+def test_points_that_are_none(weights):
+    estimator = load(weights, track=True, device="cpu", warm_up=0)
+    x = estimator.preprocess(picture())[None]
+    for points in (np.zeros((2, 3)), np.full((1, 3), np.nan)):
+        with pytest.raises(ValueError, match=r"points: expected finite numbers of shape \(1, 3\)"):
+            estimator.run(x, points)
+    with pytest.raises(ValueError, match=r"points: expected an estimator of ffpose.load"):
+        load(weights, device="cpu", warm_up=0).run(x, np.ones((1, 3)))
+
+
+def test_other_networks_have_no_single_look(tmp_path, capsys):
+    path = tmp_path / "frame.safetensors"
+    build_network("tiny", backbone_weights="none").save_pretrained(path)
+    assert load(path, track=True, device="cpu", warm_up=0).near is None
+    out = str(tmp_path / "frame.onnx")
+    assert main(["export", str(path), "--out", out, "--track"]) == 2
+    assert "track: expected weights of a PolarPose" in capsys.readouterr().err
+
+
+def test_a_track_looks_where_the_object_is_expected(tmp_path):
+    """While frames correct it; after one that does not, the whole frame is searched."""
+    points = []
+
+    class Estimator:
+        class metadata:
+            locates, white = "object", None
+
+        near, camera = True, None
+
+        def preprocess(self, path):
+            return np.full((3, 1, 1), float(path.stem), np.float32)
+
+        def estimate(self, inputs, where=None):
+            points.append(None if where is None else where[0])
+            frame = inputs[0, 0, 0, 0]
+            in_view = 0.0 if frame == 6 else 1.0
+            sure = PoseUncertainty(1e-4 * np.eye(3), 1e-4 * np.eye(3), in_view, 0.5)
+            return [Pose([0, 0, 20 - 0.1 * frame], [1, 0, 0, 0], sure)]
+
+    frames = [Frame(tmp_path / f"{number}.png", number, None) for number in range(10)]
+    list(follow(Estimator(), frames, Tracker(Settings(agreeing=2))))
+    assert [point is None for point in points] == [n in (0, 1, 7) for n in range(10)]
+    np.testing.assert_allclose(points[5], [0, 0, 19.5], atol=0.05)
+
+
+@pytest.mark.slow
+def test_the_measured_offset_follows_the_true_one():
+    """Displaced by one and two standard deviations along each axis, on images of its kind."""
+    pytest.importorskip("embreex")
+    from ffpose.render.renderer import render
+
+    estimator = load("soyuz", track=True, device="cpu", threads=1, warm_up=0)
+    slopes = []
+    for index in range(24):
+        frame = render("soyuz_easy", CHOICES.start + 33_000, index, (512, 384))
+        x = estimator.preprocess(Image.fromarray(frame.image))[None]
+        (whole,) = estimator.estimate(x)
+        variances, axes = np.linalg.eigh(whole.uncertainty.translation_covariance)
+        for deviation, axis in zip(np.sqrt(variances), axes.T, strict=True):
+            offsets = deviation * np.array([-2.0, -1.0, 1.0, 2.0])
+            pointed = frame.pose.t - offsets[:, None] * axis
+            poses = estimator.estimate(x.repeat(4, 0), pointed)
+            measured = [(pose.t - point) @ axis for pose, point in zip(poses, pointed, strict=True)]
+            slopes.append(np.polyfit(offsets, measured, 1)[0])
+    assert abs(np.median(slopes) - 1) <= 0.05
