@@ -15,6 +15,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
     from ffpose.onnx.exporter import Exported
     from ffpose.render import Scene
     from ffpose.render.spacecraft.craft import Craft
+
+
+TRAINED_DEMO = 500
+"""Images of a demo that trains: its training takes longer than they do."""
 
 
 class Command(NamedTuple):
@@ -70,16 +75,34 @@ def demo_arguments(parser: ArgumentParser) -> None:
 
 
 def demo(options: Namespace) -> None:
-    """Predict the poses of unseen images, and write a report."""
+    """Predict the poses of unseen images, and write a report.
+
+    Without torch the graph in the package poses fewer images, and the report is a gallery.
+    """
+    if not options.train and find_spec("torch") is None:
+        gallery(options.out or Path("runs/demo"))
+        return
     from ffpose.demo.config import DemoConfig
     from ffpose.demo.run import run
 
     out = options.out or Path("runs/demo-train" if options.train else "runs/demo")
     expect_folder(out)
-    document = run(out, DemoConfig(train=options.train))
+    config = DemoConfig(images=TRAINED_DEMO, train=True) if options.train else DemoConfig()
+    document = run(out, config)
     baseline = document["mean_pose_baseline"]
     for name in ("median_translation_error_m", "median_rotation_error_deg"):
         print(f"{name}: {document[name]:.3f} (mean pose: {baseline[name]:.3f})")
+    print(out / "report.html")
+
+
+def gallery(out: Path) -> None:
+    """Predict the poses of unseen images without torch, and write a gallery of them."""
+    from ffpose.demo.gallery import run
+
+    expect_folder(out)
+    document = run(out)
+    for name in ("median_translation_error_m", "median_rotation_error_deg"):
+        print(f"{name}: {document[name]:.3f}")
     print(out / "report.html")
 
 

@@ -17,7 +17,7 @@ SCENE = "soyuz_easy"
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """Settings of the demo; the defaults take a minute or two on two cores.
+    """Settings of the demo; the defaults take a minute on two cores.
 
     Attributes:
         images: Number of unseen images to render and evaluate.
@@ -34,7 +34,7 @@ class DemoConfig:
         model_fields: Overrides of fields of the model configuration "polar".
     """
 
-    images: int = 500
+    images: int = 200
     size: tuple[int, int] = (512, 384)
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
     seed: int = CHOICES.start

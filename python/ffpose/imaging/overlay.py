@@ -12,6 +12,9 @@ from ffpose.geometry import Camera, Pose
 AXIS_COLORS = ("#ff4b4b", "#4bff6a", "#5b9dff")
 """Colors of the axes x, y and z."""
 
+TRUTH_COLORS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
+"""Colors of the true axes, pale because the predicted ones are drawn over them."""
+
 
 def draw_axes(
     image: Image.Image,

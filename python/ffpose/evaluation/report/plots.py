@@ -13,7 +13,7 @@ from ffpose._internal.figures import new_figure, save_figure, style_axes
 from ffpose.evaluation.calibration import CURVE, coverage
 from ffpose.evaluation.evaluate import Evaluation
 from ffpose.geometry import FloatArray
-from ffpose.imaging.overlay import draw_axes
+from ffpose.imaging.overlay import TRUTH_COLORS, draw_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 MODEL_COLOR = "#2f6fdf"
 BASELINE_COLOR = "#9aa3af"
-TRUTH_COLORS = ("#ffd0d0", "#d0ffd8", "#d5e2ff")
-"""Colors of the true axes, pale because the predicted ones are drawn over them."""
-
 GALLERY_TILE = (480, 360)
 
 
