@@ -72,6 +72,78 @@ def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
     return model.SerializeToString()
 
 
+def steady(variance, *, takes_point=False, rounds=0):
+    """The bytes of a graph that tells a position by the level of its input, of this variance, m².
+
+    A level above 180 shows no object. ``rounds`` of products of matrices make it slow.
+    """
+    onnx = pytest.importorskip("onnx")
+    helper, of_array = onnx.helper, onnx.numpy_helper.from_array
+    eye = np.eye(3, dtype=np.float32)[None]
+    constants = {
+        "orientation": np.array([[1, 0, 0, 0]], np.float32),
+        "alternative": np.array([[0, 1, 0, 0]], np.float32),
+        "probabilities": np.array([[1, 0]], np.float32),
+        "translation_covariance": np.float32(variance) * eye,
+        "rotation_covariance": np.float32(variance) * eye,
+    }
+    tensors = {
+        "axes": np.array([2, 3]),
+        "middle": np.array([[0, 0, 10]], np.float32),
+        "limit": np.array(180 / 255, np.float32),
+        "nothing": np.zeros((512, 512), np.float32),
+        "none": np.zeros((1, 3), np.float32),
+    }
+    node = helper.make_node
+    nodes = [
+        node("ReduceMean", ["images", "axes"], ["level"], keepdims=0),
+        node("Add", ["level", "middle"], ["seen"]),
+        node("Slice", ["level", "first", "second", "column"], ["red"]),
+        node("Less", ["red", "limit"], ["is_there"]),
+        node("Cast", ["is_there"], ["share"], to=1),
+        node("Reshape", ["share", "flat"], ["in_view"]),
+    ]
+    for place, name in enumerate(("first", "second", "column")):
+        tensors[name] = np.array([(0, 1, 1)[place]])
+    tensors["flat"] = np.array([1])
+    work = "none"
+    if rounds:
+        tensors["spread"] = np.zeros((3, 512), np.float32)
+        tensors["gather"] = np.zeros((512, 3), np.float32)
+        tensors["rows"] = np.array([512, 3])
+        nodes += [
+            node("Expand", ["level", "rows"], ["many"]),
+            node("MatMul", ["many", "spread"], ["round0"]),
+            *(node("MatMul", [f"round{n}", "nothing"], [f"round{n + 1}"]) for n in range(rounds)),
+            node("MatMul", [f"round{rounds}", "gather"], ["gathered"]),
+            node("ReduceSum", ["gathered", "zeroth"], ["work"], keepdims=1),
+        ]
+        tensors["zeroth"] = np.array([0])
+        work = "work"
+    nodes.append(node("Add", ["seen", work], ["translation"]))
+    nodes += [node("Identity", [f"{name}_"], [name]) for name in constants]
+    inputs = [helper.make_tensor_value_info("images", 1, ["batch", 3, *SIZE])]
+    if takes_point:
+        inputs.append(helper.make_tensor_value_info("point", 1, ["batch", 3]))
+        nodes[-len(constants) - 1] = node("Add", ["seen", "unmoved"], ["translation"])
+        nodes.insert(0, node("Mul", ["point", "none"], ["unmoved"]))
+    shapes = {name: value.shape for name, value in constants.items()}
+    shapes |= {"translation": (1, 3), "in_view": (1,)}
+    outputs = [helper.make_tensor_value_info(name, 1, shape) for name, shape in shapes.items()]
+    kept = [of_array(value, name) for name, value in tensors.items()]
+    kept += [of_array(value, f"{name}_") for name, value in constants.items()]
+    graph = helper.make_graph(nodes, "steady", inputs, outputs, kept)
+    opsets = [helper.make_opsetid("", 18)]
+    model = helper.make_model(graph, opset_imports=opsets, ir_version=9)
+    config = replace(CONFIGS["compact"], image_size=SIZE, degrees_of_freedom=(5.0, 4.0))
+    plain = Preprocessing(SIZE, mean=(0, 0, 0), std=(1, 1, 1))
+    metadata = ModelMetadata(
+        config, plain, "none", CAMERA, 0.5, takes_point=takes_point, tracking={"attitude_angle": 18}
+    )
+    helper.set_model_props(model, metadata.to_entries())
+    return model.SerializeToString()
+
+
 def picture(width=128, height=96, mode="RGB"):
     pixels = np.random.default_rng(width).integers(0, 256, (height, width, 4), dtype=np.uint8)
     return Image.fromarray(pixels).convert("RGB" if mode == "P" else mode).convert(mode)

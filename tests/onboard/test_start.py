@@ -112,7 +112,7 @@ def test_a_wrong_library_is_told_in_one_line(run, model, tmp_path, runtime, opti
 def test_wrong_usage_and_folders(run, program, model, tmp_path):
     code, _, errors = run(model)
     assert (code, len(errors)) == (2, 1)
-    assert "expected --images or --stdin, got neither" in errors[0]
+    assert "expected --images, --stdin or --track, got neither" in errors[0]
     code, documents, errors = run(tmp_path, "--stdin")
     assert (code, documents, len(errors)) == (1, [], 1)
     assert "expected a regular file, got a folder" in errors[0]

@@ -24,7 +24,7 @@ class Estimator:
 
     class metadata:
         locates = "object"
-        white = None
+        white = tracking = degrees_of_freedom = None
 
     camera = CAMERA
     near = None

@@ -1,6 +1,7 @@
 """The tracker against a textbook Kalman filter, its own noise, and malformed poses."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -320,6 +321,19 @@ def test_what_is_no_frame_is_refused_and_changes_nothing(arguments, error, messa
     with pytest.raises(error, match=message):
         tracker.step(*arguments)
     assert tracker.state() == before
+
+
+def test_a_network_tells_its_errors():
+    class Header:
+        degrees_of_freedom = (4.5, 3.25)
+        tracking: ClassVar = {"attitude_angle": 18.0}
+
+    assert Settings.of(Header) == Settings(tails=3.25, attitude_angle=18)
+    Header.tracking, Header.degrees_of_freedom = None, None
+    assert Settings.of(Header) == Settings()
+    Header.tracking = {"angle": 1.0}
+    with pytest.raises(ValueError, match="tracking: expected fields of Settings, got angle"):
+        Settings.of(Header)
 
 
 def test_settings_out_of_range_are_refused():

@@ -24,7 +24,8 @@ impl<W: Write> Answers<W> {
         Self { output, images: 0, failed: 0 }
     }
 
-    /// Writes the line of one image, all of it in one write: what `pose` returns, or its error. A panic is an error of its image.
+    /// Writes the line of one image, all of it in one write: what `pose` returns, an error among it where
+    /// a track goes on without the image, or its error alone. A panic is an error of its image.
     ///
     /// # Errors
     /// The output cannot be written.
@@ -37,7 +38,10 @@ impl<W: Write> Answers<W> {
         // Images share the session of ONNX Runtime alone, where no panic unwinds: its errors are values.
         let outcome = catch_unwind(AssertUnwindSafe(pose));
         match outcome.unwrap_or_else(|cause| Err(panicked(&*cause))) {
-            Ok(pose) => fields.extend(pose),
+            Ok(pose) => {
+                self.failed += u64::from(pose.contains_key("error"));
+                fields.extend(pose);
+            }
             Err(error) => {
                 self.failed += 1;
                 fields.insert("error".into(), error.to_string().into());

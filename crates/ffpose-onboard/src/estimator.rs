@@ -1,8 +1,11 @@
-//! A model that is ready to run, and the way from an image file to a pose.
+//! A model that is ready to run, and the way from an image to a pose.
 
 use std::path::Path;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::Instant;
 
-use ort::session::{Session, SessionOutputs};
+use ort::session::{RunOptions, Session, SessionInputs, SessionOutputs};
 use ort::value::TensorRef;
 use serde_json::{Map, Value};
 
@@ -10,20 +13,33 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::metadata::Metadata;
 use crate::model::Model;
-use crate::options::{Options, Taken};
+use crate::options::{Setup, Taken};
 use crate::picture::Picture;
-use crate::pose::{Outputs, Uncertainty, document};
+use crate::pose::{Meaning, Outputs, Uncertainty, document};
 use crate::reprojection::Reprojection;
 use crate::runtime::{open_session, refused};
 
 const INPUT: &str = "images";
+const POINT: &str = "point";
 
 /// A model that is ready to run.
 pub struct Estimator {
     metadata: Metadata,
+    digest: [u8; 32],
     /// The camera whose aspect ratio an image must have.
     camera: Option<Camera>,
     session: Session,
+    /// The looks where an object is expected.
+    near: Option<Session>,
+}
+
+/// What limits a look.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Look {
+    /// Where the object is expected, m, camera frame; None for everywhere.
+    pub at: Option<[f64; 3]>,
+    /// When it ends, between two nodes of the graph.
+    pub deadline: Option<Instant>,
 }
 
 impl Estimator {
@@ -31,14 +47,26 @@ impl Estimator {
     ///
     /// # Errors
     /// The model, ONNX Runtime, the library of the operator or the camera's file cannot be used.
-    pub fn open(options: &Options) -> Result<Self> {
-        let mut model = Model::read(&options.model, options.sha256.as_deref())?;
-        let camera = adapt(&mut model.metadata, &options.images)?;
-        let session = open_session(options, &model)?;
-        let mut estimator = Self { metadata: model.metadata, camera, session };
+    pub fn open(setup: &Setup) -> Result<Self> {
+        let mut model = Model::read(&setup.model, setup.sha256.as_deref())?;
+        if model.metadata.takes_point {
+            let found = "expected a model of whole frames, got that of a track's looks";
+            return Err(Error::new(found).of(setup.model.display()));
+        }
+        let camera = adapt(&mut model.metadata, &setup.images)?;
+        let session = open_session(setup, &model)?;
+        let near = if setup.tracks { open_beside(setup, &model)? } else { None };
+        let Model { metadata, digest, .. } = model;
+        let mut estimator = Self { metadata, digest, camera, session, near };
         let size =
             3 * estimator.metadata.preprocessing.height * estimator.metadata.preprocessing.width;
-        estimator.run(&vec![0.0; size]).map_err(|error| error.of("the model cannot be run"))?;
+        let black = vec![0.0; size];
+        let points = [None, estimator.near.is_some().then_some([0.0, 0.0, 1.0])];
+        for at in points.into_iter().take(1 + usize::from(estimator.near.is_some())) {
+            estimator
+                .run(&black, Look { at, deadline: None })
+                .map_err(|error| error.of("the model cannot be run"))?;
+        }
         Ok(estimator)
     }
 
@@ -47,20 +75,104 @@ impl Estimator {
     /// # Errors
     /// The file is no image that can be used, of another aspect ratio than the camera's, or the network fails.
     pub fn pose(&mut self, path: &Path) -> Result<Map<String, Value>> {
-        let picture = Picture::read(path, self.metadata.white)?;
-        if let Some(camera) = &self.camera {
-            camera.expect_aspect(picture.width, picture.height)?;
-        }
-        let outputs = self.run(&self.metadata.preprocessing.input(&picture)?)?;
+        let outputs = self.outputs(path, None)?;
         document(&outputs, &self.metadata.meaning)
     }
 
-    fn run(&mut self, input: &[f32]) -> Result<Outputs> {
+    /// Returns what the network says of an image file, which it looks at once where the object is expected.
+    pub(crate) fn outputs(&mut self, path: &Path, at: Option<[f64; 3]>) -> Result<Outputs> {
+        let picture = Picture::read(path, self.metadata.white)?;
+        let outputs = self.look(&picture, Look { at, deadline: None })?;
+        outputs.ok_or_else(|| Error::new("expected an answer, got none"))
+    }
+
+    /// Returns what the network says of an image; None where it was not done in time.
+    pub(crate) fn look(&mut self, picture: &Picture, look: Look) -> Result<Option<Outputs>> {
+        if let Some(camera) = &self.camera {
+            camera.expect_aspect(picture.width, picture.height)?;
+        }
+        let input = self.metadata.preprocessing.input(picture)?;
+        self.run(&input, look)?.map(Outputs::checked).transpose()
+    }
+
+    /// How the outputs are read.
+    pub(crate) fn meaning(&self) -> &Meaning {
+        &self.metadata.meaning
+    }
+
+    /// What the model says of its errors for a tracker.
+    pub(crate) fn tracking(&self) -> &Map<String, Value> {
+        &self.metadata.tracking
+    }
+
+    /// The SHA-256 of the model's file.
+    pub(crate) fn digest(&self) -> &[u8; 32] {
+        &self.digest
+    }
+
+    fn run(&mut self, input: &[f32], look: Look) -> Result<Option<Outputs>> {
         let shape = [1, 3, self.metadata.preprocessing.height, self.metadata.preprocessing.width];
         let tensor = TensorRef::from_array_view((shape, input)).map_err(|error| refused(&error))?;
-        read_outputs(
-            &self.session.run(ort::inputs![INPUT => tensor]).map_err(|error| refused(&error))?,
-        )
+        let Some((session, at)) = self.near.as_mut().zip(look.at) else {
+            let inputs = ort::inputs![INPUT => tensor];
+            return run_until(&mut self.session, look.deadline, inputs.into());
+        };
+        #[allow(clippy::cast_possible_truncation)] // as Python hands it over
+        let point = at.map(|part| part as f32);
+        let point =
+            TensorRef::from_array_view(([1, 3], &point[..])).map_err(|error| refused(&error))?;
+        let inputs = ort::inputs![INPUT => tensor, POINT => point];
+        run_until(session, look.deadline, inputs.into())
+    }
+}
+
+/// Opens the looks beside a model, `X.track.onnx` of `X.onnx`; None where there are none.
+fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
+    let path = setup.model.with_extension("track.onnx");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let beside = Model::read(&path, None)?;
+    let is_its = beside.metadata.weights_sha256 == whole.metadata.weights_sha256;
+    if !beside.metadata.takes_point || !is_its {
+        let expected = "expected a track's looks of the weights of the model beside it";
+        return Err(Error::new(expected).of(path.display()));
+    }
+    open_session(setup, &beside).map(Some)
+}
+
+/// Runs a session, until a deadline if there is one: None where it was terminated.
+fn run_until(
+    session: &mut Session,
+    deadline: Option<Instant>,
+    inputs: SessionInputs<'_, '_>,
+) -> Result<Option<Outputs>> {
+    let Some(deadline) = deadline else {
+        return read_outputs(&session.run(inputs).map_err(|error| refused(&error))?).map(Some);
+    };
+    let left = deadline.saturating_duration_since(Instant::now());
+    if left.is_zero() {
+        return Ok(None);
+    }
+    let options = RunOptions::new().map_err(|error| refused(&error))?;
+    let (done, ended) = mpsc::channel::<()>();
+    let result = thread::scope(|scope| {
+        let options = &options;
+        let watch = move || {
+            if ended.recv_timeout(left) == Err(RecvTimeoutError::Timeout) {
+                let _ = options.terminate(); // one that fails lets the run end by itself
+            }
+        };
+        thread::Builder::new()
+            .spawn_scoped(scope, watch)
+            .map_err(|error| Error::new(format!("no thread can be started: {error}")))?;
+        let result = session.run_with_options(inputs, options);
+        drop(done);
+        result.map_err(|error| refused(&error)).and_then(|outputs| read_outputs(&outputs)).map(Some)
+    });
+    match result {
+        Err(_) if Instant::now() >= deadline => Ok(None),
+        result => result,
     }
 }
 

@@ -84,6 +84,14 @@ impl<R: BufRead> Lines<R> {
 }
 
 impl Line {
+    /// Splits the line `TIME PATH` of a track at its first space; the path is empty where a frame never came.
+    #[must_use]
+    pub fn timed(&self) -> (&str, &Path) {
+        let text = self.path.to_str().unwrap_or_default(); // it was made of a string
+        let (time, path) = text.split_once(' ').unwrap_or((text, ""));
+        (time, Path::new(path))
+    }
+
     /// Refuses a line that is too long.
     ///
     /// # Errors

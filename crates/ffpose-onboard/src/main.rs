@@ -1,37 +1,15 @@
 //! Poses from images without Python: a model of `ffpose export` in ONNX Runtime, one JSON line per image.
-//!
-//! `frames → picture (codecs) → preprocessing (reprojection, resize) → estimator (model, runtime) → pose → answers`.
-
-mod answers;
-mod camera;
-mod codecs;
-mod error;
-mod estimator;
-mod files;
-mod frames;
-mod graph;
-mod levels;
-mod metadata;
-mod model;
-mod options;
-mod picture;
-mod pose;
-mod preprocessing;
-mod records;
-mod reprojection;
-mod resize;
-mod runtime;
-mod undistortion;
 
 use std::env;
 use std::io;
 use std::process::ExitCode;
 
-use answers::Answers;
-use error::Result;
-use estimator::Estimator;
-use frames::Lines;
-use options::{Command, Options, Source};
+use ffpose_onboard::answers::Answers;
+use ffpose_onboard::error::Result;
+use ffpose_onboard::estimator::Estimator;
+use ffpose_onboard::frames::{self, Lines};
+use ffpose_onboard::options::{Command, Options, Source};
+use ffpose_onboard::track::Track;
 
 const FAILED: u8 = 1;
 const WRONG_USAGE: u8 = 2;
@@ -69,12 +47,23 @@ struct Outcome {
 
 /// Poses the images one by one: the line of each is out before the next is looked at.
 fn run(options: &Options) -> Result<Outcome> {
-    let mut estimator = Estimator::open(options)?;
+    let mut estimator = Estimator::open(&options.setup)?;
     let mut answers = Answers::new(io::stdout().lock());
     match &options.source {
         Source::Folder(folder) => {
             for path in frames::of_folder(folder)? {
                 answers.give(&path, || estimator.pose(&path))?;
+            }
+        }
+        Source::Track(settings) => {
+            let mut track = Track::open(&estimator, settings)?;
+            let mut lines = Lines::new(io::stdin().lock());
+            while let Some(line) = lines.next()? {
+                let (time, path) = line.timed();
+                answers.give(path, || {
+                    line.expect_whole()?;
+                    track.follow(&mut estimator, time, path)
+                })?;
             }
         }
         Source::Stdin => {

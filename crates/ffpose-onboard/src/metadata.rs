@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
 use crate::camera::Camera;
@@ -31,6 +31,12 @@ pub struct Metadata {
     pub view: Option<Camera>,
     /// How its outputs are read.
     pub meaning: Meaning,
+    /// Whether the graph looks once, at a point that is its second input.
+    pub takes_point: bool,
+    /// SHA-256 of the weights that were exported, hexadecimal; empty where it is not known.
+    pub weights_sha256: String,
+    /// What a tracker expects of the network's errors: settings by their names.
+    pub tracking: Map<String, Value>,
     /// Whether the images trained on were undistorted.
     pub undistorted: bool,
     /// What became 255 in images trained on that have more than 8 bits.
@@ -83,6 +89,13 @@ impl Metadata {
                 degrees_of_freedom: numbers(entries, "degrees_of_freedom")?,
                 locates_camera: entries.contains_key("locates")
                     && choice(entries, "locates", &["object", "camera"])? == "camera",
+            },
+            takes_point: entries.get("takes_point").is_some_and(|value| value == "true"),
+            weights_sha256: entries.get("weights_sha256").cloned().unwrap_or_default(),
+            tracking: match entries.get("tracking").map(|text| serde_json::from_str(text)) {
+                None => Map::new(),
+                Some(Ok(Value::Object(settings))) => settings,
+                Some(_) => return Err(Error::new("tracking: expected settings by their names")),
             },
             undistorted: decoding["undistorted"] == true,
             white: match &decoding["white"] {

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use sha2::{Digest, Sha256};
+
 use crate::error::{Error, Result};
 use crate::files;
 use crate::graph::expect_self_contained;
@@ -16,6 +18,8 @@ pub struct Model {
     pub metadata: Metadata,
     /// The ONNX file.
     pub bytes: Vec<u8>,
+    /// Its SHA-256.
+    pub digest: [u8; 32],
 }
 
 impl Model {
@@ -38,7 +42,7 @@ impl Model {
         }
         let metadata = Metadata::of(&bytes)?;
         expect_self_contained(&bytes)?;
-        Ok(Self { metadata, bytes })
+        Ok(Self { metadata, digest: Sha256::digest(&bytes).into(), bytes })
     }
 }
 

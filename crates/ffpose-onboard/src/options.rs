@@ -8,11 +8,17 @@ use std::path::PathBuf;
 pub const HELP: &str = "\
 Print the pose of the spacecraft in each image, one JSON line each, as soon as it is known.
 
-usage: ffpose-onboard --model FILE (--images DIR | --stdin) [options]
+usage: ffpose-onboard --model FILE (--images DIR | --stdin | --track) [options]
 
   --model FILE      model of `ffpose export`
   --images DIR      pose the .png, .jpg, .jpeg and .pgm files of a folder, by name
   --stdin           pose the files whose paths come in lines on standard input, until it ends
+  --track           pose and track the files whose times and paths come in lines \"TIME PATH\" on standard
+                    input, seconds; \"TIME\" alone is a frame that never came. Where X.track.onnx of
+                    `ffpose export --track` is beside the model X.onnx, each look goes where the object
+                    is expected
+  --state FILE      of a track: taken up if it is there, and written anew after each frame
+  --settings FILE   of a track: JSON of what ffpose.tracking.Settings names (default: the model's)
   --threads N       threads that an image is computed with (default: ONNX Runtime's choice)
   --runtime PATH    ONNX Runtime's library (default: ORT_DYLIB_PATH, else libonnxruntime.so beside
                     this program or among the system's libraries)
@@ -31,10 +37,19 @@ pose; 1: nothing could be done, standard error says why; 2: wrong usage; 3: some
 /// What is asked for.
 #[derive(Debug, PartialEq)]
 pub struct Options {
-    /// The ONNX file.
-    pub model: PathBuf,
+    /// The model and how it is run.
+    pub setup: Setup,
     /// Where the images are.
     pub source: Source,
+}
+
+/// A model and how it is run.
+#[derive(Debug, PartialEq)]
+pub struct Setup {
+    /// The ONNX file.
+    pub model: PathBuf,
+    /// Whether its looks where an object is expected are opened too, if they are beside it.
+    pub tracks: bool,
     /// That an image is computed with; `None`: as many as ONNX Runtime finds good.
     pub threads: Option<usize>,
     /// The digest that the ONNX file must have, hexadecimal.
@@ -65,6 +80,17 @@ pub enum Source {
     Folder(PathBuf),
     /// As named in lines on standard input.
     Stdin,
+    /// As named with their times in lines on standard input, for a track.
+    Track(TrackFiles),
+}
+
+/// The files of a track.
+#[derive(Debug, Default, PartialEq)]
+pub struct TrackFiles {
+    /// Where its state is kept.
+    pub state: Option<PathBuf>,
+    /// Its settings.
+    pub settings: Option<PathBuf>,
 }
 
 /// What a command line asks for.
@@ -100,6 +126,9 @@ struct Given {
     model: Option<PathBuf>,
     images: Option<PathBuf>,
     stdin: bool,
+    track: bool,
+    state: Option<PathBuf>,
+    settings: Option<PathBuf>,
     threads: Option<usize>,
     sha256: Option<String>,
     runtime: Option<PathBuf>,
@@ -117,6 +146,9 @@ impl Given {
         let mut value = || next().ok_or_else(|| format!("{name}: expected a value, got none"));
         match name {
             "--stdin" => self.stdin = true,
+            "--track" => self.track = true,
+            "--state" => self.state = Some(value()?.into()),
+            "--settings" => self.settings = Some(value()?.into()),
             "--resize" => self.resize = true,
             "--camera" => self.camera = Some(value()?.into()),
             "--threads" => self.threads = Some(count(&value()?)?),
@@ -133,14 +165,21 @@ impl Given {
     }
 
     fn options(self) -> Result<Options, String> {
-        Ok(Options {
+        const SOURCES: &str = "--images, --stdin or --track";
+        let files = TrackFiles { state: self.state, settings: self.settings };
+        if !self.track && files != TrackFiles::default() {
+            return Err("expected --state and --settings with --track, got no --track".into());
+        }
+        let source = match (self.images, self.stdin, self.track) {
+            (Some(folder), false, false) => Source::Folder(folder),
+            (None, true, false) => Source::Stdin,
+            (None, false, true) => Source::Track(files),
+            (None, false, false) => return Err(format!("expected {SOURCES}, got neither")),
+            _ => return Err(format!("expected {SOURCES}, got several")),
+        };
+        let setup = Setup {
             model: self.model.ok_or("expected --model, got none")?,
-            source: match (self.images, self.stdin) {
-                (Some(folder), false) => Source::Folder(folder),
-                (None, true) => Source::Stdin,
-                (Some(_), true) => return Err("expected --images or --stdin, got both".into()),
-                (None, false) => return Err("expected --images or --stdin, got neither".into()),
-            },
+            tracks: self.track,
             threads: self.threads,
             sha256: self.sha256,
             runtime: self.runtime.unwrap_or_else(default_runtime),
@@ -151,7 +190,8 @@ impl Given {
                 (None, true) => Taken::Resized,
                 (Some(_), true) => return Err("expected --camera or --resize, got both".into()),
             },
-        })
+        };
+        Ok(Options { setup, source })
     }
 }
 
@@ -169,7 +209,8 @@ fn digest(value: &OsString) -> Result<String, String> {
     Err(format!("--sha256: expected 64 hexadecimal digits, got {text}"))
 }
 
-fn default_runtime() -> PathBuf {
+/// Returns ONNX Runtime's library where none is named.
+pub fn default_runtime() -> PathBuf {
     let name = || format!("{}onnxruntime{}", env::consts::DLL_PREFIX, env::consts::DLL_SUFFIX);
     env::var_os("ORT_DYLIB_PATH")
         .filter(|path| !path.is_empty())
@@ -191,15 +232,16 @@ mod tests {
         let arguments = format!(
             "--stdin --model m.onnx --threads 2 --sha256 {digest} --runtime /r.so --operators o.so --camera c.json"
         );
-        let expected = Options {
+        let setup = Setup {
             model: "m.onnx".into(),
-            source: Source::Stdin,
+            tracks: false,
             threads: Some(2),
             sha256: Some("0a".repeat(32)),
             runtime: "/r.so".into(),
             operators: Some("o.so".into()),
             images: Taken::ByCamera("c.json".into()),
         };
+        let expected = Options { setup, source: Source::Stdin };
         assert_eq!(parse(&arguments), Ok(Command::Run(expected)));
         assert_eq!(parse("--model x --help"), Ok(Command::Print(HELP)));
     }
@@ -207,9 +249,10 @@ mod tests {
     #[test]
     fn wrong_usage_is_told() {
         for (arguments, message) in [
-            ("", "expected --model, got none"),
-            ("--model m", "expected --images or --stdin, got neither"),
-            ("--model m --stdin --images d", "expected --images or --stdin, got both"),
+            ("--stdin", "expected --model, got none"),
+            ("--model m", "expected --images, --stdin or --track, got neither"),
+            ("--model m --stdin --images d", "expected --images, --stdin or --track, got several"),
+            ("--model m --stdin --state s", "expected --state and --settings with --track"),
             ("--model", "--model: expected a value"),
             ("--model m --stdin --threads 0", "--threads: expected a number from 1 to 1024, got 0"),
             ("--model m --stdin --threads two", "got two"),

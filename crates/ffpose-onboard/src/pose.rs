@@ -11,7 +11,7 @@ const TOLERANCE: f64 = 1e-3;
 const GIMBAL_LOCK: f64 = 1e-8;
 
 /// What a network gives for one image.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Outputs {
     /// Meters, camera frame; from a network that locates the camera its center, in the frame of the world.
     pub translation: [f64; 3],
@@ -22,7 +22,7 @@ pub struct Outputs {
 }
 
 /// How far a pose may be off.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Uncertainty {
     /// Square meters, camera frame.
     pub translation_covariance: [[f64; 3]; 3],
@@ -47,6 +47,32 @@ pub struct Meaning {
     pub locates_camera: bool,
 }
 
+impl Outputs {
+    /// Returns the outputs with orientations of norm 1 and canonical sign.
+    ///
+    /// # Errors
+    /// A number is not finite, an orientation has not norm 1, or a probability is none.
+    pub fn checked(mut self) -> Result<Self> {
+        expect_finite("translation", &self.translation)?;
+        self.orientation = unit("orientation", self.orientation)?;
+        if let Some(said) = &mut self.uncertainty {
+            expect_finite("translation_covariance", said.translation_covariance.as_flattened())?;
+            expect_finite("rotation_covariance", said.rotation_covariance.as_flattened())?;
+            expect_probability("in_view", said.in_view)?;
+            for probability in said.probabilities {
+                expect_probability("probabilities", probability)?;
+            }
+            said.alternative = unit("alternative", said.alternative)?;
+        }
+        Ok(self)
+    }
+
+    /// Returns whether the network says that the object is not in view; None where it does not tell.
+    pub fn flagged(&self, meaning: &Meaning) -> Option<bool> {
+        Some(self.uncertainty.as_ref()?.in_view < meaning.in_view_threshold?)
+    }
+}
+
 /// Returns the document of a pose, with the names of `ffpose predict --json` but for the image's.
 ///
 /// Where the network locates the camera, the pose is that of the world in the camera frame, and the camera's center is there too.
@@ -55,8 +81,8 @@ pub struct Meaning {
 /// A number is not finite, an orientation has not norm 1, or a probability is none.
 pub fn document(outputs: &Outputs, meaning: &Meaning) -> Result<Map<String, Value>> {
     let locates_camera = meaning.locates_camera;
-    expect_finite("translation", &outputs.translation)?;
-    let q = unit("orientation", outputs.orientation)?;
+    let outputs = outputs.clone().checked()?;
+    let q = outputs.orientation;
     let mut fields = Map::new();
     let mut put = |name: &str, value: Value| fields.insert(name.into(), value);
     let translation = if locates_camera {
@@ -72,21 +98,14 @@ pub fn document(outputs: &Outputs, meaning: &Meaning) -> Result<Map<String, Valu
         put("camera_center_m", json!(outputs.translation));
     }
     if let Some(uncertainty) = &outputs.uncertainty {
-        let Uncertainty { translation_covariance, rotation_covariance, in_view, .. } = uncertainty;
-        expect_finite("translation_covariance", translation_covariance.as_flattened())?;
-        expect_finite("rotation_covariance", rotation_covariance.as_flattened())?;
-        expect_probability("in_view", *in_view)?;
-        for probability in uncertainty.probabilities {
-            expect_probability("probabilities", probability)?;
-        }
-        put("translation_covariance_m2", json!(translation_covariance));
-        put("rotation_covariance_rad2", json!(rotation_covariance));
+        put("translation_covariance_m2", json!(uncertainty.translation_covariance));
+        put("rotation_covariance_rad2", json!(uncertainty.rotation_covariance));
         put("degrees_of_freedom", json!(meaning.degrees_of_freedom));
-        put("alternative_wxyz", json!(unit("alternative", uncertainty.alternative)?));
+        put("alternative_wxyz", json!(uncertainty.alternative));
         put("probabilities", json!(uncertainty.probabilities));
-        put("in_view", json!(in_view));
-        if let Some(threshold) = meaning.in_view_threshold {
-            put("flagged", json!(*in_view < threshold));
+        put("in_view", json!(uncertainty.in_view));
+        if let Some(flagged) = outputs.flagged(meaning) {
+            put("flagged", json!(flagged));
         }
     }
     Ok(fields)

@@ -2,6 +2,7 @@
 
 use std::error::Error as _;
 use std::path::{Path, PathBuf, absolute};
+use std::sync::{Mutex, PoisonError};
 
 use ort::LoadDynamicError;
 use ort::environment::Environment;
@@ -11,21 +12,28 @@ use ort::session::builder::SessionBuilder;
 
 use crate::error::{Error, Result};
 use crate::model::Model;
-use crate::options::Options;
+use crate::options::Setup;
 
-/// Opens the model of `options`, as it was read.
+/// A process has one.
+static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
+
+/// Opens a model as it was read, by the library of the first that was opened in this process.
 ///
 /// # Errors
 /// ONNX Runtime, the operator's library or the model cannot be loaded, or the library is needed and not named.
-pub fn open_session(options: &Options, model: &Model) -> Result<Session> {
+pub fn open_session(options: &Setup, model: &Model) -> Result<Session> {
     if model.metadata.needs_operators && options.operators.is_none() {
         return Err(Error::new(format!(
             "{}: expected --operators with the path of libffpose_ort.so, by which this model computes its filters, got none",
             options.model.display()
         )));
     }
-    let environment = load(&options.runtime)?;
-    let mut builder = Session::builder(&environment)
+    let mut loaded = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
+    let environment = match &mut *loaded {
+        Some(environment) => environment,
+        none => none.insert(load(&options.runtime)?),
+    };
+    let mut builder = Session::builder(environment)
         .map_err(|error| refused(&error))?
         .with_log_level(LogLevel::Fatal)
         .map_err(|error| refused(&error))?;

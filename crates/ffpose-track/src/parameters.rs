@@ -49,7 +49,7 @@ impl Default for Parameters {
     fn default() -> Self {
         Self {
             acceleration: 2e-3,
-            angular_acceleration: 1e-3,
+            angular_acceleration: 0.05f64.to_radians(),
             velocity: 0.3,
             rate: 5f64.to_radians(),
             position_angle: 40f64.to_radians(),

@@ -48,8 +48,9 @@ were averaged, and ``hidden_sigma`` the growth of standard deviations before for
 
 NAMES_SHOWN = 4
 
-ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold", "calibration")
-"""Fields of `WeightsMetadata` that format 2 added, each a JSON value in the header."""
+LATER = ("calibration", "tracking")
+ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold", *LATER)
+"""Fields of `WeightsMetadata` that format 2 added, or a `LATER` one: JSON values in the header."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,8 @@ class WeightsMetadata:
         in_view_threshold: Images with a lower probability of the object being in view are flagged.
         calibration: What the network was calibrated on, as a JSON document: ``command``,
             ``images``.
+        tracking: What a tracker expects of the network's errors: fields of
+            `ffpose.tracking.Settings`, such as the angles of their correlation.
         version: Version of ffpose that wrote the file.
 
     Raises:
@@ -83,6 +86,7 @@ class WeightsMetadata:
     data: Mapping[str, Any] | None = None
     in_view_threshold: float | None = None
     calibration: Mapping[str, Any] | None = None
+    tracking: Mapping[str, float] | None = None
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -216,7 +220,7 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
     """Parse a header of a known format; format 1 has no provenance, and one network alone."""
     origin: dict[str, Any] = {}
     if header["format"] != "1":
-        known = [name for name in ORIGIN if name in header or name != "calibration"]  # new in 3
+        known = [name for name in ORIGIN if name in header or name not in LATER]
         origin = {name: json.loads(header[name]) for name in known}
         for name in ("backbone_source", "recipe", "data"):
             value = origin[name]

@@ -7,7 +7,8 @@ All entries are strings: ``ffpose_format`` (version of these entries), ``ffpose_
 for Gaussian ones). An int8 graph also has ``precision`` and ``calibration_sha256``, the SHA-256
 of the concatenated hexadecimal SHA-256s of its calibration images. A graph that locates the camera
 in the world has ``locates``, with the value ``camera``. One that takes the point where to look as a
-second input, ``point``, has ``takes_point``, with the value ``true``.
+second input, ``point``, has ``takes_point``, with the value ``true``. ``tracking`` is there where
+the weights say what a tracker expects of the network's errors, as JSON.
 
 The last record of the file is the entry ``ffpose_sha256``, the SHA-256 of all bytes before it,
 which shows alterations without a second file. ONNX files are protobuf messages, whose records may
@@ -61,6 +62,7 @@ class ModelMetadata:
         undistorted: Whether the training images were undistorted.
         white: Level that became 255 in training images of more than 8 bits.
         takes_point: Whether the graph looks once, at points that are its input ``point``.
+        tracking: As in the header of weights.
     """
 
     config: NetworkConfig
@@ -76,6 +78,7 @@ class ModelMetadata:
     undistorted: bool = False
     white: float | str | None = None
     takes_point: bool = False
+    tracking: Mapping[str, float] | None = None
 
     @property
     def degrees_of_freedom(self) -> tuple[float, float] | None:
@@ -104,6 +107,7 @@ class ModelMetadata:
             **self._int8_entries(),
             **({} if self.locates == "object" else {"locates": self.locates}),
             **({"takes_point": "true"} if self.takes_point else {}),
+            **({"tracking": json.dumps(self.tracking)} if self.tracking else {}),
             **({"decoding": json.dumps(decoding)} if any(decoding.values()) else {}),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
         }
@@ -146,6 +150,7 @@ class ModelMetadata:
             entries.get("calibration_sha256") or None,
             locates,
             takes_point=entries.get("takes_point") == "true",
+            tracking=json.loads(entries.get("tracking", "null")),
             **json.loads(entries.get("decoding", "{}")),
         )
 

@@ -125,6 +125,7 @@ def graph_entries(
             undistorted=source.undistorted,
             white=source.white,
             takes_point=takes_point,
+            tracking=source.tracking,
         ).to_entries()
 
     return entries

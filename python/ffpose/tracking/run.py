@@ -32,7 +32,7 @@ def run(
         estimator: A network with uncertainty.
         frames: The frames, in the order of their times.
         out: Folder to write to; created if it does not exist.
-        settings: Of the tracker.
+        settings: Of the tracker; None for those of the network (`Settings.of`).
         title: Heading of the report.
         said: Called with each frame as it is done.
 
@@ -43,7 +43,8 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     followed: list[Followed] = []
     try:
-        for each in follow(estimator, frames, Tracker(settings)):
+        tracker = Tracker(settings or Settings.of(estimator.metadata))
+        for each in follow(estimator, frames, tracker):
             followed.append(each)
             said(each)
     finally:

@@ -9,14 +9,17 @@ states too: first-order Gauss-Markov processes in the angle turned, not in time.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ffpose import _rust
 from ffpose.geometry import FloatArray, Pose
+
+if TYPE_CHECKING:
+    from ffpose.inference.network import Description
 
 Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquiring", "lost"]
 """What became of a frame: it corrected the track; it speaks for another attitude, which leads from
@@ -65,6 +68,20 @@ class Settings:
     coasting: float = 10.0
     orbital_rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     zenith: tuple[float, float, float] = (0.0, -1.0, 0.0)
+
+    @classmethod
+    def of(cls, network: Description) -> Settings:
+        """Return what a network's file says of its errors: their tails, and ``tracking``.
+
+        Raises:
+            ValueError: ``tracking`` has a field that is none.
+        """
+        told = dict(network.tracking or {})
+        if unknown := told.keys() - {field.name for field in fields(cls)}:
+            raise ValueError(f"tracking: expected fields of Settings, got {', '.join(unknown)}")
+        if network.degrees_of_freedom is not None:
+            told = {"tails": min(network.degrees_of_freedom), **told}
+        return cls(**told)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,106 @@
+/* Poses and tracks of a spacecraft for flight software: libffpose_onboard.
+ *
+ * Frames: the camera's (x right, y down, z forward; meters) and the object's; p_camera = R(q) p_object + t. Quaternions are
+ * (w, x, y, z) of norm 1. A handle is used by one thread at a time; handles are independent, but the first one opened
+ * chooses ONNX Runtime's library for the process.
+ *
+ * Every function returns one of ffpose_code; ffpose_error() tells the thread's last error in a sentence. Nothing is thrown or
+ * printed, and the process is not ended.
+ */
+#ifndef FFPOSE_ONBOARD_H
+#define FFPOSE_ONBOARD_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef enum {
+  FFPOSE_OK = 0,
+  FFPOSE_LATE = 1,   /* the deadline passed: of a track the motion is there, coasted; of a pose nothing */
+  FFPOSE_FAILED = 2, /* ffpose_error() says why; the track is as it was */
+  FFPOSE_NULL = 3,   /* a pointer that must not be null is */
+  FFPOSE_PANIC = 4   /* a bug of the library; close the handle */
+} ffpose_code;
+
+typedef enum {
+  FFPOSE_ACCEPTED = 0, /* the frame corrected the track */
+  FFPOSE_SWITCHED = 1, /* it speaks for another attitude, which leads from now on */
+  FFPOSE_GATED = 2,    /* it is too far from what was expected; the track goes on without it */
+  FFPOSE_COASTED = 3,  /* there was no frame, or not in time */
+  FFPOSE_FLAGGED = 4,  /* it shows no spacecraft */
+  FFPOSE_ACQUIRING = 5, /* there is no track yet */
+  FFPOSE_LOST = 6      /* too long without a frame that could be believed */
+} ffpose_outcome;
+
+typedef struct ffpose ffpose;
+
+/* Paths; null where not needed. Zero everything first: struct fields may be added. */
+typedef struct {
+  const char *model;     /* X.onnx of `ffpose export`; X.track.onnx beside it is opened too where it is there */
+  const char *runtime;   /* ONNX Runtime's library; null: ORT_DYLIB_PATH, else libonnxruntime.so */
+  const char *operators; /* libffpose_ort.so, for models with filters */
+  const char *camera;    /* JSON of the camera that takes the images, if another than the model's */
+  const char *track;     /* JSON of a track's settings */
+  const char *sha256;    /* that the model's file must have, 64 hexadecimal digits */
+  uint32_t threads;      /* that an image is computed with; 0: ONNX Runtime's choice */
+  uint32_t resize;       /* other than 0: images of any aspect ratio, as if the model's camera had taken them */
+} ffpose_settings;
+
+/* The caller's pixels, of which a copy is made: 8 bits a sample, rows from the top. */
+typedef struct {
+  const uint8_t *pixels;
+  uint32_t width, height; /* up to 65,535 a side and 89,478,485 in all */
+  uint32_t channels;      /* 1: gray, 3: red, green, blue */
+  size_t stride;          /* bytes from row to row; 0: width times channels */
+} ffpose_image;
+
+typedef struct {
+  double position_m[3];
+  double orientation_wxyz[4];
+  double position_covariance_m2[3][3];
+  double rotation_covariance_rad2[3][3]; /* camera axes: R_true = exp([r]x) R; these are NaN where the model has none */
+  double alternative_wxyz[4];            /* the second most likely orientation */
+  double probabilities[2];               /* of the one and of the other */
+  double in_view;
+  int32_t is_flagged; /* 1: the image shows no spacecraft */
+} ffpose_pose_result;
+
+typedef struct {
+  double time_s;
+  int32_t outcome;   /* ffpose_outcome */
+  int32_t has_track; /* 0: the numbers below are NaN */
+  double position_m[3];
+  double orientation_wxyz[4];
+  double velocity_m_s[3];          /* camera axes */
+  double angular_velocity_deg_s[3]; /* relative to the camera, object's axes */
+  /* of position (m), velocity (m/s), attitude (rad, object's axes: R_true = R exp([r]x)) and angular velocity (rad/s) */
+  double covariance[12][12];
+  double nis; /* squared Mahalanobis distance of the frame, six degrees of freedom; NaN without either */
+} ffpose_motion;
+
+/* Opens a model and an empty track; runs the model once, so that later runs allocate little. */
+int32_t ffpose_open(const ffpose_settings *settings, ffpose **handle);
+
+/* Poses one image within `seconds`, 0 for no limit. The run is ended between two nodes of the network's graph. */
+int32_t ffpose_pose(ffpose *handle, const ffpose_image *image, double seconds, ffpose_pose_result *pose);
+
+/* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected; the
+ * whole frame is searched without a track. A null image is a frame that never came. */
+int32_t ffpose_track(ffpose *handle, double time_s, const ffpose_image *image, double seconds, ffpose_motion *motion);
+
+/* Writes the track to a file, by a new one that is renamed; and takes it up again, by the same model and settings. */
+int32_t ffpose_save(const ffpose *handle, const char *path);
+int32_t ffpose_restore(ffpose *handle, const char *path);
+
+/* The thread's last error; valid until its next call. */
+const char *ffpose_error(void);
+
+void ffpose_close(ffpose *handle); /* null is none */
+
+#ifdef __cplusplus
+}
+#endif
+#endif

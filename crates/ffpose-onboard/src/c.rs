@@ -1,0 +1,344 @@
+//! The interface for C, `include/ffpose_onboard.h`, which says what each function does.
+//!
+//! No panic leaves it: each function runs in `catch_unwind`. Errors are codes, and a sentence of the thread's last one.
+#![allow(unsafe_code)]
+
+use std::cell::RefCell;
+use std::ffi::{CStr, CString, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::slice;
+use std::time::{Duration, Instant};
+
+use ffpose_track::{Outcome, Step};
+
+use crate::error::{Error, Result};
+use crate::estimator::{Estimator, Look};
+use crate::options::{Setup, Taken, TrackFiles, default_runtime};
+use crate::picture::{Picture, expect_size};
+use crate::pose::Outputs;
+use crate::track::Track;
+
+const OK: i32 = 0;
+const LATE: i32 = 1;
+const FAILED: i32 = 2;
+const NULL: i32 = 3;
+const PANIC: i32 = 4;
+
+thread_local! {
+    static LAST: RefCell<CString> = RefCell::default();
+}
+
+/// What a model and its track are opened with.
+#[repr(C)]
+pub struct FfposeSettings {
+    model: *const c_char,
+    runtime: *const c_char,
+    operators: *const c_char,
+    camera: *const c_char,
+    track: *const c_char,
+    sha256: *const c_char,
+    threads: u32,
+    resize: u32,
+}
+
+/// Pixels of the caller's.
+#[repr(C)]
+pub struct FfposeImage {
+    pixels: *const u8,
+    width: u32,
+    height: u32,
+    channels: u32,
+    stride: usize,
+}
+
+/// A pose.
+#[repr(C)]
+pub struct FfposePose {
+    position: [f64; 3],
+    orientation: [f64; 4],
+    position_covariance: [[f64; 3]; 3],
+    rotation_covariance: [[f64; 3]; 3],
+    alternative: [f64; 4],
+    probabilities: [f64; 2],
+    in_view: f64,
+    is_flagged: i32,
+}
+
+/// A motion.
+#[repr(C)]
+pub struct FfposeMotion {
+    time: f64,
+    outcome: i32,
+    has_track: i32,
+    position: [f64; 3],
+    orientation: [f64; 4],
+    velocity: [f64; 3],
+    rate: [f64; 3],
+    covariance: [[f64; 12]; 12],
+    nis: f64,
+}
+
+/// A model that is open, and its track.
+pub struct Ffpose {
+    estimator: Estimator,
+    track: Track,
+}
+
+/// Runs what a function does, and keeps its error's sentence.
+fn guarded(run: impl FnOnce() -> Result<i32>) -> i32 {
+    let (code, text) = match catch_unwind(AssertUnwindSafe(run)) {
+        Ok(Ok(code)) => return code,
+        Ok(Err(error)) => (FAILED, error.to_string()),
+        Err(_) => (PANIC, "a panic, a bug of this library: the handle is to be closed".into()),
+    };
+    let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
+    LAST.with_borrow_mut(|last| *last = text);
+    code
+}
+
+/// The sentence of this thread's last error; empty before the first.
+#[unsafe(no_mangle)]
+pub extern "C" fn ffpose_error() -> *const c_char {
+    LAST.with_borrow(|last| last.as_ptr())
+}
+
+/// Opens a model, and a track of its poses.
+///
+/// # Safety
+/// `settings` is null or valid, its strings null or ended by a zero; `handle` is null or valid for a write.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ffpose_open(
+    settings: *const FfposeSettings,
+    handle: *mut *mut Ffpose,
+) -> i32 {
+    if settings.is_null() || handle.is_null() {
+        return NULL;
+    }
+    guarded(|| {
+        // SAFETY: not null, and valid as the caller says, with its strings.
+        let (setup, files) = unsafe { setup(&*settings) }?;
+        let estimator = Estimator::open(&setup)?;
+        let track = Track::open(&estimator, &files)?;
+        let opened = Box::into_raw(Box::new(Ffpose { estimator, track }));
+        // SAFETY: not null, and valid for a write as the caller says.
+        unsafe { handle.write(opened) };
+        Ok(OK)
+    })
+}
+
+/// Frees a handle; null is none.
+///
+/// # Safety
+/// `handle` is null or of `ffpose_open`, and is not used again.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ffpose_close(handle: *mut Ffpose) {
+    if !handle.is_null() {
+        guarded(|| {
+            // SAFETY: made by `Box::into_raw` in `ffpose_open`, and closed once as the caller says.
+            drop(unsafe { Box::from_raw(handle) });
+            Ok(OK)
+        });
+    }
+}
+
+/// Poses one image.
+///
+/// # Safety
+/// The pointers are null or valid; the image's pixels are there; no other thread uses the handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ffpose_pose(
+    handle: *mut Ffpose,
+    image: *const FfposeImage,
+    seconds: f64,
+    pose: *mut FfposePose,
+) -> i32 {
+    if handle.is_null() || image.is_null() || pose.is_null() {
+        return NULL;
+    }
+    guarded(|| {
+        let deadline = deadline(seconds);
+        // SAFETY: not null, and valid as the caller says.
+        let (handle, picture) = unsafe { (&mut *handle, picture(&*image)?) };
+        let Some(outputs) = handle.estimator.look(&picture, Look { at: None, deadline })? else {
+            return Ok(LATE);
+        };
+        let told = told(&outputs, &handle.estimator);
+        // SAFETY: not null, and valid for a write as the caller says.
+        unsafe { pose.write(told) };
+        Ok(OK)
+    })
+}
+
+/// Poses a frame and moves the track on; without an image, or where time runs out, the track coasts.
+///
+/// # Safety
+/// As of `ffpose_pose`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ffpose_track(
+    handle: *mut Ffpose,
+    time: f64,
+    image: *const FfposeImage,
+    seconds: f64,
+    motion: *mut FfposeMotion,
+) -> i32 {
+    if handle.is_null() || motion.is_null() {
+        return NULL;
+    }
+    guarded(|| {
+        let deadline = deadline(seconds);
+        // SAFETY: not null, and valid as the caller says.
+        let Ffpose { estimator, track } = unsafe { &mut *handle };
+        let outputs = if image.is_null() {
+            None
+        } else {
+            // SAFETY: as above.
+            let picture = unsafe { picture(&*image) }?;
+            estimator.look(&picture, Look { at: track.expected(time), deadline })?
+        };
+        let (step, reason) = track.step(time, outputs.as_ref(), estimator.meaning())?;
+        let told = moved(time, &step, reason);
+        // SAFETY: not null, and valid for a write as the caller says.
+        unsafe { motion.write(told) };
+        Ok(if outputs.is_none() && !image.is_null() { LATE } else { OK })
+    })
+}
+
+/// Writes the track to a file.
+///
+/// # Safety
+/// `handle` is null or valid, `path` null or ended by a zero.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ffpose_save(handle: *const Ffpose, path: *const c_char) -> i32 {
+    // SAFETY: as the caller says.
+    let Some(path) = (unsafe { path_of(path) }).filter(|_| !handle.is_null()) else {
+        return NULL;
+    };
+    // SAFETY: not null, and valid as the caller says.
+    guarded(|| unsafe { &*handle }.track.save(&path).map(|()| OK))
+}
+
+/// Takes up the track of a file.
+///
+/// # Safety
+/// As of `ffpose_save`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ffpose_restore(handle: *mut Ffpose, path: *const c_char) -> i32 {
+    // SAFETY: as the caller says.
+    let Some(path) = (unsafe { path_of(path) }).filter(|_| !handle.is_null()) else {
+        return NULL;
+    };
+    // SAFETY: not null, and valid as the caller says.
+    guarded(|| unsafe { &mut *handle }.track.restore(&path).map(|()| OK))
+}
+
+/// # Safety
+/// The strings are null or ended by a zero.
+unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles)> {
+    let s = settings;
+    // SAFETY: as the caller says.
+    let [model, runtime, operators, camera, track, sha256] =
+        [s.model, s.runtime, s.operators, s.camera, s.track, s.sha256]
+            .map(|text| unsafe { path_of(text) });
+    let images = match (camera, s.resize != 0) {
+        (None, false) => Taken::ByModelsCamera,
+        (Some(file), false) => Taken::ByCamera(file),
+        (None, true) => Taken::Resized,
+        (Some(_), true) => return Err(Error::new("expected camera or resize, got both")),
+    };
+    let setup = Setup {
+        model: model.ok_or_else(|| Error::new("model: expected a path, got null"))?,
+        tracks: true,
+        threads: (s.threads > 0).then_some(s.threads as usize),
+        sha256: sha256.map(|digest| digest.to_string_lossy().to_lowercase()),
+        runtime: runtime.unwrap_or_else(default_runtime),
+        operators,
+        images,
+    };
+    Ok((setup, TrackFiles { state: None, settings: track }))
+}
+
+/// # Safety
+/// `text` is null or ended by a zero.
+unsafe fn path_of(text: *const c_char) -> Option<PathBuf> {
+    if text.is_null() {
+        return None;
+    }
+    // SAFETY: not null, and ended by a zero as the caller says.
+    let bytes = unsafe { CStr::from_ptr(text) };
+    Some(Path::new(bytes.to_string_lossy().as_ref()).to_path_buf())
+}
+
+/// Copies an image, its size checked first.
+///
+/// # Safety
+/// Its pixels are there: `height` rows, `stride` bytes apart.
+unsafe fn picture(image: &FfposeImage) -> Result<Picture> {
+    let (width, height) = (image.width as usize, image.height as usize);
+    expect_size(width, height)?;
+    let channels = image.channels as usize;
+    if channels != 1 && channels != 3 {
+        return Err(Error::new(format!("channels: expected 1 or 3, got {channels}")));
+    }
+    let row = width * channels;
+    let stride = if image.stride == 0 { row } else { image.stride };
+    if stride < row || image.pixels.is_null() {
+        return Err(Error::new(format!(
+            "image: expected pixels in rows of at least {row} bytes, got null or {stride}"
+        )));
+    }
+    let mut samples = Vec::with_capacity(row * height);
+    for place in 0..height {
+        // SAFETY: not null, and the rows are there as the caller says.
+        samples.extend_from_slice(unsafe {
+            slice::from_raw_parts(image.pixels.add(place * stride), row)
+        });
+    }
+    Ok(Picture::from_samples(width, height, samples, channels))
+}
+
+/// When `seconds` from now are over; None for zero, which is no limit.
+fn deadline(seconds: f64) -> Option<Instant> {
+    let limit = Duration::try_from_secs_f64(seconds).unwrap_or_default();
+    (seconds != 0.0).then(|| Instant::now() + limit)
+}
+
+fn told(outputs: &Outputs, estimator: &Estimator) -> FfposePose {
+    let said = outputs.uncertainty.as_ref();
+    let unknown = [[f64::NAN; 3]; 3];
+    FfposePose {
+        position: outputs.translation,
+        orientation: outputs.orientation,
+        position_covariance: said.map_or(unknown, |said| said.translation_covariance),
+        rotation_covariance: said.map_or(unknown, |said| said.rotation_covariance),
+        alternative: said.map_or(outputs.orientation, |said| said.alternative),
+        probabilities: said.map_or([1.0, 0.0], |said| said.probabilities),
+        in_view: said.map_or(f64::NAN, |said| said.in_view),
+        is_flagged: i32::from(outputs.flagged(estimator.meaning()) == Some(true)),
+    }
+}
+
+fn moved(time: f64, step: &Step, reason: &str) -> FfposeMotion {
+    let outcome = match step.outcome {
+        Outcome::Accepted => 0,
+        Outcome::Switched => 1,
+        Outcome::Gated => 2,
+        Outcome::Coasted if reason == "flagged" => 4,
+        Outcome::Coasted => 3,
+        Outcome::Acquiring => 5,
+        Outcome::Lost => 6,
+    };
+    let none = [f64::NAN; 3];
+    let one = step.estimate.as_ref();
+    FfposeMotion {
+        time,
+        outcome,
+        has_track: i32::from(one.is_some()),
+        position: one.map_or(none, |one| one.position),
+        orientation: one.map_or([f64::NAN; 4], |one| one.orientation),
+        velocity: one.map_or(none, |one| one.velocity),
+        rate: one.map_or(none, |one| one.rate.map(f64::to_degrees)),
+        covariance: one.map_or([[f64::NAN; 12]; 12], |one| one.covariance.into()),
+        nis: step.nis.unwrap_or(f64::NAN),
+    }
+}

@@ -1,0 +1,209 @@
+//! A track of the poses, its state in a file, and its lines.
+
+use std::fs::{File, rename};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use ffpose_track::{Estimate, Measurement, Mode, Outcome, Parameters, STATE_BYTES, Step, Tracker};
+use serde_json::{Map, Value, json};
+
+use crate::error::{Error, Result};
+use crate::estimator::Estimator;
+use crate::files;
+use crate::options::TrackFiles;
+use crate::pose::{Meaning, Outputs, document};
+
+/// Largest number of bytes of the settings' file.
+const MAX_BYTES: u64 = 1 << 16;
+
+/// A track, and the file of its state.
+pub struct Track {
+    tracker: Tracker,
+    /// Of the model whose poses are tracked.
+    tag: [u8; 32],
+    state: Option<PathBuf>,
+}
+
+impl Track {
+    /// Starts a track, or takes it up where a state was written.
+    ///
+    /// # Errors
+    /// The settings cannot be used, or the state is none, damaged, or of another model or of other settings.
+    pub fn open(estimator: &Estimator, files: &TrackFiles) -> Result<Self> {
+        let parameters = parameters(estimator, files.settings.as_deref())?;
+        let mut track = Self {
+            tracker: Tracker::new(parameters).map_err(|error| Error::new(error.to_string()))?,
+            tag: *estimator.digest(),
+            state: files.state.clone(),
+        };
+        if let Some(path) = files.state.as_deref().filter(|path| path.exists()) {
+            track.restore(path)?;
+        }
+        Ok(track)
+    }
+
+    /// Poses an image at a time, seconds, and returns its line: what the track makes of it, and what the network says.
+    ///
+    /// An image that cannot be used, or none, is coasted over.
+    ///
+    /// # Errors
+    /// The time is no number or not later than the one before: the track stays as it is.
+    pub fn follow(
+        &mut self,
+        estimator: &mut Estimator,
+        time: &str,
+        path: &Path,
+    ) -> Result<Map<String, Value>> {
+        let seconds = time.parse().map_err(|_| {
+            Error::new(format!("time: expected seconds before the path, got \"{time}\""))
+        })?;
+        let outputs =
+            (!path.as_os_str().is_empty()).then(|| estimator.outputs(path, self.expected(seconds)));
+        let (outputs, failed) = match outputs.transpose() {
+            Ok(outputs) => (outputs, None),
+            Err(error) => (None, Some(error)),
+        };
+        let meaning = estimator.meaning();
+        let (step, reason) = self.step(seconds, outputs.as_ref(), meaning)?;
+        let mut line = Map::from_iter([("time".into(), json!(seconds))]);
+        line.extend(told(&step, reason));
+        if let Some(outputs) = &outputs {
+            line.insert("measured".into(), document(outputs, meaning)?.into());
+        }
+        let kept = self.state.as_deref().map(|path| self.save(path)).transpose();
+        if let Some(error) = failed.or(kept.err()) {
+            line.insert("error".into(), error.to_string().into());
+        }
+        Ok(line)
+    }
+
+    /// Where the object is expected at a time, seconds; None for anywhere.
+    pub(crate) fn expected(&self, time: f64) -> Option<[f64; 3]> {
+        self.tracker.expected(time, [0.0; 3])
+    }
+
+    /// Moves on to a time, seconds, with what the network says; returns what became of it, in a word.
+    pub(crate) fn step(
+        &mut self,
+        time: f64,
+        outputs: Option<&Outputs>,
+        meaning: &Meaning,
+    ) -> Result<(Step, &'static str)> {
+        let flagged = outputs.is_some_and(|outputs| outputs.flagged(meaning) == Some(true));
+        let measured = outputs.filter(|_| !flagged).map(measurement).transpose()?;
+        let step = self.tracker.step(time, measured.as_ref(), [0.0; 3]);
+        let step = step.map_err(|error| Error::new(error.to_string()))?;
+        let reason = match step.outcome {
+            Outcome::Accepted => "accepted",
+            Outcome::Switched => "switched",
+            Outcome::Gated => "gated",
+            Outcome::Coasted if flagged => "flagged",
+            Outcome::Coasted => "coasted",
+            Outcome::Acquiring => "acquiring",
+            Outcome::Lost => "lost",
+        };
+        Ok((step, reason))
+    }
+
+    /// Writes the state, by a file beside that is renamed: after a loss of power there is the old one or the new one.
+    pub(crate) fn save(&self, path: &Path) -> Result<()> {
+        let beside = path.with_extension("new");
+        let write = || {
+            let mut file = File::create(&beside)?;
+            file.write_all(&self.tracker.to_bytes(&self.tag))?;
+            file.sync_all()?;
+            rename(&beside, path)
+        };
+        write()
+            .map_err(|error| Error::new(format!("cannot be written: {error}")).of(path.display()))
+    }
+
+    /// Takes up a state.
+    pub(crate) fn restore(&mut self, path: &Path) -> Result<()> {
+        let refused = |error: ffpose_track::Error| Error::new(error.to_string());
+        let bytes = files::read(path, STATE_BYTES as u64 + 1);
+        let tracker =
+            bytes.and_then(|bytes| Tracker::from_bytes(&bytes, &self.tag).map_err(refused));
+        let tracker = tracker.map_err(|error| error.of(path.display()))?;
+        if tracker.parameters() != self.tracker.parameters() {
+            let other = "state: expected one of these settings, got that of others";
+            return Err(Error::new(other).of(path.display()));
+        }
+        self.tracker = tracker;
+        Ok(())
+    }
+}
+
+/// The settings of a track: the usual ones, what the model knows of its errors, and those of a file.
+fn parameters(estimator: &Estimator, file: Option<&Path>) -> Result<Parameters> {
+    if estimator.meaning().locates_camera {
+        let found = "expected a model that locates an object, got one of a camera";
+        return Err(Error::new(found));
+    }
+    let mut parameters = Parameters::default();
+    if let Some([position, rotation]) = estimator.meaning().degrees_of_freedom {
+        parameters.tails = position.min(rotation);
+    }
+    set(&mut parameters, estimator.tracking())?;
+    if let Some(path) = file {
+        let settings = read_settings(path).map_err(|error| error.of(path.display()))?;
+        set(&mut parameters, &settings).map_err(|error| error.of(path.display()))?;
+    }
+    Ok(parameters)
+}
+
+fn read_settings(path: &Path) -> Result<Map<String, Value>> {
+    serde_json::from_slice(&files::read(path, MAX_BYTES)?)
+        .map_err(|error| Error::new(format!("expected an object: {error}")))
+}
+
+fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()> {
+    for (name, value) in settings {
+        let values: Option<Vec<f64>> = match value {
+            Value::Array(values) => values.iter().map(Value::as_f64).collect(),
+            number => number.as_f64().map(|number| vec![number]),
+        };
+        let set = parameters.set(name, &values.unwrap_or_default());
+        set.map_err(|error| Error::new(format!("{name}: {error}, got {value}")))?;
+    }
+    Ok(())
+}
+
+/// What a network says of a frame, as a tracker takes it.
+fn measurement(outputs: &Outputs) -> Result<Measurement> {
+    let said = outputs.uncertainty.as_ref().ok_or_else(|| {
+        Error::new("expected a model that predicts uncertainty, got one that does not")
+    })?;
+    let mode = |orientation, probability| {
+        Mode::new(
+            outputs.translation,
+            orientation,
+            said.translation_covariance,
+            said.rotation_covariance,
+            probability,
+        )
+    };
+    let modes = [(outputs.orientation, 0), (said.alternative, 1)];
+    let [first, second] = modes.map(|(q, place)| mode(q, said.probabilities[place]));
+    let measured = first.and_then(|first| Measurement::new(&[first, second?]));
+    measured.map_err(|error| Error::new(error.to_string()))
+}
+
+/// The line of a frame; numbers are there while there is a track.
+fn told(step: &Step, reason: &str) -> Map<String, Value> {
+    let mut line = Map::new();
+    let mut put = |name: &str, value: Value| line.insert(name.into(), value);
+    put("accepted", json!(matches!(step.outcome, Outcome::Accepted | Outcome::Switched)));
+    put("reason", json!(reason));
+    if let Some(one) = &step.estimate {
+        let Estimate { position, orientation, velocity, rate, covariance } = one;
+        let rows: [[f64; 12]; 12] = (*covariance).into();
+        put("translation_m", json!(position));
+        put("orientation_wxyz", json!(orientation));
+        put("velocity_m_s", json!(velocity));
+        put("angular_velocity_deg_s", json!(rate.map(f64::to_degrees)));
+        put("covariance", rows.iter().map(|row| json!(row)).collect::<Vec<_>>().into());
+    }
+    put("nis", json!(step.nis));
+    line
+}

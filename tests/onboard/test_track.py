@@ -1,0 +1,190 @@
+"""Tracks of the program and of its C library: those of Python, kept through a restart, in time."""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.onnx.metadata import read_model_metadata, sealed
+from ffpose.tracking import Settings, Tracker
+from onboard_program import CRATE, steady
+
+pytest.importorskip("onnx")
+
+
+@pytest.fixture
+def models(tmp_path):
+    """A model X.onnx with the looks of a track, which are ten times as sure, beside it."""
+    path = tmp_path / "x.onnx"
+    path.write_bytes(sealed(steady(1e-3)))
+    path.with_suffix(".track.onnx").write_bytes(sealed(steady(1e-4, takes_point=True)))
+    return path
+
+
+@pytest.fixture
+def frames(tmp_path):
+    """Levels of gray, by which the model tells the object's position; level 200 shows none."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    levels = [100, 101, 102, 103, 104, 105, 200, 107, 108, 109, 110]
+    for place, level in enumerate(levels):
+        (folder / f"{place}.pgm").write_bytes(gray(128, 96, level))
+    return [folder / f"{place}.pgm" for place in range(len(levels))]
+
+
+def gray(width, height, level):
+    return f"P5 {width} {height} 255\n".encode() + bytes([level]) * (width * height)
+
+
+def lines_of(frames):
+    return [f"{0.5 * (place + 1)} {path}" for place, path in enumerate(frames)]
+
+
+def pose_of(document):
+    said = PoseUncertainty(
+        np.array(document["translation_covariance_m2"]),
+        np.array(document["rotation_covariance_rad2"]),
+        document["in_view"],
+        0.5,
+        alternative=document["alternative_wxyz"],
+        probabilities=document["probabilities"],
+    )
+    return Pose(document["translation_m"], document["orientation_wxyz"], said)
+
+
+def test_a_track_is_that_of_python_for_the_same_measurements(run, models, frames):
+    lines = [*lines_of(frames), "6.5", "7.0 nowhere.pgm", f"7.5 {frames[-1]}"]
+    code, documents, _ = run(models, "--track", lines=lines)
+    assert code == 3  # nowhere.pgm
+    settings = Settings.of(read_model_metadata(models))
+    assert settings == Settings(tails=4, attitude_angle=18)
+    tracker = Tracker(settings)
+    for document in documents:
+        measured = document.get("measured")
+        step = tracker.step(document["time"], None if measured is None else pose_of(measured))
+        assert (document["reason"], document["accepted"]) == (step.outcome, step.accepted)
+        if step.estimate is None:
+            assert "translation_m" not in document
+            continue
+        for name, wanted in {
+            "translation_m": step.estimate.t,
+            "orientation_wxyz": step.estimate.q,
+            "velocity_m_s": step.estimate.v,
+            "angular_velocity_deg_s": step.estimate.w,
+            "covariance": step.estimate.covariance,
+        }.items():
+            np.testing.assert_allclose(document[name], wanted, rtol=0, atol=1e-9)
+    reasons = ["acquiring"] * 3 + ["accepted"] * 3 + ["flagged"] + ["accepted"] * 4
+    assert [each["reason"] for each in documents] == [*reasons, "coasted", "coasted", "accepted"]
+    assert "cannot be read" in documents[-2]["error"]
+    # it looks where the object is expected, and everywhere after a frame that does not count
+    near = [each["measured"]["translation_covariance_m2"][0][0] < 5e-4 for each in documents[:11]]
+    assert near == [False] * 4 + [True] * 3 + [False] + [True] * 3
+
+
+def test_a_state_is_taken_up_again(run, models, frames, tmp_path):
+    state = tmp_path / "track.state"
+    lines = lines_of(frames)
+    whole = run(models, "--track", lines=lines)[1]
+    first = run(models, "--track", "--state", state, lines=lines[:6])[1]
+    second = run(models, "--track", "--state", state, lines=lines[6:])[1]
+    assert [*first, *second] == whole
+    assert [path.name for path in tmp_path.glob("track.*")] == ["track.state"]
+    step = Tracker.from_state(state.read_bytes(), models.read_bytes()).step(9, None)
+    assert step.outcome == "coasted"
+    code, documents, (error,) = run(
+        models, "--track", "--state", state, "--settings", settings_file(tmp_path, gate=20)
+    )
+    assert (code, documents) == (1, [])
+    assert "expected one of these settings" in error
+    models.write_bytes(sealed(steady(2e-3)))
+    models.with_suffix(".track.onnx").unlink()
+    code, documents, (error,) = run(models, "--track", "--state", state, lines=lines)
+    assert (code, documents) == (1, [])
+    assert "state: expected one of this model, got that of another" in error
+
+
+def settings_file(folder, **settings):
+    path = folder / "settings.json"
+    path.write_text(json.dumps(settings))
+    return path
+
+
+def test_what_is_no_track_is_told(run, models, frames, tmp_path):
+    code, documents, _ = run(models, "--track", lines=["1 a.pgm", "now b.pgm", f"1 {frames[0]}"])
+    assert code == 3
+    errors = [each["error"] for each in documents]
+    assert errors[1] == 'time: expected seconds before the path, got "now"'
+    assert errors[2] == "time: expected later than 1 s, the frame before, got 1 s"
+    settings = settings_file(tmp_path, speed=1)
+    code, _, (error,) = run(models, "--track", "--settings", settings)
+    assert code == 1
+    assert "speed: expected a setting of the tracker" in error
+    code, _, (error,) = run(models.with_suffix(".track.onnx"), "--stdin")
+    assert code == 1
+    assert "expected a model of whole frames" in error
+
+
+@pytest.fixture(scope="session")
+def example(program, tmp_path_factory):
+    """The example in C, linked with the library."""
+    if not shutil.which("cc"):
+        pytest.skip("no C compiler is installed")
+    path = tmp_path_factory.mktemp("c") / "track"
+    library = program.parent
+    command = ["cc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-O1", "-o", path]
+    command += [CRATE / "examples/track.c", f"-I{CRATE / 'include'}", f"-L{library}"]
+    subprocess.run([*command, "-lffpose_onboard", f"-Wl,-rpath,{library}"], check=True)
+    return path
+
+
+@pytest.fixture
+def call(example, runtime):
+    def call(model, frames, seconds="0", state="-"):
+        words = [example, model, runtime, "-", seconds, state, *frames]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        return done.returncode, [line.split() for line in done.stdout.splitlines()], done.stderr
+
+    return call
+
+
+def test_the_library_for_c_gives_the_tracks_of_the_program(call, run, models, frames, tmp_path):
+    state = tmp_path / "c.state"
+    code, rows, errors = call(models, [*frames[:8], "-", *frames[9:]], state=state)
+    assert (code, errors) == (0, "")
+    lines = lines_of(frames)
+    lines[8] = lines[8].split()[0]
+    documents = run(models, "--track", lines=lines)[1]
+    names = ["accepted", "switched", "gated", "coasted", "flagged", "acquiring", "lost"]
+    assert [names[int(row[1])] for row in rows] == [each["reason"] for each in documents]
+    for row, document in zip(rows[3:], documents[3:], strict=True):
+        wanted = [*document["translation_m"], document["covariance"][0][0]]
+        np.testing.assert_array_equal([float(number) for number in row[3:]], wanted)
+    assert Tracker.from_state(state.read_bytes(), models.read_bytes()).time == 5.5
+
+
+def test_a_run_that_is_late_is_ended_and_the_track_coasts(call, frames, tmp_path):
+    path = tmp_path / "slow.onnx"
+    path.write_bytes(sealed(steady(1e-3, rounds=60)))
+    code, rows, _ = call(path, frames[:2], seconds="0.01")
+    assert code == 0
+    assert [row[0] for row in rows] == ["1", "1"]
+    code, rows, _ = call(path, [frames[0], "-"], seconds="1000")
+    assert [row[0] for row in rows] == ["0", "0"]
+
+
+def test_errors_for_c_are_codes_and_sentences(call, models, frames, tmp_path):
+    code, _, errors = call(tmp_path / "none.onnx", frames)
+    assert code == 1
+    assert "cannot be read" in errors
+    other = tmp_path / "other.pgm"
+    other.write_bytes(gray(96, 96, 100))
+    empty = tmp_path / "empty.pgm"
+    empty.write_bytes(gray(0, 0, 0))
+    _, rows, _ = call(models, [other, frames[0], empty, "nowhere.pgm"])
+    assert [row[0] for row in rows] == ["2", "0", "2", "2"]
+    assert "96x96" in " ".join(rows[0])
+    assert "at most 89478485" in " ".join(rows[2])
