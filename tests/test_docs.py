@@ -97,7 +97,7 @@ def test_make_targets_exist(page, target):
     assert re.search(rf"^{target}:.*## ", MAKEFILE, flags=re.MULTILINE)
 
 
-@pytest.mark.parametrize(("page", "extras"), matches(r"\.whl\)?\[([a-z,]+)\]"))
+@pytest.mark.parametrize(("page", "extras"), matches(r"(?:\.whl\)?|'ffpose)\[([a-z,]+)\]"))
 def test_extras_exist(page, extras):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert set(extras.split(",")) <= set(project["optional-dependencies"])

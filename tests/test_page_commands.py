@@ -44,6 +44,7 @@ SMALL = {
     "--count 5000": "--count 10 --size 128x96",
     "--count 1000": "--count 2",
     "--count 100": "--count 2 --size 128x96",
+    "--count 8": "--count 2 --size 128x96",
     "--size 640x480": "--size 64x48",
     "--seconds 120": "--seconds 1 --size 64x48",
     # trainings: an epoch, without the backbone's download, of a network that is soon trained
@@ -82,7 +83,7 @@ SMALL = {
 NOT_RUN = {
     "make": "installs, tests or builds, which is how the tests came to run",
     "pip": "installs",
-    "source": "a shell's own",
+    "demo": "poses 200 images; tests/demo runs it in small",
     "echo": "with cc, writes a library for one brand of processors",
     "cc": "needs a C compiler",
     "LD_PRELOAD=$PWD/mkl.so": "needs that library, in a process that begins with it",
