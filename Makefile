@@ -3,7 +3,7 @@ VENV ?= .venv
 PYTHON ?= python3
 DEMO_OUT ?= runs/demo
 BIN := $(VENV)/bin
-PYTHON_SOURCES := python benchmarks studies tests build_backend.py build_library.py
+PYTHON_SOURCES := python benchmarks studies tests build_backend.py build_library.py build_licenses.py
 RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -path crates/ffpose-onboard -prune -o -name '*.rs' -print -o -name Cargo.toml -print)
 ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml --target-dir target/onboard
 

@@ -55,8 +55,13 @@ def atomic_write(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
 
 
 def _sync(path: Path) -> None:
-    """Flush a file's contents, or a folder's entries, to disk."""
-    descriptor = os.open(path, os.O_RDONLY)
+    """Flush a file's contents, or a folder's entries, to disk; Windows opens no folder."""
+    windows = os.name == "nt"
+    if windows and path.is_dir():
+        return
+    descriptor = os.open(
+        path, os.O_RDWR if windows else os.O_RDONLY
+    )  # Windows flushes writers alone
     try:
         os.fsync(descriptor)
     finally:

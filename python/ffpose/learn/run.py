@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shlex
 import shutil
 import time
@@ -17,6 +16,7 @@ import numpy as np
 
 from ffpose import __version__
 from ffpose._internal.files import atomic_write, read_json
+from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
 from ffpose.errors import DataError
 from ffpose.evaluation.card.measurement import measure
@@ -131,7 +131,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
         OSError: The folder cannot be written, or the disk is full.
     """
     began = time.monotonic()
-    processes = config.processes or len(os.sched_getaffinity(0))
+    processes = config.processes or cores()
     radius, scene_file = _inspected(config)
     scene = scene_file.scene()
     config.out.mkdir(parents=True, exist_ok=True)
