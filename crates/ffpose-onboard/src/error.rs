@@ -16,6 +16,7 @@ impl Error {
     }
 
     /// This error, with a part put before it: the file that it is about, for one.
+    #[must_use]
     pub fn of(self, part: impl fmt::Display) -> Self {
         Self(format!("{part}: {self}"))
     }

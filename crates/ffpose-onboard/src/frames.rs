@@ -61,7 +61,7 @@ impl<R: BufRead> Lines<R> {
     ///
     /// # Errors
     /// The input cannot be read.
-    pub fn next(&mut self) -> Result<Option<Line>> {
+    pub fn next_line(&mut self) -> Result<Option<Line>> {
         self.read_next()
             .map_err(|error| Error::new(format!("standard input cannot be read: {error}")))
     }
@@ -110,7 +110,7 @@ mod tests {
 
     fn lines(mut input: &[u8]) -> Vec<Line> {
         let mut lines = Lines::new(&mut input);
-        std::iter::from_fn(|| lines.next().unwrap()).collect()
+        std::iter::from_fn(|| lines.next_line().unwrap()).collect()
     }
 
     #[test]
@@ -130,7 +130,7 @@ mod tests {
         let error = lines(input.as_bytes())[1].expect_whole().unwrap_err().to_string();
         assert_eq!(error, "expected a line of at most 4096 bytes, got a longer one");
         let mut endless = Lines::new(io::BufReader::new(io::repeat(b'a')));
-        assert_eq!(endless.next().unwrap().unwrap().path, Path::new(&longest));
+        assert_eq!(endless.next_line().unwrap().unwrap().path, Path::new(&longest));
     }
 
     #[test]

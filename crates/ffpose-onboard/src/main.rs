@@ -58,7 +58,7 @@ fn run(options: &Options) -> Result<Outcome> {
         Source::Track(settings) => {
             let mut track = Track::open(&estimator, settings)?;
             let mut lines = Lines::new(io::stdin().lock());
-            while let Some(line) = lines.next()? {
+            while let Some(line) = lines.next_line()? {
                 let (time, path) = line.timed();
                 answers.give(path, || {
                     line.expect_whole()?;
@@ -68,7 +68,7 @@ fn run(options: &Options) -> Result<Outcome> {
         }
         Source::Stdin => {
             let mut lines = Lines::new(io::stdin().lock());
-            while let Some(line) = lines.next()? {
+            while let Some(line) = lines.next_line()? {
                 answers.give(&line.path, || {
                     line.expect_whole()?;
                     estimator.pose(&line.path)

@@ -103,7 +103,10 @@ pub enum Command {
 }
 
 impl Command {
-    /// Reads the arguments after the program's name; an error says what is wrong with them.
+    /// Reads the arguments after the program's name.
+    ///
+    /// # Errors
+    /// They are wrong; the text says what is.
     pub fn parse(arguments: impl IntoIterator<Item = OsString>) -> Result<Self, String> {
         let mut arguments = arguments.into_iter();
         let mut given = Given::default();
@@ -210,6 +213,7 @@ fn digest(value: &OsString) -> Result<String, String> {
 }
 
 /// Returns ONNX Runtime's library where none is named.
+#[must_use]
 pub fn default_runtime() -> PathBuf {
     let name = || format!("{}onnxruntime{}", env::consts::DLL_PREFIX, env::consts::DLL_SUFFIX);
     env::var_os("ORT_DYLIB_PATH")

@@ -76,7 +76,7 @@ class Settings:
         Raises:
             ValueError: ``tracking`` has a field that is none.
         """
-        told = dict(network.tracking or {})
+        told: dict[str, Any] = dict(network.tracking or {})
         if unknown := told.keys() - {field.name for field in fields(cls)}:
             raise ValueError(f"tracking: expected fields of Settings, got {', '.join(unknown)}")
         if network.degrees_of_freedom is not None:
