@@ -3,6 +3,14 @@
 //! Loops over the coordinates of a block have no branches, so that the compiler makes vectors of the instruction set that
 //! `Isa::run_loops` opened; the samples themselves are gathered one by one, with weights that all channels share.
 
+// Images have far fewer than 2^31 pixels, and coordinates are clamped to them; a lazy operator would be a branch.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
+    clippy::cast_sign_loss,
+    clippy::needless_bitwise_bool
+)]
+
 use ndarray::{ArrayViewD, ArrayViewMut4, ArrayViewMutD, Axis, Ix1, Ix3, Ix4};
 
 use crate::parallel::{Pool, run, worth};
@@ -34,6 +42,7 @@ const WORK: usize = 8;
 ///
 /// # Errors
 /// [`Error::Shape`], [`Error::Strides`]; [`Error::Isa`] as for [`Isa::current`].
+#[allow(clippy::missing_panics_doc)] // arrays are checked to be contiguous
 pub fn sample_pyramid(
     homographies: ArrayViewD<'_, f32>,
     levels: ArrayViewD<'_, f32>,

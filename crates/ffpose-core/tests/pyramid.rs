@@ -1,5 +1,8 @@
 //! Samples of pyramids, against bilinear interpolation pixel by pixel in f64.
 
+// Small images.
+#![allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap, clippy::cast_sign_loss)]
+
 use ffpose_core::pyramid::{LEVELS, sample_pyramid};
 use ffpose_core::{Error, StdThreads};
 use ndarray::{Array, ArrayD, Axis, IxDyn};
