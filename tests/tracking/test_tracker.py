@@ -48,7 +48,6 @@ class Textbook:
     def __init__(self, settings, t, rotation, ct, cr):
         self.s = settings
         self.p, self.v, self.r, self.w = np.array(t), np.zeros(3), rotation, np.zeros(3)
-        self.bias = np.zeros(6)
         self.cov = np.zeros((18, 18))
         m = rotation.as_matrix()
         self.cov[:3, :3], self.cov[6:9, 6:9] = ct, m.T @ cr @ m
@@ -97,15 +96,13 @@ class Textbook:
         noise = np.zeros((6, 6))
         noise[:3, :3], noise[3:, 3:] = ct * s.position_noise, m.T @ cr @ m * s.attitude_noise
         turn = (self.r.inv() * rotation).as_rotvec()
-        y = np.concatenate([t - self.p, turn]) - np.concatenate(
-            [st @ self.bias[:3], sr @ self.bias[3:]]
-        )
+        y = np.concatenate([t - self.p, turn])
         inverse = np.linalg.inv(h @ self.cov @ h.T + noise)
         gain = self.cov @ h.T @ inverse
+        gain[12:] = 0  # considered (Schmidt)
         dx = gain @ y
         self.p, self.v, self.w = self.p + dx[:3], self.v + dx[3:6], self.w + dx[9:12]
         self.r = self.r * Rotation.from_rotvec(dx[6:9])
-        self.bias = self.bias + dx[12:]
         joseph = np.eye(18) - gain @ h
         self.cov = joseph @ self.cov @ joseph.T + gain @ noise @ gain.T
         reset = np.eye(18)

@@ -30,6 +30,10 @@ const ORDINARY: f64 = 12.591_587;
 /// A frame's position is `p + S a + n` and its orientation `R exp([S b + n]×)`: `a` and `b` have unit variance and
 /// are correlated from frame to frame, `n` is new in each frame, and the roots `S` are those of the covariance that the network
 /// gives with the frame. What correlates is thus measured in the network's own standard deviations, which differ from view to view.
+///
+/// `a` and `b` are *considered*, not estimated (Schmidt, *Advances in Control Systems* 3, 1966): their covariances with the motion
+/// are kept, and their estimates are zero. Errors do not follow the standard deviations so closely that the change of
+/// these from frame to frame could tell `S a` from `p`, which is what an estimate of them would rest on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filter {
     /// Position of the object, m, camera frame.
@@ -40,10 +44,6 @@ pub struct Filter {
     pub orientation: UnitQuaternion<f64>,
     /// Angular velocity, rad/s, object's axes.
     pub rate: Vector3<f64>,
-    /// The network's error of the position, in its standard deviations.
-    pub position_bias: Vector3<f64>,
-    /// The network's error of the attitude, in its standard deviations, object's axes.
-    pub attitude_bias: Vector3<f64>,
     /// Covariance of the errors, in this order.
     pub covariance: Covariance,
 }
@@ -86,8 +86,6 @@ impl Filter {
             velocity: zero,
             orientation: mode.orientation,
             rate: zero,
-            position_bias: zero,
-            attitude_bias: zero,
             covariance,
         }
     }
@@ -98,10 +96,8 @@ impl Filter {
         let roots = correlated_roots(mode, parameters);
         let turned = (self.orientation.inverse() * mode.orientation).scaled_axis();
         let mut residual = Vector6::zeros();
-        residual
-            .fixed_rows_mut::<3>(0)
-            .copy_from(&(mode.position - self.position - roots[0] * self.position_bias));
-        residual.fixed_rows_mut::<3>(3).copy_from(&(turned - roots[1] * self.attitude_bias));
+        residual.fixed_rows_mut::<3>(0).copy_from(&(mode.position - self.position));
+        residual.fixed_rows_mut::<3>(3).copy_from(&turned);
 
         let p = &self.covariance;
         let mut projected = SMatrix::<f64, 6, STATES>::zeros();
@@ -139,7 +135,8 @@ impl Filter {
         let Some(factor) = Cholesky::new(covariance) else { return 0.0 };
         // all that is not explained by the state counts as noise
         let noise = innovation.noise + innovation.covariance * (1.0 / weight - 1.0);
-        let gain: SMatrix<f64, STATES, 6> = factor.solve(&innovation.projected).transpose();
+        let mut gain: SMatrix<f64, STATES, 6> = factor.solve(&innovation.projected).transpose();
+        gain.fixed_rows_mut::<6>(POSITION_BIAS).fill(0.0);
         let change = gain * innovation.residual;
 
         // (1 - K H) P (1 - K H)ᵀ + K R Kᵀ, one factor at a time
@@ -157,8 +154,6 @@ impl Filter {
         self.position += part(POSITION);
         self.velocity += part(VELOCITY);
         self.rate += part(RATE);
-        self.position_bias += part(POSITION_BIAS);
-        self.attitude_bias += part(ATTITUDE_BIAS);
         let turn = part(ATTITUDE);
         self.orientation *= UnitQuaternion::from_scaled_axis(turn);
         self.orientation.renormalize();
@@ -179,8 +174,7 @@ impl Filter {
     /// Whether all numbers are finite and the covariance is positive definite.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        let parts =
-            [self.position, self.velocity, self.rate, self.position_bias, self.attitude_bias];
+        let parts = [self.position, self.velocity, self.rate];
         parts.iter().flatten().chain(&self.orientation.coords).all(|number| number.is_finite())
             && Cholesky::<f64, Const<STATES>>::new(self.covariance).is_some()
     }

@@ -77,7 +77,6 @@ impl Filter {
         let back = turn.inverse();
         self.position = back * self.position;
         self.velocity = back * self.velocity;
-        self.position_bias = back * self.position_bias;
         self.orientation = back * self.orientation;
         let matrix = back.to_rotation_matrix().into_inner();
         for _ in 0..2 {

@@ -48,16 +48,16 @@ pub(crate) const NUMBERS: usize = 18;
 impl Default for Parameters {
     fn default() -> Self {
         Self {
-            acceleration: 2e-3,
-            angular_acceleration: 0.05f64.to_radians(),
+            acceleration: 5e-4,
+            angular_acceleration: 0.07f64.to_radians(),
             velocity: 0.3,
             rate: 5f64.to_radians(),
-            position_angle: 40f64.to_radians(),
-            attitude_angle: 25f64.to_radians(),
-            position_noise: 0.02,
-            attitude_noise: 0.02,
+            position_angle: 25f64.to_radians(),
+            attitude_angle: 30f64.to_radians(),
+            position_noise: 0.05,
+            attitude_noise: 0.3,
             gate: 30.0,
-            tails: 5.0,
+            tails: 3.0,
             agreeing: 4.0,
             coasting: 10.0,
             orbital_rate: [0.0; 3],

@@ -8,13 +8,13 @@ use crate::parameters::{self, Parameters};
 use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
 
 /// The first bytes of each state; the number is the format's version.
-const MAGIC: [u8; 8] = *b"FFTRACK2";
+const MAGIC: [u8; 8] = *b"FFTRACK3";
 
 /// Bytes that say whose track it is, such as the digest of a network's file.
 pub const TAG_BYTES: usize = 32;
 
 /// Numbers of a hypothesis: whether there is one, score, frames, time, state and covariance.
-const OF_HYPOTHESIS: usize = 4 + 19 + 18 * 18;
+const OF_HYPOTHESIS: usize = 4 + 13 + 18 * 18;
 
 /// Numbers of a tracker.
 const NUMBERS: usize = parameters::NUMBERS + 1 + 3 + 1 + HYPOTHESES * OF_HYPOTHESIS;
@@ -111,15 +111,10 @@ impl Writer<'_> {
     fn hypothesis(&mut self, one: &Hypothesis) {
         let filter = &one.filter;
         self.numbers(&[1.0, one.score, one.agreed, one.last]);
-        let first = [filter.position, filter.velocity];
-        let last = [filter.rate, filter.position_bias, filter.attitude_bias];
-        for part in first {
-            self.numbers(part.as_slice());
-        }
+        self.numbers(filter.position.as_slice());
+        self.numbers(filter.velocity.as_slice());
         self.numbers(filter.orientation.coords.as_slice());
-        for part in last {
-            self.numbers(part.as_slice());
-        }
+        self.numbers(filter.rate.as_slice());
         self.numbers(filter.covariance.as_slice());
     }
 }
@@ -148,17 +143,9 @@ impl Reader<'_> {
         let (position, velocity) = (self.vector(), self.vector());
         let [i, j, k, w] = self.numbers();
         let orientation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
-        let (rate, position_bias, attitude_bias) = (self.vector(), self.vector(), self.vector());
+        let rate = self.vector();
         let covariance = Covariance::from_column_slice(&self.numbers::<{ 18 * 18 }>());
-        let filter = Filter {
-            position,
-            velocity,
-            orientation,
-            rate,
-            position_bias,
-            attitude_bias,
-            covariance,
-        };
+        let filter = Filter { position, velocity, orientation, rate, covariance };
         (present != 0.0).then_some(Hypothesis { filter, score, agreed, last })
     }
 }

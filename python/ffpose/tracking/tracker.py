@@ -54,16 +54,16 @@ class Settings:
             alone.
     """
 
-    acceleration: float = 2e-3
-    angular_acceleration: float = 0.05
+    acceleration: float = 5e-4
+    angular_acceleration: float = 0.07
     velocity: float = 0.3
     rate: float = 5.0
-    position_angle: float = 40.0
-    attitude_angle: float = 25.0
-    position_noise: float = 0.02
-    attitude_noise: float = 0.02
+    position_angle: float = 25.0
+    attitude_angle: float = 30.0
+    position_noise: float = 0.05
+    attitude_noise: float = 0.3
     gate: float = 30.0
-    tails: float = 5.0
+    tails: float = 3.0
     agreeing: int = 4
     coasting: float = 10.0
     orbital_rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
