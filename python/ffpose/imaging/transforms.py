@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import roma
@@ -22,6 +22,7 @@ from torchvision.transforms import v2
 
 from ffpose.arrays import canonical_quaternion
 from ffpose.geometry import Camera, FloatArray
+from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.preprocessing import Preprocessing, Window
 
 TURN_ATTEMPTS = 10
@@ -143,32 +144,13 @@ def turn_camera(
         )
     )
     seen = camera if view is None else view
-    source = camera.matrix @ rotation.T @ np.linalg.inv(seen.matrix)
+    source = torch.from_numpy(camera.matrix @ rotation.T @ np.linalg.inv(seen.matrix)).float()
+    planes = source_planes(source[None], pixel_centers(seen.height, seen.width))
     return (
-        _warp(image, source, (seen.height, seen.width)),
+        sample_planes(image[None], *planes)[0],
         (turn @ translation.double()).to(translation.dtype),
         torch.from_numpy(canonical_quaternion(turned.numpy())).to(orientation.dtype),
     )
-
-
-def _warp(image: Tensor, source: FloatArray, size: tuple[int, int]) -> Tensor:
-    """Resample to ``(height, width)``; ``source (3, 3)`` maps output pixels to input pixels."""
-    height, width = image.shape[-2:]
-    # grid_sample's coordinates range from -1 to 1 between the edges of the image.
-    to_unit = np.array([[2 / width, 0, -1], [0, 2 / height, -1], [0, 0, 1]])
-    places = torch.from_numpy(to_unit @ source).float() @ _pixel_centers(*size)
-    grid, depth = places[:2], places[2]
-    # Points behind the camera or far outside sample zeros: 2 is beyond the edge's last half pixel.
-    grid.div_(depth).clamp_(-2, 2).masked_fill_(depth <= 0, 2)
-    grid = grid.view(2, *size).permute(1, 2, 0).to(image.dtype)
-    return torch.nn.functional.grid_sample(image[None], grid[None], align_corners=False)[0]
-
-
-@lru_cache(maxsize=8)
-def _pixel_centers(height: int, width: int) -> Tensor:
-    """Return the pixel centers ``(u, v, 1)`` in row-major order, ``(3, height * width)``."""
-    v, u = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
-    return torch.stack([u, v, torch.ones_like(u)]).view(3, -1)
 
 
 @dataclass(frozen=True)

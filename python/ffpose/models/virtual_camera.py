@@ -27,8 +27,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from ffpose.geometry.warping import LEAST_DEPTH, sample_planes, source_planes
 from ffpose.imaging.views import LEVELS, SHARPNESS
-from ffpose.nn.pyramid import LEAST_DEPTH, sample_planes, sample_pyramid, source_planes
+from ffpose.nn.pyramid import sample_pyramid
 
 
 class VirtualCamera(NamedTuple):

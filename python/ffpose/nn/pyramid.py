@@ -12,12 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from ffpose.geometry.warping import sample_planes, source_planes
+
 SAMPLE_PYRAMID = "ffpose::sample_pyramid"
-
-LEAST_DEPTH = 1e-3
-"""Least depth of a ray in the source camera's frame; other rays see nothing."""
-
-FAR_OUTSIDE = -1e6
 
 torch.library.define(
     SAMPLE_PYRAMID,
@@ -45,26 +42,6 @@ def sample_pyramid(
         ``(V, C, h, w)``.
     """
     return _op(homographies, levels, plane, list(pyramid))
-
-
-def source_planes(homographies: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the source coordinates u and v ``(V, h, w)`` of places ``(2, h, w)``.
-
-    They are far outside for rays that the source camera cannot see. Planes, as runtimes compute on
-    whole planes in vectors, and on pairs of coordinates one by one.
-    """
-    pixels = torch.cat((plane, torch.ones_like(plane[:1]))).flatten(1)  # (3, h w)
-    x, y, depth = torch.unflatten(homographies @ pixels, 2, plane.shape[1:]).unbind(1)
-    ahead, least = depth > LEAST_DEPTH, depth.clamp_min(LEAST_DEPTH)
-    far = torch.full_like(depth, FAR_OUTSIDE)
-    return torch.where(ahead, x / least, far), torch.where(ahead, y / least, far)
-
-
-def sample_planes(image: Tensor, u: Tensor, v: Tensor, mode: str = "bilinear") -> Tensor:
-    """Sample images ``(B, C, H, W)`` at the coordinates ``u`` and ``v``, each ``(B, h, w)``."""
-    rows, columns = image.shape[-2:]
-    grid = torch.stack((u * (2 / columns) - 1, v * (2 / rows) - 1), dim=-1)
-    return F.grid_sample(image, grid.to(image.dtype), mode=mode, align_corners=False)
 
 
 def _sample_pyramid(

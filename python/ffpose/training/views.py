@@ -26,6 +26,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ffpose.config import looks_twice
+from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.views import Arrays
 from ffpose.models import SecondLookNetwork
 from ffpose.models.object_look import in_front, offset_of
@@ -123,7 +124,8 @@ class ViewBatches:
         if not looks_twice(config) or config.camera is None:
             raise ValueError("model: expected one with a second look, got one that sees the frame")
         self.supply = torch.randn(SUPPLY, generator=torch.Generator().manual_seed(0))
-        self.frame_camera = torch.tensor(config.camera) / config.first_stride
+        fx, fy, cx, cy = (value / config.first_stride for value in config.camera)
+        self.frame_matrix = torch.tensor([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def __len__(self) -> int:
         return len(self.places)
@@ -191,13 +193,14 @@ class ViewBatches:
         angles = limit * (2 * torch.rand(len(t), generator=generator) - 1)
         turn = turned_about_axis(angles)
         moved = (turn @ t[:, :, None])[..., 0]
-        fx, fy, cx, cy = self.frame_camera
-        u, v = moved[:, 0] / moved[:, 2] * fx + cx, moved[:, 1] / moved[:, 2] * fy + cy
+        x, y, depth = (moved @ self.frame_matrix.mT).unbind(-1)
+        u, v = x / depth, y / depth
         room = FRAME_MARGIN * width
         inside = (u > room) & (u < width - room) & (v > room) & (v < height - room)
         turn = torch.where(inside[:, None, None], turn, torch.eye(3))
-        pixels = _rolled_pixels(turn, self.frame_camera, (height, width))
-        return sample(frames, pixels), torch.where(inside[:, None], moved, t)
+        homographies = self.frame_matrix @ turn.mT @ self.frame_matrix.inverse()
+        planes = source_planes(homographies, pixel_centers(height, width))
+        return sample_planes(frames, *planes), torch.where(inside[:, None], moved, t)
 
     def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
         """Return positions where a first look might have found objects at ``t (B, 3)``."""
@@ -303,24 +306,6 @@ def _compressed(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     file = io.BytesIO()
     Image.fromarray(image).save(file, "JPEG", quality=quality)
     return np.array(Image.open(file))
-
-
-def _rolled_pixels(turn: Tensor, camera: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return where the pixels of a camera rotated about its boresight lie in the original image.
-
-    Args:
-        turn: ``(B, 3, 3)``, rotations about the z axis from the original frame to the new one.
-        camera: ``(4,)``, fx, fy, cx, cy of both.
-        size: ``(height, width)`` of the image.
-
-    Returns:
-        ``(B, h, w, 2)`` continuous pixel coordinates (u, v).
-    """
-    focal, middle = camera[:2], camera[2:]
-    u = (torch.arange(size[1]) + 0.5).expand(size)
-    v = (torch.arange(size[0]) + 0.5)[:, None].expand(size)
-    rays = (torch.stack([u, v], dim=-1) - middle) / focal  # (h, w, 2), of depth one
-    return rays @ turn[:, None, :2, :2] * focal + middle
 
 
 def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
