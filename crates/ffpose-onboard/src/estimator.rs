@@ -76,7 +76,7 @@ impl Estimator {
     /// The file is no image that can be used, of another aspect ratio than the camera's, or the network fails.
     pub fn pose(&mut self, path: &Path) -> Result<Map<String, Value>> {
         let outputs = self.outputs(path, None)?;
-        document(&outputs, &self.metadata.meaning)
+        Ok(document(&outputs, &self.metadata.meaning))
     }
 
     /// Returns what the network says of an image file, which it looks at once where the object is expected.

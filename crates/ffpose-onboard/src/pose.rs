@@ -77,11 +77,9 @@ impl Outputs {
 ///
 /// Where the network locates the camera, the pose is that of the world in the camera frame, and the camera's center is there too.
 ///
-/// # Errors
-/// A number is not finite, an orientation has not norm 1, or a probability is none.
-pub fn document(outputs: &Outputs, meaning: &Meaning) -> Result<Map<String, Value>> {
+/// The outputs are those of [`Outputs::checked`].
+pub fn document(outputs: &Outputs, meaning: &Meaning) -> Map<String, Value> {
     let locates_camera = meaning.locates_camera;
-    let outputs = outputs.clone().checked()?;
     let q = outputs.orientation;
     let mut fields = Map::new();
     let mut put = |name: &str, value: Value| fields.insert(name.into(), value);
@@ -108,7 +106,7 @@ pub fn document(outputs: &Outputs, meaning: &Meaning) -> Result<Map<String, Valu
             put("flagged", json!(flagged));
         }
     }
-    Ok(fields)
+    fields
 }
 
 fn expect_finite(name: &str, values: &[f64]) -> Result<()> {
@@ -170,6 +168,10 @@ mod tests {
     use std::f64::consts::FRAC_1_SQRT_2;
 
     use super::*;
+
+    fn document(outputs: &Outputs, meaning: &Meaning) -> Result<Map<String, Value>> {
+        Ok(super::document(&outputs.clone().checked()?, meaning))
+    }
 
     fn outputs(orientation: [f64; 4], in_view: Option<f64>) -> Outputs {
         let covariance = [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]];
@@ -255,7 +257,7 @@ mod tests {
         assert_eq!(document["rotation_covariance_rad2"][2][2], json!(3.0));
         assert_eq!(document["degrees_of_freedom"], Value::Null);
         let meaning = Meaning { degrees_of_freedom: Some([4.5, 3.25]), ..Meaning::default() };
-        let document = super::document(&outputs(q, Some(0.5)), &meaning).unwrap();
+        let document = self::document(&outputs(q, Some(0.5)), &meaning).unwrap();
         assert_eq!(document["degrees_of_freedom"], json!([4.5, 3.25]));
     }
 

@@ -68,7 +68,7 @@ impl Track {
         let mut line = Map::from_iter([("time".into(), json!(seconds))]);
         line.extend(told(&step, reason));
         if let Some(outputs) = &outputs {
-            line.insert("measured".into(), document(outputs, meaning)?.into());
+            line.insert("measured".into(), document(outputs, meaning).into());
         }
         let kept = self.state.as_deref().map(|path| self.save(path)).transpose();
         if let Some(error) = failed.or(kept.err()) {
