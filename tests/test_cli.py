@@ -438,7 +438,7 @@ BOTH = ("jsonargparse", "PIL", "rich", *POSE, "embreex", "trimesh")
         (BOTH, ["inspect", "--data.kind", "urso", "--data.root", "x", "--out", "x"], "pose"),
         (BOTH, ["demo"], "pose,render"),
         (POSE, ["inspect", "--data.kind", "urso", "--data.root", "x", "--out", "x"], "pose"),
-        (POSE, ["demo", "--out", "x"], "pose,render"),
+        (POSE, ["demo", "--train", "--out", "x"], "pose,render"),
         (POSE, ["bench", "filter"], "pose"),
     ],
 )

@@ -79,7 +79,7 @@ def run(out: Path, images: int = 60) -> dict[str, Any]:
     camera, order = estimate.camera, np.argsort(degrees).tolist()
     captions = [f"{meters[n]:.2f} m, {degrees[n]:.1f}°" for n in order]
     figures = [
-        _figure(paths[n], truth[n], found[n], camera, caption)
+        _figure(paths[n], found[n], truth[n], camera, caption)
         for n, caption in zip(order, captions, strict=True)
     ]
     with atomic_write(out / "report.html") as path:
@@ -101,7 +101,7 @@ def _page(document: dict[str, Any], figures: Iterable[str]) -> str:
     return PAGE.format(subtitle=subtitle, figures="\n".join(figures))
 
 
-def _figure(path: Path, truth: Pose, found: Pose, camera: Camera, caption: str) -> str:
+def _figure(path: Path, found: Pose, truth: Pose, camera: Camera, caption: str) -> str:
     with Image.open(path) as image:
         drawn = draw_axes(image.convert("RGB"), truth, camera, colors=TRUTH_COLORS, width=6)
     buffer = io.BytesIO()
