@@ -138,7 +138,7 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
 def test_the_measured_offset_follows_the_true_one():
     """Displaced by one and two standard deviations along each axis, on images of its kind.
 
-    The goal is 0.05; the shipped weights lean to the prediction by 0.09, which docs/tracking.md says.
+    The goal is 0.05; the shipped weights lean to the prediction by 0.09, as docs/tracking.md says.
     """
     pytest.importorskip("embreex")
     from ffpose.render.renderer import render
