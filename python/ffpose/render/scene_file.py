@@ -54,7 +54,8 @@ class SceneFile:
         """Read the mesh.
 
         Raises:
-            As `ffpose.render.load_craft`.
+            ffpose.DataError: The file is no mesh that can be read.
+            ValueError: An option of the mesh is out of its range.
         """
         return load_craft(
             self.mesh,
@@ -68,7 +69,8 @@ class SceneFile:
         """Return the set, with the mesh read.
 
         Raises:
-            As `ffpose.render.load_craft` and `ffpose.render.Scene`.
+            ffpose.DataError: The file is no mesh that can be read.
+            ValueError: An option of the mesh, or a range of the set, is out of its limits.
         """
         return Scene(
             self.name,
