@@ -346,6 +346,8 @@ def learn_arguments(parser: ArgumentParser) -> None:
         metavar=("ROLL", "PITCH", "YAW"),
         help="largest absolute angles, degrees",
     )
+    text = "fold attitudes of one look: auto (within the sensor's noise), none, or a JSON file"
+    parser.add_argument("--symmetry", default="auto", metavar="auto|none|FILE", help=text)
     parser.add_argument("--processes", type=int, default=0, help="0 for one a core")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything")
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda")
@@ -374,6 +376,7 @@ def learn(options: Namespace) -> None:
             mesh_up=options.mesh_up,
             mesh_center=options.mesh_center,
             mesh_two_sided=options.mesh_two_sided,
+            symmetry=options.symmetry,
         ),
         say,
     )
@@ -396,6 +399,8 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
         action="store_true",
         help="reproject images of a camera other than the weights' to the network's view",
     )
+    text = "what errors are modulo: auto (what the training's were), none, or a JSON file"
+    parser.add_argument("--symmetry", default="auto", metavar="auto|none|FILE", help=text)
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
@@ -405,6 +410,7 @@ def evaluate(options: Namespace) -> None:
     from ffpose.evaluation.evaluate import evaluate as run
     from ffpose.evaluation.report.plots import write_evaluation_figures
     from ffpose.evaluation.report.results import format_table, write_results
+    from ffpose.geometry.symmetry import SymmetryGroup
 
     expect_folder(options.out)
     data = options.data
@@ -417,6 +423,7 @@ def evaluate(options: Namespace) -> None:
         decoding=Decoding(data.undistort, data.white) if data.undistort or data.white else None,
         device=options.device,
         empty=options.empty,
+        symmetry=SymmetryGroup.chosen(options.symmetry),
     )
     write_results(evaluation, options.out)
     write_evaluation_figures(evaluation, options.out)
@@ -680,6 +687,9 @@ def inspect_mesh(options: Namespace) -> None:
             f" roughness {material['roughness']:.2f}, metal {material['metallic']:.2f},"
             f" textures: {maps}"
         )
+    for kind, looks in (("same", "the same look"), ("near", "nearly the same look")):
+        for each in (summary["symmetry"] or {}).get(kind, []):
+            print(f"{looks}: {each['text']}")
     for doubt in summary["doubts"]:
         print(f"doubtful: {doubt}")
     say(str(options.out / "views.png"))

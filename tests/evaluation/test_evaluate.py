@@ -14,6 +14,7 @@ from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.evaluate import Evaluation, evaluate
 from ffpose.evaluation.report.results import format_table, write_results
 from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.geometry.symmetry import Axis, SymmetryGroup
 from ffpose.imaging.reprojection import reproject
 from ffpose.models import FilterformerPose, PosePrediction, read_metadata
 from tiny_runs import SIZE, write_set
@@ -65,6 +66,29 @@ def test_figures_against_numpy_and_scipy(evaluation):
     assert summary["median_rotation_error_deg"] == pytest.approx(np.median(angle))
     esa = (distance / np.linalg.norm(truth[:, :3], axis=1) + np.radians(angle)).mean()
     assert summary["esa_score"] == pytest.approx(esa)
+
+
+def test_errors_are_modulo_the_symmetry_and_the_others_are_told(evaluation, tmp_path):
+    """Predictions that are off by half a turn about the object's z, and 5 degrees about its x."""
+    truth = Rotation.from_quat(evaluation.dataset.poses[:, 3:], scalar_first=True)
+    off = truth * Rotation.from_rotvec((0, 0, np.pi)) * Rotation.from_euler("x", 5, degrees=True)
+    predicted = evaluation.dataset.poses.copy()
+    predicted[:, 3:] = off.as_quat(scalar_first=True)
+    group = SymmetryGroup((Axis((0, 0, 1), 2),))
+    folded = Evaluation(evaluation.dataset, predicted, evaluation.baseline, 0.0, symmetry=group)
+    summary = folded.summary()
+    assert summary["median_rotation_error_deg"] == pytest.approx(5)
+    assert summary["mean_rotation_error_deg"] == pytest.approx(5)
+    plain = np.degrees((truth.inv() * off).magnitude()).mean()
+    assert summary["without_symmetry"]["mean_rotation_error_deg"] == pytest.approx(plain)
+    assert summary["without_symmetry"]["axes"] == [{"axis": [0, 0, 1], "fold": 2}]
+    constant = Rotation.from_quat(evaluation.baseline[3:], scalar_first=True)
+    turns = [Rotation.identity(), Rotation.from_rotvec((0, 0, np.pi))]
+    least = np.min([np.degrees(((truth * g).inv() * constant).magnitude()) for g in turns], axis=0)
+    baseline = summary["mean_pose_baseline"]
+    assert baseline["mean_rotation_error_deg"] == pytest.approx(least.mean())
+    assert "mean_rotation_error_deg, no symmetry" in format_table(summary)
+    assert "without_symmetry" not in evaluation.summary()
 
 
 def test_images_are_decoded_as_in_training(image_set, tmp_path):

@@ -10,6 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.config import FilterformerPoseConfig
+from ffpose.geometry.symmetry import Axis, SymmetryGroup
 from ffpose.models.object_look import LookNumbers
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import ObjectLossConfig
@@ -120,6 +121,22 @@ def test_likelihood_by_hand(batch):
     far = ((residual / np.exp(log_sigma)) ** 2).reshape(COUNT, 2, 3).sum(-1)
     expected = (3.5 * np.log1p(far / 4).sum(-1) + log_sigma.sum(-1))[1:].mean() / 6
     assert loss(answers, batch, sigma=2).total.item() == pytest.approx(2 * expected, rel=1e-4)
+
+
+def test_a_symmetric_attitude_is_no_error(batch):
+    """Half a turn about z is the same look; what is beyond it counts, by hand."""
+    answers, half = Answers(batch), Rotation.from_rotvec((0, 0, np.pi))
+    truth = Rotation.from_quat(batch.orientation.numpy().astype(np.float64), scalar_first=True)
+    wrong = truth * half * Rotation.from_rotvec((0.2, 0, 0))
+    with torch.no_grad():
+        q = torch.from_numpy(wrong.as_quat(scalar_first=True)).float()
+        answers.numbers.orientation.copy_(q)
+    group = SymmetryGroup((Axis((0, 0, 1), 2),))
+    objective = ObjectObjective(answers, replace(NONE, angle=1.0), symmetry=group)
+    assert objective(answers, batch).total.item() == pytest.approx(np.sin(0.1), abs=1e-4)
+    plain = ObjectObjective(answers, replace(NONE, angle=1.0))
+    assert plain(answers, batch).total.item() > 0.9
+    assert "rotations" not in objective.state_dict()
 
 
 def test_likelihood_teaches_the_sigmas_alone(batch):

@@ -6,6 +6,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera, Pose
+from ffpose.geometry.symmetry import IDENTITY, Axis, SymmetryGroup
 from ffpose.imaging.views import ViewSpec, cut_pieces
 from ffpose.models import FilterformerPose, build_network
 from ffpose.models.virtual_camera import turn_to
@@ -125,9 +126,9 @@ def origins(poses):
     return stored(poses, lambda pose: dots(CAMERA, np.tile(pose.t, (3, 1)), 6.0))
 
 
-def batches(model, arrays, nothing=(), cells=(CELLS, CELLS), **changes):
+def batches(model, arrays, nothing=(), cells=(CELLS, CELLS), symmetry=IDENTITY, **changes):
     augmentation = ViewAugmentation(**(CLEAN | changes))
-    return ViewBatches(model, arrays, nothing, augmentation, (STD,) * 3, cells, DOTS)
+    return ViewBatches(model, arrays, nothing, augmentation, (STD,) * 3, cells, DOTS, symmetry)
 
 
 def all_of(views, seed=0):
@@ -212,6 +213,50 @@ def test_coordinates_of_a_cell_are_seen_in_it(model, poses, dotted):
     centers = np.stack([column, row], axis=-1).reshape(-1, 2)
     away = np.abs(cells - centers)[shown.reshape(COUNT, -1) == 1]
     assert away.max() <= 0.5
+
+
+@pytest.mark.parametrize("axes", [[((0, 0, 1), 0)], [((1, 0, 0), 2), ((0, 1, 0), 2)]])
+def test_labels_of_one_look_are_one_and_go_together(model, dotted, axes):
+    """They differ by a turn of the group, for attitude, coordinates and keypoints alike."""
+    group = SymmetryGroup(tuple(Axis(*each) for each in axes))
+    plain = all_of(batches(model, [dotted]))
+    folded = all_of(batches(model, [dotted], symmetry=group))
+    torch.testing.assert_close(folded.crops, plain.crops)
+    one, other = (
+        Rotation.from_quat(batch.orientation.double().numpy(), scalar_first=True)
+        for batch in (plain, folded)
+    )
+    turn = (one.inv() * other).as_quat(scalar_first=True)
+    assert np.abs(turn @ group.rotations.T).max(axis=1).min() > 1 - 1e-6
+    assert np.abs(turn[:, 0]).min() < 0.9  # some are turned
+    # What a cell shows is at the same place in the camera's frame.
+    shown = plain.coordinates[:, 3].flatten(1).numpy() == 1
+    points = [
+        batch.coordinates[:, :3].double().numpy().reshape(COUNT, 3, -1).mT
+        for batch in (plain, folded)
+    ]
+    for n in range(COUNT):
+        before, after = (
+            q[n].apply(p[n][shown[n]]) for q, p in zip((one, other), points, strict=True)
+        )
+        np.testing.assert_allclose(after, before, atol=1e-5)
+    # All of them are seen from the half, or the wedge, about the reference.
+    seen_from = -other.inv().apply((0, 0, 1))
+    assert (seen_from @ group.references.T).argmax(axis=1).max() == 0 or len(group) > 4
+    assert (
+        (seen_from @ group.references[0]) >= (seen_from @ group.references.T).max(axis=1) - 2e-2
+    ).all()
+
+
+def test_the_canonical_label_follows_the_cameras_twist(model, dotted):
+    """A turn about the viewing ray is no other look: the same symmetry is chosen."""
+    group = SymmetryGroup((Axis((1, 0, 0), 4), Axis((0, 1, 0), 4)))
+    views = batches(model, [dotted], symmetry=group)
+    rotation = torch.from_numpy(
+        Rotation.random(50, rng=np.random.default_rng(0)).as_matrix()
+    ).float()
+    twist = torch.from_numpy(Rotation.from_rotvec((0, 0, 1.3)).as_matrix()).float()
+    torch.testing.assert_close(views._canonical(twist @ rotation), views._canonical(rotation))
 
 
 def test_polar_views_show_the_same_objects_as_views_in_rows_and_columns(model, polar, dotted):

@@ -44,6 +44,7 @@ from ffpose.evaluation.calibration import (
 from ffpose.evaluation.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
 from ffpose.evaluation.significance import circular_correlation, correlation, median_interval
 from ffpose.geometry import Pose
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.images import image_files, read_rgb
 from ffpose.inference.load import load
 from ffpose.inference.network import choose_preprocessing
@@ -74,6 +75,7 @@ class Evaluation:
         in_view: Probabilities ``(N,)`` that the object is in the image at all.
         in_view_empty: Probabilities ``(M,)`` for images without the object, if there are any.
         in_view_threshold: Images with a lower probability are flagged as not showing the object.
+        symmetry: Errors, of the baseline too, are to the nearest attitude of the same look.
 
     Raises:
         ValueError: A covariance is not symmetric and positive definite, a probability is outside
@@ -91,6 +93,7 @@ class Evaluation:
     in_view: FloatArray | None = None
     in_view_empty: FloatArray | None = None
     in_view_threshold: float = 0.5
+    symmetry: SymmetryGroup = IDENTITY
 
     def __post_init__(self) -> None:
         for name in ("translation_covariance", "rotation_covariance"):
@@ -105,19 +108,24 @@ class Evaluation:
     @cached_property
     def errors(self) -> PoseErrors:
         """Errors of the predictions, image by image."""
-        return _errors(self.predicted, self.dataset.poses)
+        return _errors(self.predicted, self.truth)
+
+    @cached_property
+    def truth(self) -> FloatArray:
+        """True poses ``(N, 7)``, of attitudes of one look those nearest to the predicted."""
+        return self.symmetry.folded(self.predicted, self.dataset.poses)
 
     @cached_property
     def baseline_errors(self) -> PoseErrors:
         """Errors of the baseline, image by image."""
-        return _errors(self._constant, self.dataset.poses)
+        return _errors(self._constant, self._truth_for_constant)
 
     @cached_property
     def angles(self) -> tuple[FloatArray, FloatArray]:
         """Predicted and true roll, pitch and yaw ``(N, 3)`` each, degrees."""
         predicted, truth = (
             np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])), np.float64)
-            for poses in (self.predicted, self.dataset.poses)
+            for poses in (self.predicted, self.truth)
         )
         return predicted, truth
 
@@ -131,7 +139,7 @@ class Evaluation:
             return {}
         return truth_regions(
             self.predicted,
-            self.dataset.poses,
+            self.truth,
             self.translation_covariance,
             self.rotation_covariance,
             self.degrees_of_freedom,
@@ -167,22 +175,24 @@ class Evaluation:
         the medians; ``mean_pose_baseline`` the metrics of the constant pose; ``oracles`` the
         rotation errors of `ffpose.evaluation.baseline.oracles`; ``correlation`` the correlation of
         predicted and true roll, pitch and yaw (circular for roll and yaw; None where one is
-        constant); ``groups`` the medians by condition (`ffpose.evaluation.breakdown`);
-        ``uncertainty``, for a network that predicts it, its calibration
-        (`ffpose.evaluation.calibration`).
+        constant); ``without_symmetry``, where errors are modulo one, its ``axes`` and the rotation
+        errors to the labels as they are; ``groups`` the medians by condition
+        (`ffpose.evaluation.breakdown`); ``uncertainty``, for a network that predicts it, its
+        calibration (`ffpose.evaluation.calibration`).
         """
         distance = np.linalg.norm(self.dataset.poses[:, :3], axis=1)
         uncertainty = self._uncertainty()
         return {
             "images": len(self.dataset),
-            **figures(self.predicted, self.dataset.poses),
+            **figures(self.predicted, self.truth),
             "median_intervals_95": _intervals(self.errors),
             "seconds_per_image": self.seconds_per_image,
             "mean_pose_baseline": {
                 "pose": self.baseline.tolist(),
-                **figures(self._constant, self.dataset.poses),
+                **figures(self._constant, self._truth_for_constant),
                 "median_intervals_95": _intervals(self.baseline_errors),
             },
+            **self._without_symmetry(),
             "oracles": self._oracles(),
             "correlation": self._correlations(),
             "groups": breakdown(self.errors, distance, self.conditions),
@@ -193,8 +203,19 @@ class Evaluation:
     def _constant(self) -> FloatArray:
         return np.broadcast_to(self.baseline, self.dataset.poses.shape)
 
+    @property
+    def _truth_for_constant(self) -> FloatArray:
+        return self.symmetry.folded(self._constant, self.dataset.poses)
+
+    def _without_symmetry(self) -> dict[str, Any]:
+        if len(self.symmetry) == 1:
+            return {}
+        plain = figures(self.predicted, self.dataset.poses)
+        errors = {name: value for name, value in plain.items() if name.endswith("error_deg")}
+        return {"without_symmetry": {"axes": self.symmetry.to_json(), **errors}}
+
     def _oracles(self) -> dict[str, dict[str, float]]:
-        truth = self.dataset.poses
+        truth = self._truth_for_constant
         return {
             name: {
                 key: value for key, value in figures(answer, truth).items() if key.endswith("_deg")
@@ -237,6 +258,7 @@ def evaluate(
     decoding: Decoding | None = None,
     device: str = "auto",
     empty: Path | None = None,
+    symmetry: SymmetryGroup | None = None,
 ) -> Evaluation:
     """Evaluate weights on the images of a split.
 
@@ -253,6 +275,7 @@ def evaluate(
         device: "auto" (a GPU if there is one) or a device that torch knows; graphs run on the CPU.
         empty: Folder of images (PNG, JPEG, PGM) that do not show the object, for the miss rate and
             the AUROC of ``in_view``.
+        symmetry: What errors are modulo; None for that of the training.
 
     Returns:
         Predictions and labels.
@@ -285,6 +308,7 @@ def evaluate(
     conditions = read_conditions(root, dataset.names)
     told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
     told["degrees_of_freedom"] = metadata.degrees_of_freedom
+    told["symmetry"] = metadata.symmetry if symmetry is None else symmetry
     if metadata.in_view_threshold is not None:
         told["in_view_threshold"] = metadata.in_view_threshold
     if empty_images:

@@ -7,7 +7,7 @@ third of its share on rendering and the rest on training.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +94,32 @@ def _stage(name: str, seconds: float, speed: Speed) -> Stage:
     return Stage(name, views, min(max(epochs, LEAST_EPOCHS), MOST_EPOCHS))
 
 
+def replanned(second: Stage, first: Stage, minutes: float, speed: Speed, spent: float) -> Stage:
+    """Return the second training with fewer epochs, where the first took longer than planned.
+
+    The rest is taken to go as slowly. Its views stay, as some may have been rendered already.
+
+    Args:
+        second: As planned.
+        first: The training that is finished.
+        minutes: The whole budget.
+        speed: That it was planned with.
+        spent: Seconds that the first training took with its rendering.
+
+    Examples:
+        >>> first, second = Stage("first", 3000, 30), Stage("second", 9000, 60)
+        >>> speed = Speed(views=30, samples=400)
+        >>> replanned(second, first, 40, speed, spent=325).epochs
+        60
+        >>> replanned(second, first, 40, speed, spent=650).epochs
+        19
+    """
+    slower = spent / (first.views / speed.views + first.epochs * first.views / speed.samples)
+    left = (60 * minutes * (1 - TEST_SHARE) - spent) / slower - second.views / speed.views
+    epochs = max(int(left * speed.samples / second.views), LEAST_EPOCHS)
+    return replace(second, epochs=min(epochs, second.epochs))
+
+
 def image_size(camera: Camera) -> tuple[int, int]:
     """Return height and width of the network's input: 512 wide, of the camera's shape."""
     return 64 * max(1, round(8 * camera.height / camera.width)), 512
@@ -112,6 +138,7 @@ def training(
     processes: int,
     device: str,
     init: Path | None,
+    symmetry: Path | None = None,
 ) -> TrainConfig:
     """Return the configuration of a training.
 
@@ -127,6 +154,7 @@ def training(
         processes: Processes that render, and that train together.
         device: As of `ffpose.training.TrainConfig`.
         init: Weights to start from.
+        symmetry: As of `ffpose.training.TrainConfig`.
     """
     counts: dict[str, Any] = {name: max(1, round(KINDS[name] * stage.views)) for name in KINDS}
     held_out = min(MOST_HELD_OUT, max(LEAST_HELD_OUT, stage.views // 40))
@@ -171,4 +199,5 @@ def training(
         views=ViewAugmentation(empty=0.12, jpeg=0.1),
         seed=seed,
         device=device,
+        symmetry=symmetry,
     )

@@ -26,6 +26,7 @@ from ffpose.evaluation.report.page import Report, write_report
 from ffpose.evaluation.report.plots import write_evaluation_figures
 from ffpose.evaluation.report.results import write_results
 from ffpose.geometry import Camera, DistortedCamera
+from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.learn.plan import (
     DEFAULT_CAMERA,
     FAR_DIAMETERS,
@@ -33,6 +34,7 @@ from ffpose.learn.plan import (
     Speed,
     Stage,
     image_size,
+    replanned,
     stages,
     training,
 )
@@ -41,14 +43,19 @@ from ffpose.models.weights import checksum_path
 from ffpose.onnx.pose_graph import export_weights
 from ffpose.render import SceneFile, Up
 from ffpose.render.dataset.writer import write_dataset
+from ffpose.render.symmetry import Symmetries, find_symmetries
 from ffpose.training import TrainConfig
+from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import TrainResult, train
 
-RECORD = "learn.json"
+RECORD, SYMMETRY = "learn.json", "symmetry.json"
 WEIGHTS, GRAPH = "best.safetensors", "model.onnx"
 
 TEST_IMAGES = 300
 CARD_IMAGES = 60
+
+NEAR_SHOWN = 3
+"""Number of near symmetries that are told; ``symmetry.json`` has all."""
 
 POOR = 0.1
 """Share of a constant pose's rotation error above which the result is called poor."""
@@ -76,6 +83,8 @@ class LearnConfig:
         mesh_up: Axis of the mesh file that becomes the object's z.
         mesh_center: Whether the origin is moved to the middle of the bounding sphere.
         mesh_two_sided: Whether the back of one-sided surfaces is shown.
+        symmetry: What labels and errors are modulo: "auto" for the turns that leave the look the
+            same within the sensor's noise, "none", or a file (`ffpose.geometry.symmetry`).
     """
 
     mesh: Path
@@ -93,6 +102,7 @@ class LearnConfig:
     mesh_up: Up = "z"
     mesh_center: bool = False
     mesh_two_sided: bool = False
+    symmetry: str = "auto"
 
     def __post_init__(self) -> None:
         if not 0 < self.minutes < math.inf:
@@ -113,7 +123,8 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
 
     The folder gets ``best.safetensors`` and ``model.onnx`` (either is what `ffpose.load` opens, and
     so is the folder), ``report.html``, ``results.json``, ``card.md``, ``scene.json`` (the images,
-    for ``ffpose render``) and the two trainings' folders. What an interrupted run finished is not
+    for ``ffpose render``), ``symmetry.json`` (what was folded, and what nearly looks the same) and
+    the two trainings' folders. What an interrupted run finished is not
     repeated.
 
     Args:
@@ -125,8 +136,8 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: There is no such mesh.
-        ValueError: A number is out of range, the mesh has no attitude, or the folder holds a run
-            with other settings.
+        ValueError: A number is out of range, the mesh has no attitude (as a sphere) or is flat, or
+            the folder holds a run with other settings.
         ffpose.DataError: The mesh, or a file of an interrupted run, cannot be used.
         OSError: The folder cannot be written, or the disk is full.
     """
@@ -134,8 +145,18 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     processes = config.processes or cores()
     radius, scene_file = _inspected(config)
     scene = scene_file.scene()
-    config.out.mkdir(parents=True, exist_ok=True)
     record = _Record.open(config)
+    planned = record.stages is not None
+    symmetries = None if planned else find_symmetries(scene.build())
+    group = SymmetryGroup.chosen(config.symmetry)
+    config.out.mkdir(parents=True, exist_ok=True)
+    folds = config.out / SYMMETRY
+    if symmetries is not None:
+        group = symmetries.group if group is None else group
+        found = symmetries.to_json()
+        group.write(folds, same=found["same"], near=found["near"])
+    else:
+        group = SymmetryGroup.read(folds)
     path = config.out / "scene.json"
     scene_file.write(path)
 
@@ -152,21 +173,33 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
             processes=processes,
             device=config.device,
             init=init,
+            symmetry=folds if len(group) > 1 else None,
         )
         return made if record.autocast is None else replace(made, autocast=record.autocast)
 
-    if record.stages is None:
+    if symmetries is not None:
         say("measuring the speed of this machine")
         speed, record.autocast = measure_speed(configured(Stage("first", 1000, 1)), scene)
-        record.stages = stages(config.minutes, speed)
+        record.stages, record.speed = stages(config.minutes, speed), speed
         record.write(config.out)
-        say(_planned(config, radius, scene_file, speed, record.stages, processes))
+        say(_planned(config, radius, scene_file, record, processes, group, symmetries))
+    assert record.stages is not None
+    assert record.speed is not None
     first, second = record.stages
+    rendering = time.monotonic()
     early = train(configured(first), resume=True)
     if not (config.out / WEIGHTS).exists():
         _publish(early.folder.best, config.out)
         spent = (time.monotonic() - began) / 60
         say(f"a first answer after {spent:.1f} minutes: {_validated(early)}")
+    if not RunFolder(config.out / second.name).config.exists():
+        spent = max(time.monotonic() - rendering, early.seconds)
+        fewer = replanned(second, first, config.minutes, record.speed, spent)
+        if fewer != second:
+            say(f"slower than planned: {fewer.epochs} epochs instead of {second.epochs}")
+            second = fewer
+            record.stages = (first, second)
+            record.write(config.out)
     final = train(configured(second, early.folder.best), resume=True)
     _publish(final.folder.best, config.out)
     evaluation = _tested(config, scene_file, processes, say)
@@ -209,15 +242,18 @@ def _planned(
     config: LearnConfig,
     radius: float,
     scene: SceneFile,
-    speed: Speed,
-    planned: tuple[Stage, Stage],
+    record: _Record,
     processes: int,
+    group: SymmetryGroup,
+    symmetries: Symmetries,
 ) -> str:
     """Return the table of what was chosen."""
     near, far = scene.distance_m
     rows, columns = image_size(config.camera)
-    camera = config.camera
-    shares = [f"{s.views} views, {s.epochs} epochs" for s in planned]
+    camera, speed = config.camera, record.speed
+    assert record.stages is not None
+    assert speed is not None
+    shares = [f"{s.views} views, {s.epochs} epochs" for s in record.stages]
     lines = {
         "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
         "distances": f"{near:.3g} to {far:.3g} m; 0.7 and 1.4 times these in training",
@@ -226,12 +262,21 @@ def _planned(
         "attitudes": "roll, pitch, yaw within "
         + ", ".join(f"{angle:g}" for angle in config.attitude_range_deg)
         + " degrees",
+        "symmetry": _folded(group),
         "speed": f"{speed.views:.0f} views/s, {speed.samples:.0f} samples/s, {processes} processes",
         "first training": shares[0],
         "second training": shares[1],
         "budget": f"{config.minutes:g} minutes",
     }
-    return "\n".join(f"{name:16}{text}" for name, text in lines.items())
+    chosen = [f"{name:16}{text}" for name, text in lines.items()]
+    # Those that are not folded, as --symmetry says otherwise, are told too.
+    others = [*(symmetries.same if len(group) == 1 else []), *symmetries.near[:NEAR_SHOWN]]
+    told = [f"{'not folded':16}{each}" for each in others]
+    return "\n".join(chosen + told)
+
+
+def _folded(group: SymmetryGroup) -> str:
+    return "none" if len(group) == 1 else f"{group}: attitudes of one look are one"
 
 
 def _publish(weights: Path, out: Path) -> None:
@@ -271,9 +316,15 @@ def verdict(summary: dict[str, Any]) -> str:
         source["median_rotation_error_deg"] for source in (summary, summary["mean_pose_baseline"])
     )
     meters = summary["median_translation_error_m"]
+    plain = summary.get("without_symmetry")
+    modulo = (
+        ""
+        if plain is None
+        else (f" modulo symmetry ({plain['median_rotation_error_deg']:.0f} without regard to it)")
+    )
     text = (
-        f"median errors {error:.2f} degrees and {meters:.3g} m on {summary['images']} unseen"
-        f" images; a constant pose has {constant:.0f} degrees"
+        f"median errors {error:.2f} degrees{modulo} and {meters:.3g} m on {summary['images']}"
+        f" unseen images; a constant pose has {constant:.0f} degrees"
     )
     if error <= POOR * constant:
         return text
@@ -303,6 +354,7 @@ def _report(
                 "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
                 "distances": f"{near:.3g} to {far:.3g} m",
                 "budget": f"{config.minutes:g} minutes",
+                "symmetry": _folded(evaluation.symmetry),
                 "epochs": f"{len(result.history)}, the best is {result.best_epoch}",
                 "ffpose": __version__,
             },
@@ -319,6 +371,7 @@ class _Record:
     settings: dict[str, Any]
     stages: tuple[Stage, Stage] | None = None
     autocast: Any = None
+    speed: Speed | None = None
 
     @classmethod
     def open(cls, config: LearnConfig) -> _Record:
@@ -332,7 +385,7 @@ class _Record:
         try:
             there, planned = found["settings"], found["stages"]
             one, two = (Stage(**each) for each in planned)
-            autocast = found["autocast"]
+            autocast, speed = found["autocast"], Speed(**found["speed"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"expected the record of a run: {error}", path) from error
         for name, value in settings.items():
@@ -341,7 +394,7 @@ class _Record:
                     f"out: expected {name} {there.get(name)} as the run in {config.out}, got"
                     f" {value}; remove the folder, or write to another"
                 )
-        return cls(settings, (one, two), autocast)
+        return cls(settings, (one, two), autocast, speed)
 
     def write(self, out: Path) -> None:
         with atomic_write(out / RECORD) as temporary:

@@ -31,6 +31,7 @@ from ffpose._internal.zoo import resolve
 from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type, degrees_of_freedom
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
+from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.pretrained import BackboneSource
 
@@ -106,6 +107,11 @@ class WeightsMetadata:
         """What the network locates; an object, where ``data`` does not say."""
         target: Target = (self.data or {}).get("locates", "object")
         return target
+
+    @property
+    def symmetry(self) -> SymmetryGroup:
+        """The rotations that labels of the training were modulo."""
+        return SymmetryGroup.from_json((self.recipe or {}).get("symmetry") or [])
 
     @property
     def degrees_of_freedom(self) -> tuple[float, float] | None:

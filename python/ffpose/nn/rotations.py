@@ -54,6 +54,20 @@ def rotation_vector(difference: Tensor) -> Tensor:
     return q[:, 1:] * torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), 2.0)
 
 
+def nearest_of_look(q_hat: Tensor, q: Tensor, rotations: Tensor) -> Tensor:
+    """Return the attitudes ``q g``, of either sign, nearest to ``q_hat``, for ``g`` of a group.
+
+    Args:
+        q_hat: Unit quaternions ``(B, 4)``.
+        q: Unit quaternions ``(B, 4)``.
+        rotations: All rotations of the group, unit quaternions ``(G, 4)``.
+    """
+    inverse = q.new_tensor([1.0, -1.0, -1.0, -1.0])
+    between = rotation_between(q_hat * inverse, q * inverse)  # conj(q) q_hat
+    chosen = rotations[(between @ rotations.mT).abs().argmax(dim=1)]
+    return rotation_between(chosen * inverse, q)
+
+
 def rotation_between(q_from: Tensor, q_to: Tensor) -> Tensor:
     """Return the rotations ``q_to conj(q_from)`` of unit quaternions ``(B, 4)``."""
     a, v = q_to[:, :1], q_to[:, 1:]

@@ -29,6 +29,7 @@ from ffpose import __version__
 from ffpose.config import NetworkConfig, config_type, degrees_of_freedom
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.onnx.records import METADATA_PROPS, expect_self_contained, read_entries
 
@@ -63,6 +64,7 @@ class ModelMetadata:
         white: Level that became 255 in training images of more than 8 bits.
         takes_point: Whether the graph looks once, at points that are its input ``point``.
         tracking: As in the header of weights.
+        symmetry: The rotations that labels of the training were modulo.
     """
 
     config: NetworkConfig
@@ -79,6 +81,7 @@ class ModelMetadata:
     white: float | str | None = None
     takes_point: bool = False
     tracking: Mapping[str, float] | None = None
+    symmetry: SymmetryGroup = IDENTITY
 
     @property
     def degrees_of_freedom(self) -> tuple[float, float] | None:
@@ -108,6 +111,7 @@ class ModelMetadata:
             **({} if self.locates == "object" else {"locates": self.locates}),
             **({"takes_point": "true"} if self.takes_point else {}),
             **({"tracking": json.dumps(self.tracking)} if self.tracking else {}),
+            **({"symmetry": json.dumps(self.symmetry.to_json())} if self.symmetry.axes else {}),
             **({"decoding": json.dumps(decoding)} if any(decoding.values()) else {}),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
         }
@@ -151,6 +155,7 @@ class ModelMetadata:
             locates,
             takes_point=entries.get("takes_point") == "true",
             tracking=json.loads(entries.get("tracking", "null")),
+            symmetry=SymmetryGroup.from_json(json.loads(entries.get("symmetry", "[]"))),
             **json.loads(entries.get("decoding", "{}")),
         )
 

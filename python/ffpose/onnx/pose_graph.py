@@ -126,6 +126,7 @@ def graph_entries(
             white=source.white,
             takes_point=takes_point,
             tracking=source.tracking,
+            symmetry=source.symmetry,
         ).to_entries()
 
     return entries

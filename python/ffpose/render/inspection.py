@@ -19,6 +19,7 @@ from ffpose.render.shading.reflection import Light
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.view import find_window, look
 from ffpose.render.spacecraft.craft import Craft, bounding_sphere
+from ffpose.render.symmetry import find_symmetries
 
 TILE, COLUMNS, CAPTION = 320, 4, 22
 """Side of a view in pixels, views in a row, and height of the text below each."""
@@ -69,8 +70,9 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
     Returns:
         The contents of ``summary.json``: ``size_m`` by axis, ``triangles``, ``materials``,
         ``center_m`` and ``radius_m`` of the bounding sphere, ``origin_offset_m`` from its center,
-        ``inside_seen``, the share of what twelve views show that is the inside of surfaces, and
-        ``doubts``, sentences that name the option that mends each.
+        ``inside_seen``, the share of what twelve views show that is the inside of surfaces,
+        ``symmetry``, that of `ffpose.render.symmetry.Symmetries`, None where there is no attitude,
+        and ``doubts``, sentences that name the option that mends each.
     """
     vertices = craft.mesh.vertices[np.unique(craft.mesh.faces)]
     center, radius = bounding_sphere(vertices)
@@ -85,6 +87,11 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
         "inside_seen": inside,
     }
     summary["doubts"] = _doubts(craft, summary, y_up)
+    try:
+        summary["symmetry"] = find_symmetries(craft).to_json()
+    except ValueError as error:
+        summary["symmetry"] = None
+        summary["doubts"].append(str(error))
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / "views.png") as path:

@@ -27,6 +27,7 @@ from ffpose.config.second_look import MOST_DEGREES_OF_FREEDOM
 from ffpose.datasets import Sample
 from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.calibration import choose_threshold, squared_mahalanobis
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import SecondLookNetwork
 
 FloatArray = NDArray[np.float64]
@@ -81,6 +82,7 @@ def calibrate(
     labeled: Iterable[Sample],
     empty: Iterable[Tensor],
     hard: Iterable[Sample] = (),
+    symmetry: SymmetryGroup = IDENTITY,
 ) -> Calibration:
     """Find the distribution of a network's errors, and the threshold that flags images.
 
@@ -96,6 +98,7 @@ def calibrate(
             threshold.
         hard: Batches like ``labeled`` of images that count for the errors' distribution alone, such
             as those of objects that the border cuts.
+        symmetry: Errors are modulo it.
 
     Raises:
         ValueError: The network predicts no uncertainty, ``labeled`` has no images, or a covariance
@@ -104,12 +107,14 @@ def calibrate(
     if not looks_twice(model.config):
         raise ValueError("model: expected one with a second look, got one that sees the frame")
     model.eval()
-    seen = _see_all(model, labeled)
+    seen = _see_all(model, labeled, symmetry)
     absent = [_see(model, images)["in_view"] for images in empty]
     if not seen:
         raise ValueError("labeled: expected images that show the object, got none")
     factor = distance_factor(seen["translation"], seen["true_translation"])
-    sets = [_distances(model, each, factor) for each in (seen, _see_all(model, hard)) if each]
+    sets = [
+        _distances(model, each, factor) for each in (seen, _see_all(model, hard, symmetry)) if each
+    ]
     translation, rotation, doubt = map(np.concatenate, zip(*sets, strict=True))
     tails = [fit_tails(distances, doubt) for distances in (translation, rotation)]
     scales, growths, degrees = zip(*tails, strict=True)
@@ -190,8 +195,13 @@ def negative_log_likelihood(
     return (far + 1.5 * log_scales).mean() - normalization
 
 
-def _see_all(model: SecondLookNetwork, labeled: Iterable[Sample]) -> dict[str, FloatArray]:
-    """Return what the network predicts for all images, and the truth; empty without images."""
+def _see_all(
+    model: SecondLookNetwork, labeled: Iterable[Sample], symmetry: SymmetryGroup
+) -> dict[str, FloatArray]:
+    """Return what the network predicts for all images, and the nearest truth of the same look.
+
+    Empty without images.
+    """
     seen = [
         _see(model, batch.image)
         | {
@@ -200,7 +210,11 @@ def _see_all(model: SecondLookNetwork, labeled: Iterable[Sample]) -> dict[str, F
         }
         for batch in labeled
     ]
-    return {name: np.concatenate([each[name] for each in seen]) for name in seen[0]} if seen else {}
+    if not seen:
+        return {}
+    found = {name: np.concatenate([each[name] for each in seen]) for name in seen[0]}
+    truth = symmetry.nearest(found["orientation"], found["true_orientation"])
+    return found | {"true_orientation": truth}
 
 
 def _distances(

@@ -91,7 +91,7 @@ def write_calibrated(
     preprocessing = images.whole.preprocessing
     empty = [] if images.empty is None else standardized(images.empty, preprocessing)
     hard = chain.from_iterable(map(_batches, images.hard))
-    found = calibrate(model, _batches(images.whole), empty, hard)
+    found = calibrate(model, _batches(images.whole), empty, hard, metadata.symmetry)
     about: dict[str, Any] = {
         "command": command_of(Path(weights).name, images.config),
         "images": images.about,

@@ -384,6 +384,9 @@ class TrainConfig:
         device: "auto" (a GPU if there is one) or a device that torch knows.
         weights_dtype: Dtype of the saved weights: "float32", or "float16" for half the file size.
         tensorboard: Whether to write the table of results as events for TensorBoard too.
+        symmetry: File of the rotations that leave the object's look unchanged
+            (`ffpose.geometry.symmetry`), for a network with a second look: labels, errors and
+            calibration are modulo them. None for none.
     """
 
     data: DataConfig
@@ -409,6 +412,7 @@ class TrainConfig:
     device: str = "auto"
     weights_dtype: Literal["float32", "float16"] = "float32"
     tensorboard: bool = False
+    symmetry: Path | None = None
 
     def __post_init__(self) -> None:
         _expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)

@@ -346,6 +346,8 @@ def _step(run: Run, rate: float) -> None:
 def validate(run: Run) -> Row:
     """Return the errors on the validation split, named as in `PoseError` with prefix ``val_``.
 
+    Rotation errors are modulo the run's symmetry.
+
     Where labels locate the camera, ``val_scene_score`` besides: the median position error, relative
     to the spread of the split's positions, plus the median rotation error in radians. Each process
     computes its share; the metric brings them together.
@@ -355,9 +357,9 @@ def validate(run: Run) -> Row:
     metric = PoseError()
     for batch in run.task.validation():
         pose = model(batch.image.to(run.device))
-        metric.update(
-            pose.translation.cpu(), pose.orientation.cpu(), batch.translation, batch.orientation
-        )
+        q_hat = pose.orientation.cpu()
+        truth = run.symmetry.nearest(*(q.double().numpy() for q in (q_hat, batch.orientation)))
+        metric.update(pose.translation.cpu(), q_hat, batch.translation, torch.from_numpy(truth))
     row: Row = {f"val_{name}": float(value) for name, value in metric.compute().items()}
     val_set = run.task.val_set
     if val_set.target == "camera":

@@ -15,9 +15,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose.config import looks_twice
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import SecondLookNetwork
 from ffpose.models.object_look import LookNumbers, sigma_loss
-from ffpose.nn.rotations import rotation_between, rotation_vector
+from ffpose.nn.rotations import nearest_of_look, rotation_between, rotation_vector
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.losses import LossTerms
 from ffpose.training.views import ViewBatch
@@ -36,18 +37,28 @@ class ObjectObjective(nn.Module):
         model: The network.
         config: Weights of the terms.
         keypoints: Number of the object's keypoints.
+        symmetry: Errors of the decoded attitude are modulo it; the head learns the labels that the
+            batches have.
 
     Raises:
         ValueError: The network looks once.
     """
 
+    rotations: Tensor
+
     def __init__(
-        self, model: SecondLookNetwork, config: ObjectLossConfig, keypoints: int = 0
+        self,
+        model: SecondLookNetwork,
+        config: ObjectLossConfig,
+        keypoints: int = 0,
+        symmetry: SymmetryGroup = IDENTITY,
     ) -> None:
         super().__init__()
         if not looks_twice(model.config) or model.object_backbone is None:
             raise ValueError("model: expected one with a second look, got one that sees the frame")
         self.config = config
+        rotations = torch.from_numpy(symmetry.rotations).float()
+        self.register_buffer("rotations", rotations, persistent=False)
         rows, columns = model.config.object_grid
         self.cyclic = model.config.polar
         self.cells = (rows * CELLS_PER_SIDE, columns * CELLS_PER_SIDE)
@@ -83,6 +94,8 @@ class ObjectObjective(nn.Module):
         offset = F.smooth_l1_loss(shown.offset, batch.offset[present], beta=SMOOTH)
         orientation = model.orientation.loss(shown.orientation, truth).mean()
         q_hat = self._decoded(model, shown)
+        with torch.no_grad():
+            truth = nearest_of_look(q_hat, truth, self.rotations)
         angle = half_angle(q_hat, truth).mean()
         with torch.no_grad():
             turned = rotation_vector(rotation_between(q_hat, truth))

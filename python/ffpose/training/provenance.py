@@ -11,6 +11,7 @@ from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
 from ffpose.datasets.scenes import find_scene
 from ffpose.evaluation.baseline import mean_pose
+from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.models import read_metadata
 from ffpose.training.config import DataConfig, TrainConfig
 
@@ -41,6 +42,8 @@ def recipe(config: TrainConfig, init: dict[str, Any] | None) -> dict[str, Any]:
     """
     fields = {name: value for name, value in asdict(config).items() if name not in OF_THIS_MACHINE}
     fields["init"] = init
+    if config.symmetry is not None:
+        fields["symmetry"] = SymmetryGroup.read(config.symmetry).to_json()
     fields["data"] = {
         name: value
         for name, value in fields["data"].items()

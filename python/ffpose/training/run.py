@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from ffpose.config import looks_twice
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
     PoseNetwork,
     SecondLookNetwork,
@@ -50,6 +51,7 @@ class Run:
         init: Provenance of the initial weights (`ffpose.training.provenance.origin`); None for
             none.
         calibration: Images that calibrate a network with a second look.
+        symmetry: The rotations that labels and errors are modulo.
     """
 
     config: TrainConfig
@@ -61,6 +63,7 @@ class Run:
     processes: Processes = ALONE
     init: dict[str, Any] | None = None
     calibration: CalibrationSet | None = None
+    symmetry: SymmetryGroup = IDENTITY
 
 
 def build_run(
@@ -84,6 +87,11 @@ def build_run(
     model_config = find_config(config.model).with_fields({"camera": UNKNOWN_CAMERA, **fields})
     check_stages(model_config.parts, config.resolved_stages)
     object_view = looks_twice(model_config)
+    symmetry = IDENTITY if config.symmetry is None else SymmetryGroup.read(config.symmetry)
+    if len(symmetry) > 1 and not object_view:
+        raise ValueError(
+            f"symmetry: expected with a network that looks twice, got it with {config.model}"
+        )
     size, mode = model_config.image_size, config.data.mode
     preprocessing = backbone_preprocessing(model_config.backbone, size, mode)
     if object_view:  # what lies outside an image is zero for the virtual camera, and is black
@@ -106,10 +114,11 @@ def build_run(
     elif config.init is not None:
         load_weights(config.init, model)
         init = origin(config.init)
-    task = _task(config, model, data, device, processes)
+    task = _task(config, model, data, device, processes, symmetry)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
     average = AveragedModel(model, config.ema)
-    return Run(config, model, average, optimizer, task, device, processes, init, data.calibration)
+    images = data.calibration
+    return Run(config, model, average, optimizer, task, device, processes, init, images, symmetry)
 
 
 def _task(
@@ -118,11 +127,12 @@ def _task(
     data: TrainingData,
     device: torch.device,
     processes: Processes,
+    symmetry: SymmetryGroup,
 ) -> Task:
     """Return what the network learns from."""
     if isinstance(model, SecondLookNetwork) and looks_twice(model.config):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
-        loss = ObjectObjective(model, config.object_loss, len(keypoints)).to(device)
+        loss = ObjectObjective(model, config.object_loss, len(keypoints), symmetry).to(device)
         views = ViewBatches(
             model,
             data.views,
@@ -131,6 +141,7 @@ def _task(
             data.val_set.preprocessing.std,
             loss.cells,
             keypoints,
+            symmetry,
         )
         return ObjectTask(
             views,

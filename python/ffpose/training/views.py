@@ -3,7 +3,11 @@
 Each sample is augmented anew: the camera of the first look is rotated about its boresight; the
 virtual camera of the second look is pointed to where a first look might have found the object, and
 rotated about the viewing ray by any angle. Each is one homography of the stored pixels, and the
-label changes exactly with it (`ffpose.models.virtual_camera`). Brightness, blur and noise are
+label changes exactly with it (`ffpose.models.virtual_camera`). Of the attitudes in which a
+symmetric object looks the same, the label is the one that is seen from the direction nearest to a
+reference in the object's frame (`ffpose.geometry.symmetry`). That choice does not depend on the
+camera's rotation about the viewing ray, so labels stay equivariant to it; it depends on no
+prediction, so attitude, object coordinates and keypoints agree. Brightness, blur and noise are
 varied before, in the stored pixels, as a camera makes them: a polar view has a seam and rings of
 other resolutions, which they do not know.
 
@@ -26,6 +30,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ffpose.config import looks_twice
+from ffpose.geometry.rotations import rotation_matrix
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.views import Arrays
 from ffpose.models import SecondLookNetwork
@@ -98,6 +104,7 @@ class ViewBatches:
             outside an image are zero as well.
         cells: Rows and columns of the coordinate map.
         keypoints: Points of the object ``(K, 3)``, meters; there may be none.
+        symmetry: Rotations that leave the object's look unchanged.
 
     Raises:
         ValueError: The network has no second look.
@@ -112,10 +119,13 @@ class ViewBatches:
         std: tuple[float, float, float],
         cells: tuple[int, int],
         keypoints: NDArray[np.float64],
+        symmetry: SymmetryGroup = IDENTITY,
     ) -> None:
         self.model, self.sets, self.empty = model, tuple(arrays), tuple(empty)
         self.augmentation, self.cells = augmentation, cells
         self.keypoints = torch.from_numpy(keypoints).float()
+        self.symmetries = torch.from_numpy(rotation_matrix(symmetry.rotations)).float()
+        self.references = torch.from_numpy(symmetry.references).float()
         self.unit = (1 / torch.tensor(std))[:, None, None]  # white, standardized
         self.scale = self.unit / 255
         self.places = _places(self.sets)
@@ -159,6 +169,8 @@ class ViewBatches:
         points = self._looked_at(t, generator)
         twist = math.radians(a.twist_deg) * (2 * torch.rand(count, generator=generator) - 1)
         view = self.model.view_at(points, twist)
+        turn = self._canonical(view.rotation @ rotation)
+        rotation = rotation @ turn
         intrinsics = labels[:, 7:11]
         empty = min(round(a.empty * count), count - 1)
         shown = view.of(slice(empty, None))
@@ -174,11 +186,20 @@ class ViewBatches:
             view.slopes,
             matrix_to_quaternion(view.rotation @ rotation),
             offset_of(view.points(t), view),
-            self._coordinates(index, view, intrinsics),
+            self._coordinates(index, view, intrinsics, turn),
             view.places(t[:, None] + self.keypoints @ rotation.mT),
             torch.arange(count) >= empty,
             index,
         )
+
+    def _canonical(self, rotation: Tensor) -> Tensor:
+        """Return the symmetries ``(B, 3, 3)`` after which views have their canonical label.
+
+        Args:
+            rotation: ``(B, 3, 3)``, from the object's frame to the virtual camera's.
+        """
+        seen_from = -rotation[:, 2]  # the camera's direction in the object's frame
+        return self.symmetries[(seen_from @ self.references.mT).argmax(dim=1)]
 
     def _gather(self, name: str, index: Tensor) -> NDArray[Any]:
         return _rows(self.sets, self.places, name, index)
@@ -250,8 +271,13 @@ class ViewBatches:
             crops.insert(0, self._seen(windows, (part + 1) * windows[0].shape[0] / 2, generator))
         return torch.cat(crops)
 
-    def _coordinates(self, index: Tensor, view: VirtualCamera, intrinsics: Tensor) -> Tensor:
-        """Look up coordinates and mask ``(B, 4, rows, columns)`` at the cells' centers."""
+    def _coordinates(
+        self, index: Tensor, view: VirtualCamera, intrinsics: Tensor, turn: Tensor
+    ) -> Tensor:
+        """Look up coordinates and mask ``(B, 4, rows, columns)`` at the cells' centers.
+
+        The coordinates are those of an object turned by the inverses of ``turn (B, 3, 3)``.
+        """
         cells = source_pixels(view.resized(self.cells), intrinsics / 2).floor().numpy()
         values = np.zeros((*cells.shape[:3], 4), np.float32)
         for value, places, (n, row) in zip(values, cells, self.places[index.numpy()], strict=True):
@@ -262,6 +288,8 @@ class ViewBatches:
         found = torch.from_numpy(values).permute(0, 3, 1, 2) / 127.5
         found[:, :3] -= 1
         found[:, 3] /= 2
+        if len(self.symmetries) > 1:
+            found[:, :3] = torch.einsum("bji,bjhw->bihw", turn, found[:, :3])
         return found
 
     def _varied(self, image: Tensor, generator: torch.Generator) -> Tensor:

@@ -1,3 +1,4 @@
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from ffpose.evaluation.report.plots import (
     error_cdf,
     error_histograms,
     errors_by_distance,
+    errors_by_view,
     predicted_angles,
     reliability_diagram,
     training_curves,
@@ -53,6 +55,32 @@ def test_histograms_hold_every_image(evaluation):
     for axes in error_histograms(evaluation).axes:
         model, baseline = (sum(bar.get_height() for bar in group) for group in axes.containers)
         assert model == baseline == len(OFFSETS)
+
+
+def test_the_map_has_the_median_of_each_direction(evaluation):
+    """Cameras on +x and, twice, on −y, by hand; all other cells are white."""
+    at = {(1, 0, 0): [4.0], (0, -1, 0): [10.0, 60.0, 20.0]}
+    truth, predicted = [], []
+    for direction, errors in at.items():
+        turn, _ = Rotation.align_vectors([[0, 0, -1]], [direction])
+        for error in errors:
+            found = turn * Rotation.from_euler("x", error, degrees=True)
+            for poses, each in ((truth, turn), (predicted, found)):
+                poses.append([0, 0, 9, *each.as_quat(scalar_first=True)])
+    dataset = copy.copy(evaluation.dataset)
+    dataset.poses = np.array(truth)
+    figure = errors_by_view(replace(evaluation, dataset=dataset, predicted=np.array(predicted)))
+    axes = figure.axes[0]
+    assert axes.name == "mollweide"  # which is of equal area
+    mesh, dots, crosses = axes.collections
+    cells = mesh.get_array()
+    assert sorted(cells.compressed()) == pytest.approx([4.0, 20.0])
+    assert cells.size == 6 * 12
+    assert len(crosses.get_offsets()) == 1
+    places = np.concatenate([np.asarray(each.get_offsets()) for each in (dots, crosses)])
+    np.testing.assert_allclose(places, [[0, 0], *[[-np.pi / 2, 0]] * 3], atol=1e-6)
+    height = np.sin(np.asarray(mesh.get_coordinates())[:, 0, 1])
+    np.testing.assert_allclose(np.diff(height), 1 / 3)  # cells of one area
 
 
 def test_angles_are_drawn_over_the_true_ones(evaluation):

@@ -29,9 +29,10 @@ from ffpose.errors import require
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.card.pictures import PICTURES, draw_picture
 from ffpose.evaluation.card.seen import picture_seen, seen_in_training
-from ffpose.evaluation.card.statistics import Answers, refuse, summarize
+from ffpose.evaluation.card.statistics import Answers, folded, refuse, summarize
 from ffpose.evaluation.card.tables import format_card
 from ffpose.geometry import Pose
+from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.load import load
 from ffpose.inference.source import find_source
@@ -151,7 +152,8 @@ def measure(
         `ffpose.evaluation.card.statistics.summarize`. ``mean_pose_baseline``: the same statistics
         for a constant pose on the scenes as trained. ``without_object``: a list of
         `ffpose.evaluation.card.statistics.refuse`, with the same, empty for a network without
-        uncertainty. ``notes``: what was left out.
+        uncertainty. ``notes``: what was left out. ``symmetry``:
+        what rotation errors are modulo, if there is one.
 
     Raises:
         FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
@@ -172,7 +174,9 @@ def measure(
     recipe = metadata.recipe if isinstance(metadata, WeightsMetadata) else None
     plan = replace(_plan(scene, metadata, count, size, seed, workers, second_renderer), keep=keep)
     began = time.perf_counter()
-    answers = answer(estimator, _with_bar(plan, show=progress))
+    symmetry = metadata.symmetry
+    shown = answer(estimator, _with_bar(plan, show=progress))
+    answers = {name: folded(each, symmetry) for name, each in shown.items()}
     return {
         "weights": str(weights),
         "sha256": sha256(find_source(weights).path),
@@ -185,8 +189,9 @@ def measure(
         "final": final,
         "in_view_threshold": metadata.in_view_threshold,
         "seconds": time.perf_counter() - began,
-        **_results(plan, answers, metadata.in_view_threshold, seen_of(plan, recipe)),
+        **_results(plan, answers, metadata.in_view_threshold, seen_of(plan, recipe), symmetry),
         "notes": [] if second_renderer else [ONE_RENDERER],
+        **({"symmetry": str(symmetry)} if len(symmetry) > 1 else {}),
     }
 
 
@@ -248,6 +253,7 @@ def _results(
     answers: Mapping[str, Answers],
     threshold: float | None,
     seen: Mapping[str, dict[str, str]],
+    symmetry: SymmetryGroup,
 ) -> dict[str, list[dict[str, Any]] | dict[str, Any]]:
     """Return the part of the document that follows from the predictions."""
     trained = answers[plan.trained.name]
@@ -256,6 +262,7 @@ def _results(
     groups += [(v.name, v.about, answers[v.name]) for v in plan.with_object[1:]]
     seen = {name: seen[plan.trained.name] for name, *_ in light} | dict(seen)
     constant = Answers([_mean_pose(plan.trained.scene)] * len(trained.truth), trained.truth)
+    constant = folded(constant, symmetry)
     others = {name: found.found for name, found in answers.items() if not found.truth}
     if others:
         others["all of them"] = [pose for found in others.values() for pose in found]

@@ -13,6 +13,7 @@ from ffpose.evaluation.calibration import auroc, coverages, flag_rates, truth_re
 from ffpose.evaluation.metrics import SUMMARIZED, PoseErrors, pose_error
 from ffpose.evaluation.significance import median_interval
 from ffpose.geometry import Pose, PoseUncertainty, standard_deviations
+from ffpose.geometry.symmetry import SymmetryGroup
 
 FloatArray = NDArray[np.float64]
 
@@ -40,6 +41,14 @@ class Answers(NamedTuple):
     def uncertainties(self) -> list[PoseUncertainty]:
         """Predicted uncertainties; empty for a network that predicts none."""
         return [pose.uncertainty for pose in self.found if pose.uncertainty is not None]
+
+
+def folded(answers: Answers, symmetry: SymmetryGroup) -> Answers:
+    """Return the answers with the true poses of the same looks nearest to those found."""
+    if len(symmetry) == 1 or not answers.truth:
+        return answers
+    truth = symmetry.folded(_vectors(answers.found), _vectors(answers.truth))
+    return answers._replace(truth=[Pose.from_vector(row) for row in truth])
 
 
 def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:

@@ -26,6 +26,8 @@ def format_card(document: Mapping[str, Any]) -> str:
         parts.append(uncertainty_table(document["conditions"]))
     if document["without_object"]:
         parts.append(refusal_table(document))
+    if symmetry := document.get("symmetry"):
+        parts.append(f"Rotation errors are to the nearest attitude of the same look: {symmetry}.")
     return "\n\n".join([*parts, *document["notes"]]) + "\n"
 
 

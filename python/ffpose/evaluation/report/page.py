@@ -23,6 +23,7 @@ from ffpose.evaluation.report.plots import (
     error_cdf,
     error_histograms,
     errors_by_distance,
+    errors_by_view,
     predicted_angles,
     reliability_diagram,
     training_curves,
@@ -43,6 +44,7 @@ DISTRIBUTIONS = (
     (error_cdf, "share of the images below each error, model and mean pose"),
     (error_histograms, "histograms of the errors, model and mean pose"),
     (errors_by_distance, "each image's errors over the distance of the spacecraft"),
+    (errors_by_view, "map of the median rotation error over the viewing directions"),
     (predicted_angles, "predicted roll, pitch and yaw over the true angles"),
 )
 """Figures of the errors, with their alternative texts."""

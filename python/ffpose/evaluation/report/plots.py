@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from PIL import Image
 
-from ffpose._internal.figures import new_figure, save_figure, style_axes
+from ffpose._internal.figures import GRID_COLOR, new_figure, save_figure, style_axes
 from ffpose.evaluation.calibration import CURVE, coverage
 from ffpose.evaluation.evaluate import Evaluation
-from ffpose.geometry import FloatArray
+from ffpose.geometry import FloatArray, rotation_matrix
 from ffpose.imaging.overlay import TRUTH_COLORS, draw_axes
 
 if TYPE_CHECKING:
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 MODEL_COLOR = "#2f6fdf"
 BASELINE_COLOR = "#9aa3af"
 GALLERY_TILE = (480, 360)
+
+MAP_CELLS = (6, 12)
+"""Cells of the map of views along height and longitude."""
+
+FAR_DEG = 30.0
+"""Rotation error beyond which an image is marked in the map of views, degrees."""
 
 
 def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
@@ -95,6 +101,49 @@ def errors_by_distance(evaluation: Evaluation) -> Figure:
         axes.set_ylabel(f"{pair.name} error, {pair.unit}")
         axes.set_ylim(bottom=0)
         _title(axes, f"{pair.name} error over distance")
+    return figure
+
+
+def errors_by_view(evaluation: Evaluation) -> Figure:
+    """Map the median rotation error over the directions from which the object is seen.
+
+    Directions from the object to the camera, in the object's frame, in Mollweide's equal-area
+    projection: x is in the middle, z above. All cells are of one area; a dot is an image, a cross
+    one whose error is beyond `FAR_DEG`, and a cell without images is white.
+    """
+    figure = new_figure(9.0, 4.8)
+    axes = figure.add_subplot(projection="mollweide")
+    poses, errors = evaluation.dataset.poses, evaluation.errors.rotation_deg.numpy()
+    rays = poses[:, :3] / np.linalg.norm(poses[:, :3], axis=1, keepdims=True)
+    seen_from = -np.einsum("nji,nj->ni", rotation_matrix(poses[:, 3:]), rays)
+    longitude = np.arctan2(seen_from[:, 1], seen_from[:, 0])
+    height = np.clip(seen_from[:, 2], -1, 1)
+    edges = np.linspace(-np.pi, np.pi, MAP_CELLS[1] + 1), np.linspace(-1, 1, MAP_CELLS[0] + 1)
+    column, row = (
+        np.clip(np.searchsorted(each, values, side="right") - 1, 0, len(each) - 2)
+        for each, values in zip(edges, (longitude, height), strict=True)
+    )
+    medians = np.full(MAP_CELLS, np.nan)
+    for cell in {*zip(row.tolist(), column.tolist(), strict=True)}:
+        medians[cell] = np.median(errors[(row == cell[0]) & (column == cell[1])])
+    colors = axes.pcolormesh(
+        edges[0], np.arcsin(edges[1]), np.ma.masked_invalid(medians), cmap="Blues", vmin=0.0
+    )
+    figure.colorbar(colors, ax=axes, shrink=0.7, label="median rotation error, degrees")
+    far = errors > FAR_DEG
+    for chosen, marker, color in ((~far, ".", "#16202e"), (far, "x", "#d33")):
+        axes.scatter(
+            longitude[chosen],
+            np.arcsin(height[chosen]),
+            s=9,
+            marker=marker,
+            color=color,
+            linewidths=0.8,
+        )
+    axes.set_xticks([-np.pi / 2, 0, np.pi / 2], ["-y", "+x", "+y"])
+    axes.set_yticks([-np.pi / 3, 0, np.pi / 3], ["-60°", "0°", "60°"])
+    axes.set_title("rotation error by viewing direction in the object's frame", fontsize=10)
+    axes.grid(visible=True, color=GRID_COLOR, linewidth=0.8)
     return figure
 
 

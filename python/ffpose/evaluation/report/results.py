@@ -36,6 +36,9 @@ def format_table(summary: dict[str, Any]) -> str:
     for name, value in baseline.items():
         if isinstance(value, float):
             lines.append(f"{name:34}{summary[name]:12.4f}{value:12.4f}")
+    for name, value in summary.get("without_symmetry", {}).items():
+        if isinstance(value, float):
+            lines.append(f"{f'{name}, no symmetry':34}{value:12.4f}")
     return "\n".join(lines)
 
 

@@ -76,6 +76,11 @@ def figures_table(summary: Summary) -> str:
         model, baseline = summary[key], summary["mean_pose_baseline"][key]
         ratio = f"{model / baseline:.2f}" if baseline > 0 else "–"
         rows.append((name, f"{model:.3f} {unit}", f"{baseline:.3f} {unit}", ratio))
+    if plain := summary.get("without_symmetry"):
+        for key, name, unit in ROWS:
+            if key in plain:
+                told = f"{name}, without regard to symmetry"
+                rows.append((told, f"{plain[key]:.3f} {unit}", "", ""))
     return _table(("", "model", "mean pose", "ratio"), rows)
 
 

@@ -1,0 +1,230 @@
+"""Rotations of an object that leave its look unchanged, and labels modulo them.
+
+With such a rotation ``g``, in the object's frame, the attitudes ``q`` and ``q g`` give the same
+image, and no network can tell them apart. Errors modulo the group are to the nearest of them, as
+BOP's MSSD takes the least distance (Hodan et al., "BOP Challenge 2020", ECCVW 2020).
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffpose._internal.files import atomic_write, read_json, shortened
+from ffpose.errors import DataError
+from ffpose.geometry.rotations import FloatArray, conjugate, multiply, rotation_matrix
+
+STEPS = 360
+"""Rotations that stand for any angle about an axis: the nearest is within half a degree."""
+
+MOST_FOLD = 60
+
+MOST = 2 * MOST_FOLD
+"""Rotations of the largest finite group: a prism's of 60 sides, about its axis and over it."""
+
+ALIKE = np.cos(np.radians(0.25))
+"""Product of unit quaternions or axes that are taken for one: half a degree apart, a quarter."""
+
+REFERENCES = 500
+"""Directions of which the best is the reference of canonical labels."""
+
+
+class Axis(NamedTuple):
+    """An axis of symmetry.
+
+    Attributes:
+        direction: ``(3,)`` in the object's frame, of any length.
+        fold: The look is unchanged by turns of 360 degrees divided by it; 0 for any angle.
+    """
+
+    direction: tuple[float, float, float]
+    fold: int
+
+    @property
+    def turns(self) -> FloatArray:
+        """Rotations about it, unit quaternions ``(fold, 4)``, ``(STEPS, 4)`` for any angle."""
+        count = self.fold or STEPS
+        half = np.arange(count) * (np.pi / count)
+        return np.concatenate([np.cos(half)[:, None], np.sin(half)[:, None] * self.unit], axis=1)
+
+    @property
+    def unit(self) -> FloatArray:
+        """Its direction ``(3,)``, of length one."""
+        return np.asarray(self.direction, np.float64) / np.linalg.norm(self.direction)
+
+    def __str__(self) -> str:
+        direction = ", ".join(f"{value:.3g}" for value in np.round(self.direction, 3) + 0.0)
+        return f"{f'{self.fold}-fold' if self.fold else 'any angle'} about ({direction})"
+
+
+@dataclass(frozen=True)
+class SymmetryGroup:
+    """The group of rotations that some axes of symmetry generate; without axes, the identity.
+
+    Attributes:
+        axes: What generates it; at most one of them of any angle.
+
+    Raises:
+        ValueError: A number is out of range, or the axes go together in no finite group, or leave
+            no attitude, as a sphere's.
+    """
+
+    axes: tuple[Axis, ...] = ()
+
+    def __post_init__(self) -> None:
+        for axis in self.axes:
+            if len(axis.direction) != 3 or not 0 < np.linalg.norm(axis.direction) < np.inf:
+                raise ValueError(f"axis: expected a direction of 3 numbers, got {axis.direction}")
+            if not 0 <= axis.fold <= MOST_FOLD:
+                raise ValueError(f"fold: expected 0 to {MOST_FOLD}, 0 for any, got {axis.fold}")
+        _ = self.rotations
+
+    @cached_property
+    def rotations(self) -> FloatArray:
+        """All of its rotations, unit quaternions ``(G, 4)``, the identity first."""
+        found = np.array([[1.0, 0.0, 0.0, 0.0]])
+        turns = np.concatenate([axis.turns[1:] for axis in self.axes if axis.fold] or [found])
+        grown = True
+        while grown:
+            before = len(found)
+            for turn in turns:
+                new = multiply(found, turn)
+                found = np.concatenate([found, new[~_among(new, found)]])
+                if len(found) > MOST:
+                    raise ValueError(f"axes: expected those of a finite group, got {self}")
+            grown = len(found) > before
+        free = [axis for axis in self.axes if axis.fold == 0]
+        if not free:
+            return found
+        along = rotation_matrix(found) @ free[0].unit @ free[0].unit
+        if min(np.abs(along).min(), *(abs(a.unit @ free[0].unit) for a in free)) < ALIKE:
+            raise ValueError(f"axes: expected some that leave an attitude, got {self}")
+        # The finite ones turn about the axis or reverse it, and one that does stands for all.
+        flips = found[along < 0][:1]
+        both = np.concatenate([found[:1], flips])
+        return multiply(both[:, None], free[0].turns).reshape(-1, 4)
+
+    def __len__(self) -> int:
+        return len(self.rotations)
+
+    def __str__(self) -> str:
+        return "; ".join(map(str, self.axes)) or "none"
+
+    def nearest(self, q_hat: FloatArray, q: FloatArray) -> FloatArray:
+        """Return the attitudes of the same looks as ``q (N, 4)`` that are nearest to ``q_hat``.
+
+        Args:
+            q_hat: Quaternions ``(N, 4)`` of any nonzero norm.
+            q: Unit quaternions ``(N, 4)``.
+
+        Returns:
+            ``q g``, ``(N, 4)``; ``q`` itself where the group is the identity.
+        """
+        if len(self) == 1:
+            return q
+        between = multiply(conjugate(q), q_hat)
+        chosen = np.abs(between @ self.rotations.T).argmax(axis=1)
+        return multiply(q, self.rotations[chosen])
+
+    def folded(self, predicted: FloatArray, truth: FloatArray) -> FloatArray:
+        """Return true poses ``(N, 7)`` with the attitude `nearest` to that of predicted ones."""
+        return np.concatenate([truth[:, :3], self.nearest(predicted[:, 3:], truth[:, 3:])], axis=1)
+
+    @cached_property
+    def references(self) -> FloatArray:
+        """A direction ``(3,)`` and where the rotations take it, ``(G, 3)``.
+
+        Of all viewing directions of one look the one nearest to the first of these is canonical: of
+        a direction ``d`` that nearest to row ``g`` is ``gᵀ d``. The reference is as far from its
+        images as can be, so that few looks lie where two canonical labels meet.
+        """
+        number = np.arange(REFERENCES) + 0.5
+        z = 1 - 2 * number / REFERENCES
+        turn, radius = number * (np.pi * (3 - np.sqrt(5))), np.sqrt(1 - z * z)
+        directions = np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
+        matrices = rotation_matrix(self.rotations)
+        if len(self) == 1:
+            return np.asarray(matrices @ directions[0])
+        nearest = np.einsum("ni,gij,nj->gn", directions, matrices[1:], directions).max(axis=0)
+        return np.asarray(matrices @ directions[nearest.argmin()])
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Return the axes as plain values; `from_json` is the inverse."""
+        return [
+            {"axis": list(map(float, axis.direction)), "fold": axis.fold or "any"}
+            for axis in self.axes
+        ]
+
+    @classmethod
+    def from_json(cls, axes: Any) -> SymmetryGroup:
+        """Return the group of a list of ``{"axis": [x, y, z], "fold": 4}``, or ``"fold": "any"``.
+
+        Raises:
+            ValueError: It is no such list, or as the class says.
+        """
+        if not isinstance(axes, list):
+            raise ValueError(f"axes: expected a list, got {shortened(axes)}")
+        return cls(tuple(_axis(each) for each in axes))
+
+    @classmethod
+    def read(cls, path: Path) -> SymmetryGroup:
+        """Read a file, ``{"axes": [...]}`` with what `from_json` takes; other keys are notes.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            DataError: It is not JSON, or not such a document.
+        """
+        document = read_json(path)
+        if not isinstance(document, dict) or "axes" not in document:
+            raise DataError(f"expected an object with axes, got {shortened(document)}", path)
+        try:
+            return cls.from_json(document["axes"])
+        except ValueError as error:
+            raise DataError(str(error), path) from error
+
+    @classmethod
+    def chosen(cls, name: str) -> SymmetryGroup | None:
+        """Return what a user's ``auto`` (None), ``none`` or name of a file stands for.
+
+        Raises:
+            As `read`.
+        """
+        if name == "auto":
+            return None
+        return cls() if name == "none" else cls.read(Path(name))
+
+    def write(self, path: Path, **notes: Any) -> None:
+        """Write the file, with ``notes`` beside the axes."""
+        with atomic_write(path) as temporary:
+            text = json.dumps({"axes": self.to_json(), **notes}, indent=1)
+            temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _axis(value: Any) -> Axis:
+    match value:
+        case {"axis": [x, y, z], "fold": fold, **more} if not more and all(
+            isinstance(each, int | float) and np.isfinite(each) for each in (x, y, z)
+        ):
+            if fold == "any":
+                return Axis((x, y, z), 0)
+            if isinstance(fold, int) and 2 <= fold <= MOST_FOLD:
+                return Axis((x, y, z), fold)
+    raise ValueError(
+        f'axes: expected {{"axis": [x, y, z], "fold": 2 to {MOST_FOLD} or "any"}}, '
+        f"got {shortened(value)}"
+    )
+
+
+def _among(new: FloatArray, found: FloatArray) -> NDArray[np.bool_]:
+    """Return which of unit quaternions ``(N, 4)`` are among others ``(M, 4)``, of either sign."""
+    return np.asarray((np.abs(new @ found.T) > ALIKE).any(axis=1))
+
+
+IDENTITY = SymmetryGroup()
+"""The group of an object all of whose attitudes look different."""
