@@ -1,6 +1,9 @@
 """`ffpose learn`: from a mesh to weights, graph, report and card; resumed; bad input."""
 
+import errno
 import json
+import os
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
@@ -8,16 +11,19 @@ import pytest
 import trimesh
 
 import ffpose
+from ffpose._internal import files
 from ffpose.cli import main
 from ffpose.learn import run
 from ffpose.learn.plan import (
     DEFAULT_CAMERA,
     KINDS,
+    LEAST_EPOCHS,
     MOST_EPOCHS,
     MOST_VIEWS,
     Speed,
     Stage,
     image_size,
+    replanned,
     stages,
     training,
 )
@@ -37,6 +43,15 @@ def mesh(tmp_path):
     return path
 
 
+@pytest.fixture
+def quick(monkeypatch):
+    """Nothing is measured, and little is trained."""
+    monkeypatch.setattr(run, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
+    monkeypatch.setattr(
+        run, "stages", lambda minutes, speed: (Stage("first", 40, 1), Stage("second", 40, 1))
+    )
+
+
 def test_a_budget_is_spent_on_rendering_and_training_by_the_speed_of_both():
     first, second = stages(60, Speed(views=10, samples=300))
     for stage, minutes in ((first, 60 * 0.88 / 6), (second, 60 * 0.88 * 5 / 6)):
@@ -44,6 +59,19 @@ def test_a_budget_is_spent_on_rendering_and_training_by_the_speed_of_both():
         assert 0.9 * 60 * minutes < seconds <= 60 * minutes + 1e-6
     faster = stages(60, Speed(views=1e6, samples=1e9))
     assert faster[1] == Stage("second", MOST_VIEWS, MOST_EPOCHS)
+
+
+def test_a_slower_machine_has_fewer_epochs_in_the_time_that_is_left():
+    speed = Speed(views=10, samples=300)
+    first, second = stages(60, speed)
+    planned = first.views / 10 + first.epochs * first.views / 300
+    assert replanned(second, first, 60, speed, planned) == second
+    assert replanned(second, first, 60, speed, planned / 2) == second  # never more
+    fewer = replanned(second, first, 60, speed, 2 * planned)
+    assert fewer.views == second.views
+    seconds = 2 * (planned + second.views / 10 + fewer.epochs * second.views / 300)
+    assert 0.9 * 60 * 60 * 0.88 < seconds <= 60 * 60 * 0.88
+    assert replanned(second, first, 60, speed, 3600).epochs == LEAST_EPOCHS
 
 
 def test_shares_of_the_views_are_all_of_them():
@@ -78,12 +106,8 @@ def test_the_virtual_camera_holds_the_whole_spacecraft(tmp_path):
     assert config.batch_size * config.processes == 32
 
 
-def test_from_a_mesh_to_a_pose(tmp_path, mesh, monkeypatch):
+def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
     """In small: what it writes is what `ffpose.load` opens; a second run repeats nothing."""
-    monkeypatch.setattr(run, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
-    monkeypatch.setattr(
-        run, "stages", lambda minutes, speed: (Stage("first", 40, 1), Stage("second", 40, 1))
-    )
     out = tmp_path / "out"
     config = LearnConfig(mesh, out, processes=1, test_images=6, card_images=0)
     said = []
@@ -111,12 +135,71 @@ def test_from_a_mesh_to_a_pose(tmp_path, mesh, monkeypatch):
         learn(LearnConfig(mesh, out, 9, processes=1, test_images=6, card_images=0))
 
 
+def test_a_symmetric_spacecraft_is_folded_from_labels_to_report(tmp_path, quick):
+    """A plain box: what was found is in the weights, the graph, the test and the report."""
+    trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "box.stl")
+    out, said = tmp_path / "out", []
+    config = LearnConfig(tmp_path / "box.stl", out, processes=1, test_images=4, card_images=0)
+    summary = learn(config, said.append)
+    assert "2-fold about" in said[1]
+    assert len(json.loads((out / "symmetry.json").read_text())["axes"]) == 2
+    for name in ("best.safetensors", "model.onnx"):
+        assert len(ffpose.load(out / name).metadata.symmetry) == 4
+    plain = summary["without_symmetry"]["mean_rotation_error_deg"]
+    assert summary["mean_rotation_error_deg"] < plain
+    assert summary["mean_rotation_error_deg"] < 120.1  # the farthest of four, a third of a turn
+    assert "modulo symmetry" in said[-1]
+    page = (out / "report.html").read_text()
+    assert "without regard to symmetry" in page
+    assert "viewing directions" in page
+    words = ["evaluate", str(out), "--data.kind", "urso", "--data.root", str(out / "test-images")]
+    words += ["--data.split", "all", "--out", str(tmp_path / "plain"), "--symmetry", "none"]
+    assert main(words) == 0
+    unfolded = json.loads((tmp_path / "plain" / "results.json").read_text())
+    assert unfolded["mean_rotation_error_deg"] == pytest.approx(plain)
+    assert "without_symmetry" not in unfolded
+
+
 def test_a_poor_result_is_called_so():
     """A tenth of the constant's error is the border."""
     summary = {"median_translation_error_m": 0.5, "images": 10}
     constant = {"mean_pose_baseline": {"median_rotation_error_deg": 130.0}}
     assert verdict(summary | constant | {"median_rotation_error_deg": 12.0}).startswith("median")
     assert verdict(summary | constant | {"median_rotation_error_deg": 14.0}).startswith("POOR")
+
+
+def write_gltf(name, **changes):
+    """Write a triangle with a texture."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
+    places = np.array([[0, 0], [1, 0], [0, 1]], "<f4")
+    data = corners.tobytes() + places.tobytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [
+            {
+                "byteLength": len(data),
+                "uri": "data:application/octet-stream;base64," + b64encode(data).decode(),
+            }
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": 36},
+            {"buffer": 0, "byteOffset": 36, "byteLength": 24},
+        ],
+        "accessors": [
+            {"bufferView": n, "componentType": 5126, "count": 3, "type": kind}
+            for n, kind in enumerate(("VEC3", "VEC2"))
+        ],
+        "images": [{"uri": "none.png"}],
+        "textures": [{"source": 0}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "material": 0}]}
+        ],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    Path(name).write_text(json.dumps(document | changes))
 
 
 @pytest.mark.parametrize(
@@ -126,6 +209,12 @@ def test_a_poor_result_is_called_so():
         (["craft.txt"], "mesh: expected a file of"),
         (["craft.stl", "--minutes", "0"], "minutes: expected more than 0, got 0"),
         (["craft.stl", "--distance", "9", "3"], "distance: expected 0 < near < far"),
+        (["sphere.ply"], "looks the same from all sides, as a sphere does"),
+        (["triangle.ply"], "expected a spacecraft of some depth, got one that is flat"),
+        (["cycle.gltf"], "cycle.gltf: expected a tree of nodes, got node 0 in a cycle"),
+        (["inner/outside.gltf"], "outside.gltf: expected files in its folder, got '../secret.png'"),
+        (["craft.stl", "--symmetry", "none.json"], "none.json"),
+        (["craft.stl", "--symmetry", "two.json"], "two.json: axes: expected some that leave"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_is_written(
@@ -133,8 +222,60 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 ):
     monkeypatch.chdir(tmp_path)
     Path("craft.txt").write_text("no mesh")
+    trimesh.creation.icosphere(subdivisions=4).export("sphere.ply")
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]).export("triangle.ply")
+    write_gltf("cycle.gltf", nodes=[{"children": [1]}, {"mesh": 0, "children": [0]}])
+    Path("inner").mkdir()
+    Path("secret.png").write_bytes(b"no texture of theirs")
+    write_gltf("inner/outside.gltf", images=[{"uri": "../secret.png"}])
+    axes = [{"axis": [0, 0, 1], "fold": "any"}, {"axis": [1, 0, 0], "fold": "any"}]
+    Path("two.json").write_text(json.dumps({"axes": axes}))
     assert main(["learn", *words, "--out", "out"]) in (1, 2)
     error = capsys.readouterr().err.strip()
     assert text in error
     assert "\n" not in error
     assert not Path("out").exists()
+
+
+def error_of(capsys, words):
+    """Return the one line with which a command fails."""
+    assert main(words) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("ffpose: ")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_no_write_access_is_one_line(tmp_path, mesh, monkeypatch, capsys):
+    def refused(path, *arguments, **options):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(Path, "mkdir", refused)
+    out = tmp_path / "out"
+    error = error_of(capsys, ["learn", str(mesh), "--out", str(out)])
+    assert "Permission denied" in error
+    assert str(out) in error
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("name", ["symmetry.json", "learn.json", "last.safetensors", "state.pt"])
+def test_a_disk_that_fills_up_leaves_nothing_half_written(
+    tmp_path, mesh, quick, monkeypatch, capsys, name
+):
+    """The file that no longer fits is not there, others are whole, and the run goes on later."""
+    out, words = tmp_path / "out", ["learn", str(mesh), "--out", str(tmp_path / "out")]
+    words += ["--processes", "1"]
+
+    def full(path):
+        if path.name == name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(files, "_sync", full)
+    assert "No space left on device" in error_of(capsys, words)
+    written = [path for path in out.rglob("*") if path.is_file() and "views" not in path.parts]
+    assert name not in {path.name for path in written}
+    assert not list(out.rglob(".ffpose-*"))
+    for path in written:
+        if path.suffix == ".json":
+            json.loads(path.read_text())
+        elif path.suffix == ".safetensors" and path.name != name:
+            assert read_metadata(path).config

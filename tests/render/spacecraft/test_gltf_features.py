@@ -10,7 +10,7 @@ from PIL import Image
 
 from ffpose.geometry import Camera, Pose
 from ffpose.render import load_craft
-from ffpose.render.renderer import prepared
+from ffpose.render.renderer import prepared, sample_count
 from ffpose.render.shading.maps import Maps
 from ffpose.render.shading.view import find_window, look
 from ffpose.render.spacecraft.textures import build_pyramid, linear
@@ -316,6 +316,26 @@ def test_a_far_texture_has_its_mean_light(tmp_path, distance):
     shown = finish.surface(view, view.hits.distance / np.float32(camera.fx), 2).color
     np.testing.assert_allclose(shown.mean(axis=1), light, rtol=0.01)
     np.testing.assert_allclose(Maps(craft).mean("color_map")[:, :3].mean(axis=0), light, rtol=0.03)
+
+
+@pytest.mark.parametrize("distance", [4.0, 10.0, 25.0, 60.0, 150.0])
+def test_an_object_that_recedes_from_a_camera_keeps_its_textures_mean(tmp_path, distance):
+    """Within 1 %, from 128 pixels across to 3, seen from the front and askew."""
+    pixels = np.random.default_rng(0).integers(0, 256, (256, 256, 3))
+    pixels[96:160, 64:96] = 255
+    craft = textured(pixels).load(tmp_path)
+    light = linear(pixels / 255).mean(axis=(0, 1))
+    tracer, finish = prepared(craft)
+    camera = Camera(512, 384, 256.0, 256.0, 256.0, 192.0)
+    for slant in (0.0, 0.5):
+        attitude = (np.sin(slant / 2), np.cos(slant / 2), 0.0, 0.0)
+        pose = Pose((0.2, 0.1, distance), attitude)
+        window = find_window(craft.mesh.vertices, pose, camera)
+        samples = sample_count(window, camera)
+        view = look(tracer, window, camera, pose, samples)
+        footprint = view.hits.distance / np.float32(camera.fx)
+        shown = finish.surface(view, footprint, samples).color
+        np.testing.assert_allclose(shown.mean(axis=1), light, rtol=0.01)
 
 
 def test_nothing_of_a_neighbor_in_the_texture_bleeds_into_a_small_face(tmp_path):
