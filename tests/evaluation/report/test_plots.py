@@ -58,7 +58,7 @@ def test_histograms_hold_every_image(evaluation):
 
 
 def test_the_map_has_the_median_of_each_direction(evaluation):
-    """Cameras on +x and, twice, on −y, by hand; all other cells are white."""
+    """Cameras on +x and, twice, on −y, by hand; all other cells are empty."""
     at = {(1, 0, 0): [4.0], (0, -1, 0): [10.0, 60.0, 20.0]}
     truth, predicted = [], []
     for direction, errors in at.items():

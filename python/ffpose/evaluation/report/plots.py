@@ -109,10 +109,11 @@ def errors_by_view(evaluation: Evaluation) -> Figure:
 
     Directions from the object to the camera, in the object's frame, in Mollweide's equal-area
     projection: x is in the middle, z above. All cells are of one area; a dot is an image, a cross
-    one whose error is beyond `FAR_DEG`, and a cell without images is white.
+    one whose error is beyond `FAR_DEG`, and a cell without images is gray.
     """
     figure = new_figure(9.0, 4.8)
     axes = figure.add_subplot(projection="mollweide")
+    axes.set_facecolor(GRID_COLOR)
     poses, errors = evaluation.dataset.poses, evaluation.errors.rotation_deg.numpy()
     rays = poses[:, :3] / np.linalg.norm(poses[:, :3], axis=1, keepdims=True)
     seen_from = -np.einsum("nji,nj->ni", rotation_matrix(poses[:, 3:]), rays)
