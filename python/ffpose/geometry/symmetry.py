@@ -193,7 +193,8 @@ class SymmetryGroup:
         """Return what a user's ``auto`` (None), ``none`` or name of a file stands for.
 
         Raises:
-            As `read`.
+            FileNotFoundError: There is no such file.
+            DataError: It is not JSON, or not the document that `read` expects.
         """
         if name == "auto":
             return None
