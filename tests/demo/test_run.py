@@ -160,7 +160,7 @@ def test_every_file_named_is_there(folder):
     assert ("training/best.safetensors" in files) == (folder / "training").exists()
 
 
-@pytest.mark.parametrize(("name", "charts"), [("posed", 3), ("trained", 4)])
+@pytest.mark.parametrize(("name", "charts"), [("posed", 4), ("trained", 5)])
 def test_the_page_stands_alone(name, charts, request):
     page = (request.getfixturevalue(name) / "report.html").read_text()
     assert "data:image/jpeg;base64," in page
