@@ -10,7 +10,7 @@ ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml -
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-slow test-arm test-onboard docs bench figures ort onboard weights graphs wheel wheels clean tools cards
+.PHONY: help demo test all format lint typecheck test-rust test-python test-slow test-arm test-onboard docs bench figures ort onboard weights graphs wheel wheels test-wheel-arm clean tools cards
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -93,6 +93,9 @@ wheel: $(VENV)/.dev ort ## build the wheel, the one file in dist
 
 wheels: $(VENV)/.wheels ## build the sources and the manylinux 2.28 wheels, x86-64 and ARM, into dist, and check them
 	VENV=$(VENV) .ci/wheels
+
+test-wheel-arm: ## the ARM wheel of dist, in a Python for ARM under qemu; after make wheels
+	VENV=$(VENV) .ci/test-wheel-arm
 
 clean: ## remove the environment and everything built
 	rm -rf $(VENV) target dist site
