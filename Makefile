@@ -36,8 +36,9 @@ lint: $(VENV)/.dev ## formatters and linters, changing nothing
 	cargo clippy --locked --workspace --all-targets --release -- -D warnings
 	cargo clippy $(ONBOARD) --all-targets -- -D warnings
 
-typecheck: $(VENV)/.dev ## mypy strict, and the stubs against the built extension
+typecheck: $(VENV)/.dev ## mypy strict, on Windows too, and the stubs against the built extension
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 -p ffpose
 	MYPYPATH=python $(BIN)/stubtest ffpose._rust
 
 test-rust: tools ## the Rust tests, with optimization

@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
+from io import TextIOWrapper
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
@@ -917,6 +918,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         the results. Arguments that cannot be parsed raise SystemExit with code 2.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if isinstance(sys.stdout, TextIOWrapper):  # of a code page, on Windows: "±" must not end a run
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         code = run_command(words)
         sys.stdout.flush()

@@ -43,7 +43,7 @@ def _processor_fact(*names: str) -> str:
     """Return the first of these entries that Linux has for the first core."""
     info = Path("/proc/cpuinfo")
     if info.exists():
-        for line in info.read_text().splitlines():
+        for line in info.read_text(encoding="utf-8").splitlines():
             name, _, fact = line.partition(":")
             if name.strip() in names:
                 return fact.strip()

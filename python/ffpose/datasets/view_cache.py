@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,13 +68,17 @@ def _store(folder: Path, count: int, spec: ViewSpec, pieces: Iterator[Pieces]) -
     with tempfile.TemporaryDirectory(prefix=".ffpose-", dir=folder.parent) as place:
         unfinished = Path(place) / folder.name
         unfinished.mkdir()
-        arrays = make_arrays(unfinished, count, spec)
-        for row, piece in enumerate(pieces):
-            piece.store(arrays, row)
-        for array in arrays.values():
-            array.flush()
+        _fill(make_arrays(unfinished, count, spec), pieces)  # Windows renames no mapped files
         try:
             unfinished.rename(folder)
         except OSError:
             if not folder.exists():  # otherwise another process was faster
                 raise
+
+
+def _fill(arrays: Mapping[str, np.memmap[Any, Any]], pieces: Iterator[Pieces]) -> None:
+    """Write the views into the arrays' files."""
+    for row, piece in enumerate(pieces):
+        piece.store(arrays, row)
+    for array in arrays.values():
+        array.flush()

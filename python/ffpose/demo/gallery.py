@@ -85,7 +85,7 @@ def run(out: Path, images: int = 60) -> dict[str, Any]:
     with atomic_write(out / "report.html") as path:
         path.write_text(_page(document, figures), encoding="utf-8")
     with atomic_write(out / "report.json") as path:
-        path.write_text(json.dumps(document, indent=2) + "\n")
+        path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     return document
 
 

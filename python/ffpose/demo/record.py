@@ -57,7 +57,7 @@ class DemoRecord:
                     )
             return cls(wanted)
         try:
-            record = cls(**json.loads(path.read_text()))
+            record = cls(**json.loads(path.read_text(encoding="utf-8")))
             there = dict(record.settings)
         except (ValueError, TypeError) as error:
             raise DataError(f"expected the record of a demo: {error}", path) from error
@@ -72,4 +72,4 @@ class DemoRecord:
     def write(self, out: Path) -> None:
         """Write the record into the folder ``out``."""
         with atomic_write(out / FILE_NAME) as path:
-            path.write_text(json.dumps(asdict(self), indent=2) + "\n")
+            path.write_text(json.dumps(asdict(self), indent=2) + "\n", encoding="utf-8")

@@ -75,7 +75,7 @@ def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> 
     write_report(page(outcome), out / "report.html")
     result = document(outcome)
     with atomic_write(out / "report.json") as path:
-        path.write_text(json.dumps(result, indent=2) + "\n")
+        path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result
 
 

@@ -11,7 +11,7 @@ differs is what a pixel of twice the width does to edges and highlights.
 from __future__ import annotations
 
 import multiprocessing
-import os
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import partial
@@ -89,7 +89,7 @@ def render_views(
         yield from map(make, indices)
         return
     prepared(scene.build())  # forked workers share the BVH
-    context = multiprocessing.get_context("fork" if os.name == "posix" else "spawn")
+    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     with context.Pool(min(workers, len(indices)), _start_worker, (make,)) as pool:
         yield from pool.imap(_render_next, indices, CHUNK)
 

@@ -137,7 +137,7 @@ class RunFolder:
         self.root.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.root, older_than=0.0)  # only one process writes a run's files
         with atomic_write(self.config) as path:
-            path.write_text(dump_config(config))
+            path.write_text(dump_config(config), encoding="utf-8")
 
     def save_state(self, state: TrainState) -> None:
         """Write the checkpoint with its SHA-256; its last epoch then counts as finished."""
@@ -165,7 +165,10 @@ class RunFolder:
 
     def save_results(self, history: list[Row]) -> None:
         """Write the table of results; NaN where an older version's rows lack a column."""
-        with atomic_write(self.results) as path, path.open("w", newline="") as file:
+        with (
+            atomic_write(self.results) as path,
+            path.open("w", newline="", encoding="utf-8") as file,
+        ):
             writer = csv.DictWriter(file, fieldnames=list(history[-1]), restval="nan")
             writer.writeheader()
             writer.writerows(history)
@@ -189,7 +192,7 @@ def read_results(path: Path) -> list[Row]:
     Raises:
         FileNotFoundError: There is no such file.
     """
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8") as file:
         return [
             {name: value if name == "stage" else float(value) for name, value in row.items()}
             for row in csv.DictReader(file)

@@ -355,6 +355,6 @@ def write_card(document: Mapping[str, Any], out: Path) -> None:
     """Write ``card.json``, and its tables as ``card.md``, to a folder; created if missing."""
     out.mkdir(parents=True, exist_ok=True)
     with atomic_write(out / "card.json") as path:
-        path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
+        path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     with atomic_write(out / "card.md") as path:
         path.write_text(format_card(document), encoding="utf-8")

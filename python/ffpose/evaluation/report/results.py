@@ -46,10 +46,13 @@ def write_results(evaluation: Evaluation, out: Path) -> None:
     """Write ``results.json`` and ``predictions.csv`` (one row per image) to the folder ``out``."""
     out.mkdir(parents=True, exist_ok=True)
     with atomic_write(out / "results.json") as path:
-        path.write_text(json.dumps(evaluation.summary(), indent=2) + "\n")
+        path.write_text(json.dumps(evaluation.summary(), indent=2) + "\n", encoding="utf-8")
     columns = _columns(evaluation)
     table = np.stack(list(columns.values()), axis=1)
-    with atomic_write(out / "predictions.csv") as path, path.open("w", newline="") as file:
+    with (
+        atomic_write(out / "predictions.csv") as path,
+        path.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.writer(file)
         writer.writerow(["image", *columns])
         for name, row in zip(evaluation.dataset.names, table.tolist(), strict=True):

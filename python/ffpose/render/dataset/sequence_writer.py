@@ -94,7 +94,10 @@ def write_sequence(
     for done, _ in enumerate(_rendered(sequence, folder, missing, workers), start=1):
         said(len(wanted) - len(missing) + done)
     sequence.camera.write(folder / CAMERA_FILE)
-    with atomic_write(folder / FRAMES) as temporary, temporary.open("w", newline="") as file:
+    with (
+        atomic_write(folder / FRAMES) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)
         for index in wanted:
