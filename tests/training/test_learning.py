@@ -83,7 +83,10 @@ def evaluation(tmp_path_factory):
 
 
 def config(root):
-    """A minute on one core: near views, coarse bins, and most of the time for the second look."""
+    """A minute on one core: near views, coarse bins, and most of the time for the second look.
+
+    Out-of-plane errors were 27, 12 and 12 degrees after 14, 18, 22 epochs; a constant has 42.
+    """
     return TrainConfig(
         data=DataConfig(
             "scenes",
@@ -99,7 +102,7 @@ def config(root):
         model="compact",
         model_fields=FIELDS,
         backbone_weights="none",
-        epochs=14,
+        epochs=18,
         batch_size=16,
         ema=0.98,
         optimizer=OptimizerConfig(
