@@ -11,7 +11,7 @@
 //! - **Elements** are `f32` or `f64`; filters also take half precision, computed in `f32`.
 //! - **Threads** are the caller's: a [`Pool`] lends them.
 //! - **Quaternions** are Hamilton's, scalar first `(w, x, y, z)`. Angles are in degrees, translations in meters.
-
+//!
 //! # Map
 //!
 //! - **[`SpectralFilter`]** (`spectral`): checks shapes, plans once for each (`plans`), cuts a batch into pieces (`tiling`, `batch`),
@@ -45,6 +45,7 @@ pub mod tuning;
 mod views;
 
 pub use error::Error;
+pub use fft::Planned;
 pub use number::Number;
 pub use parallel::{Pool, StdThreads};
 pub use real::Real;

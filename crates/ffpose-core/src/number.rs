@@ -2,15 +2,15 @@
 
 use ndarray::{ArrayView3, ArrayViewMut3, Axis};
 
-use crate::fft::Plan;
+use crate::Isa;
+use crate::fft::{Plan, Planned};
 use crate::kernel::Kernel;
 use crate::simd::{Algorithm, Bf16, F16, Stored, Vector, narrow, widen};
-use crate::{Isa, Real};
 
 const LANES: Axis = Axis(2);
 
 /// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`]. `Real` is what is computed in.
-pub trait Number: Default + Stored<Real: Real> + 'static {
+pub trait Number: Default + Stored<Real: Planned> + 'static {
     /// The kernel of a plan if it takes images of this type, else `widened`, which lets it take them.
     #[doc(hidden)]
     #[allow(private_interfaces)] // sealed: nobody outside can name the supertrait

@@ -7,7 +7,7 @@ use bytemuck::allocation::try_zeroed_vec;
 use bytemuck::cast_slice_mut;
 
 use crate::parallel::{Pool, Team};
-use crate::simd::LINE_BYTES;
+use crate::simd::{LINE_BYTES, aligned};
 use crate::{Error, Real};
 
 /// Memory that a filter works in. It grows to what a call needs and serves filters of any shape and element type.
@@ -101,8 +101,7 @@ impl Scratch {
         if self.is_poisoned {
             self.memory.fill(f64::from_bits(u64::MAX)); // NaN in halves and quarters too
         }
-        let skip = self.memory.as_ptr().align_offset(LINE_BYTES);
-        let memory: &mut [T] = cast_slice_mut(&mut self.memory[skip..]);
+        let memory: &mut [T] = cast_slice_mut(aligned(&mut self.memory));
         Ok(memory[..len].split_at_mut(first))
     }
 
@@ -164,36 +163,6 @@ impl Scratches {
     }
 }
 
-/// Numbers of its own, from the beginning of a line on.
-#[derive(Debug)]
-pub(crate) struct Aligned<T> {
-    memory: Vec<T>,
-    skipped: usize,
-    len: usize,
-}
-
-impl<T: Real> Aligned<T> {
-    /// So many zeros.
-    ///
-    /// # Errors
-    /// [`Error::Memory`] if there is no room for them.
-    pub(crate) fn new(len: usize) -> Result<Self, Error> {
-        let needed = len.saturating_add(LINE_BYTES / size_of::<T>());
-        let bytes = needed.saturating_mul(size_of::<T>());
-        let memory: Vec<T> = try_zeroed_vec(needed).map_err(|()| Error::Memory { bytes })?;
-        let skipped = memory.as_ptr().align_offset(LINE_BYTES);
-        Ok(Self { memory, skipped, len })
-    }
-
-    pub(crate) fn numbers(&self) -> &[T] {
-        &self.memory[self.skipped..][..self.len]
-    }
-
-    pub(crate) fn numbers_mut(&mut self) -> &mut [T] {
-        &mut self.memory[self.skipped..][..self.len]
-    }
-}
-
 /// Asks whether `bytes` are there before many small things are made of them, which cannot fail one by one.
 pub(crate) fn check_room(bytes: usize) -> Result<(), Error> {
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| Error::Memory { bytes })
@@ -201,6 +170,8 @@ pub(crate) fn check_room(bytes: usize) -> Result<(), Error> {
 
 #[cfg(test)]
 mod tests {
+    use std::hint::black_box;
+
     use super::*;
     use crate::StdThreads;
 
@@ -211,6 +182,7 @@ mod tests {
             [(usize::MAX, 1000), (usize::MAX >> 12, 1000), (1 << 40, 1000), (1, usize::MAX)]
         {
             let needs = Needs { workers, members: 8, kernel, shared: 7 };
+            let scratch = black_box(&mut scratch); // or the compiler leaves out memory that nobody uses
             let result = scratch.lend::<f32>(&StdThreads(1), needs);
             assert!(matches!(result.map(|_| ()), Err(Error::Memory { .. })));
         }

@@ -6,8 +6,8 @@ mod disassembly;
 
 use common::{Numbers, exact, filter, weight_gradient};
 use ffpose_core::{
-    Bf16, Error, F16, Gradients, Isa, Layout, Number, Pool, Real, Scratch, Shape, SpectralFilter,
-    StdThreads,
+    Bf16, Error, F16, Gradients, Isa, Layout, Number, Planned, Pool, Real, Scratch, Shape,
+    SpectralFilter, StdThreads,
 };
 use ndarray::{ArrayD, Axis};
 use rustfft::num_traits::FromPrimitive;
@@ -152,7 +152,7 @@ fn assert_close<T: Real>(
     assert!(worst <= tolerance, "{what}: error {worst:e}, tolerance {tolerance:e}");
 }
 
-fn plans<T: Real>(shape: Shape) -> impl Iterator<Item = SpectralFilter<T>> {
+fn plans<T: Planned>(shape: Shape) -> impl Iterator<Item = SpectralFilter<T>> {
     Isa::available().into_iter().map(move |isa| SpectralFilter::new(isa, shape))
 }
 

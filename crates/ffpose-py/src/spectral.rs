@@ -5,7 +5,7 @@ use std::thread;
 
 use ffpose_core::tuning::{SCRATCH_KEPT, SCRATCH_KEPT_FOR_A_CORE};
 use ffpose_core::{
-    Bf16, Error, Gradients, Isa, Real, Scratch, Scratches, Shape, SpectralFilter, StdThreads,
+    Bf16, Error, Gradients, Isa, Planned, Scratch, Scratches, Shape, SpectralFilter, StdThreads,
 };
 use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
 use pyo3::exceptions::PyTypeError;
@@ -221,7 +221,7 @@ fn backward<X: TensorElement, W: TensorElement<Real = X::Real>>(
 }
 
 /// The plan for the images of an array.
-fn planned<T: Real>(layout: &str, x: &[usize]) -> Result<SpectralFilter<T>, Error> {
+fn planned<T: Planned>(layout: &str, x: &[usize]) -> Result<SpectralFilter<T>, Error> {
     SpectralFilter::planned(Shape::of_images(layout.parse()?, x)?)
 }
 

@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use bytemuck::{cast_slice, cast_slice_mut};
-use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 use num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
@@ -16,6 +16,7 @@ use transpose::transpose;
 
 use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
+use crate::views::BATCH;
 use crate::{Layout, Real, Shape};
 
 pub(crate) struct AlongLines<T: Real> {
@@ -247,7 +248,7 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
                 }
             }
             if let Some(grad_x) = &mut grad_x {
-                self.scatter(planes, grad_x.index_axis_mut(Axis(0), image));
+                self.scatter(planes, grad_x.index_axis_mut(BATCH, image));
             }
         }
     }

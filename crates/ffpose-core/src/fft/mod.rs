@@ -79,3 +79,4 @@ mod tokens;
 mod transform;
 
 pub(crate) use plan::Plan;
+pub use plan::Planned;

@@ -77,3 +77,37 @@ impl<T: Real> Plan<T> {
         }
     }
 }
+
+/// A [`Real`] that filters are planned for.
+///
+/// The types are named here, so that kernels are compiled with this crate, once, and not with each crate that filters.
+#[allow(private_interfaces)] // nobody outside can name the plan
+pub trait Planned: Real {
+    /// [`Plan::new`].
+    #[doc(hidden)]
+    fn plan(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Plan<Self>;
+
+    /// [`Plan::kernel`].
+    #[doc(hidden)]
+    fn kernel(plan: &Plan<Self>) -> &dyn Kernel<Self>;
+}
+
+macro_rules! planned {
+    ($type:ty) => {
+        #[allow(private_interfaces)] // as above
+        impl Planned for $type {
+            #[inline(never)]
+            fn plan(isa: Isa, shape: Shape, tuning: &'static Tuning) -> Plan<Self> {
+                Plan::new(isa, shape, tuning)
+            }
+
+            #[inline(never)]
+            fn kernel(plan: &Plan<Self>) -> &dyn Kernel<Self> {
+                plan.kernel()
+            }
+        }
+    };
+}
+
+planned!(f32);
+planned!(f64);

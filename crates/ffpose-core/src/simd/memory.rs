@@ -2,7 +2,10 @@
 
 use std::mem::MaybeUninit;
 
+use bytemuck::allocation::try_zeroed_vec;
+
 use super::{Complex, Element, Vector};
+use crate::Error;
 
 /// Whether `first`, `first + step` and so on, `count` indices, at least one, are below `len`.
 #[inline(always)]
@@ -93,23 +96,40 @@ pub(crate) fn aligned<T>(buffer: &mut [T]) -> &mut [T] {
     &mut buffer[skipped..]
 }
 
-/// A table that starts at an aligned element.
-pub(crate) struct Table<T> {
+/// Numbers of its own, from an aligned element on.
+#[derive(Debug)]
+pub(crate) struct Aligned<T> {
     memory: Vec<T>,
     skipped: usize,
+    len: usize,
 }
 
-impl<T: Element> Table<T> {
-    pub(crate) fn new(values: &[T]) -> Self {
-        let mut memory = vec![T::default(); values.len() + slack::<T>()];
+impl<T: Element> Aligned<T> {
+    /// So many zeros.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] if there is no room for them.
+    pub(crate) fn new(len: usize) -> Result<Self, Error> {
+        let needed = len.saturating_add(slack::<T>());
+        let bytes = needed.saturating_mul(size_of::<T>());
+        let memory: Vec<T> = try_zeroed_vec(needed).map_err(|()| Error::Memory { bytes })?;
         let skipped = memory.as_ptr().align_offset(LINE_BYTES);
-        memory[skipped..][..values.len()].copy_from_slice(values);
-        memory.truncate(skipped + values.len());
-        Self { memory, skipped }
+        Ok(Self { memory, skipped, len })
     }
 
-    pub(crate) fn values(&self) -> &[T] {
-        &self.memory[self.skipped..]
+    /// A copy of a table of a plan, for which a call has asked whether there is room.
+    pub(crate) fn copy_of(values: &[T]) -> Self {
+        let mut copy = Self::new(values.len()).expect("room for a plan");
+        copy.numbers_mut().copy_from_slice(values);
+        copy
+    }
+
+    pub(crate) fn numbers(&self) -> &[T] {
+        &self.memory[self.skipped..][..self.len]
+    }
+
+    pub(crate) fn numbers_mut(&mut self) -> &mut [T] {
+        &mut self.memory[self.skipped..][..self.len]
     }
 }
 

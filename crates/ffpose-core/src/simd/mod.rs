@@ -32,7 +32,7 @@ pub use half::{Bf16, F16, Stored};
 pub(crate) use half::{narrow, widen};
 pub use isa::{Isa, Loops};
 pub(crate) use memory::{
-    LINE_BYTES, Table, aligned, complex_vectors, complex_vectors_of, gather, gather_at, scatter,
+    Aligned, LINE_BYTES, aligned, complex_vectors, complex_vectors_of, gather, gather_at, scatter,
     scatter_at, slack,
 };
 pub(crate) use runs::Runs;

@@ -17,7 +17,7 @@ use std::sync::Arc;
 use ndarray::{ArrayView3, ArrayViewD, ArrayViewMut3, ArrayViewMutD, Dimension};
 
 use self::batch::{Batch, Images, Weight};
-use crate::fft::Plan;
+use crate::fft::{Plan, Planned};
 use crate::kernel::{Single, SingleBackward};
 use crate::number::Number;
 use crate::parallel::{self, Pool, Team};
@@ -67,7 +67,7 @@ struct BackwardCall<'a, X, W> {
     grad_weight: Option<ArrayViewMut3<'a, W>>,
 }
 
-impl<T: Real> SpectralFilter<T> {
+impl<T: Planned> SpectralFilter<T> {
     /// Plans the transform of images of one shape, for one instruction set.
     #[must_use]
     pub fn new(isa: Isa, shape: Shape) -> Self {

@@ -6,10 +6,12 @@ use super::batch::{Batch, Weight};
 use super::tiling::Tiling;
 use super::widened::Widened;
 use super::{SpectralFilter, widened_len};
+use crate::fft::Planned;
 use crate::kernel::Factor;
 use crate::number::Number;
 use crate::parallel::{Pool, StdThreads};
-use crate::scratch::{Aligned, Needs, Scratch};
+use crate::scratch::{Needs, Scratch};
+use crate::simd::Aligned;
 use crate::{Error, Real};
 
 /// A filter with its weight, which no call brings to kernel order again.
@@ -19,7 +21,7 @@ pub struct Prepared<T: Real> {
     weight: Aligned<T>,
 }
 
-impl<T: Real> SpectralFilter<T> {
+impl<T: Planned> SpectralFilter<T> {
     /// This filter with `weight`, which is copied.
     ///
     /// # Errors
@@ -62,7 +64,7 @@ impl<T: Real> SpectralFilter<T> {
     }
 }
 
-impl<T: Real> Prepared<T> {
+impl<T: Planned> Prepared<T> {
     /// Filters `x` into `y`, with the same bits as [`SpectralFilter::forward`].
     ///
     /// # Errors

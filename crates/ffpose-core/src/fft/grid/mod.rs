@@ -24,6 +24,7 @@ use crate::kernel::{Backward, Kernel, Packing, Single};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, LINE_BYTES, Stored, Tile, TileMut, aligned, slack};
 use crate::tuning::Tuning;
+use crate::views::{self, BATCH};
 
 /// Lanes of tiles that share `lanes` evenly, of at most `most` unless that is less than a narrow tile; whole cache lines, of half
 /// precision too.
@@ -146,9 +147,9 @@ impl<T: Element> Grid<T> {
 
     /// For several images whose lanes are a part of `x`, with `others` as large as they are.
     fn place_of_several<X>(&self, x: &ArrayView3<'_, X>, others: usize) -> Place<'_> {
-        let image = x.stride_of(Axis(0)).unsigned_abs(); // with the lanes of other parts
-        let bytes = (1 + others) * x.len_of(Axis(0)) * image * size_of::<X>();
-        let each = x.len() / x.len_of(Axis(0)) * size_of::<X>();
+        let image = x.stride_of(BATCH).unsigned_abs(); // with the lanes of other parts
+        let bytes = (1 + others) * x.len_of(BATCH) * image * size_of::<X>();
+        let each = x.len() / x.len_of(BATCH) * size_of::<X>();
         self.place(!self.tuning.are_prefetched(bytes, each))
     }
 
@@ -177,12 +178,8 @@ impl<T: Element> Grid<T> {
         let lanes = image.ncols();
         let whole = lanes.next_multiple_of(self.lanes);
         if lanes < whole {
-            let padded = &mut padded[..self.points * whole];
-            let mut view = ArrayViewMut2::from_shape((self.points, whole), &mut *padded)
-                .expect("room for a tile");
-            view.fill(T::default());
-            view.slice_mut(s![.., ..lanes]).zip_mut_with(&image, |wide, x| *wide = x.widened());
-            self.rows.forward(self.isa, Tile::dense(padded, whole), place, spectrum, work);
+            let image = Tile::dense(views::padded(image, whole, padded), whole);
+            self.rows.forward(self.isa, image, place, spectrum, work);
         } else {
             self.rows.forward(self.isa, Tile::new(image), place, spectrum, work);
         }
@@ -193,7 +190,7 @@ impl<T: Element> Grid<T> {
         &self,
         place: Place<'_>,
         spectrum: &mut [T],
-        mut image: ArrayViewMut2<'_, X>,
+        image: ArrayViewMut2<'_, X>,
         work: &mut [T],
         padded: &mut [T],
     ) {
@@ -203,9 +200,7 @@ impl<T: Element> Grid<T> {
             let padded = &mut padded[..self.points * whole];
             let tile = TileMut::dense(padded, whole);
             self.rows.inverse(self.isa, spectrum, place, tile, work);
-            let whole =
-                ArrayView2::from_shape((self.points, whole), padded).expect("room for a tile");
-            image.zip_mut_with(&whole.slice(s![.., ..lanes]), |x, &wide| *x = X::nearest_to(wide));
+            views::unpadded(padded, whole, image);
         } else {
             self.rows.inverse(self.isa, spectrum, place, TileMut::new(image), work);
         }
@@ -275,7 +270,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         let GridBuffers { spectrum, work, padded, .. } = self.scratch(team.scratch());
         let packed_len = self.columns.packed_len();
         let place = self.place_of_several(&x, 1);
-        for image in 0..x.len_of(Axis(0)) {
+        for image in 0..x.len_of(BATCH) {
             for lanes in self.parts(x.len_of(Axis(2)), self.together) {
                 let spectrum = &mut spectrum[..self.spectra(lanes.len())];
                 let packed = &packed[lanes.start / self.lanes * packed_len..];
@@ -292,7 +287,7 @@ impl<X: Stored> Kernel<X> for Grid<X::Real> {
         let mut scratch = self.scratch(team.scratch());
         let (lanes, packed_len) = (grad.len_of(Axis(2)), self.columns.packed_len());
         let place = self.place_of_several(&grad, 2);
-        for image in 0..grad.len_of(Axis(0)) {
+        for image in 0..grad.len_of(BATCH) {
             for lanes in self.parts(lanes, self.together) {
                 let start = lanes.start / self.lanes * packed_len;
                 let part = s![image, .., lanes];

@@ -9,7 +9,7 @@ mod order;
 mod squares;
 mod vectors;
 
-use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
 use self::order::SquareOrder;
 use self::squares::{Gather, Put, RowBlock};
@@ -19,6 +19,7 @@ use crate::fft::transform::Transform;
 use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Element, Isa, Tile, TileMut, aligned, slack};
+use crate::views::{self, BATCH};
 
 /// The plan for planes `(points, width)`.
 pub(crate) struct Planes<T> {
@@ -112,11 +113,8 @@ impl<T: Element> Planes<T> {
         let image = if padded.is_empty() {
             Tile::new(image)
         } else {
-            let shape = (self.along_x.len(), self.padded_width());
-            let mut whole = ArrayViewMut2::from_shape(shape, padded).expect("room for an image");
-            whole.fill(T::default());
-            whole.slice_mut(s![.., ..self.width]).assign(&image);
-            Tile::dense(padded, self.padded_width())
+            let width = self.padded_width();
+            Tile::dense(views::padded(image, width, padded), width)
         };
         let line = &mut line[..2 * self.lanes * self.along_x.len()];
         for pair in 0..self.padded_width() / (2 * self.lanes) {
@@ -132,7 +130,7 @@ impl<T: Element> Planes<T> {
     fn inverse_x(
         &self,
         spectrum: &mut [T],
-        mut image: ArrayViewMut2<'_, T>,
+        image: ArrayViewMut2<'_, T>,
         line: &mut [T],
         work: &mut [T],
         padded: &mut [T],
@@ -142,9 +140,7 @@ impl<T: Element> Planes<T> {
         } else {
             let width = self.padded_width();
             self.inverse_tile(spectrum, TileMut::dense(padded, width), line, work);
-            let shape = (self.along_x.len(), width);
-            let whole = ArrayView2::from_shape(shape, padded).expect("room for an image");
-            image.assign(&whole.slice(s![.., ..self.width]));
+            views::unpadded(padded, width, image);
         }
     }
 
@@ -235,10 +231,10 @@ impl<T: Element> Kernel<T> for Planes<T> {
         let Backward { grad, x, weight: packed, mut grad_x, mut grad_sum, .. } = pass;
         let PlanesBuffers { spectrum, other, line, other_line, work, padded } =
             self.scratch(team.scratch());
-        for image in 0..grad.len_of(Axis(0)) {
-            self.forward_x(grad.index_axis(Axis(0), image), spectrum, line, work, padded);
+        for image in 0..grad.len_of(BATCH) {
+            self.forward_x(grad.index_axis(BATCH, image), spectrum, line, work, padded);
             if grad_sum.is_some() {
-                self.forward_x(x.index_axis(Axis(0), image), other, line, work, padded);
+                self.forward_x(x.index_axis(BATCH, image), other, line, work, padded);
             }
             for block in 0..self.blocks() {
                 let places = block * self.block_len()..(block + 1) * self.block_len();
@@ -259,7 +255,7 @@ impl<T: Element> Kernel<T> for Planes<T> {
                 }
             }
             if let Some(grad_x) = &mut grad_x {
-                let grad_x = grad_x.index_axis_mut(Axis(0), image);
+                let grad_x = grad_x.index_axis_mut(BATCH, image);
                 self.inverse_x(spectrum, grad_x, line, work, padded);
             }
         }

@@ -37,7 +37,7 @@ where
         let Polyphase { transform, turns, twiddles, .. } = self.plan;
         let outputs = transform.outputs();
         let line = complex_vectors::<V>(self.line);
-        let (twiddles, pairs) = (complex_vectors_of::<V>(twiddles.values()), L / 2);
+        let (twiddles, pairs) = (complex_vectors_of::<V>(twiddles.numbers()), L / 2);
         for group in 0..turns.len().div_ceil(pairs) {
             let mut z = [Complex::zero(); L];
             for i in 0..pairs {

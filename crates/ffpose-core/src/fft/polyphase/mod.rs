@@ -8,7 +8,7 @@
 mod across;
 
 use bytemuck::cast_slice_mut;
-use ndarray::{ArrayView3, ArrayViewMut3, Axis};
+use ndarray::{ArrayView3, ArrayViewMut3};
 
 use self::across::{Across, Spectrum};
 use super::batched::spread::{collect, spread};
@@ -18,10 +18,11 @@ use crate::fft::transform::Transform;
 use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{
-    Algorithm, Complex, Element, Isa, Stored, Table, Tile, TileMut, Vector, aligned,
+    Algorithm, Aligned, Complex, Element, Isa, Stored, Tile, TileMut, Vector, aligned,
     complex_vectors, slack,
 };
 use crate::tuning::Tuning;
+use crate::views::BATCH;
 use crate::{Layout, Shape};
 
 /// The plan for sequences of one length and of fewer channels than half a vector has lanes.
@@ -42,7 +43,7 @@ pub(crate) struct Polyphase<T> {
     /// `exp(-2πi k / points)` for each frequency `k` of a pair.
     turns: Vec<Complex<T>>,
     /// `exp(-2πi l k / N)` for each phase `l` but the first: `[group][l - 1][re, im][slot][place]`.
-    twiddles: Table<T>,
+    twiddles: Aligned<T>,
     /// `[group][frequency across the phases][place]`.
     bins: Vec<Bin<T>>,
 }
@@ -106,7 +107,7 @@ impl<T: Element> Polyphase<T> {
             points,
             transform: Transform::new(isa, half),
             turns: (0..=half / 2).map(|k| complex(root(k, points))).collect(),
-            twiddles: Table::new(&twiddles),
+            twiddles: Aligned::copy_of(&twiddles),
             bins,
         }
     }
@@ -279,7 +280,7 @@ impl<X: Stored> Kernel<X> for Polyphase<X::Real> {
         let mut buffers = self.buffers(team.scratch());
         for (image, grad) in grad.outer_iter().enumerate() {
             if grad_sum.is_some() {
-                let x = x.index_axis(Axis(0), image);
+                let x = x.index_axis(BATCH, image);
                 self.enter(x.to_slice().expect("an image has no gaps"), &mut buffers);
                 self.across(buffers.line, Spectrum::Kept(buffers.spectrum));
             }
@@ -293,7 +294,7 @@ impl<X: Stored> Kernel<X> for Polyphase<X::Real> {
                 },
             );
             if let Some(grad_x) = &mut grad_x {
-                let mut grad_x = grad_x.index_axis_mut(Axis(0), image);
+                let mut grad_x = grad_x.index_axis_mut(BATCH, image);
                 self.leave(&mut buffers, grad_x.as_slice_mut().expect("an image has no gaps"));
             }
         }

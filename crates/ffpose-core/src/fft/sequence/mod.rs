@@ -16,6 +16,7 @@ use crate::simd::{
     complex_vectors, slack,
 };
 use crate::tuning::{L1_CACHE, SEQUENCE_AHEAD, SEQUENCE_VECTORS};
+use crate::views::{self, BATCH};
 
 /// The plan for sequences of one length.
 pub(crate) struct Sequence<T> {
@@ -94,12 +95,8 @@ impl<T: Element> Sequence<T> {
         let lanes = image.ncols();
         let whole = lanes.next_multiple_of(self.lanes);
         if lanes < whole {
-            let padded = &mut padded[..self.length * whole];
-            let mut view = ArrayViewMut2::from_shape((self.length, whole), &mut *padded)
-                .expect("room for a tile");
-            view.fill(T::default());
-            view.slice_mut(s![.., ..lanes]).zip_mut_with(&image, |wide, x| *wide = x.widened());
-            self.isa.run(EnterPoints { plan: self, image: Tile::dense(padded, whole), lines });
+            let image = Tile::dense(views::padded(image, whole, padded), whole);
+            self.isa.run(EnterPoints { plan: self, image, lines });
         } else {
             self.isa.run(EnterPoints { plan: self, image: Tile::new(image), lines });
         }
@@ -109,7 +106,7 @@ impl<T: Element> Sequence<T> {
     fn leave<X: Stored<Real = T>>(
         &self,
         lines: &mut [T],
-        mut image: ArrayViewMut2<'_, X>,
+        image: ArrayViewMut2<'_, X>,
         padded: &mut [T],
     ) {
         let lanes = image.ncols();
@@ -117,9 +114,7 @@ impl<T: Element> Sequence<T> {
         if lanes < whole {
             let padded = &mut padded[..self.length * whole];
             self.isa.run(LeavePoints { plan: self, image: TileMut::dense(padded, whole), lines });
-            let whole =
-                ArrayView2::from_shape((self.length, whole), padded).expect("room for a tile");
-            image.zip_mut_with(&whole.slice(s![.., ..lanes]), |x, &wide| *x = X::nearest_to(wide));
+            views::unpadded(padded, whole, image);
         } else {
             self.isa.run(LeavePoints { plan: self, image: TileMut::new(image), lines });
         }
@@ -201,13 +196,13 @@ impl<X: Stored> Kernel<X> for Sequence<X::Real> {
             self.enter(grad, lines, padded);
             let weight = grad_x.is_some().then_some(weight);
             if let Some(sum) = grad_sum.as_deref_mut() {
-                self.enter(x.index_axis(Axis(0), image), other, padded);
+                self.enter(x.index_axis(BATCH, image), other, padded);
                 self.lines.gradient(lines, other, weight, sum, work);
             } else if let Some(weight) = weight {
                 self.lines.filter(lines, weight, work);
             }
             if let Some(grad_x) = &mut grad_x {
-                self.leave(lines, grad_x.index_axis_mut(Axis(0), image), padded);
+                self.leave(lines, grad_x.index_axis_mut(BATCH, image), padded);
             }
         }
     }

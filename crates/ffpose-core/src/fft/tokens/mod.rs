@@ -39,7 +39,7 @@ mod weight;
 
 use std::collections::VecDeque;
 
-use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
 use self::images::{BackwardImage, Context, StepGradient, SumPart};
 use self::steps::Step;
@@ -47,9 +47,9 @@ use self::weight::TokenShape;
 use crate::fft::codelets::{has_codelet, root};
 use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
 use crate::parallel::Team;
-use crate::simd::{Complex, Element, Isa, Stored, Table, slack};
+use crate::simd::{Aligned, Complex, Element, Isa, Stored, slack};
 use crate::tuning::Tuning;
-use crate::views::{chunks_mut, in_order};
+use crate::views::{BATCH, chunks_mut, in_order};
 
 /// The plan for images `(X, Y)`.
 pub(crate) struct Tokens<T> {
@@ -66,7 +66,7 @@ pub(crate) struct Tokens<T> {
     steps: Vec<Step>,
     /// Rows of a step that fill groups without a rest, and what their items are turned by.
     rows_each: usize,
-    turns: Table<T>,
+    turns: Aligned<T>,
 }
 
 impl<T: Element> Tokens<T> {
@@ -106,7 +106,7 @@ impl<T: Element> Tokens<T> {
             twiddles: turns.collect(),
             steps,
             rows_each,
-            turns: Table::new(&twiddles::twiddles([points, width], lanes, rows_each)),
+            turns: Aligned::copy_of(&twiddles::twiddles([points, width], lanes, rows_each)),
         })
     }
 
@@ -197,7 +197,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         let (spectra, mut team) = team.share(2 * self.spectrum_len());
         let far =
             !self.tuning.are_prefetched(3 * x.len() * size_of::<X>(), self.image_bytes::<X>());
-        let count = x.len_of(Axis(0));
+        let count = x.len_of(BATCH);
         let grad_x = in_order(count, grad_x.map(images_of_mut));
         let mut images = images_of(grad).zip(images_of(x)).zip(grad_x);
         let len = Kernel::<X>::sum_len(self, self.shape.width);
@@ -279,12 +279,12 @@ impl<X: Stored> Single<X> for Tokens<X::Real> {
 
 /// The images of a batch.
 fn images_of<'a, X: 'a>(batch: ArrayView3<'a, X>) -> impl Iterator<Item = ArrayView2<'a, X>> {
-    (0..batch.len_of(Axis(0))).map(move |image| batch.index_axis_move(Axis(0), image))
+    (0..batch.len_of(BATCH)).map(move |image| batch.index_axis_move(BATCH, image))
 }
 
 /// As [`images_of`], to write.
 fn images_of_mut<X>(batch: ArrayViewMut3<'_, X>) -> impl Iterator<Item = ArrayViewMut2<'_, X>> {
-    chunks_mut(batch, Axis(0), 1).map(|image| image.index_axis_move(Axis(0), 0))
+    chunks_mut(batch, BATCH, 1).map(|image| image.index_axis_move(BATCH, 0))
 }
 
 /// `X = A B` with codelets for both, as near to a square as can be.

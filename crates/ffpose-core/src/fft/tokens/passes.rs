@@ -193,7 +193,7 @@ impl<T: Element> Tokens<T> {
             rows_each: self.rows_each,
             runs: &step.runs,
             slots: self.shape.slots,
-            twiddles: self.turns.values(),
+            twiddles: self.turns.numbers(),
         };
         let block = Block { vectors: block, pitch: self.shape.pitch() };
         with_run!(self.run, RUN => self.isa.run_tuned(Filter::<T, _, RUN> { block, turns, pointwise }));
