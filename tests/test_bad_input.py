@@ -50,6 +50,15 @@ GOOD = {
     "ground": np.eye(3).tolist(),
     "detail": 3,
     "pixel_angle": 1e-3,
+    "texels": np.ones((3, 4), np.float16),
+    "sides": (2, 1),
+    "wrap": (0, 1),
+    "corners": np.zeros((2, 3, 2), np.float32),
+    "means": np.ones((2, 4), np.float16),
+    "face": np.ones(2, np.int32),
+    "weights": np.ones((3, 2), np.float32),
+    "levels": np.ones(2, np.float32),
+    "shares": np.ones(2, np.float32),
 }
 
 
@@ -101,10 +110,15 @@ def test_any_arguments_meet_documented_exceptions(function, data):
         function(**{name: GOOD[name] for name in names} | bad)
 
 
+def sample_texture(**bad):
+    names = inspect.signature(arrays.sample_texture).parameters
+    return arrays.sample_texture(**{name: GOOD[name] for name in names} | bad)
+
+
 def test_the_wrong_number_of_arguments_is_refused():
     for function in FUNCTIONS:
         with pytest.raises(TypeError):
-            function(*[X] * 9)
+            function(*[X] * 10)
 
 
 @pytest.mark.parametrize(
@@ -154,6 +168,19 @@ def test_the_wrong_number_of_arguments_is_refused():
             r"sun.*finite.*\[0.0, inf, 0.0\]",
         ),
         (lambda: shade_earth(altitude=0.0), ValueError, r"altitude.*above zero, got \[0.0\]"),
+        (lambda: sample_texture(sides=(2, 3)), ValueError, "sides.*powers of two.*16384, got 3"),
+        (lambda: sample_texture(wrap=(0, 3)), ValueError, "wrap must be 0 .*, got 3"),
+        (lambda: sample_texture(texels=T), TypeError, "texels must be float16, got float64"),
+        (
+            lambda: sample_texture(means=T.astype("f2")),
+            ValueError,
+            r"means.*\(2, 4\), got \(2, 3\)",
+        ),
+        (
+            lambda: sample_texture(face=np.int32([1, 2])),
+            ValueError,
+            r"face.*got \[2.0\] in column 1",
+        ),
         (lambda: _rust.spectral_filter(X.tolist(), W, "tokens"), TypeError, "x.*ndarray.*list"),
         (lambda: _rust.spectral_filter(X[..., ::2], W, "tokens"), ValueError, "x.*contiguous"),
     ],

@@ -1,6 +1,7 @@
 """Compiled core. Arrays must be C-contiguous, aligned, and of one dtype within a call.
 
-Every function raises TypeError for an argument that is not an array of float32 or float64,
+Every function raises TypeError for an argument that is not an array of float32 or float64 (of
+uint16 and int32 for a texture),
 ValueError for a shape, stride or value, or memory that a call in another thread writes to, or uses
 where this one writes, and MemoryError if working memory cannot be allocated.
 
@@ -32,6 +33,7 @@ __all__ = [
     "normalize_quaternion_backward",
     "quaternion_to_euler",
     "rotation_error",
+    "sample_texture",
     "shade_earth",
     "spectral_filter",
     "spectral_filter_backward",
@@ -73,6 +75,17 @@ def isa() -> str: ...
 def isas() -> list[str]: ...
 def fractal_noise(
     points: NDArray[np.float32], heights: NDArray[np.float32]
+) -> NDArray[np.float32]: ...
+def sample_texture(
+    texels: NDArray[np.uint16],
+    sides: tuple[int, int],
+    wrap: tuple[int, int],
+    corners: NDArray[np.float32],
+    means: NDArray[np.uint16],
+    face: NDArray[np.int32],
+    weights: NDArray[np.float32],
+    levels: NDArray[np.float32],
+    shares: NDArray[np.float32],
 ) -> NDArray[np.float32]: ...
 def shade_earth(
     rays: NDArray[np.float32],

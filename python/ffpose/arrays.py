@@ -298,6 +298,73 @@ def fractal_noise(points: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
     return _rust.fractal_noise(_array(points, "points"), _array(heights, "heights"))
 
 
+def sample_texture(
+    texels: ArrayLike,
+    sides: tuple[int, int],
+    wrap: tuple[int, int],
+    corners: ArrayLike,
+    means: ArrayLike,
+    face: ArrayLike,
+    weights: ArrayLike,
+    levels: ArrayLike,
+    shares: ArrayLike,
+) -> NDArray[np.float32]:
+    """Interpolate a texture with mip levels at points on the faces of a mesh, in float32.
+
+    Values are interpolated between the four nearest texels of the nearest level, and mixed with the
+    texture's mean over the face.
+
+    Args:
+        texels: Finite texels ``(T, 4)`` of all levels one after the other, row by row, float16. A
+            level has half the sides of the one before, down to one texel.
+        sides: Width and height of the first level, powers of two.
+        wrap: What lies beyond the border to the right and downward: 0 the texture again, 1 the
+            texture mirrored, 2 the texel at the border.
+        corners: Coordinates ``(F, 3, 2)`` of the faces' corners to the right and downward, 0…1 once
+            over the texture, float32.
+        means: The texture's mean ``(F, 4)`` over each face, float16.
+        face: Faces ``(N,)``, int32.
+        weights: Barycentric weights ``(3, N)`` of the face's corners, float32.
+        levels: Levels ``(N,)``, 0 the first; what is beyond is the last. float32.
+        shares: Share ``(N,)`` of the face's mean, float32.
+
+    Returns:
+        Values ``(4, N)``.
+
+    Raises:
+        TypeError: An array is of another type.
+        ValueError: An array has another shape, there is no such face, a side is no power of two, or
+            ``wrap`` is none of the numbers above.
+
+    Examples:
+        Halfway between two texels is their mean:
+
+        >>> texels, means = np.float16([[0] * 4, [1] * 4, [0.5] * 4]), np.zeros((1, 4), np.float16)
+        >>> corners = np.float32([[[0.25, 0.5], [0.75, 0.5], [0.25, 0.5]]])
+        >>> weights = np.float32([[1, 0.5, 0], [0, 0.5, 1], [0, 0, 0]])
+        >>> face, zero = np.zeros(3, np.int32), np.zeros(3, np.float32)
+        >>> values = sample_texture(
+        ...     texels, (2, 1), (2, 2), corners, means, face, weights, zero, zero
+        ... )
+        >>> values[0]
+        array([0. , 0.5, 1. ], dtype=float32)
+    """
+    places = _array(corners, "corners")
+    if places.shape[1:] != (3, 2):
+        raise ValueError(f"corners must have shape (F, 3, 2), got {places.shape}")
+    return _rust.sample_texture(
+        _bits(texels, "texels"),
+        sides,
+        wrap,
+        places.reshape(-1, 6),
+        _bits(means, "means"),
+        _array(face, "face"),
+        _array(weights, "weights"),
+        _array(levels, "levels"),
+        _array(shares, "shares"),
+    )
+
+
 def shade_earth(
     rays: ArrayLike,
     nadir: Sequence[float],
@@ -365,3 +432,11 @@ def _array(values: ArrayLike, name: str) -> NDArray[Any]:
         raise TypeError(f"{name} must be an array without a mask, got {type(values).__name__}")
     array = np.asarray(values, order="C")
     return array if array.flags.aligned else array.copy()
+
+
+def _bits(values: ArrayLike, name: str) -> NDArray[np.uint16]:
+    """Return the bits of float16 ``values``."""
+    array = _array(values, name)
+    if array.dtype != np.float16:
+        raise TypeError(f"{name} must be float16, got {array.dtype}")
+    return array.view(np.uint16)

@@ -3,6 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use ffpose_core::{Error, Real};
+use ffpose_scene::textures::{MOST_SIDE, Wrap};
 use numpy::{
     Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
     PyReadwriteArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
@@ -102,7 +103,7 @@ pub(crate) fn dtype(name: &str, array: &Bound<'_, PyAny>) -> PyResult<Dtype> {
 }
 
 /// An argument as an array to read, in place: of elements `T`, C-contiguous and aligned.
-pub(crate) fn array<'py, T: Real + Element>(
+pub(crate) fn array<'py, T: Element>(
     name: &str,
     argument: &Bound<'py, PyAny>,
 ) -> PyResult<PyReadonlyArrayDyn<'py, T>> {
@@ -133,7 +134,7 @@ pub(crate) fn array_mut<'py, T: Real + Element>(
     array.try_readwrite().map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
 }
 
-fn checked<'a, 'py, T: Real + Element>(
+fn checked<'a, 'py, T: Element>(
     name: &str,
     argument: &'a Bound<'py, PyAny>,
 ) -> PyResult<&'a Bound<'py, PyArrayDyn<T>>> {
@@ -219,6 +220,34 @@ impl<'py> FromPyObject<'_, 'py> for Octaves {
 
     fn extract(argument: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
         integer(argument, "detail must be in 0…255", |number| u8::try_from(number).ok().map(Self))
+    }
+}
+
+/// A side of a texture.
+pub(crate) struct Side(pub(crate) u32);
+
+impl<'py> FromPyObject<'_, 'py> for Side {
+    type Error = PyErr;
+
+    fn extract(argument: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        integer(argument, "sides must be powers of two up to 16384", |number| {
+            let side = u32::try_from(number).ok();
+            side.filter(|side| side.is_power_of_two() && *side <= MOST_SIDE).map(Self)
+        })
+    }
+}
+
+/// What lies beyond a texture's border, by its number.
+pub(crate) struct Wrapping(pub(crate) Wrap);
+
+impl<'py> FromPyObject<'_, 'py> for Wrapping {
+    type Error = PyErr;
+
+    fn extract(argument: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        integer(argument, "wrap must be 0 (repeat), 1 (mirror) or 2 (clamp)", |number| {
+            let wraps = [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp];
+            usize::try_from(number).ok().and_then(|number| wraps.get(number).copied()).map(Self)
+        })
     }
 }
 

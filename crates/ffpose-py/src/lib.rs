@@ -8,6 +8,7 @@ mod pool;
 mod pose;
 mod spectral;
 mod tensor;
+mod textures;
 mod tracking;
 
 use pyo3::prelude::*;
@@ -32,6 +33,8 @@ mod _rust {
         filter_tensors, filter_tensors_backward, isa, isas, spectral_filter,
         spectral_filter_backward,
     };
+    #[pymodule_export]
+    use super::textures::sample_texture;
     #[pymodule_export]
     use super::tracking::PyTracker;
 

@@ -1,8 +1,9 @@
-//! What rendered scenes need at speed: the Earth's light along rays, and fractal noise.
+//! What rendered scenes need at speed: the Earth's light along rays, fractal noise, and textures.
 //!
-//! Both run for the instruction set of [`ffpose_core::Isa::current`], and give the same bits for each.
+//! All run for the instruction set of [`ffpose_core::Isa::current`], and give the same bits for each.
 
 #![forbid(unsafe_code)]
 
 pub mod earth;
 pub mod noise;
+pub mod textures;

@@ -358,7 +358,7 @@ def test_levels_keep_the_mean_and_a_large_texture_is_averaged_down():
     pyramid = build_pyramid(Image.fromarray(codes), values, most=32)
     assert (pyramid.width, pyramid.height) == (32, 32)
     mean = linear(codes / 255).mean(axis=(0, 1))
-    for number in range(pyramid.levels):
+    for number in range(6):
         level = pyramid.level(number).astype(np.float64)
         np.testing.assert_allclose(level.mean(axis=(0, 1))[:3], mean, rtol=1e-3)
 

@@ -8,14 +8,17 @@ may hold other parts' pictures, bleeds into it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose.arrays import sample_texture
 from ffpose.render.shading.vectors import Floats, dot, unit
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.materials import Texture
+from ffpose.render.spacecraft.mesh import Mesh
 
 SLOTS = ("color_map", "roughness_map", "normal_map", "emission_map")
 
@@ -55,7 +58,6 @@ class Maps:
     def __init__(self, craft: Craft) -> None:
         mesh = craft.mesh
         self._layers = mesh.layers
-        self._corners = mesh.vertices.astype(np.float32), mesh.faces
         self._textures = {
             slot: [getattr(material, slot) for material in craft.materials] for slot in SLOTS
         }
@@ -68,57 +70,66 @@ class Maps:
             self._sizes.append((0.5 * np.log2(covered / 2)).astype(np.float32))
             ratio = covered / (area + LEAST_AREA)
             self._densities.append((0.5 * np.log2(ratio)).astype(np.float32))
+        bent = {texture.layer for texture in self._textures["normal_map"] if texture}
+        self._tangents = {layer: _tangents(mesh, mesh.layers[layer]) for layer in bent}
         self._means = {slot: self._face_means(craft, slot) for slot in SLOTS}
 
-    def of_material(self, slot: str, number: int) -> Texture | None:
-        """Return the texture of a material."""
-        found: Texture | None = self._textures[slot][number]
-        return found
+    def values(
+        self, number: int, points: Points, slots: Sequence[str] = SLOTS
+    ) -> dict[str, Floats]:
+        """Return the values (4, N) of a material's textures at points of faces that have it.
 
-    def values(self, slot: str, number: int, points: Points) -> Floats:
-        """Return the values (N, 4) of a material's texture at points of faces that have it."""
-        texture = self._textures[slot][number]
-        image, layer = texture.image, texture.layer
-        texels = np.float32(0.5 * math.log2(image.width * image.height))
-        level = np.log2(points.footprint) + self._densities[layer].take(points.face) + texels
-        u, v = self._coordinates(texture, points)
-        result: Floats = image.sample(u, v, level)
-        size = self._sizes[layer].take(points.face) + texels
-        share = np.clip(level - size + np.float32(SMALL_FACE), 0, 1)
-        small = np.flatnonzero(share > 0)
-        if small.size:
-            mean = self._means[slot].take(points.face[small], axis=0).astype(np.float32)
-            result[small] += (mean - result[small]) * share[small, None]
-        return result
+        Args:
+            number: The material.
+            points: The points.
+            slots: Which textures; those that the material lacks are left out.
+        """
+        found, levels = {}, dict[int, tuple[Floats, Floats]]()
+        for slot in slots:
+            texture = self._textures[slot][number]
+            if texture is None:
+                continue
+            if texture.layer not in levels:
+                levels[texture.layer] = self._levels(texture.layer, points)
+            level, shares = levels[texture.layer]
+            found[slot] = self._sampled(
+                texture, points, level + _level(texture), shares, self._means[slot]
+            )
+        return found
 
     def mean(self, slot: str) -> NDArray[np.float16]:
         """Return the means (F, 4) of the textures of a slot over the faces; 0 where none is."""
         return self._means[slot]
 
     def bent(self, number: int, points: Points, normal: Floats, values: Floats) -> Floats:
-        """Return unit normals (3, N) bent by those of a normal map, (N, 4) in the tangent frame."""
-        vertices, faces = self._corners
-        corners = vertices.take(faces.take(points.face, axis=0), axis=0)
-        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        """Return unit normals (3, N) bent by those of a normal map, (4, N) in the tangent frame."""
         texture = self._textures["normal_map"][number]
-        places = self._layers[texture.layer].take(points.face, axis=0)
-        (du1, dv1), (du2, dv2) = (places[:, 1] - places[:, 0]).T, (places[:, 2] - places[:, 0]).T
-        sign = np.where(du1 * dv2 - du2 * dv1 < 0, -1, 1).astype(np.float32)
-        right = (first.T * dv2 - second.T * dv1) * sign
-        up = (first.T * du2 - second.T * du1) * sign  # against v, which grows downward
+        right, up = self._tangents[texture.layer].take(points.face, axis=1).reshape(2, 3, -1)
         right = unit(right - normal * dot(normal, right))
         up = unit(up - normal * dot(normal, up))
-        x, y, z = values[:, :3].T
+        x, y, z = values[:3]
         return unit(right * x + up * y + normal * z)
 
-    def _coordinates(self, texture: Texture, points: Points) -> tuple[Floats, Floats]:
-        corners = self._layers[texture.layer].take(points.face, axis=0)
-        first, second, third = points.weights
-        u, v = (
-            first * corners[:, 0, k] + second * corners[:, 1, k] + third * corners[:, 2, k]
-            for k in range(2)
+    def _levels(self, layer: int, points: Points) -> tuple[Floats, Floats]:
+        """Return the levels (N,) to read in a texture of one texel, and the shares of means."""
+        level = np.log2(points.footprint) + self._densities[layer].take(points.face)
+        size = self._sizes[layer].take(points.face)
+        return level, np.clip(level - size + np.float32(SMALL_FACE), 0, 1)
+
+    def _sampled(
+        self,
+        texture: Texture,
+        points: Points,
+        levels: Floats,
+        shares: Floats,
+        means: NDArray[np.float16],
+    ) -> Floats:
+        image = texture.image
+        sides = image.width, image.height
+        corners = self._layers[texture.layer]
+        return sample_texture(
+            image.texels, sides, image.wrap, corners, means, *points[:2], levels, shares
         )
-        return u, v
 
     def _face_means(self, craft: Craft, slot: str) -> NDArray[np.float16]:
         """Return the mean of the textures of a slot over each face."""
@@ -132,16 +143,29 @@ class Maps:
             at = np.flatnonzero(craft.mesh.material == number).astype(np.int32)
             if texture is None or not at.size:
                 continue
-            image = texture.image
-            texels = 0.5 * math.log2(image.width * image.height)
-            level = self._sizes[texture.layer][at] + np.float32(texels - math.log2(side))
-            total = np.zeros((len(at), 4), np.float32)
+            level = self._sizes[texture.layer][at] + _level(texture) - np.float32(math.log2(side))
+            total, none = np.zeros((4, len(at)), np.float32), np.zeros(len(at), np.float32)
             for weights in inner:
                 shares = np.broadcast_to(weights[:, None], (3, len(at)))
-                u, v = self._coordinates(texture, Points(at, shares, level))
-                total += image.sample(u, v, level)
-            means[at] = total / len(inner)
+                total += self._sampled(texture, Points(at, shares, none), level, none, means)
+            means[at] = total.T / len(inner)
         return means
+
+
+def _level(texture: Texture) -> np.float32:
+    """Return the level at which a texture is one texel, if it is square."""
+    return np.float32(0.5 * math.log2(texture.image.width * texture.image.height))
+
+
+def _tangents(mesh: Mesh, layer: Floats) -> Floats:
+    """Return the unit vectors (6, F) to the right and upward of a texture on each face."""
+    a, b, c = mesh.vertices[mesh.faces].transpose(1, 2, 0)
+    places = layer.transpose(1, 2, 0)
+    (du1, dv1), (du2, dv2) = places[1] - places[0], places[2] - places[0]
+    sign = np.where(du1 * dv2 - du2 * dv1 < 0, -1, 1)
+    right = ((b - a) * dv2 - (c - a) * dv1) * sign
+    up = ((b - a) * du2 - (c - a) * du1) * sign  # against v, which grows downward
+    return np.concatenate([unit(right), unit(up)])
 
 
 def _inner_points(side: int) -> Floats:

@@ -137,47 +137,47 @@ class Finish:
         widened = points.footprint / np.maximum(slant, np.float32(LEAST_SLANT))
         points = points._replace(footprint=np.asarray(widened, np.float32))
         for mapped in self._mapped:
-            at = np.flatnonzero(number == mapped)
-            if not at.size:
+            found = np.flatnonzero(number == mapped)
+            if not found.size:
                 continue
-            some = points.some(at)
-            for slot, draw in MAPS.items():
-                if self.maps.of_material(slot, mapped) is not None:
-                    values = self.maps.values(slot, mapped, some)
-                    draw(self.maps, mapped, surface, at, some, values)
+            whole = found.size == number.size
+            some = points if whole else points.some(found)
+            at = slice(None) if whole else found  # of a slice there are no copies
+            for slot, values in self.maps.values(mapped, some).items():
+                MAPS[slot](self.maps, mapped, surface, at, some, values)
 
 
 def _map_color(
-    maps: Maps, number: int, surface: Surface, at: Indices, points: Points, values: Floats
+    maps: Maps, number: int, surface: Surface, at: Indices | slice, points: Points, values: Floats
 ) -> None:
     del maps, number, points
-    surface.color[:, at] *= values[:, :3].T / np.maximum(values[:, 3], np.float32(1e-3))
+    surface.color[:, at] *= values[:3] / np.maximum(values[3], np.float32(1e-3))
 
 
 def _map_roughness(
-    maps: Maps, number: int, surface: Surface, at: Indices, points: Points, values: Floats
+    maps: Maps, number: int, surface: Surface, at: Indices | slice, points: Points, values: Floats
 ) -> None:
     del maps, number, points
-    surface.roughness[at] = np.maximum(surface.roughness[at] * values[:, 1], LEAST_ROUGHNESS)
-    surface.metallic[at] *= values[:, 2]
+    surface.roughness[at] = np.maximum(surface.roughness[at] * values[1], LEAST_ROUGHNESS)
+    surface.metallic[at] *= values[2]
 
 
 def _map_normal(
-    maps: Maps, number: int, surface: Surface, at: Indices, points: Points, values: Floats
+    maps: Maps, number: int, surface: Surface, at: Indices | slice, points: Points, values: Floats
 ) -> None:
     # Where normals differ within a texel, their mean is shorter and the highlight is wider
     # (Toksvig 2005, "Mipmapping normal maps").
-    length = np.clip(np.sqrt(dot(values[:, :3].T, values[:, :3].T)), 0.1, 1)
-    slope = surface.roughness[at] ** 4 + 2 * (1 - length) / length
-    surface.roughness[at] = np.minimum(slope, 1) ** np.float32(0.25)
+    length = np.clip(np.sqrt(dot(values[:3], values[:3])), 0.1, 1)
+    slope = np.square(np.square(surface.roughness[at])) + 2 * (1 - length) / length
+    surface.roughness[at] = np.sqrt(np.sqrt(np.minimum(slope, 1)))
     surface.normal[:, at] = maps.bent(number, points, unit(surface.normal[:, at]), values)
 
 
 def _map_emission(
-    maps: Maps, number: int, surface: Surface, at: Indices, points: Points, values: Floats
+    maps: Maps, number: int, surface: Surface, at: Indices | slice, points: Points, values: Floats
 ) -> None:
     del maps, number, points
-    surface.emission[:, at] *= values[:, :3].T
+    surface.emission[:, at] *= values[:3]
 
 
 MAPS = {

@@ -96,7 +96,8 @@ class Sieve:
         for mapped in self._mapped:
             at = np.flatnonzero(number == mapped)
             if at.size:
-                alpha[at] *= self._maps.values("color_map", mapped, points.some(at))[:, 3]
+                values = self._maps.values(mapped, points.some(at), ("color_map",))
+                alpha[at] *= values["color_map"][3]
         if self._colors is not None:
             corners = self._colors[..., 3].take(points.face, axis=0)
             alpha *= (corners.T * points.weights).sum(axis=0)

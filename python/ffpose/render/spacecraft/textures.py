@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -56,50 +55,12 @@ class Pyramid:
     height: int
     wrap: tuple[int, int] = (REPEAT, REPEAT)
 
-    @cached_property
-    def _tables(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Widths, heights and first texels of the levels."""
-        sides = np.array(_sides(self.width, self.height))
-        starts = np.cumsum([0, *sides.prod(axis=1)[:-1]])
-        return sides[:, 0], sides[:, 1], starts
-
-    @property
-    def levels(self) -> int:
-        """Number of levels."""
-        return len(self._tables[0])
-
     def level(self, number: int) -> NDArray[np.float16]:
         """Return one level (H, W, 4)."""
-        widths, heights, starts = (table[number] for table in self._tables)
-        return self.texels[starts : starts + widths * heights].reshape(heights, widths, 4)
-
-    def sample(self, u: Floats, v: Floats, level: Floats) -> Floats:
-        """Interpolate between the four nearest texels of the nearest level.
-
-        Args:
-            u: (N,) coordinates to the right, 0…1 once over the texture.
-            v: (N,) coordinates downward.
-            level: (N,) levels, 0 the finest; what is beyond is the last one.
-
-        Returns:
-            (N, 4) values.
-        """
-        number = np.clip(np.rint(level), 0, self.levels - 1).astype(np.int64)
-        width, height, start = (table.take(number) for table in self._tables)
-        left, right, across = _neighbors(u, width, self.wrap[0])
-        top, bottom, down = _neighbors(v, height, self.wrap[1])
-        top, bottom = start + top * width, start + bottom * width
-        packed = self.texels.view(np.uint64).reshape(-1)
-
-        def at(index: NDArray[np.int64]) -> Floats:
-            return packed.take(index).view(np.float16).reshape(-1, 4).astype(np.float32)
-
-        upper = at(top + left)
-        upper += (at(top + right) - upper) * across
-        lower = at(bottom + left)
-        lower += (at(bottom + right) - lower) * across
-        upper += (lower - upper) * down
-        return upper
+        sides = _sides(self.width, self.height)
+        start = sum(width * height for width, height in sides[:number])
+        width, height = sides[number]
+        return self.texels[start : start + width * height].reshape(height, width, 4)
 
 
 def build_pyramid(
@@ -179,26 +140,3 @@ def _power_of_two(side: int, most: int) -> int:
 def _eight_bits(image: Any) -> Any:
     """Return an image of one channel of 16 or 32 bits as one of 8."""
     return image.point(lambda code: code / 256).convert("L") if image.mode[0] == "I" else image
-
-
-def _neighbors(
-    coordinate: Floats, count: NDArray[np.int64], wrap: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return the texels before and after coordinates, and how far between them, (N, 1)."""
-    if wrap == REPEAT:
-        coordinate = coordinate - np.floor(coordinate)
-    place = coordinate * count.astype(np.float32) - np.float32(0.5)
-    below = np.floor(place)
-    part = (place - below)[:, None]
-    first = below.astype(np.int64)
-    second = first + 1
-    if wrap == REPEAT:
-        return first & (count - 1), second & (count - 1), part
-    if wrap == MIRROR:
-        return _mirrored(first, count), _mirrored(second, count), part
-    return np.clip(first, 0, count - 1), np.clip(second, 0, count - 1), part
-
-
-def _mirrored(index: NDArray[np.int64], count: NDArray[np.int64]) -> NDArray[np.int64]:
-    there = index & (2 * count - 1)
-    return np.asarray(np.minimum(there, 2 * count - 1 - there))

@@ -1,0 +1,46 @@
+"""Cost of textures: images of meshes with them beside those of the same meshes without.
+
+``python -m benchmarks.textures MESH...`` prints CPU milliseconds of an image, and their ratio.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from ffpose.render import Scene, load_craft, render
+from ffpose.render.spacecraft.craft import Craft, bounding_sphere
+
+SIZE = 512, 384
+IMAGES, ROUNDS = 6, 5
+
+
+def compare(craft: Craft) -> tuple[float, float]:
+    """Return the least seconds of an image without textures and with them, in turns."""
+    none = dict.fromkeys(("color_map", "roughness_map", "normal_map", "emission_map"))
+    plain = replace(craft, materials=tuple(replace(m, **none) for m in craft.materials))  # type: ignore[arg-type]
+    radius = bounding_sphere(craft.mesh.vertices)[1]
+    near, far = 3 * radius, 6 * radius
+    scenes = [Scene("mesh", each, (near, far), 0.5 * radius) for each in (plain, craft)]
+    best = [float("inf")] * 2
+    for _ in range(ROUNDS):
+        for which, scene in enumerate(scenes):
+            start = time.process_time()
+            for index in range(IMAGES):
+                render(scene, 0, index, SIZE)
+            best[which] = min(best[which], (time.process_time() - start) / IMAGES)
+    return best[0], best[1]
+
+
+def main(paths: list[str]) -> None:
+    """Measure each mesh."""
+    for path in paths:
+        without, with_them = compare(load_craft(path, center=True))
+        ratio = with_them / without
+        print(f"{Path(path).name}: {without * 1e3:.0f} {with_them * 1e3:.0f} ms, {ratio:.2f}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
