@@ -5,6 +5,8 @@ DEMO_OUT ?= runs/demo
 BIN := $(VENV)/bin
 PYTHON_SOURCES := python benchmarks studies tests build_backend.py build_library.py build_licenses.py
 RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -path crates/ffpose-onboard -prune -o -name '*.rs' -print -o -name Cargo.toml -print)
+# A process a core; each takes up to 2 GB. The tests of a file share what they made, so they stay in one process.
+PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
 ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml --target-dir target/onboard
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -45,10 +47,10 @@ test-rust: tools ## the Rust tests, with optimization
 	cargo test --locked --release --workspace
 
 test-python: $(VENV)/.dev ## the Python tests and the examples of the docs
-	$(BIN)/python -m pytest -q -m "not slow"
+	$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow"
 
-test-slow: $(VENV)/.dev ## trainings, exports of whole networks, and the commands of every page, one after the other
-	$(BIN)/python -m pytest -q -m slow
+test-slow: $(VENV)/.dev ## trainings, exports of whole networks, and the commands of every page
+	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
 
 test-arm: ## the Rust tests for 64-bit ARM under qemu; not needed to use ffpose
 	.ci/test-arm
