@@ -3,11 +3,13 @@
 import io
 import json
 import struct
+import sys
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from ffpose.errors import DataError, MissingExtraError
 from ffpose.geometry import Camera, Pose
 from ffpose.render import load_craft
 from ffpose.render.renderer import prepared, sample_count
@@ -230,6 +232,64 @@ def test_whole_numbers_that_stand_for_fractions_and_sparse_values(tmp_path):
         "values": {"bufferView": what},
     }
     np.testing.assert_allclose(file.load(tmp_path).mesh.vertices[2], (3, 3, 0))
+
+
+def compressed(number, file, values, mode, packed, **more):
+    """Replace the view of an accessor by one that holds nothing but its compression."""
+    where = file.view(packed)
+    hidden = file.header["bufferViews"].pop()
+    assert where == len(file.header["bufferViews"])
+    view = file.header["bufferViews"][file.header["accessors"][number]["bufferView"]]
+    stride = values.itemsize * (values.shape[1] if values.ndim > 1 else 1)
+    view |= {"byteOffset": 0, "buffer": 1}
+    extension = {**hidden, "byteStride": stride, "count": len(values), "mode": mode, **more}
+    view["extensions"] = {"EXT_meshopt_compression": extension}
+
+
+def meshopt_file():
+    meshopt = pytest.importorskip("meshopt")
+    file = File()
+    file.header["extensionsRequired"] = ["EXT_meshopt_compression"]
+    attributes = meshopt.encode_gltf_buffer(PLACES, "ATTRIBUTES")
+    compressed(1, file, PLACES, "ATTRIBUTES", attributes)
+    triangles = meshopt.encode_gltf_buffer(FACES, "TRIANGLES")
+    compressed(2, file, FACES, "TRIANGLES", triangles)
+    # Coordinates of -1 and 1 are exact in the filter's 15 bits and common exponent.
+    filtered = meshopt.encode_filter_exp(SQUARE, 15, "SharedVector")
+    positions = meshopt.encode_gltf_buffer(filtered, "ATTRIBUTES")
+    compressed(0, file, SQUARE, "ATTRIBUTES", positions, filter="EXPONENTIAL")
+    return file
+
+
+def test_compression_by_meshopt_changes_nothing(tmp_path):
+    plain, unpacked = File(), meshopt_file()
+    for file in (plain, unpacked):
+        file.material(pbrMetallicRoughness={"baseColorTexture": {"index": file.texture(QUARTERS)}})
+    plain, unpacked = (file.load(tmp_path).mesh for file in (plain, unpacked))
+
+    def corners(mesh):
+        return mesh.vertices[mesh.faces]
+
+    # The coder may turn the corners of a triangle, but not flip it.
+    for triangle, found in zip(corners(plain), corners(unpacked), strict=True):
+        assert any((np.roll(found, turn, axis=0) == triangle).all() for turn in range(3))
+    both = (np.concatenate([corners(m)[..., :2], m.layers[0]], axis=-1) for m in (plain, unpacked))
+    pairs = [{tuple(row) for row in each.reshape(-1, 4).tolist()} for each in both]
+    assert pairs[0] == pairs[1]
+
+
+def test_what_meshopt_compressed_is_refused_without_it_and_when_broken(tmp_path, monkeypatch):
+    file = meshopt_file()
+    packed = file.header["bufferViews"][0]["extensions"]["EXT_meshopt_compression"]
+    packed["count"] = 5
+    with pytest.raises(DataError, match="expected 48 bytes in a compressed buffer, got 5 times 12"):
+        file.load(tmp_path)
+    packed["count"], file.blob = 4, bytes(len(file.blob))
+    with pytest.raises(DataError, match="expected a glTF document, got "):
+        file.load(tmp_path)
+    monkeypatch.setitem(sys.modules, "meshopt", None)
+    with pytest.raises(MissingExtraError, match=r"meshopt.*\[meshopt\]"):
+        file.load(tmp_path)
 
 
 def test_factors_and_extensions_of_materials(tmp_path):

@@ -30,6 +30,8 @@ Header = dict[str, Any]
 KNOWN_EXTENSIONS = (
     "KHR_draco_mesh_compression",
     "KHR_mesh_quantization",
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
     "KHR_texture_transform",
     "KHR_lights_punctual",
     "KHR_node_visibility",
@@ -39,6 +41,9 @@ KNOWN_EXTENSIONS = (
     "KHR_materials_",
 )
 """Beginnings of the names of extensions that are read, or that change neither shape nor color."""
+
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+"""Extensions of buffer views by which they are compressed."""
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Modes of primitives that have faces (section 3.7.2.1)."""
@@ -259,14 +264,35 @@ class _Document:
         return self._assets.get(uri)
 
     def view(self, number: int) -> bytes:
-        """Return the bytes of a buffer view."""
+        """Return the bytes of a buffer view, decompressed where the file requires that."""
         view = self.header["bufferViews"][number]
+        for name in set(MESHOPT).intersection(self.header.get("extensionsRequired", [])):
+            packed = view.get("extensions", {}).get(name)
+            if packed is not None:
+                return self._unpacked(packed, view["byteLength"])
+        return self._slice(view)
+
+    def _slice(self, view: Header) -> bytes:
+        """Return the part of a buffer that a buffer view or its compression names."""
         start = view.get("byteOffset", 0)
         content = self.buffer(view["buffer"])[start : start + view["byteLength"]]
         if len(content) < view["byteLength"]:
             text = f"expected {view['byteLength']} bytes of a buffer, got {len(content)}"
             raise DataError(text, self._assets.source)
         return content
+
+    def _unpacked(self, packed: Header, length: int) -> bytes:
+        """Return what meshoptimizer compressed."""
+        meshopt = require("meshopt", "meshopt")
+        count, stride = packed["count"], packed["byteStride"]
+        if count * stride != length:
+            text = f"expected {length} bytes in a compressed buffer, got {count} times {stride}"
+            raise DataError(text, self._assets.source)
+        content, kind = self._slice(packed), packed.get("filter")
+        found: bytes = meshopt.decode_gltf_buffer(
+            content, count, stride, packed["mode"], kind
+        ).tobytes()
+        return found
 
     def image_bytes(self, number: int) -> tuple[bytes, str]:
         """Return an image, and its name for an error."""
