@@ -76,7 +76,10 @@ def build_pyramid(
     """
     image = _eight_bits(image)
     width, height = (_power_of_two(side, most) for side in image.size)
-    finest = np.empty((height, width, 4), np.float16)
+    sides = _sides(width, height)
+    texels = np.empty((sum(columns * lines for columns, lines in sides), 4), np.float16)
+    pyramid = Pyramid(texels, width, height, wrap)
+    finest = pyramid.level(0)
     rows = max(1, BAND_TEXELS * height // (image.width * image.height))
     edges = np.linspace(0, image.height, height + 1)
     for first in range(0, height, rows):
@@ -85,15 +88,18 @@ def build_pyramid(
         codes = np.asarray(image.crop((0, top, image.width, bottom)).convert("RGBA"))
         values = averaged(convert(codes), np.linspace(0, image.width, width + 1), 1)
         finest[first : first + rows] = averaged(values, part - top, 0)
-    levels = [finest]
-    for columns, lines in _sides(width, height)[1:]:
-        last: Floats = levels[-1].astype(np.float32)
-        if last.shape[0] > lines:
-            last = (last[::2] + last[1::2]) * np.float32(0.5)
-        if last.shape[1] > columns:
-            last = (last[:, ::2] + last[:, 1::2]) * np.float32(0.5)
-        levels.append(last.astype(np.float16))
-    return Pyramid(np.concatenate([each.reshape(-1, 4) for each in levels]), width, height, wrap)
+    for number in range(1, len(sides)):
+        _halve(pyramid.level(number - 1), pyramid.level(number))
+    return pyramid
+
+
+def _halve(fine: NDArray[np.float16], coarse: NDArray[np.float16]) -> None:
+    """Write the means of the next finer level's texels to a level, a band at a time."""
+    down, across = fine.shape[0] // coarse.shape[0], fine.shape[1] // coarse.shape[1]
+    rows = max(1, BAND_TEXELS // fine.shape[1] // down)
+    for first in range(0, coarse.shape[0], rows):
+        values: Floats = fine[first * down : (first + rows) * down].astype(np.float32)
+        coarse[first : first + rows] = _mean(_mean(values, down, 0), across, 1)
 
 
 def largest_side(sizes: Sequence[tuple[int, int]]) -> int:
@@ -110,8 +116,9 @@ def largest_side(sizes: Sequence[tuple[int, int]]) -> int:
 def averaged(values: Floats, edges: NDArray[np.float64], axis: int) -> Floats:
     """Return the means of cells between edges along an axis, whose values are constant by index."""
     count = values.shape[axis]
-    if len(edges) == count + 1 and np.array_equal(edges, np.arange(count + 1)):
-        return values
+    cells = len(edges) - 1
+    if np.array_equal(edges, np.arange(cells + 1) * (count // cells)):
+        return _mean(values, count // cells, axis)
     sums = np.cumsum(values, axis=axis, dtype=np.float64)
     sums = np.insert(sums, 0, 0.0, axis=axis)
     low = np.minimum(edges.astype(np.intp), count - 1)
@@ -121,6 +128,18 @@ def averaged(values: Floats, edges: NDArray[np.float64], axis: int) -> Floats:
     at = sums.take(low, axis) * (1 - part) + sums.take(low + 1, axis) * part
     widths = np.diff(edges).reshape(shape)
     return np.asarray(np.diff(at, axis=axis) / widths, dtype=np.float32)
+
+
+def _mean(values: Floats, step: int, axis: int) -> Floats:
+    """Return the means of ``step`` values each along an axis, of which there is a multiple."""
+    if step == 1:
+        return values
+    parts = values.swapaxes(0, axis)
+    total = parts[::step].copy()
+    for first in range(1, step):
+        total += parts[first::step]
+    total *= np.float32(1 / step)
+    return total.swapaxes(0, axis)
 
 
 def _sides(width: int, height: int) -> list[tuple[int, int]]:
