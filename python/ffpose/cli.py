@@ -521,6 +521,9 @@ def track_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--whole", action="store_true", help="search each frame as a whole, as if without a track"
     )
+    parser.add_argument(
+        "--settings", type=Path, help="JSON file of fields of ffpose.tracking.Settings"
+    )
 
 
 def track(options: Namespace) -> None:
@@ -530,6 +533,7 @@ def track(options: Namespace) -> None:
     from ffpose.tracking.frames import read_frames
     from ffpose.tracking.run import TRAJECTORY
     from ffpose.tracking.run import run as run_track
+    from ffpose.tracking.tracker import read_settings
 
     expect_folder(options.out)
     frames = read_frames(options.images, options.times)
@@ -543,10 +547,11 @@ def track(options: Namespace) -> None:
         track=not options.whole,
         warm_up=0,
     )
+    settings = read_settings(options.settings, estimator.metadata)
     if estimator.near is None and not options.whole:
         say("each frame is searched as a whole: no single look (ffpose export --track)")
     title = f"{options.images.name}, tracked by {options.weights.name}"
-    followed = run_track(estimator, frames, options.out, title=title)
+    followed = run_track(estimator, frames, options.out, settings=settings, title=title)
     accepted = sum(each.step.accepted for each in followed)
     say(f"{options.out / TRAJECTORY}: {len(followed)} frames, {accepted} accepted")
 

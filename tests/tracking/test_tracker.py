@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm, sqrtm
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -75,7 +76,8 @@ class Textbook:
         a[3:6, 3:6] = -2 * hat(n)
         a[6:9, 6:9], a[6:9, 9:] = -hat(self.w), np.eye(3)
         g[3:6, 3:6] = s.acceleration**2 * np.eye(3)
-        g[9:, 9:] = np.radians(s.angular_acceleration) ** 2 * np.eye(3)
+        turning = s.asymmetry**2 * np.linalg.norm(self.w) ** 3
+        g[9:, 9:] = (np.radians(s.angular_acceleration) ** 2 + turning) * np.eye(3)
         loan = expm(np.block([[-a, g], [np.zeros((12, 12)), a.T]]) * dt)  # Van Loan, 1978
         f, q = np.eye(18), np.zeros((18, 18))
         f[:12, :12] = loan[12:, 12:].T
@@ -151,6 +153,60 @@ def test_equals_a_textbook_filter_with_whole_matrices(orbit):
         np.testing.assert_allclose(mine.covariance, textbook.cov[:12, :12], atol=1e-10)
 
 
+INERTIA = np.array([[1.0, 0.1, -0.2], [0.1, 2.0, 0.05], [-0.2, 0.05, 2.5]])
+
+
+def free(q, w, seconds):
+    """Attitude and angular velocity of a free body after a time, by SciPy."""
+
+    def change(_, state):
+        scalar, vector, w = state[0], state[1:4], state[4:]
+        dq = np.concatenate([[-vector @ w], scalar * w + np.cross(vector, w)]) / 2
+        return np.concatenate([dq, np.linalg.solve(INERTIA, np.cross(INERTIA @ w, w))])
+
+    start = np.concatenate([q.as_quat(scalar_first=True), w])
+    end = solve_ivp(change, (0, seconds), start, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    return Rotation.from_quat(end[:4], scalar_first=True), end[4:]
+
+
+def test_a_body_of_known_inertia_turns_by_eulers_equations():
+    """Frames without errors for ten seconds, then five without frames, covariance included."""
+    xx, yy, zz = np.diag(INERTIA)
+    moments = (xx, yy, zz, INERTIA[0, 1], INERTIA[0, 2], INERTIA[1, 2])
+    settings = replace(PLAIN, inertia=moments, asymmetry=0, angular_acceleration=0, acceleration=0)
+    tracker, spread = Tracker(settings), 1e-8 * np.eye(3)
+    q, w = Rotation.random(random_state=5), np.radians([3.0, -2.0, 2.5])
+    for frame in range(21):
+        step = tracker.step(frame / 2, pose([0, 0, 20], q, spread, spread))
+        if frame < 20:
+            q, w = free(q, w, 0.5)
+    before = step.estimate
+    after = tracker.step(15.0, None).estimate
+    start, rate = Rotation.from_quat(before.q, scalar_first=True), np.radians(before.w)
+    assert np.linalg.norm(rate - w) < 1e-4
+    q, w = free(start, rate, 5.0)
+    assert (Rotation.from_quat(after.q, scalar_first=True).inv() * q).magnitude() < 1e-4
+    np.testing.assert_allclose(np.radians(after.w), w, atol=1e-6)
+
+    # how small changes of attitude and angular velocity go on, by central differences
+    small, columns = 1e-5, []
+    for axis in np.eye(6):
+        ends = [
+            free(
+                start * Rotation.from_rotvec(sign * small * axis[:3]),
+                rate + sign * small * axis[3:],
+                5,
+            )
+            for sign in (1, -1)
+        ]
+        turn = (ends[1][0].inv() * ends[0][0]).as_rotvec()
+        columns.append(np.concatenate([turn, ends[0][1] - ends[1][1]]) / (2 * small))
+    f = np.array(columns).T
+    expected = f @ before.covariance[6:, 6:] @ f.T
+    got = after.covariance[6:, 6:]
+    np.testing.assert_allclose(got, expected, atol=2e-3 * abs(expected).max())
+
+
 def walk(rng, settings, frames, dt):
     """One run of the model itself: a motion, frames with its noise, and the truths."""
     s = settings
@@ -186,9 +242,7 @@ def walk(rng, settings, frames, dt):
 
 
 def test_covariances_are_those_of_the_errors_on_the_models_own_noise():
-    settings = Settings(
-        gate=np.inf, tails=np.inf, agreeing=1, velocity=0.05, rate=2.0, angular_acceleration=0.02
-    )
+    settings = replace(PLAIN, velocity=0.05, rate=2.0, angular_acceleration=0.02, asymmetry=0)
     nees, nis = [], []
     for seed in range(60):
         tracker = Tracker(settings)
@@ -336,6 +390,9 @@ def test_a_network_tells_its_errors():
 def test_settings_out_of_range_are_refused():
     with pytest.raises(ValueError, match="attitude_noise: expected a share above 0, up to 1"):
         Tracker(Settings(attitude_noise=0))
+    for inertia in ((1, 1, 3, 0, 0, 0), (1, 1, 1, 2, 0, 0), (0, 0, 0, 0, 0, 0)):
+        with pytest.raises(ValueError, match="inertia: expected that of a body"):
+            Tracker(Settings(inertia=inertia))
     with pytest.raises(ValueError, match="zenith: expected a vector of norm 1, got 2"):
         Tracker(Settings(zenith=(0, 2, 0)))
     with pytest.raises(ValueError, match="orbital_rate: expected a vector across the zenith"):

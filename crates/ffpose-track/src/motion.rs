@@ -1,25 +1,51 @@
-//! How a state moves on between two frames: constant velocity, or that of an orbit, and constant angular velocity, with
+//! How a state moves on between two frames: constant velocity, or that of an orbit, and the rotation of a free rigid body, with
 //! white accelerations.
 
-use libm::{exp, sqrt};
+use libm::{ceil, exp, sqrt};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use crate::filter::{
     ATTITUDE, ATTITUDE_BIAS, Covariance, Filter, POSITION, POSITION_BIAS, RATE, VELOCITY,
 };
 use crate::parameters::Parameters;
-use crate::rotation::{Quotients, Turn};
+use crate::rotation::{Quotients, Turn, hat};
 
 impl Filter {
-    /// Moves on by `t` seconds, with noise discretized exactly for any `t`.
+    /// Moves on by `t` seconds, with noise discretized exactly for any `t` where the angular velocity is constant.
     ///
+    /// That of a body with moments that differ follows Euler's equations, in steps in which it hardly turns.
     /// `camera_rate` is the camera's own angular velocity, rad/s along its axes, as a gyro measures it, or zero. Velocity and
     /// angular velocity are then those against a camera that does not turn, along the axes of the one that does.
     ///
     /// Returns the angle, radians, by which the object has turned as the camera sees it.
     pub fn predict(&mut self, t: f64, camera_rate: &Vector3<f64>, parameters: &Parameters) -> f64 {
+        let Some(body) = Body::new(parameters) else {
+            let turn = Turn::new(&self.rate, t);
+            return self.move_on(t, camera_rate, parameters, &turn);
+        };
+        let steps = ceil(self.rate.norm() * t / RADIANS_A_STEP).clamp(1.0, MOST_STEPS);
+        let t = t / steps;
+        let (mut angle, mut left) = (0.0, steps);
+        while left > 0.5 {
+            left -= 1.0;
+            let after = body.rate_after(&self.rate, t);
+            self.rate = body.rate_after(&self.rate, t / 2.0);
+            let turn = Turn::new(&self.rate, t).changing(&body.change(&self.rate), t);
+            angle += self.move_on(t, camera_rate, parameters, &turn);
+            self.rate = after;
+        }
+        angle
+    }
+
+    /// Moves on by `t` seconds at a constant angular velocity, whose errors change as `turn` says.
+    fn move_on(
+        &mut self,
+        t: f64,
+        camera_rate: &Vector3<f64>,
+        parameters: &Parameters,
+        turn: &Turn,
+    ) -> f64 {
         let angle = self.angle_turned(t);
-        let turn = Turn::new(&self.rate, t);
         let way = Way::new(parameters, t);
         (self.position, self.velocity) = way.of(&self.position, &self.velocity);
         self.orientation *= UnitQuaternion::from_scaled_axis(self.rate * t);
@@ -27,15 +53,18 @@ impl Filter {
         let p = &mut self.covariance;
         let kept =
             [exp(-angle / parameters.position_angle), exp(-angle / parameters.attitude_angle)];
-        move_rows(p, &way, &turn, kept);
+        move_rows(p, &way, turn, kept);
         p.transpose_mut();
-        move_rows(p, &way, &turn, kept);
+        move_rows(p, &way, turn, kept);
         let white = parameters.acceleration * parameters.acceleration;
         let [of_position, across, of_velocity] = spread(parameters, t);
         add(p, POSITION, POSITION, &(of_position * white));
         add(p, POSITION, VELOCITY, &(across * white));
         add(p, VELOCITY, VELOCITY, &(of_velocity * white));
-        let white = parameters.angular_acceleration * parameters.angular_acceleration;
+        // a body whose angular acceleration is unknown, a share of ω² that lasts for a radian, and torques
+        let speed = self.rate.norm();
+        let white = parameters.angular_acceleration * parameters.angular_acceleration
+            + parameters.asymmetry * parameters.asymmetry * speed * speed * speed;
         add(p, ATTITUDE, ATTITUDE, &(turn.square * white));
         add(p, ATTITUDE, RATE, &(turn.cross * white));
         add(p, RATE, RATE, &Matrix3::from_diagonal_element(white * t));
@@ -86,6 +115,45 @@ impl Filter {
             }
             self.covariance.transpose_mut();
         }
+    }
+}
+
+/// The most that a body turns in one step, radians.
+const RADIANS_A_STEP: f64 = 0.05;
+/// The most steps between two frames.
+const MOST_STEPS: f64 = 64.0;
+
+/// A free rigid body, by Euler's equations.
+struct Body {
+    inertia: Matrix3<f64>,
+    inverse: Matrix3<f64>,
+}
+
+impl Body {
+    /// None for a sphere, whose angular velocity is constant.
+    fn new(parameters: &Parameters) -> Option<Self> {
+        let inertia = parameters.inertia();
+        let inverse = parameters.has_body().then(|| inertia.try_inverse())??;
+        Some(Self { inertia, inverse })
+    }
+
+    /// The angular acceleration, `I⁻¹ (I ω × ω)`.
+    fn acceleration(&self, rate: &Vector3<f64>) -> Vector3<f64> {
+        self.inverse * (self.inertia * rate).cross(rate)
+    }
+
+    /// How it changes with the angular velocity.
+    fn change(&self, rate: &Vector3<f64>) -> Matrix3<f64> {
+        self.inverse * (hat(&(self.inertia * rate)) - hat(rate) * self.inertia)
+    }
+
+    /// The angular velocity after `t` seconds, by Runge and Kutta's fourth order.
+    fn rate_after(&self, rate: &Vector3<f64>, t: f64) -> Vector3<f64> {
+        let a = self.acceleration(rate);
+        let b = self.acceleration(&(rate + a * (t / 2.0)));
+        let c = self.acceleration(&(rate + b * (t / 2.0)));
+        let d = self.acceleration(&(rate + c * t));
+        rate + (a + (b + c) * 2.0 + d) * (t / 6.0)
     }
 }
 
@@ -174,6 +242,8 @@ fn move_rows(p: &mut Covariance, way: &Way, turn: &Turn, kept: [f64; 2]) {
     p.fixed_rows_mut::<3>(VELOCITY).copy_from(&moved[1]);
     let rows = turn.error * p.fixed_rows::<3>(ATTITUDE) + turn.of_rate * p.fixed_rows::<3>(RATE);
     p.fixed_rows_mut::<3>(ATTITUDE).copy_from(&rows);
+    let rows = turn.rate * p.fixed_rows::<3>(RATE);
+    p.fixed_rows_mut::<3>(RATE).copy_from(&rows);
     for (place, kept) in [POSITION_BIAS, ATTITUDE_BIAS].into_iter().zip(kept) {
         let mut rows = p.fixed_rows_mut::<3>(place);
         rows *= kept;

@@ -3,7 +3,7 @@
 use core::slice;
 
 use libm::fabs;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::error::Error;
 use crate::measurement::finite;
@@ -15,6 +15,12 @@ pub struct Parameters {
     pub acceleration: f64,
     /// White angular acceleration, rad/s² per √Hz.
     pub angular_acceleration: f64,
+    /// What is not known of the angular acceleration of a free body, as a share of the square of its angular velocity, white
+    /// over the time of a radian: for want of its inertia, or for the errors of it.
+    pub asymmetry: f64,
+    /// Inertia about the object's axes, of any unit: xx, yy, zz, xy, xz, yz. The object turns as a free rigid body does, a sphere at
+    /// a constant angular velocity.
+    pub inertia: [f64; 6],
     /// Standard deviation of each component of a velocity not yet seen, m/s.
     pub velocity: f64,
     /// Standard deviation of each component of an angular velocity not yet seen, rad/s.
@@ -43,19 +49,24 @@ pub struct Parameters {
 }
 
 /// How many numbers [`Parameters`] are.
-pub(crate) const NUMBERS: usize = 18;
+pub(crate) const NUMBERS: usize = 25;
+
+/// The inertia of a sphere.
+const SPHERE: [f64; 6] = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
 
 impl Default for Parameters {
     fn default() -> Self {
         Self {
-            acceleration: 5e-4,
-            angular_acceleration: 0.07f64.to_radians(),
+            acceleration: 2e-4,
+            angular_acceleration: 0.003f64.to_radians(),
+            asymmetry: 0.15,
+            inertia: SPHERE,
             velocity: 0.3,
             rate: 5f64.to_radians(),
             position_angle: 25f64.to_radians(),
-            attitude_angle: 30f64.to_radians(),
-            position_noise: 0.05,
-            attitude_noise: 0.3,
+            attitude_angle: 15f64.to_radians(),
+            position_noise: 0.4,
+            attitude_noise: 0.4,
             gate: 30.0,
             tails: 3.0,
             agreeing: 4.0,
@@ -69,11 +80,15 @@ impl Default for Parameters {
 /// How far from one the norm of the zenith may be, and from zero its cosine with the orbit's normal.
 const DIRECTION_TOLERANCE: f64 = 1e-3;
 
+/// By what share of its trace an inertia may be rounded.
+const INERTIA_TOLERANCE: f64 = 1e-6;
+
 impl Parameters {
     /// The numbers, in the order of the fields.
     pub(crate) fn to_array(self) -> [f64; NUMBERS] {
         let p = self;
         let ([rx, ry, rz], [zx, zy, zz]) = (p.orbital_rate, p.zenith);
+        let [ixx, iyy, izz, ixy, ixz, iyz] = p.inertia;
         [
             p.acceleration,
             p.angular_acceleration,
@@ -93,6 +108,13 @@ impl Parameters {
             zx,
             zy,
             zz,
+            p.asymmetry,
+            ixx,
+            iyy,
+            izz,
+            ixy,
+            ixz,
+            iyz,
         ]
     }
 
@@ -113,6 +135,8 @@ impl Parameters {
             coasting: n[11],
             orbital_rate: [n[12], n[13], n[14]],
             zenith: [n[15], n[16], n[17]],
+            asymmetry: n[18],
+            inertia: [n[19], n[20], n[21], n[22], n[23], n[24]],
         }
     }
 
@@ -126,6 +150,8 @@ impl Parameters {
         let (place, unit): (&mut [f64], f64) = match name {
             "acceleration" => (slice::from_mut(&mut self.acceleration), 1.0),
             "angular_acceleration" => (slice::from_mut(&mut self.angular_acceleration), DEGREE),
+            "asymmetry" => (slice::from_mut(&mut self.asymmetry), 1.0),
+            "inertia" => (&mut self.inertia, 1.0),
             "velocity" => (slice::from_mut(&mut self.velocity), 1.0),
             "rate" => (slice::from_mut(&mut self.rate), DEGREE),
             "position_angle" => (slice::from_mut(&mut self.position_angle), DEGREE),
@@ -171,6 +197,12 @@ impl Parameters {
                 "a finite number of at least 0",
                 at_least_zero(self.angular_acceleration),
             ),
+            (
+                "asymmetry",
+                self.asymmetry,
+                "a finite number of at least 0",
+                at_least_zero(self.asymmetry),
+            ),
             ("velocity", self.velocity, "a finite number above 0", above_zero(self.velocity)),
             ("rate", self.rate, "a finite number above 0", above_zero(self.rate)),
             (
@@ -206,7 +238,39 @@ impl Parameters {
                 return Err(Error::Parameter { name, expected, got });
             }
         }
+        self.check_body()?;
         self.check_orbit()
+    }
+
+    /// Whether the angular velocity of a free body changes.
+    pub(crate) fn has_body(&self) -> bool {
+        self.inertia[..3] != [self.inertia[0]; 3] || self.inertia[3..] != [0.0; 3]
+    }
+
+    /// The inertia as a matrix.
+    pub(crate) fn inertia(&self) -> Matrix3<f64> {
+        let [xx, yy, zz, xy, xz, yz] = self.inertia;
+        Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    }
+
+    /// The principal moments of a body are positive, and none is larger than the others' sum.
+    fn check_body(&self) -> Result<(), Error> {
+        finite("inertia", self.inertia.iter())?;
+        let inertia = self.inertia();
+        // of the mass: ∫ r rᵀ dm
+        let spread = Matrix3::from_diagonal_element(inertia.trace() / 2.0) - inertia;
+        let scale = inertia.trace();
+        for (matrix, least) in [(inertia, 0.0), (spread, -INERTIA_TOLERANCE * scale)] {
+            let got = matrix.symmetric_eigenvalues().min();
+            if got <= least {
+                let (name, expected) = (
+                    "inertia",
+                    "that of a body: three positive moments, none larger than the others' sum",
+                );
+                return Err(Error::Parameter { name, expected, got });
+            }
+        }
+        Ok(())
     }
 
     /// Whether position and velocity move as in an orbit.

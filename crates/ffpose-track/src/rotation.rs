@@ -17,6 +17,8 @@ pub(crate) struct Turn {
     pub error: Matrix3<f64>,
     /// `J(t) = ∫ E(s) ds`: what an error of the rate has become.
     pub of_rate: Matrix3<f64>,
+    /// What is left of an error of the rate: 1 for a steady turn.
+    pub rate: Matrix3<f64>,
     /// `∫ J(s) ds`.
     pub cross: Matrix3<f64>,
     /// `∫ J(s) J(s)ᵀ ds`.
@@ -34,9 +36,21 @@ impl Turn {
         let one = Matrix3::identity();
         Self {
             error: one - w * c.sine + w2 * c.cosine,
+            rate: one,
             of_rate: (one - w * c.cosine + w2 * c.sine_rest) * t,
             cross: (one * 0.5 - w * c.sine_rest + w2 * c.cosine_rest) * (t * t),
             square: (one / 3.0 + w2 * c.square) * (t * t * t),
+        }
+    }
+
+    /// Errors of a rate that changes by `change` of themselves a second, to second order in the short time `t`.
+    pub(crate) fn changing(self, change: &Matrix3<f64>, t: f64) -> Self {
+        let step = change * t;
+        let one = Matrix3::identity();
+        Self {
+            rate: one + step + step * step * 0.5,
+            of_rate: self.of_rate * (one + step * 0.5),
+            ..self
         }
     }
 }
@@ -102,7 +116,13 @@ mod tests {
         };
         let ds = t / f64::from(PARTS);
         let zero = Matrix3::zeros();
-        let mut turn = Turn { error: exp(t), of_rate: zero, cross: zero, square: zero };
+        let mut turn = Turn {
+            error: exp(t),
+            rate: Matrix3::identity(),
+            of_rate: zero,
+            cross: zero,
+            square: zero,
+        };
         for part in 0..PARTS {
             let middle = turn.of_rate + exp((f64::from(part) + 0.25) * ds) * (ds / 2.0);
             turn.cross += middle * ds;

@@ -8,7 +8,7 @@ use crate::parameters::{self, Parameters};
 use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
 
 /// The first bytes of each state; the number is the format's version.
-const MAGIC: [u8; 8] = *b"FFTRACK3";
+const MAGIC: [u8; 8] = *b"FFTRACK4";
 
 /// Bytes that say whose track it is, such as the digest of a network's file.
 pub const TAG_BYTES: usize = 32;

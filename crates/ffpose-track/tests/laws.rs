@@ -4,7 +4,7 @@ mod common;
 
 use common::{Random, Shown, trusting};
 use ffpose_track::{Estimate, Measurement, Outcome, Parameters, Tracker};
-use nalgebra::{SMatrix, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, SMatrix, UnitQuaternion, Vector3};
 
 const STILL: [f64; 3] = [0.0; 3];
 
@@ -99,6 +99,27 @@ fn two_steps_without_a_frame_are_one() {
     close(&one.position, &two.position, 1e-12);
     close(&one.orientation, &two.orientation, 1e-12);
     close(one.covariance.as_slice(), two.covariance.as_slice(), 1e-12);
+}
+
+#[test]
+fn a_free_body_keeps_its_angular_momentum_and_its_energy() {
+    let inertia = [1.0, 2.0, 2.5, 0.1, -0.2, 0.05];
+    let matrix = Matrix3::new(1.0, 0.1, -0.2, 0.1, 2.0, 0.05, -0.2, 0.05, 2.5);
+    let mut random = Random(3);
+    let mut tracker = Tracker::new(Parameters { inertia, ..trusting() }).unwrap();
+    let mut kept = vec![];
+    for t in 0..18 {
+        let seen = (t < 9).then(|| Shown::tumbling(f64::from(t), &mut random).measurement());
+        let one = tracker.step(f64::from(t), seen.as_ref(), STILL).unwrap().estimate.unwrap();
+        let [w, x, y, z] = one.orientation;
+        let rate = Vector3::from(one.rate);
+        let turn = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+        let momentum = turn * (matrix * rate);
+        kept.push([momentum.x, momentum.y, momentum.z, rate.dot(&(matrix * rate))]);
+    }
+    for after in &kept[9..] {
+        close(after, &kept[8], 1e-6); // of some 0.05
+    }
 }
 
 #[test]

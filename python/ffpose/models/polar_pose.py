@@ -108,7 +108,9 @@ class PolarPose(PoseNetwork):
     def look_at(self, images: Tensor, points: Tensor) -> UncertainPose:
         """Predict the poses of objects that are known to be near given points.
 
-        One second look, without a first one and without a correction of where to look.
+        One second look, without a first one and without a correction of where to look. Its offset
+        leans to the point, as a mean of what the view may show, and is stretched by what it lacks
+        (``config.lean``).
 
         Args:
             images: As in `forward`.
@@ -118,8 +120,14 @@ class PolarPose(PoseNetwork):
             ValueError: The shape of ``images`` is not as above.
         """
         self.check_images(images)
-        numbers, view = self._look(pyramid(images), in_front(points))
-        return calibrated(self._pose(numbers, view), self.config)
+        points = in_front(points)
+        numbers, view = self._look(pyramid(images), points)
+        pose = calibrated(self._pose(numbers, view), self.config)
+        stretch = 1 / (1 - self.config.lean)
+        return pose._replace(
+            translation=points + (pose.translation - points) * stretch,
+            translation_covariance=pose.translation_covariance * stretch**2,
+        )
 
     def _look(self, levels: Sequence[Tensor], points: Tensor) -> tuple[LookNumbers, VirtualCamera]:
         """Look at points ``(V, 3)``, those of the first image first."""

@@ -129,7 +129,7 @@ def sample_motion(
         axis = rng.standard_normal(3)
         spin = axis / np.linalg.norm(axis) * math.radians(rng.uniform(*RATE_DEG_S[kind]))
         start = rng.standard_normal(4)
-        q, w = _tumble(start / np.linalg.norm(start), spin, _inertia(craft), times)
+        q, w = _tumble(start / np.linalg.norm(start), spin, inertia(craft), times)
         if _in_view(t, q, scene, craft):
             return Trajectory(times, t, q, np.broadcast_to(velocity, t.shape).copy(), w)
     raise ValueError(
@@ -158,20 +158,20 @@ def _in_view(t: Floats, q: Floats, scene: Scene, craft: Craft) -> bool:
     return True
 
 
-def _inertia(craft: Craft) -> Floats:
-    """Return the inertia (3, 3) of the outline's points, of any unit."""
+def inertia(craft: Craft) -> Floats:
+    """Return the inertia (3, 3) of the outline's points, of any unit, by which a tumble turns."""
     points = craft.outline - craft.outline.mean(axis=0)
     return np.asarray((points**2).sum() * np.eye(3) - points.T @ points) / len(points)
 
 
-def _tumble(q: Floats, w: Floats, inertia: Floats, times: Floats) -> tuple[Floats, Floats]:
+def _tumble(q: Floats, w: Floats, moments: Floats, times: Floats) -> tuple[Floats, Floats]:
     """Integrate Euler's equations of a free rigid body by Runge and Kutta's fourth order."""
-    inverse = np.linalg.inv(inertia)
+    inverse = np.linalg.inv(moments)
 
     def change(state: Floats) -> Floats:
         q, w = state[:4], state[4:]
         return np.concatenate(
-            [0.5 * product(q, np.array([0.0, *w])), inverse @ np.cross(inertia @ w, w)]
+            [0.5 * product(q, np.array([0.0, *w])), inverse @ np.cross(moments @ w, w)]
         )
 
     state = np.concatenate([q, w])

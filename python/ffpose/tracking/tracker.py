@@ -9,13 +9,17 @@ states too: first-order Gauss-Markov processes in the angle turned, not in time.
 from __future__ import annotations
 
 import hashlib
+import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ffpose import _rust
+from ffpose.errors import DataError
 from ffpose.geometry import FloatArray, Pose
 
 if TYPE_CHECKING:
@@ -34,6 +38,12 @@ class Settings:
     Attributes:
         acceleration: White acceleration of the relative motion, m/s² per √Hz.
         angular_acceleration: White angular acceleration, deg/s² per √Hz.
+        asymmetry: What is not known of a free body's angular acceleration, as a share of the square
+            of its angular velocity, white over the time of a radian: about 0.15 while the inertia
+            is unknown, the relative error of a known one.
+        inertia: Moments and products about the object's axes, ``(xx, yy, zz, xy, xz, yz)`` of any
+            unit: the object turns as a free rigid body does, a sphere at a constant angular
+            velocity.
         velocity: Standard deviation of each component of a velocity not yet seen, m/s.
         rate: Standard deviation of each component of an angular velocity not yet seen, deg/s.
         position_angle: Angle turned at which the correlation of the position's errors has fallen
@@ -54,14 +64,16 @@ class Settings:
             alone.
     """
 
-    acceleration: float = 5e-4
-    angular_acceleration: float = 0.07
+    acceleration: float = 2e-4
+    angular_acceleration: float = 0.003
+    asymmetry: float = 0.15
+    inertia: tuple[float, float, float, float, float, float] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
     velocity: float = 0.3
     rate: float = 5.0
     position_angle: float = 25.0
-    attitude_angle: float = 30.0
-    position_noise: float = 0.05
-    attitude_noise: float = 0.3
+    attitude_angle: float = 15.0
+    position_noise: float = 0.4
+    attitude_noise: float = 0.4
     gate: float = 30.0
     tails: float = 3.0
     agreeing: int = 4
@@ -70,18 +82,44 @@ class Settings:
     zenith: tuple[float, float, float] = (0.0, -1.0, 0.0)
 
     @classmethod
-    def of(cls, network: Description) -> Settings:
+    def of(cls, network: Description, settings: Mapping[str, Any] | None = None) -> Settings:
         """Return what a network's file says of its errors: their tails, and ``tracking``.
 
+        Args:
+            network: Its metadata.
+            settings: Fields that take the place of what it says.
+
         Raises:
-            ValueError: ``tracking`` has a field that is none.
+            ValueError: ``tracking`` or ``settings`` has a field that is none.
         """
-        told: dict[str, Any] = dict(network.tracking or {})
-        if unknown := told.keys() - {field.name for field in fields(cls)}:
-            raise ValueError(f"tracking: expected fields of Settings, got {', '.join(unknown)}")
+        told: dict[str, Any] = {}
+        for name, given in (("tracking", network.tracking), ("settings", settings)):
+            told |= given or {}
+            if unknown := told.keys() - {field.name for field in fields(cls)}:
+                raise ValueError(f"{name}: expected fields of Settings, got {', '.join(unknown)}")
         if network.degrees_of_freedom is not None:
             told = {"tails": min(network.degrees_of_freedom), **told}
         return cls(**told)
+
+
+def read_settings(path: Path | None, network: Description) -> Settings:
+    """Return the settings of a network, with what a JSON file says in place of its own.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        DataError: It is no JSON object of fields of `Settings`.
+    """
+    if path is None:
+        return Settings.of(network)
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(told, dict):
+            raise ValueError(f"settings: expected a JSON object, got {type(told).__name__}")
+        settings = Settings.of(network, told)
+        Tracker(settings)
+    except (TypeError, ValueError) as error:
+        raise DataError(str(error), path) from error
+    return settings
 
 
 @dataclass(frozen=True, eq=False)
