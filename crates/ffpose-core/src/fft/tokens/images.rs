@@ -12,14 +12,6 @@ use crate::parallel::Team;
 use crate::simd::{Element, Stored};
 use crate::views::in_order;
 
-/// Where the gradient of the weight of a step goes.
-pub(super) enum StepGradient<'a, T> {
-    /// Added up in the order of the groups.
-    Sum(&'a mut [T]),
-    /// Written in natural order.
-    Natural(GradientRows<'a, T>),
-}
-
 /// One image of a backward pass.
 pub(super) struct BackwardImage<'a, X> {
     pub(super) grad: ArrayView2<'a, X>,
@@ -42,8 +34,8 @@ impl<'a, X> BackwardImage<'a, X> {
 /// Images whose gradients of the weight are added up in their order, or whose own are not wanted.
 pub(super) struct SumPart<'a, X: Stored> {
     pub(super) images: Vec<BackwardImage<'a, X>>,
-    /// For each step.
-    pub(super) gradients: Option<Vec<StepGradient<'a, X::Real>>>,
+    /// Where the gradient of the weight is added up, for each step in the order of its groups.
+    pub(super) sums: Option<Vec<&'a mut [X::Real]>>,
 }
 
 /// What images are filtered with, besides the plan.
@@ -121,8 +113,8 @@ impl<T: Element> Tokens<T> {
     ) {
         let inverse = parts.iter().flat_map(|part| &part.images).any(|i| i.grad_x.is_some());
         let mut room = spectra.chunks_exact_mut(self.spectrum_len()).map(|room| self.image(room));
-        let (mut entering, mut ways, mut gradients) = (Vec::new(), Vec::new(), Vec::new());
-        for SumPart { images, gradients: of_part } in parts {
+        let (mut entering, mut ways, mut sums) = (Vec::new(), Vec::new(), Vec::new());
+        for SumPart { images, sums: of_part } in parts {
             let mut ways_of_part = Vec::with_capacity(images.len());
             for BackwardImage { grad, x, grad_x } in images {
                 let of_x = of_part.is_some().then(|| room.next().expect("room for two"));
@@ -130,7 +122,7 @@ impl<T: Element> Tokens<T> {
                 ways_of_part.push(ImageSpectra::new(grad_x, of_x, &mut room));
             }
             ways.push(ways_of_part);
-            gradients.push(of_part);
+            sums.push(of_part);
         }
         let targets = ways.iter_mut().flatten();
         let entering = entering.into_iter().zip(targets).flat_map(|((grad, x), way)| {
@@ -138,12 +130,12 @@ impl<T: Element> Tokens<T> {
             std::iter::once((grad, way.spectrum.view_mut())).chain(of_x)
         });
         self.first_pass(entering, far, team);
-        let jobs = ways.iter_mut().zip(gradients).flat_map(|(ways, gradients)| {
-            let gradients = in_order(self.steps.len(), gradients.map(Vec::into_iter));
-            self.steps.iter().zip(self.rows_of_parts(ways)).zip(gradients)
+        let jobs = ways.iter_mut().zip(sums).flat_map(|(ways, sums)| {
+            let sums = in_order(self.steps.len(), sums.map(Vec::into_iter));
+            self.steps.iter().zip(self.rows_of_parts(ways)).zip(sums)
         });
-        team.run(jobs, |((step, images), gradient), scratch| {
-            self.backward_step(step, images, inverse.then_some(weight), gradient, scratch);
+        team.run(jobs, |((step, images), sum), scratch| {
+            self.backward_step(step, images, inverse.then_some(weight), sum, scratch);
         });
         if inverse {
             self.leave(ways.into_iter().flatten(), far, team);
@@ -156,24 +148,15 @@ impl<T: Element> Tokens<T> {
         step: &Step,
         images: Vec<(StepRows<'_, T>, Option<StepRows<'_, T>>)>,
         weight: Option<&[T]>,
-        gradient: Option<StepGradient<'_, T>>,
+        mut sum: Option<&mut [T]>,
         scratch: &mut [T],
     ) {
-        let TokensBuffers { block, other, sum, work } = self.scratch(scratch);
+        let TokensBuffers { block, other, work } = self.scratch(scratch);
         let product =
             || weight.map(|weight| GroupProduct::<T, true>(NaturalWeight::new(self.shape, weight)));
-        let (mut sum, natural) = match gradient {
-            None => (None, None),
-            Some(StepGradient::Sum(sum)) => (Some(sum), None),
-            Some(StepGradient::Natural(rows)) => {
-                let sum = &mut sum[..self.sum_len_of(step)];
-                sum.fill(T::default());
-                (Some(sum), Some(rows))
-            }
-        };
         for (mut rows, x) in images {
             self.gather(step, &rows, block, work);
-            if let (Some(x), Some(sum)) = (x, &mut sum) {
+            if let (Some(x), Some(sum)) = (x, sum.as_deref_mut()) {
                 self.gather(step, &x, other, work);
                 let x = Block { vectors: &mut *other, pitch: self.shape.pitch() };
                 let accumulate = GroupAccumulate { x, sum };
@@ -187,9 +170,6 @@ impl<T: Element> Tokens<T> {
             if weight.is_some() {
                 self.put(block, &mut rows, work);
             }
-        }
-        if let (Some(sum), Some(mut rows)) = (sum, natural) {
-            self.unpack(step, sum, &mut rows);
         }
     }
 

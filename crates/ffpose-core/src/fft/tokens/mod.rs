@@ -41,11 +41,11 @@ use std::collections::VecDeque;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
-use self::images::{BackwardImage, Context, StepGradient, SumPart};
+use self::images::{BackwardImage, Context, SumPart};
 use self::steps::Step;
 use self::weight::TokenShape;
 use crate::fft::codelets::{has_codelet, root};
-use crate::kernel::{Backward, Kernel, Packing, Single, SingleBackward};
+use crate::kernel::{Backward, Kernel, Packing};
 use crate::parallel::Team;
 use crate::simd::{Aligned, Complex, Element, Isa, Stored, slack};
 use crate::tuning::Tuning;
@@ -123,12 +123,6 @@ impl<T: Element> Tokens<T> {
     /// Bytes of an image as it is stored.
     fn image_bytes<X>(&self) -> usize {
         self.spectrum_len() * size_of::<X>()
-    }
-
-    /// Bytes of an image, its result and the weight, about: where the L2 cache has room for them, the layer before has left
-    /// a single image there.
-    fn bytes(&self) -> usize {
-        3 * self.spectrum_len() * size_of::<T>()
     }
 
     /// The parts of a sum that belong to each step.
@@ -219,7 +213,7 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
                     let images = images.drain(..images_each.min(images.len()));
                     let images = images.map(BackwardImage::reborrow).collect();
                     let sums = sum.as_deref_mut().map(|sum| self.parts_mut(sum));
-                    SumPart { images, gradients: sums.map(|s| s.map(StepGradient::Sum).collect()) }
+                    SumPart { images, sums: sums.map(Iterator::collect) }
                 });
                 let round: Vec<_> = round.collect();
                 let context = Context { spectra: &mut *spectra, far, team: &mut team };
@@ -239,41 +233,8 @@ impl<X: Stored> Kernel<X> for Tokens<X::Real> {
         team.run(jobs, |((step, sum), mut gradient), _| self.unpack(step, sum, &mut gradient));
     }
 
-    fn single(&self) -> Option<&dyn Single<X>> {
-        Some(self)
-    }
-
     fn is_shared(&self) -> bool {
         true
-    }
-}
-
-/// The gradient of the weight is brought to its order step by step, while its sums are in the cache.
-impl<X: Stored> Single<X> for Tokens<X::Real> {
-    fn forward(
-        &self,
-        x: ArrayView2<'_, X>,
-        weight: ArrayView3<'_, X::Real>,
-        y: ArrayViewMut2<'_, X>,
-        team: &mut Team<'_, X::Real>,
-    ) {
-        let weight = weight.to_slice().expect("a whole weight");
-        let (spectra, mut team) = team.share(self.spectrum_len());
-        let context =
-            Context { spectra, far: self.bytes() > self.tuning.l2_cache, team: &mut team };
-        self.forward_images(vec![(x, y)], weight, context);
-    }
-
-    fn backward(&self, pass: SingleBackward<'_, X>, team: &mut Team<'_, X::Real>) {
-        let SingleBackward { grad, x, weight, grad_x, grad_weight } = pass;
-        let (spectra, mut team) = team.share(2 * self.spectrum_len());
-        let weight = weight.to_slice().expect("a whole weight");
-        let gradients = grad_weight
-            .map(|grad| self.gradients_of_steps(grad).map(StepGradient::Natural).collect());
-        let part = SumPart { images: vec![BackwardImage { grad, x, grad_x }], gradients };
-        let context =
-            Context { spectra, far: self.bytes() > self.tuning.l2_cache, team: &mut team };
-        self.backward_images(vec![part], weight, context);
     }
 }
 

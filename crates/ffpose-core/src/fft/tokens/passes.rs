@@ -19,8 +19,6 @@ pub(super) struct TokensBuffers<'a, T> {
     /// The rows of two blocks, and of those of `x` in a backward pass.
     pub(super) block: &'a mut [T],
     pub(super) other: &'a mut [T],
-    /// The sum of a step's gradient of the weight.
-    pub(super) sum: &'a mut [T],
     /// Room for half a line of complex vectors, and for a column of them.
     pub(super) work: &'a mut [T],
 }
@@ -32,11 +30,6 @@ impl<T: Element> Tokens<T> {
         2 * self.lanes * self.shape.pitch() * rows.max(self.factors[0])
     }
 
-    /// Numbers of the sum of the largest step's gradient.
-    fn largest_step(&self) -> usize {
-        self.steps.iter().map(|step| self.sum_len_of(step)).max().unwrap_or(0)
-    }
-
     /// Numbers of half a line, or of a column, of complex vectors.
     fn work_len(&self) -> usize {
         let [a, b] = self.factors;
@@ -45,15 +38,14 @@ impl<T: Element> Tokens<T> {
 
     /// Scratch of one member of a team.
     pub(super) fn member_len(&self) -> usize {
-        slack::<T>() + 2 * self.block_len() + self.largest_step() + self.work_len()
+        slack::<T>() + 2 * self.block_len() + self.work_len()
     }
 
     #[inline(always)]
     pub(super) fn scratch<'a>(&self, scratch: &'a mut [T]) -> TokensBuffers<'a, T> {
         let (block, rest) = aligned(scratch).split_at_mut(self.block_len());
         let (other, rest) = rest.split_at_mut(self.block_len());
-        let (sum, rest) = rest.split_at_mut(self.largest_step());
-        TokensBuffers { block, other, sum, work: &mut rest[..self.work_len()] }
+        TokensBuffers { block, other, work: &mut rest[..self.work_len()] }
     }
 
     /// `spectrum` as an image.
