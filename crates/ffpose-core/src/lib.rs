@@ -21,7 +21,6 @@
 //! - **Vectors** (`simd`): the vector trait and its instruction sets, memory as vectors; the only unsafe code.
 //! - **Elements**: `real` is what is computed in, `number` what is stored; `shape` the layouts; `views` parts of images.
 //! - **Machine**: `parallel` the threads, `scratch` the memory, [`tuning`] each constant that was measured.
-//! - **Images**: [`pyramid`], sampled for virtual cameras.
 //! - **Poses**: [`quaternion`], [`pose_error`], over `arrays`; no filter.
 
 #![deny(unsafe_code)]
@@ -33,7 +32,6 @@ mod kernel;
 mod number;
 mod parallel;
 pub mod pose_error;
-pub mod pyramid;
 pub mod quaternion;
 mod real;
 mod scratch;
@@ -47,7 +45,7 @@ mod views;
 pub use error::Error;
 pub use fft::Planned;
 pub use number::Number;
-pub use parallel::{Pool, StdThreads};
+pub use parallel::{Guarded, Pool, StdThreads};
 pub use real::Real;
 pub use scratch::{Scratch, Scratches};
 pub use shape::{Layout, Shape};

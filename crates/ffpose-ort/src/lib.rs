@@ -3,8 +3,8 @@
 //! `ffpose::SpectralFilter(x, weight) -> y`, attribute `layout` (`"tokens"` or `"grid"`): the filter of
 //! [`ffpose_core::SpectralFilter`], with its shapes. A sequence is a grid of one row.
 //!
-//! `ffpose::SamplePyramid(homographies, levels, plane, finest, half, quarter, eighth) -> y`: the images of virtual cameras,
-//! [`ffpose_core::pyramid::sample_pyramid`], float32.
+//! `ffpose::SamplePyramid(homographies, levels, plane, finest, half, quarter, eighth) -> y`: the images of virtual cameras
+//! (`pyramid`), float32.
 //!
 //! The library links no ONNX Runtime: `RegisterCustomOps`, its one symbol, gets the table of functions of the runtime that
 //! loads it, 1.17 or any later one.

@@ -3,9 +3,10 @@
 // Small images.
 #![allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap, clippy::cast_sign_loss)]
 
-use ffpose_core::pyramid::{LEVELS, sample_pyramid};
 use ffpose_core::{Error, StdThreads};
 use ndarray::{Array, ArrayD, Axis, IxDyn};
+
+use super::sampling::{LEVELS, sample_pyramid};
 
 /// Numbers in -1…1 without a pattern.
 fn numbers(shape: &[usize], mut seed: u64) -> ArrayD<f32> {

@@ -11,14 +11,13 @@
     clippy::needless_bitwise_bool
 )]
 
+use std::sync::{Mutex, PoisonError};
+
+use ffpose_core::{Error, Isa, Loops, Pool};
 use ndarray::{ArrayViewD, ArrayViewMut4, ArrayViewMutD, Axis, Ix1, Ix3, Ix4};
 
-use crate::parallel::{Pool, run, worth};
-use crate::simd::Loops;
-use crate::{Error, Isa};
-
 /// Levels of a pyramid, the finest first; each has half the size of the one before.
-pub const LEVELS: usize = 4;
+pub(super) const LEVELS: usize = 4;
 
 /// Least depth of a ray in the source camera's frame; other rays see nothing.
 const LEAST_DEPTH: f32 = 1e-3;
@@ -29,7 +28,7 @@ const FAR_OUTSIDE: f32 = -1e6;
 /// Pixels computed at once.
 const BLOCK: usize = 32;
 
-/// Elements of work that a sample of one channel is worth, of those that `worth` counts.
+/// Elements of work that a sample of one channel is worth, of those that a pool's grain counts.
 const WORK: usize = 8;
 
 /// Samples, for each view, one level of the pyramid of its image: bilinear, zeros outside.
@@ -42,8 +41,7 @@ const WORK: usize = 8;
 ///
 /// # Errors
 /// [`Error::Shape`], [`Error::Strides`]; [`Error::Isa`] as for [`Isa::current`].
-#[allow(clippy::missing_panics_doc)] // arrays are checked to be contiguous
-pub fn sample_pyramid(
+pub(super) fn sample_pyramid(
     homographies: ArrayViewD<'_, f32>,
     levels: ArrayViewD<'_, f32>,
     plane: ArrayViewD<'_, f32>,
@@ -99,9 +97,10 @@ pub fn sample_pyramid(
         return Ok(());
     }
     let places = plane.as_slice().expect("contiguous");
-    let workers = worth(pool, WORK * y.len());
-    let rows = y.exact_chunks_mut((1, channels, 1, width)).into_iter().enumerate();
-    run(pool, vec![(); workers].into_iter(), rows, |(index, y), ()| {
+    let workers = pool.threads().min(WORK * y.len() / pool.grain()).max(1);
+    let rows = Mutex::new(y.exact_chunks_mut((1, channels, 1, width)).into_iter().enumerate());
+    let next = || rows.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let sample = |index: usize, y| {
         let (view, row) = (index / height, index % height);
         let matrix = homographies.index_axis(Axis(0), view);
         let level = levels[view].clamp(0.0, (LEVELS - 1) as f32) as usize;
@@ -115,6 +114,11 @@ pub fn sample_pyramid(
             size: [image.len_of(Axis(1)), image.len_of(Axis(2))],
             y,
         });
+    };
+    pool.run(workers, &|_| {
+        while let Some((index, y)) = next() {
+            sample(index, y);
+        }
     });
     Ok(())
 }

@@ -1,9 +1,12 @@
 //! The operator `SamplePyramid`.
 
+mod sampling;
+#[cfg(test)]
+mod tests;
+
 use std::ffi::CStr;
 
-use ffpose_core::pyramid::{LEVELS, sample_pyramid};
-
+use self::sampling::{LEVELS, sample_pyramid};
 use crate::border::{Context, Element, ElementType, Failure, Info, Kernel};
 
 /// Inputs before the pyramid's levels.
