@@ -2,7 +2,9 @@
 //!
 //! The core owns no threads: a [`Pool`] lends them. [`StdThreads`] is for callers without one.
 
+use std::any::Any;
 use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 
@@ -44,6 +46,37 @@ impl Pool for StdThreads {
             work(0);
             (1 + started..workers).for_each(work);
         });
+    }
+}
+
+/// The work of a [`Pool`] on threads of another program, whose frames no panic may cross: it is kept for the caller.
+pub struct Guarded<'a> {
+    work: &'a (dyn Fn(usize) + Sync),
+    panic: Mutex<Option<Box<dyn Any + Send>>>,
+}
+
+impl<'a> Guarded<'a> {
+    /// Guards the work that a pool was given.
+    #[must_use]
+    pub fn new(work: &'a (dyn Fn(usize) + Sync)) -> Self {
+        Self { work, panic: Mutex::new(None) }
+    }
+
+    /// Calls the work with `worker`.
+    pub fn call(&self, worker: usize) {
+        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| (self.work)(worker))) {
+            lock(&self.panic).get_or_insert(panic);
+        }
+    }
+
+    /// Goes on with the first panic, after all workers are done.
+    ///
+    /// # Panics
+    /// If the work did.
+    pub fn finish(self) {
+        if let Some(panic) = self.panic.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            resume_unwind(panic);
+        }
     }
 }
 

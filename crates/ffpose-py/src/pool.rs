@@ -1,13 +1,11 @@
 //! Threads for tensors: torch's own, found at run time, so that `torch.set_num_threads` and torch's other work count.
 
-use std::any::Any;
 use std::ffi::c_void;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, OnceLock, PoisonError};
 
 use ffpose_core::tuning::WORTH_A_THREAD;
-use ffpose_core::{Pool, StdThreads};
+use ffpose_core::{Guarded, Pool, StdThreads};
 
 /// `torch_parallel_for(begin, end, grain, body, context)` of torch's stable C interface; 0 is success.
 type ParallelFor = unsafe extern "C" fn(i64, i64, i64, Body, *mut c_void) -> i32;
@@ -17,12 +15,6 @@ type Body = unsafe extern "C" fn(i64, i64, *mut c_void);
 pub(crate) struct TorchPool {
     parallel_for: Option<ParallelFor>,
     others: StdThreads,
-}
-
-/// What the threads of one call share.
-struct Call<'a> {
-    work: &'a (dyn Fn(usize) + Sync),
-    panic: Mutex<Option<Box<dyn Any + Send>>>,
 }
 
 impl TorchPool {
@@ -50,29 +42,24 @@ impl Pool for TorchPool {
 }
 
 fn run(parallel_for: ParallelFor, workers: usize, work: &(dyn Fn(usize) + Sync)) {
-    let call = Call { work, panic: Mutex::new(None) };
-    let context = (&raw const call).cast_mut().cast();
+    let work = Guarded::new(work);
+    let context = (&raw const work).cast_mut().cast();
     let count = i64::try_from(workers).expect("fewer workers than elements");
-    // SAFETY: `run_range` takes a `Call` for its context, and `call` lives until torch has returned from it.
+    // SAFETY: `run_range` takes a `Guarded` for its context, and `work` lives until torch has returned from it.
     let status = unsafe { parallel_for(0, count, 1, run_range, context) };
-    if let Some(panic) = call.panic.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        resume_unwind(panic);
-    }
+    work.finish();
     assert!(status == 0, "torch_parallel_for failed with status {status}");
 }
 
-/// Runs workers `begin..end`. A panic must not cross torch's frames: it is kept for the caller.
+/// Runs workers `begin..end`.
 ///
 /// # Safety
-/// `context` points to a [`Call`].
+/// `context` points to a [`Guarded`].
 unsafe extern "C" fn run_range(begin: i64, end: i64, context: *mut c_void) {
     // SAFETY: as the caller promises.
-    let call = unsafe { &*context.cast::<Call<'_>>() };
+    let work = unsafe { &*context.cast::<Guarded<'_>>() };
     for worker in begin..end {
-        let worker = usize::try_from(worker).expect("counted from zero");
-        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| (call.work)(worker))) {
-            call.panic.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(panic);
-        }
+        work.call(usize::try_from(worker).expect("counted from zero"));
     }
 }
 

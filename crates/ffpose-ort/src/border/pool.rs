@@ -3,17 +3,15 @@
 //! ONNX Runtime does not tell how many a session has. So a kernel counts, in its first runs, those that come to work that waits
 //! for as many as there are processors.
 
-use std::any::Any;
 use std::ffi::c_void;
 use std::marker::PhantomData;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{LazyLock, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ffpose_core::Pool;
 use ffpose_core::tuning::WORTH_A_THREAD;
+use ffpose_core::{Guarded, Pool};
 
 use super::api::Api;
 use super::sys::KernelContext;
@@ -55,12 +53,6 @@ pub(crate) struct SessionPool<'a> {
 
 // SAFETY: of the context only the session's threads are used, which any thread may do.
 unsafe impl Sync for SessionPool<'_> {}
-
-/// What the threads of one call share.
-struct Call<'a> {
-    work: &'a (dyn Fn(usize) + Sync),
-    panic: Mutex<Option<Box<dyn Any + Send>>>,
-}
 
 /// Processors that this process may use. Read as the library is loaded, since a thread that did so might be lost in a fork.
 pub(super) fn processors() -> usize {
@@ -143,28 +135,23 @@ impl Pool for SessionPool<'_> {
     }
 
     fn run(&self, workers: usize, work: &(dyn Fn(usize) + Sync)) {
-        let call = Call { work, panic: Mutex::new(None) };
-        let data = (&raw const call).cast_mut().cast();
+        let work = Guarded::new(work);
+        let data = (&raw const work).cast_mut().cast();
         let parallel_for = self.api.table().parallel_for;
-        // SAFETY: the context lives; `run_one` takes a `Call` for its data, and `call` lives until all have been run.
+        // SAFETY: the context lives; `run_one` takes a `Guarded` for its data, and `work` lives until all have been run.
         let result = unsafe {
             self.api.check(parallel_for(self.context, run_one, workers, ONE_BY_ONE, data))
         };
-        if let Some(panic) = call.panic.into_inner().unwrap_or_else(PoisonError::into_inner) {
-            resume_unwind(panic);
-        }
+        work.finish();
         result.expect("ONNX Runtime lends its threads");
     }
 }
 
-/// Runs one worker. A panic must not cross ONNX Runtime's frames: it is kept for the caller.
+/// Runs one worker.
 ///
 /// # Safety
-/// `data` points to a [`Call`].
+/// `data` points to a [`Guarded`].
 unsafe extern "C" fn run_one(data: *mut c_void, worker: usize) {
     // SAFETY: as the caller promises.
-    let call = unsafe { &*data.cast::<Call<'_>>() };
-    if let Err(panic) = catch_unwind(AssertUnwindSafe(|| (call.work)(worker))) {
-        call.panic.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(panic);
-    }
+    unsafe { &*data.cast::<Guarded<'_>>() }.call(worker);
 }
