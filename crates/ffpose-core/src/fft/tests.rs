@@ -1,7 +1,8 @@
 //! Transforms against the sums that define them, for every instruction set of the machine.
 
 use super::grid::Grid;
-use super::grid::rows::{Place, Rows};
+use super::grid::row_codelets::Place;
+use super::grid::rows::Rows;
 use crate::fft::transform::Transform;
 use crate::kernel::Kernel;
 use crate::simd::{Bf16, Isa, LINE_BYTES, Tile, TileMut, aligned, slack};

@@ -6,7 +6,7 @@
 
 mod composite;
 mod packing;
-mod row_codelets;
+pub(crate) mod row_codelets;
 mod row_pairs;
 pub(crate) mod rows;
 mod single;
@@ -15,7 +15,8 @@ use std::ops::Range;
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis, s};
 
-use self::rows::{Place, Rows};
+use self::row_codelets::Place;
+use self::rows::Rows;
 use crate::Shape;
 use crate::fft::columns::order::{BinOrder, Bins, Scales};
 use crate::fft::columns::{Columns, First};

@@ -1,10 +1,20 @@
 //! Rows of lengths with a codelet: all of a tile, one after the other.
 
 use super::composite::CompositeRow;
-use super::rows::Place;
 use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal};
 use crate::simd::{Algorithm, Stored, Tile, TileMut, Vector, complex_vectors, gather, scatter};
 use crate::tuning::GRID_AHEAD;
+
+/// Where columns are.
+#[derive(Clone, Copy)]
+pub(crate) struct Place<'a> {
+    pub(crate) positions: &'a [usize],
+    pub(crate) pitch: usize,
+    /// Complex vectors of all columns: those of the next lanes of the tile follow.
+    pub(crate) set: usize,
+    /// Whether the image comes from memory, which is worth asking for ahead of the work.
+    pub(crate) far: bool,
+}
 
 /// Rows by one codelet, forward.
 pub(super) struct ShortForward<'a, X: Stored, const N: usize, const S: usize> {

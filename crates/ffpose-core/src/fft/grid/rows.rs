@@ -4,7 +4,7 @@
 //! `s` holds. Column 0 of an even length packs the real frequencies 0 and `W / 2` as real and imaginary part.
 
 use super::composite::CompositeRow;
-use super::row_codelets::{CompositeForward, CompositeInverse, ShortForward, ShortInverse};
+use super::row_codelets::{CompositeForward, CompositeInverse, Place, ShortForward, ShortInverse};
 use super::row_pairs::{EnterPair, JoinPair, LeavePair, SplitPair};
 use crate::fft::codelets::{Codelet, RealDft, has_codelet, with_codelet};
 use crate::fft::transform::Transform;
@@ -17,17 +17,6 @@ pub(crate) enum Rows<T> {
     Codelet(usize),
     /// Two by two, as real and imaginary part of a complex line. The spectrum comes out doubled.
     Pairs(Transform<T>),
-}
-
-/// Where columns are.
-#[derive(Clone, Copy)]
-pub(crate) struct Place<'a> {
-    pub(crate) positions: &'a [usize],
-    pub(crate) pitch: usize,
-    /// Complex vectors of all columns: those of the next lanes of the tile follow.
-    pub(crate) set: usize,
-    /// Whether the image comes from memory, which is worth asking for ahead of the work.
-    pub(crate) far: bool,
 }
 
 impl<T: Element> Rows<T> {

@@ -2,7 +2,7 @@
 
 use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, s};
 
-use super::rows::Place;
+use super::row_codelets::Place;
 use super::{Grid, GridBuffers};
 use crate::fft::columns::pointwise::{NaturalGradient, NaturalProduct};
 use crate::kernel::{Factor, Single, SingleBackward};

@@ -15,7 +15,6 @@
 use std::hint::black_box;
 
 use super::blocks::Block;
-use super::pointwise::GroupPointwise;
 use super::weight::Run;
 use crate::fft::codelets::{Codelet, Dft, TurnedDft, unroll};
 use crate::simd::{
@@ -56,6 +55,35 @@ pub(super) struct Group<'a, V, const RUN: usize, const J: usize> {
     odd: &'a Complex<V>,
     /// What the halves of items `r` and `r + J` are multiplied by at last, conjugate.
     back: &'a [[Complex<V>; HALVES]; J],
+}
+
+/// What is done to the spectrum of a group.
+pub(super) trait GroupPointwise<T: Element> {
+    /// Whether the spectrum goes back to its block.
+    const INVERSE: bool;
+
+    /// What is known of a group beforehand.
+    type Ready<const RUN: usize, const J: usize>;
+
+    /// Makes the slots 0 of `rows` ready.
+    fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
+
+    /// Makes a group ready, and checks all bounds: later the compiler would keep vectors on the stack meanwhile.
+    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
+        &mut self,
+        group: Group<'_, V, RUN, J>,
+    ) -> Self::Ready<RUN, J>;
+
+    /// The new values of vectors `p`, `p + 2`, ... of a group.
+    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
+        &mut self,
+        ready: &Self::Ready<RUN, J>,
+        group: Group<'_, V, RUN, J>,
+        p: usize,
+        z: [Complex<V>; J],
+    ) -> [Complex<V>; J]
+    where
+        Codelet: TurnedDft<J>;
 }
 
 /// `pointwise` on all groups of a block, there and back. `RUN` divides the lanes and the slots of a row.

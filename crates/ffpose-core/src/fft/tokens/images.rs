@@ -4,10 +4,11 @@ use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3};
 
 use super::Tokens;
 use super::blocks::Block;
+use super::gradient::{GradientRows, UnpackGroups};
 use super::passes::{StepRows, TokensBuffers};
 use super::pointwise::{GroupAccumulate, GroupProduct};
 use super::steps::Step;
-use super::weight::{GradientRows, NaturalWeight, UnpackGroups};
+use super::weight::NaturalWeight;
 use crate::parallel::Team;
 use crate::simd::{Element, Stored};
 use crate::views::in_order;

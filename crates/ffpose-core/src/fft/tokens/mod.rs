@@ -28,6 +28,7 @@ macro_rules! with_run {
 }
 
 mod blocks;
+mod gradient;
 mod groups;
 mod images;
 mod lines;

@@ -3,8 +3,7 @@
 use ndarray::{ArrayView2, ArrayViewMut2, ArrayViewMut3, Axis};
 
 use super::blocks::{Block, block_to_image, image_to_block};
-use super::groups::{Filter, Turns};
-use super::pointwise::GroupPointwise;
+use super::groups::{Filter, GroupPointwise, Turns};
 use super::steps::Step;
 use super::{Tokens, lines};
 use crate::parallel::Team;

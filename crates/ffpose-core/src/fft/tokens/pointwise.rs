@@ -1,39 +1,10 @@
 //! What is done to the spectrum of a group between its transforms.
 
 use super::blocks::Block;
-use super::groups::{Group, HALVES, split_rows, transposed};
+use super::groups::{Group, GroupPointwise, HALVES, split_rows, transposed};
 use super::weight::{GroupWeight, NaturalWeight};
 use crate::fft::codelets::{Codelet, TurnedDft, unroll};
 use crate::simd::{Complex, Element, Vector, complex_vectors};
-
-/// What is done to the spectrum of a group.
-pub(super) trait GroupPointwise<T: Element> {
-    /// Whether the spectrum goes back to its block.
-    const INVERSE: bool;
-
-    /// What is known of a group beforehand.
-    type Ready<const RUN: usize, const J: usize>;
-
-    /// Makes the slots 0 of `rows` ready.
-    fn begin<V: Vector<Element = T>>(&mut self, rows: &[usize]);
-
-    /// Makes a group ready, and checks all bounds: later the compiler would keep vectors on the stack meanwhile.
-    fn enter<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        group: Group<'_, V, RUN, J>,
-    ) -> Self::Ready<RUN, J>;
-
-    /// The new values of vectors `p`, `p + 2`, ... of a group.
-    fn apply<V: Vector<Element = T>, const RUN: usize, const J: usize>(
-        &mut self,
-        ready: &Self::Ready<RUN, J>,
-        group: Group<'_, V, RUN, J>,
-        p: usize,
-        z: [Complex<V>; J],
-    ) -> [Complex<V>; J]
-    where
-        Codelet: TurnedDft<J>;
-}
 
 /// The product with a weight, or with its conjugate.
 pub(super) struct GroupProduct<'a, T, const CONJUGATE: bool>(pub(super) NaturalWeight<'a, T>);

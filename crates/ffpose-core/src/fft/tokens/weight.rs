@@ -1,10 +1,9 @@
-//! A weight in natural order, read in that of the groups, and the sums of its gradient brought back from there.
+//! A weight in natural order, read in that of the groups.
 //!
 //! Vector `j` of a group is frequency `k + M j` along Y, with `k` that of the lane. Below `Y / 2` these stand in the weight's row
 //! of `u`, above it in that of `-u` in reverse; either way the lanes of a run are neighbors.
 
-use super::steps::Step;
-use crate::simd::{Algorithm, Complex, Element, MAX_LANES, Runs, Tile, TileMut, Vector};
+use crate::simd::{Complex, Element, MAX_LANES, Runs, Tile, Vector};
 
 /// The rows of a weight: real and imaginary part of each bin.
 #[derive(Clone, Copy)]
@@ -16,7 +15,7 @@ pub(super) struct TokenShape {
 }
 
 impl TokenShape {
-    fn norm(self) -> f64 {
+    pub(super) fn norm(self) -> f64 {
         1.0 / (self.points * self.width) as f64
     }
 
@@ -26,7 +25,7 @@ impl TokenShape {
     }
 
     /// Frequencies from one vector of a group to the next: `M`.
-    fn stride(self) -> usize {
+    pub(super) fn stride(self) -> usize {
         2 * self.slots
     }
 
@@ -54,7 +53,7 @@ impl TokenShape {
     }
 
     /// Indices of the real part of `k = 0` among the sums of a step, one for each pair of rows.
-    fn zeroth(self, pairs: usize, lanes: usize) -> impl Iterator<Item = usize> {
+    pub(super) fn zeroth(self, pairs: usize, lanes: usize) -> impl Iterator<Item = usize> {
         (0..pairs).map(move |pair| {
             let item = 2 * pair * self.slots;
             item / lanes * 2 * lanes * lanes + item % lanes
@@ -67,8 +66,8 @@ pub(super) struct Run {
     /// The first among the vectors of a block.
     pub(super) item: usize,
     /// Its row and that of its mirror, and among `M` columns of each the least that has one of the frequencies.
-    rows: [usize; 2],
-    columns: [usize; 2],
+    pub(super) rows: [usize; 2],
+    pub(super) columns: [usize; 2],
 }
 
 /// A weight `(X, Y/2+1)` in natural order.
@@ -153,64 +152,4 @@ impl<T: Element, const RUN: usize, const J: usize> GroupWeight<'_, T, RUN, J> {
 fn hermitian<T: Element>(a: [T; 2], b: [T; 2]) -> [T; 2] {
     let half = T::nearest(0.5);
     [(a[0] + b[0]) * half, (a[1] - b[1]) * half]
-}
-
-/// The rows of a gradient that belong to a step, of complex numbers, by position.
-pub(super) type GradientRows<'a, T> = Vec<&'a mut [[T; 2]]>;
-
-/// The sums of the groups of a step to the gradient.
-pub(super) struct UnpackGroups<'a, 'b, T, const RUN: usize> {
-    pub(super) shape: TokenShape,
-    pub(super) step: &'a Step,
-    pub(super) sum: &'a [T],
-    pub(super) gradient: &'a mut GradientRows<'b, T>,
-}
-
-impl<T: Element, const RUN: usize> Algorithm<T> for UnpackGroups<'_, '_, T, RUN> {
-    #[inline(always)]
-    fn run<V: Vector<Element = T>>(self) {
-        let Self { shape, step, sum, gradient } = self;
-        let (stride, each) = (shape.stride(), V::LANES / RUN);
-        let (twice, once) = (T::nearest(2.0 * shape.norm()), T::nearest(0.5 * shape.norm()));
-        let groups = sum.chunks_exact(2 * V::LANES * V::LANES);
-        for (group, runs) in groups.zip(step.gradient_runs.chunks(each)) {
-            let mut scales = [twice; MAX_LANES];
-            for (i, run) in runs.iter().enumerate() {
-                for lane in 0..RUN {
-                    if (run.columns[0] + lane).is_multiple_of(shape.slots) {
-                        scales[i * RUN + lane] = once;
-                    }
-                }
-            }
-            let [scale] = Tile::dense(&scales, MAX_LANES).gather::<V, 1>(0, 1);
-            for (j, sum) in group.chunks_exact(2 * V::LANES).enumerate() {
-                let [re, im] = Tile::dense(sum, V::LANES).gather::<V, 2>(0, 1);
-                let z = Complex::new(re, im).scale(scale);
-                let is_mirrored = 2 * j >= V::LANES;
-                let z = if is_mirrored { Complex::new(z.re.reverse(), -z.im.reverse()) } else { z };
-                let mut lanes = [[T::default(); 2]; MAX_LANES];
-                TileMut::dense(lanes.as_flattened_mut(), 2 * V::LANES).set_complex(0, z);
-                for (i, &Run { rows, columns, .. }) in runs.iter().enumerate() {
-                    let (row, column, lane) = if is_mirrored {
-                        let above = stride * (V::LANES - 1 - j);
-                        (rows[1], columns[1] + above, V::LANES - (i + 1) * RUN)
-                    } else {
-                        (rows[0], columns[0] + stride * j, i * RUN)
-                    };
-                    gradient[row][column..][..RUN].copy_from_slice(&lanes[lane..][..RUN]);
-                }
-            }
-        }
-        // of the columns of zero and Nyquist, to both rows, each of which is a column of its own
-        let shared = T::nearest(0.25 * shape.norm());
-        let pairs = &step.positions;
-        for (&[u, minus_u], place) in pairs.iter().zip(shape.zeroth(pairs.len(), V::LANES)) {
-            for (j, k) in [(0, 0), (V::LANES / 2, shape.width / 2)] {
-                let place = place + 2 * V::LANES * j;
-                let (re, im) = (sum[place] * shared, sum[place + V::LANES] * shared);
-                gradient[minus_u][k] = [re, T::default() - im];
-                gradient[u][k] = [re, im];
-            }
-        }
-    }
 }
