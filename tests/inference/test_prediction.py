@@ -335,7 +335,7 @@ def test_in_words_with_uncertainty():
 def test_what_is_not_in_view_is_said_and_not_drawn(picture, tmp_path):
     prediction = Prediction(picture, sure_pose(0.0312, threshold=0.2), URSO_CAMERA)
     assert prediction.pose.flagged is True
-    assert str(prediction) == f"{picture}: no spacecraft in view (p = 0.031)"
+    assert str(prediction) == f"{picture}: no spacecraft in view (p = 0.0312, threshold 0.2000)"
     drawn = Image.open(write_overlay(prediction, tmp_path / "drawn"))
     np.testing.assert_array_equal(np.asarray(drawn), np.asarray(read_rgb(picture)))
 

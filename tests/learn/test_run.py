@@ -135,6 +135,7 @@ def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
         learn(LearnConfig(mesh, out, 9, processes=1, test_images=6, card_images=0))
 
 
+@pytest.mark.slow
 def test_a_symmetric_spacecraft_is_folded_from_labels_to_report(tmp_path, quick):
     """A plain box: what was found is in the weights, the graph, the test and the report."""
     trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "box.stl")

@@ -41,6 +41,7 @@ def rendered(folder, count, **changes):
     return folder
 
 
+@pytest.mark.slow
 def test_eight_images_are_learned_by_heart(tmp_path):
     """Any attitude and distance: a constant pose is far from both.
 

@@ -77,7 +77,8 @@ class Prediction:
     def __str__(self) -> str:
         uncertainty = self.pose.uncertainty
         if uncertainty is not None and self.pose.flagged:
-            return f"{self.image}: no spacecraft in view (p = {uncertainty.in_view:.2g})"
+            below = f"p = {uncertainty.in_view:.4f}, threshold {uncertainty.in_view_threshold:.4f}"
+            return f"{self.image}: no spacecraft in view ({below})"
         roll, pitch, yaw = quaternion_to_euler(self.pose.q)
         if self.locates == "camera":
             x, y, z = self.center

@@ -143,8 +143,8 @@ class OpenVinoSession:
         core = openvino_core()
         if filter == "custom":
             raise ValueError(
-                "backend: OpenVINO expected a graph of standard operators, as"
-                " `ffpose export --filter matmul` writes it, got one with a custom operator"
+                f"backend: OpenVINO expected a graph of standard operators, as `ffpose export MODEL"
+                f" --filter matmul --out X.onnx` writes it, got {model} with a custom operator"
             )
         if precision == "bfloat16" and not openvino_takes_bfloat16():
             raise ValueError("precision: expected float32, this CPU has no bfloat16 instructions")
