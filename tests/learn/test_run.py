@@ -106,6 +106,35 @@ def test_the_virtual_camera_holds_the_whole_spacecraft(tmp_path):
     assert config.batch_size * config.processes == 32
 
 
+def test_where_the_origin_lies_far_outside_the_camera_keeps_clear_of_the_spacecraft(tmp_path):
+    box = trimesh.creation.box((2.0, 1.0, 1.0))
+    box.apply_translation((0.0, 0.0, 30.0))
+    box.export(tmp_path / "far.stl")
+    config = LearnConfig(tmp_path / "far.stl", tmp_path / "out")
+    radius, scene = run._inspected(config)
+    assert radius == pytest.approx(np.sqrt(30.5**2 + 1.25))
+    # Training goes to 0.7 of the nearest distance.
+    assert 0.7 * scene.distance_m[0] - 30 > np.sqrt(1.5)
+    assert scene.distance_m[1] / scene.distance_m[0] == pytest.approx(8 / 1.5)
+
+
+def test_the_reports_command_has_all_options(tmp_path):
+    words = ["ffpose", "learn", "craft.glb", "--out", "runs/craft", "--minutes", "10"]
+    assert run._command(LearnConfig(Path("craft.glb"), Path("runs/craft"), 10)) == words
+    changed = LearnConfig(
+        Path("craft.glb"),
+        Path("runs/craft"),
+        10,
+        mesh_scale=0.001,
+        distance_m=(3.0, 9.5),
+        mesh_up="y",
+        mesh_center=True,
+        symmetry="none",
+    )
+    options = "--mesh-scale 0.001 --mesh-up y --symmetry none --distance 3.0 9.5 --mesh-center"
+    assert run._command(changed) == words + options.split()
+
+
 def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
     """In small: what it writes is what `ffpose.load` opens; a second run repeats nothing."""
     out = tmp_path / "out"
@@ -114,12 +143,13 @@ def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
     summary = learn(config, said.append)
     assert summary["images"] == 6
     assert "craft.stl, within" in said[1]
+    assert "doubtful" not in said[1]
     assert {"best.safetensors", "model.onnx", "report.html", "results.json", "scene.json"} <= {
         path.name for path in out.iterdir()
     }
-    furthest = np.linalg.norm(trimesh.load(mesh).vertices, axis=1).max()
+    _, radius = trimesh.nsphere.minimum_nsphere(trimesh.load(mesh))
     scene = find_scene(str(out / "scene.json"))
-    assert scene.distance_m == pytest.approx((3 * furthest, 16 * furthest), rel=1e-6)
+    assert scene.distance_m == pytest.approx((3 * radius, 16 * radius), rel=2e-3)
     header = read_metadata(out / "best.safetensors")
     assert header.config.distance_m == pytest.approx(scene.distance_m)
     assert header.recipe["data"]["scene"] == "craft"

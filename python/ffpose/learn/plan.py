@@ -20,7 +20,7 @@ DEFAULT_CAMERA = Camera(512, 384, 256.0, 256.0, 256.0, 192.0)
 """A pinhole camera of 90 degrees."""
 
 NEAR_DIAMETERS, FAR_DIAMETERS = 1.5, 8.0
-"""Default distances, in diameters of the sphere about the origin that holds the spacecraft."""
+"""Default distances, in diameters of the spacecraft's bounding sphere."""
 
 VIEW_MARGIN = 1.1
 """Radius of the virtual camera's view relative to that sphere's."""
@@ -70,6 +70,10 @@ class Stage:
     views: int
     epochs: int
 
+    def seconds(self, speed: Speed) -> float:
+        """Return what rendering and training take."""
+        return self.views / speed.views + self.epochs * self.views / speed.samples
+
 
 def stages(minutes: float, speed: Speed) -> tuple[Stage, Stage]:
     """Return the two trainings that fit into a budget.
@@ -114,7 +118,7 @@ def replanned(second: Stage, first: Stage, minutes: float, speed: Speed, spent: 
         >>> replanned(second, first, 40, speed, spent=650).epochs
         19
     """
-    slower = spent / (first.views / speed.views + first.epochs * first.views / speed.samples)
+    slower = spent / first.seconds(speed)
     left = (60 * minutes * (1 - TEST_SHARE) - spent) / slower - second.views / speed.views
     epochs = max(int(left * speed.samples / second.views), LEAST_EPOCHS)
     return replace(second, epochs=min(epochs, second.epochs))

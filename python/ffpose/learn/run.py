@@ -43,6 +43,8 @@ from ffpose.models.weights import checksum_path
 from ffpose.onnx.pose_graph import export_weights
 from ffpose.render import SceneFile, Up
 from ffpose.render.dataset.writer import write_dataset
+from ffpose.render.inspection import find_doubts
+from ffpose.render.spacecraft.craft import bounding_sphere
 from ffpose.render.symmetry import Symmetries, find_symmetries
 from ffpose.training import TrainConfig
 from ffpose.training.checkpoint import RunFolder
@@ -73,7 +75,7 @@ class LearnConfig:
         minutes: Budget, wall time.
         mesh_scale: Meters per unit of the mesh.
         camera: Camera of the images.
-        distance_m: Least and greatest distance; None for 1.5 to 8 diameters of the spacecraft.
+        distance_m: Least and greatest distance; None for 1.5 to 8 diameters of the bounding sphere.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
         processes: Processes that render and that train together; 0 for one a core.
         seed: Seed of everything.
@@ -230,11 +232,13 @@ def _inspected(config: LearnConfig) -> tuple[float, SceneFile]:
         config.mesh_center,
         config.mesh_two_sided,
     )
-    vertices = unknown.scene().build().mesh.vertices
+    mesh = unknown.scene().build().mesh
+    vertices = mesh.vertices[np.unique(mesh.faces)]
     radius = float(np.linalg.norm(vertices, axis=1).max())
-    if not radius > 0:
-        raise DataError("expected a mesh of some size, got all vertices at the origin", config.mesh)
-    distance = config.distance_m or (2 * radius * NEAR_DIAMETERS, 2 * radius * FAR_DIAMETERS)
+    center, size = bounding_sphere(vertices)
+    # Where the origin is outside of the sphere, the camera keeps clear of the spacecraft still.
+    reach = max(size, (size + float(np.linalg.norm(center))) / 2)
+    distance = config.distance_m or (2 * reach * NEAR_DIAMETERS, 2 * reach * FAR_DIAMETERS)
     return radius, replace(unknown, distance_m=distance)
 
 
@@ -263,16 +267,21 @@ def _planned(
         + ", ".join(f"{angle:g}" for angle in config.attitude_range_deg)
         + " degrees",
         "symmetry": _folded(group),
-        "speed": f"{speed.views:.0f} views/s, {speed.samples:.0f} samples/s, {processes} processes",
+        "speed": f"{speed.views:.0f} views/s, {speed.samples:.0f} samples/s, "
+        + (f"{processes} processes" if processes > 1 else "1 process"),
         "first training": shares[0],
         "second training": shares[1],
         "budget": f"{config.minutes:g} minutes",
     }
+    least = sum(stage.seconds(speed) for stage in record.stages) / 60
+    if least > config.minutes:
+        lines["budget"] += f", less than the least that is trained takes: about {least:.1f}"
     chosen = [f"{name:16}{text}" for name, text in lines.items()]
     # Those that are not folded, as --symmetry says otherwise, are told too.
     others = [*(symmetries.same if len(group) == 1 else []), *symmetries.near[:NEAR_SHOWN]]
     told = [f"{'not folded':16}{each}" for each in others]
-    return "\n".join(chosen + told)
+    doubts = [f"{'doubtful':16}{each}" for each in find_doubts(scene.scene().build())]
+    return "\n".join(chosen + told + doubts)
 
 
 def _folded(group: SymmetryGroup) -> str:
@@ -343,7 +352,6 @@ def _report(
     scene: SceneFile,
 ) -> None:
     near, far = scene.distance_m
-    words = ["ffpose", "learn", str(config.mesh), "--out", str(config.out)]
     write_report(
         Report(
             title=f"{scene.name}: from an image to a pose",
@@ -358,10 +366,25 @@ def _report(
                 "epochs": f"{len(result.history)}, the best is {result.best_epoch}",
                 "ffpose": __version__,
             },
-            command=shlex.join([*words, "--minutes", f"{config.minutes:g}"]),
+            command=shlex.join(_command(config)),
         ),
         config.out / "report.html",
     )
+
+
+def _command(config: LearnConfig) -> list[str]:
+    """Return the command with all options that change the result."""
+    plain = LearnConfig(config.mesh, config.out)
+    words = ["ffpose", "learn", str(config.mesh), "--out", str(config.out)]
+    words += ["--minutes", f"{config.minutes:g}"]
+    for name in ("mesh_scale", "mesh_up", "symmetry", "seed", "distance_m", "attitude_range_deg"):
+        value = getattr(config, name)
+        if value != getattr(plain, name):
+            option = name.removesuffix("_m").removesuffix("_deg").replace("_", "-")
+            words += [f"--{option}", *map(str, value if isinstance(value, tuple) else [value])]
+    for name in ("mesh_center", "mesh_two_sided"):
+        words += [f"--{name.replace('_', '-')}"] * getattr(config, name)
+    return words if config.camera == plain.camera else [*words, "--camera", "FILE"]
 
 
 @dataclass

@@ -86,7 +86,11 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
         "origin_offset_m": float(np.linalg.norm(center)),
         "inside_seen": inside,
     }
-    summary["doubts"] = _doubts(craft, summary, y_up)
+    summary["doubts"] = _doubts(craft, summary)
+    if y_up:
+        summary["doubts"].append(
+            "glTF files have y up, and their axes are the object frame's: --mesh-up y turns y to z"
+        )
     try:
         summary["symmetry"] = find_symmetries(craft).to_json()
     except ValueError as error:
@@ -99,6 +103,23 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
     with atomic_write(folder / "summary.json") as path:
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary
+
+
+def find_doubts(craft: Craft) -> list[str]:
+    """Return what may be wrong with a mesh, each with the option that mends it.
+
+    Args:
+        craft: The spacecraft.
+    """
+    center, radius = bounding_sphere(craft.mesh.vertices[np.unique(craft.mesh.faces)])
+    return _doubts(
+        craft,
+        {
+            "radius_m": radius,
+            "origin_offset_m": float(np.linalg.norm(center)),
+            "inside_seen": _inside_seen(craft, center, radius),
+        },
+    )
 
 
 def view_sheet(craft: Craft) -> Image.Image:
@@ -223,7 +244,7 @@ def _material(craft: Craft, number: int) -> dict[str, Any]:
     }
 
 
-def _doubts(craft: Craft, summary: dict[str, Any], y_up: bool) -> list[str]:
+def _doubts(craft: Craft, summary: dict[str, Any]) -> list[str]:
     """Return what may be wrong with a mesh, each with the option that mends it."""
     doubts = []
     across = 2 * summary["radius_m"]
@@ -239,10 +260,6 @@ def _doubts(craft: Craft, summary: dict[str, Any], y_up: bool) -> list[str]:
         doubts.append(
             f"the origin lies {summary['origin_offset_m']:.3g} m from the middle of the bounding "
             f"sphere, outside of it (radius {summary['radius_m']:.3g} m): --mesh-center moves it"
-        )
-    if y_up:
-        doubts.append(
-            "glTF files have y up, and their axes are the object frame's: --mesh-up y turns y to z"
         )
     share = summary["inside_seen"]
     if share > INSIDE:
