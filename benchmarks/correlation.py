@@ -1,8 +1,9 @@
 """``python -m benchmarks.correlation WEIGHTS DIR``: angles over which a network's errors correlate.
 
 Reads the sequences and poses that ``python -m benchmarks.tracking WEIGHTS --out DIR`` keeps, and
-fits ``exp(-angle / correlation angle)`` to the correlation of the errors, in the network's own
-standard deviations, of frames whose true attitudes are an angle apart. With ``--out FILE`` the
+fits ``share exp(-angle / correlation angle)`` to the correlation of the errors, in the network's
+own standard deviations, of frames whose true attitudes are an angle apart; what is new in each
+frame is left to the share. With ``--out FILE`` the
 weights are written with what was found in their header, where trackers find it.
 """
 
@@ -100,7 +101,9 @@ def _error(truth: Pose, pose: Pose) -> FloatArray | None:
 def _fitted(angles: FloatArray, correlation: FloatArray, count: FloatArray) -> float:
     """Return the angle whose exponential is nearest to correlations, weighted by their counts."""
     candidates = np.geomspace(1, 200, 400)
-    misses = (np.exp(-angles / candidates[:, None]) - correlation) ** 2 @ count
+    falling = np.exp(-angles / candidates[:, None])
+    shares = (falling * correlation) @ count / (falling**2 @ count)
+    misses = (shares[:, None] * falling - correlation) ** 2 @ count
     return float(candidates[misses.argmin()])
 
 

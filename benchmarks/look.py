@@ -1,10 +1,9 @@
 """``python -m benchmarks.look WEIGHTS [GRAPH]``: the lean and the time of a look at a known point.
 
 The look is pointed off the true place by one and two predicted standard deviations along each of
-their axes; the slope of the measured offset on the true one is 1 without a lean. With ``--out
-FILE`` the weights are written with the lean that brings the median slope to 1. Given a graph of
-``ffpose export --track``, the time of a frame with such a look is measured against that of a whole
-frame, alternately, in ONNX Runtime on one thread; without one in torch.
+their axes; the slope of the measured offset on the true one is 1 without a lean. The CPU time
+of a frame with such a look is measured against that of a whole frame, alternately, on one thread:
+in torch, or given a graph of ``ffpose export --track`` in ONNX Runtime.
 """
 
 from __future__ import annotations
@@ -13,22 +12,16 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from safetensors.torch import load_file
 
 from ffpose._internal.seeds import CHOICES
-from ffpose._internal.zoo import resolve
-from ffpose.config import PolarPoseConfig
 from ffpose.geometry import Pose
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.load import load
-from ffpose.models import read_metadata
-from ffpose.models.weights import write_weights
 from ffpose.render.renderer import render
 
 SEED = CHOICES.start + 35_000
@@ -36,35 +29,22 @@ SIZE = (512, 384)
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Measure, print the results as JSON, and write weights where a file is named."""
+    """Measure, and print the results as JSON."""
     parser = argparse.ArgumentParser("python -m benchmarks.look", description=__doc__)
     parser.add_argument("weights", help="weights file, or a name")
     parser.add_argument("graph", nargs="?", type=Path, help="graph whose time is measured")
     parser.add_argument("--scenes", nargs="+", default=["soyuz_hard", "soyuz_easy"])
-    parser.add_argument("--images", type=int, default=24, help="of each scene")
+    parser.add_argument("--images", type=int, default=60, help="of each scene")
     parser.add_argument("--repeats", type=int, default=100, help="frames timed of each kind")
-    parser.add_argument("--out", type=Path, help="weights file to write")
     options = parser.parse_args(words)
     estimator = load(options.weights, track=True, device="cpu", threads=1, warm_up=1)
     found: dict[str, object] = {}
-    medians = []
-    for scene in options.scenes if options.images else ():
-        found[scene] = each = median_slopes(estimator, scene, options.images)
-        medians.append(each["all"])
+    for scene in options.scenes:
+        found[scene] = median_slopes(estimator, scene, options.images)
     timed = estimator
     if options.graph is not None:
         timed = load(options.graph, track=True, threads=1, warm_up=3)
     found["milliseconds"] = milliseconds(timed, options.repeats)
-    if options.out is not None:
-        path = resolve(options.weights)
-        metadata = read_metadata(path)
-        config = metadata.config
-        if not isinstance(config, PolarPoseConfig):
-            raise ValueError("weights: expected those of a PolarPose")
-        kept = float(np.mean(medians)) * (1 - config.lean)  # of the offset, without a stretch
-        found["lean"] = lean = round(1 - kept, 3)
-        config = replace(config, lean=lean)
-        write_weights(options.out, load_file(path), replace(metadata, config=config))
     print(json.dumps(found, indent=1))
     return 0
 
@@ -101,14 +81,14 @@ def slopes(
 
 
 def milliseconds(estimator: PoseEstimator, repeats: int) -> dict[str, float]:
-    """Return median times of a whole frame and of a look, and their ratio."""
+    """Return median CPU times of a whole frame and of a look, and their ratio."""
     x = np.zeros((1, 3, *estimator.preprocessing.size), np.float32)
     point = np.array([[0.0, 0.0, 15.0]])
 
     def timed(call: Callable[[], object]) -> float:
-        begin = time.perf_counter()
+        begin = time.process_time()
         call()
-        return 1e3 * (time.perf_counter() - begin)
+        return 1e3 * (time.process_time() - begin)
 
     pairs = [
         (timed(lambda: estimator.run(x)), timed(lambda: estimator.run(x, point)))

@@ -55,8 +55,6 @@ class PolarPoseConfig(SecondLookConfig):
             p``; found by calibration.
         degrees_of_freedom: Of the t distributions of the errors of translation and rotation; found
             by calibration. None for Gaussian errors.
-        lean: Share of the object's offset from a known point that a single look there leaves out;
-            found by ``python -m benchmarks.look``, and given back.
         looks: Number of second looks; each but the first is pointed by the one before.
 
     Raises:
@@ -92,7 +90,6 @@ class PolarPoseConfig(SecondLookConfig):
     angles: int = 48
     directions: int = 500
     bins_width_deg: float = 8.0
-    lean: float = 0.0
 
     def _check_values(self) -> None:
         super()._check_values()
@@ -114,8 +111,6 @@ class PolarPoseConfig(SecondLookConfig):
             )
         if not 0 < self.bins_width_deg < math.inf:
             raise ValueError(f"bins_width_deg: expected above 0, got {self.bins_width_deg}")
-        if not -1 < self.lean < 1:
-            raise ValueError(f"lean: expected above -1 and below 1, got {self.lean}")
 
     @property
     def coarsest_reduction(self) -> int:

@@ -108,9 +108,7 @@ class PolarPose(PoseNetwork):
     def look_at(self, images: Tensor, points: Tensor) -> UncertainPose:
         """Predict the poses of objects that are known to be near given points.
 
-        One second look, without a first one and without a correction of where to look. Its offset
-        leans to the point, as a mean of what the view may show, and is stretched by what it lacks
-        (``config.lean``).
+        One second look, without a first one and without a correction of where to look.
 
         Args:
             images: As in `forward`.
@@ -120,14 +118,8 @@ class PolarPose(PoseNetwork):
             ValueError: The shape of ``images`` is not as above.
         """
         self.check_images(images)
-        points = in_front(points)
-        numbers, view = self._look(pyramid(images), points)
-        pose = calibrated(self._pose(numbers, view), self.config)
-        stretch = 1 / (1 - self.config.lean)
-        return pose._replace(
-            translation=points + (pose.translation - points) * stretch,
-            translation_covariance=pose.translation_covariance * stretch**2,
-        )
+        numbers, view = self._look(pyramid(images), in_front(points))
+        return calibrated(self._pose(numbers, view), self.config)
 
     def _look(self, levels: Sequence[Tensor], points: Tensor) -> tuple[LookNumbers, VirtualCamera]:
         """Look at points ``(V, 3)``, those of the first image first."""
