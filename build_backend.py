@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from typing import Any
 
 import maturin
 
 from build_library import build_library
 
+SOURCES = (
+    "ffpose: built from its sources, which needs Rust and a C linker, as pip found no wheel for"
+    " this machine; wheels need pip 20.3 or newer and, on Linux, glibc 2.28 or newer"
+)
+
 
 def build_wheel(*args: Any, **kwargs: Any) -> str:
     """Build a wheel; arguments and result are those of PEP 517."""
+    print(SOURCES, file=sys.stderr)  # pip shows it where the build fails
     _find_cargo()
     build_library()
     return maturin.build_wheel(*args, **kwargs)

@@ -159,7 +159,7 @@ def test_one_view_of_the_object_is_turned_with_the_camera(model, monkeypatch):
     assert ((turn * seen).inv() * rotations(pose.orientation)).magnitude().max() < 1e-5
 
     for covariance in (pose.translation_covariance, pose.rotation_covariance):
-        alike = turn.as_matrix().mT @ covariance.numpy() @ turn.as_matrix()
+        alike = turn.inv().as_matrix() @ covariance.numpy() @ turn.as_matrix()
         distance = 1 if covariance is pose.rotation_covariance else np.linalg.norm(t, axis=-1)
         # Lateral sigmas count in parts of the view's five meters, the distance in its logarithm.
         in_view = alike / np.reshape(distance, (-1, 1, 1)) ** 2
