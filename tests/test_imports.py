@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "python" / "ffpose"
 # Each room and the rooms of ffpose that it may import. Leaves are open to all.
 LEAVES = {"errors", "_internal"}
 ALLOWED = {
-    "__init__": {"arrays", "geometry", "inference"},
+    "__init__": {"_rust", "arrays", "geometry", "inference"},
     "errors": set(),
     "_internal": {"arrays"},
     "arrays": {"_rust"},

@@ -6,6 +6,8 @@ are in `ffpose.ops`, layers in `ffpose.nn`, the network in `ffpose.models`, and 
 frames, quaternions and pixels in `ffpose.geometry`.
 """
 
+# Before NumPy, which ends the process on a processor that `_rust` refuses in a sentence.
+from ffpose import _rust as _rust
 from ffpose.arrays import (
     __version__,
     normalize_quaternion,

@@ -13,6 +13,17 @@ mod tracking;
 
 use pyo3::prelude::*;
 
+/// Refuses a processor on which NumPy's wheels end with an illegal instruction; this library itself needs none of the newer ones.
+fn expect_processor() -> PyResult<()> {
+    #[cfg(target_arch = "x86_64")]
+    if !(is_x86_feature_detected!("sse4.2") && is_x86_feature_detected!("popcnt")) {
+        return Err(pyo3::exceptions::PyImportError::new_err(
+            "ffpose and NumPy need a processor with SSE4.2 and POPCNT (x86-64-v2: Intel from 2009, AMD from 2011), and this one lacks them",
+        ));
+    }
+    Ok(())
+}
+
 /// The compiled core of ffpose. Arrays are C-contiguous float32 or float64.
 #[pymodule]
 mod _rust {
@@ -39,8 +50,8 @@ mod _rust {
     use super::tracking::PyTracker;
 
     #[pymodule_init]
-    #[allow(clippy::unnecessary_wraps)] // the form that pyo3 expects
     fn init(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+        super::expect_processor()?;
         super::pool::watch_forks();
         super::spectral::initialize();
         Ok(())
