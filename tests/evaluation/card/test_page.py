@@ -112,9 +112,12 @@ def test_the_cards_are_compared_column_by_column():
 
 def test_the_summary_has_two_rows_a_card():
     text = filled("<!-- card: summary -->\n<!-- end of card -->\n", {"a": card()})
-    name = "`soyuz` on `soyuz_easy`, 8–22 m, from the image alone"
-    assert f"| {name} | 2.00° | 0.25 m, 1.5 % of the distance | 500 |" in text.splitlines()
-    assert "| … mean pose of `soyuz_easy` | 2.00° |" in text
+    name = "`soyuz` on `soyuz_easy`, 8–22 m"
+    assert (
+        f"| {name} | 2.00° | 4.00°, 1.0 % | 0.25 m, 1.5 % of the distance | 500 |"
+        in text.splitlines()
+    )
+    assert "| … constant: mean pose of `soyuz_easy` | 2.00° |" in text
 
 
 def test_the_pages_have_the_cards_of_the_shipped_weights():
