@@ -13,7 +13,12 @@ fn dft(plane: &Array2<Complex64>, axis: Axis, sign: f64) -> Array2<Complex64> {
     let mut out = plane.clone();
     for (line, mut out) in plane.lanes(axis).into_iter().zip(out.lanes_mut(axis)) {
         for (j, out) in out.iter_mut().enumerate() {
-            *out = line.iter().enumerate().map(|(k, x)| x * roots[j * k % n]).sum();
+            // `j k` modulo `n`, without a division for each
+            let turns = (0..n).scan(n - j, |turn, _| {
+                *turn = (*turn + j) - if *turn + j >= n { n } else { 0 };
+                Some(*turn)
+            });
+            *out = line.iter().zip(turns).map(|(x, turn)| x * roots[turn]).sum();
         }
     }
     out
