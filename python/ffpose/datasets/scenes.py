@@ -147,7 +147,7 @@ def open_empty_images(
         camera = camera_of(scene, (width, height))
         images = []
         for index in range(count // 2):
-            decoy = replace(scene, craft=build_decoy(seed, index))
+            decoy = scene.with_stranger(build_decoy(seed, index))
             images += [
                 shoot(scene, seed, index, camera, scene.sensor, empty=True).image,
                 shoot(decoy, seed, index, camera, scene.sensor).image,

@@ -17,6 +17,9 @@ EARTH_RADIUS_M = 6_371_000.0
 ALTITUDE_M = (380_000.0, 440_000.0)
 DIRECTION_TRIES = 24
 
+LEAST_DEPTH_M = 0.5
+"""Depth that the whole spacecraft keeps from the camera; a tenth of the least distance if less."""
+
 
 class Surroundings(NamedTuple):
     """The lights and the Earth about the spacecraft, all in the camera frame.
@@ -121,6 +124,6 @@ def _acceptable(pose: Pose, scene: Scene, craft: Craft) -> bool:
     if np.hypot(pose.t[0], pose.t[1]) > scene.lateral_m:
         return False
     points = craft.outline @ pose.rotation.T + pose.t
-    if points[:, 2].min() < 0.5:
+    if points[:, 2].min() < min(LEAST_DEPTH_M, 0.1 * scene.distance_m[0]):
         return False
     return scene.min_visible <= visible_share(points, scene.camera) <= scene.max_visible

@@ -19,6 +19,10 @@ Renderer = Literal["ffpose", "mitsuba"]
 """What renders the spacecraft: `ffpose.render.shading`, or `ffpose.render.mitsuba`."""
 
 
+USUAL_RADIUS_M = 5.0
+"""Radius of the spacecraft that come with ffpose, about."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """Everything that an image depends on, but for the seed, its index and its size.
@@ -86,6 +90,17 @@ class Scene:
     def build(self) -> Craft:
         """The spacecraft itself."""
         return build_craft(self.craft) if isinstance(self.craft, str) else self.craft
+
+    def with_stranger(self, stranger: str | Craft) -> Scene:
+        """The set with another spacecraft in its place.
+
+        Spacecraft of files may be of any size, and strangers are then as much larger or smaller as
+        they are than those that come with ffpose.
+        """
+        if isinstance(self.craft, str):
+            return replace(self, craft=stranger)
+        other = build_craft(stranger) if isinstance(stranger, str) else stranger
+        return replace(self, craft=other.scaled(self.craft.radius / USUAL_RADIUS_M))
 
     def cut(self, least: float, most: float) -> Scene:
         """The set whose spacecraft the frame's border cuts: a share of least to most is seen."""

@@ -131,7 +131,7 @@ def without_object(scene: Scene) -> list[Variation]:
     other = "soyuz" if scene.build().name == "dragon" else "dragon"
     return [
         Variation("empty scenes", "Earth, stars and sun alone", scene, empty=True),
-        Variation("another spacecraft", f"{other} in its place", replace(scene, craft=other)),
+        Variation("another spacecraft", f"{other} in its place", scene.with_stranger(other)),
     ]
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import multiprocessing
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from typing import get_args
 
@@ -50,7 +50,7 @@ def render_view(
     if content not in get_args(Content):
         raise ValueError(f"content: expected one of {get_args(Content)}, got {content!r}")
     if content == "decoy":
-        scene = replace(scene, craft=build_decoy(seed, index))
+        scene = scene.with_stranger(build_decoy(seed, index))
     empty = content == "empty"
     pose = label(scene, seed, index)
     level = spec.level(pose.t)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -38,6 +38,19 @@ class Craft:
         """Vertices (N, 3), a few hundred at most, that span the spacecraft's extent."""
         vertices = self.mesh.vertices
         return vertices[:: max(1, len(vertices) // 400)]
+
+    @cached_property
+    def radius(self) -> float:
+        """Radius of the least sphere around `outline`, meters."""
+        return bounding_sphere(self.outline)[1]
+
+    def scaled(self, factor: float) -> Craft:
+        """Return the spacecraft that many times as large."""
+        mesh = replace(self.mesh, vertices=self.mesh.vertices * factor)
+        points = {
+            name: (x * factor, y * factor, z * factor) for name, (x, y, z) in self.keypoints.items()
+        }
+        return Craft(f"{self.name} x{factor:.6g}", mesh, self.materials, points)
 
 
 def bounding_sphere(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
