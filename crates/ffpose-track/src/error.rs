@@ -78,7 +78,7 @@ impl Display for Error {
                 write!(f, "{name}: expected {expected}, got {got}")
             }
             Self::Setting => {
-                write!(f, "expected a setting of the tracker: a number, or three of a vector")
+                write!(f, "expected a setting of the tracker: a number, or those of a vector")
             }
             Self::State { reason } => write!(f, "state: {reason}"),
         }

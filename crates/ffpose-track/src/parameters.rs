@@ -140,7 +140,7 @@ impl Parameters {
         }
     }
 
-    /// Sets a setting by its name: a number, or three of a vector; angles and their rates in degrees.
+    /// Sets a setting by its name: a number, or those of a vector; angles and their rates in degrees.
     ///
     /// # Errors
     ///

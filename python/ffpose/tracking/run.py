@@ -58,8 +58,6 @@ def run(
         raise DataError(f"{len(lost)} of {len(followed)} images have no pose; {first}")
     if all(each.step.estimate is None for each in followed):
         flagged = sum(bool(each.alone and each.alone.flagged) for each in followed)
-        raise DataError(
-            f"no track: of {len(followed)} frames {flagged} are flagged and the others' poses do "
-            "not agree"
-        )
+        rest = "the others' poses do not agree" if flagged < len(followed) else "none has a pose"
+        raise DataError(f"no track: of {len(followed)} frames {flagged} are flagged, and {rest}")
     return followed

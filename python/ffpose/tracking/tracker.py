@@ -113,8 +113,14 @@ def read_settings(path: Path | None, network: Description) -> Settings:
         return Settings.of(network)
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise DataError(f"expected a JSON object: {error}", path) from error
+    try:
         if not isinstance(told, dict):
-            raise ValueError(f"settings: expected a JSON object, got {type(told).__name__}")
+            raise ValueError(f"expected a JSON object, got {type(told).__name__}")
+        for name, value in told.items():
+            if not all(isinstance(each, int | float) for each in np.ravel(value).tolist()):
+                raise ValueError(f"{name}: expected numbers, got {value!r}")
         settings = Settings.of(network, told)
         Tracker(settings)
     except (TypeError, ValueError) as error:
