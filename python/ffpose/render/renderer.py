@@ -32,10 +32,6 @@ BLOCK = 8192
 BAND = 1 << 16
 """Spacecraft samples per block: small enough that the temporaries stay in the CPU's cache."""
 
-LAMP = 30.0
-"""Strength of the camera's lamp in eclipse: at 10 m it gives a surface a third of the sun's light.
-No real lamp is so strong; the value also stands for a longer exposure."""
-
 SAMPLES = ((0.02, 4), (0.06, 3), (1.0, 2))
 """Samples along each side of a pixel, by the fraction of the frame that the spacecraft fills."""
 
@@ -157,7 +153,7 @@ def shoot_each(
         finish = prepared(craft)[1]
         if scene.randomization.materials > 0:
             finish = finish.varied(scene.randomization.materials, odd_rng)
-        light = object_light(pose, around, scene.randomization.light, odd_rng)
+        light = object_light(pose, around, scene, odd_rng)
         if scene.renderer == "mitsuba":
             lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
         else:
@@ -316,10 +312,9 @@ def sample_count(window: Window, camera: Camera) -> int:
     return next(samples for most, samples in SAMPLES if share <= most)
 
 
-def object_light(
-    pose: Pose, around: Surroundings, spread: float, rng: np.random.Generator
-) -> Light:
-    """Return the lights in the object frame, varied by stops of standard deviation `spread`."""
+def object_light(pose: Pose, around: Surroundings, scene: Scene, rng: np.random.Generator) -> Light:
+    """Return the lights in the object frame, varied as the set's randomization says."""
+    spread = scene.randomization.light
     back = pose.rotation.T
     horizon = math.sqrt(1 - 1 / (1 + around.altitude) ** 2)
     # The lit part of the Earth's disk grows with the sun's height over the ground below.
@@ -330,7 +325,7 @@ def object_light(
         earth=float(np.clip((above + 0.35) / 1.35, 0.0, 1.0) * stops(spread, (), rng)),
         horizon=horizon,
         sunlight=0.0 if around.eclipsed else 1.0,
-        lamp=LAMP if around.eclipsed else 0.0,
+        lamp=scene.lamp if around.eclipsed else 0.0,
         tint=stops(spread, (3, 1), rng),
     )
 

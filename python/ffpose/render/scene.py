@@ -23,6 +23,11 @@ USUAL_RADIUS_M = 5.0
 """Radius of the spacecraft that come with ffpose, about."""
 
 
+LAMP = 30.0
+"""Strength of the camera's lamp in eclipse: at 10 m it gives a surface a third of the sun's light.
+No real lamp is so strong; the value also stands for a longer exposure."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """Everything that an image depends on, but for the seed, its index and its size.
@@ -42,6 +47,7 @@ class Scene:
         sensor: how light becomes numbers.
         randomization: how far pictures leave what is real; not at all by default.
         renderer: what renders the spacecraft; sky and Earth are always ours.
+        lamp: irradiance of the camera's lamp in eclipse, relative to the sun's, at 1 m.
     """
 
     name: str
@@ -56,6 +62,7 @@ class Scene:
     sensor: Sensor = field(default_factory=Sensor)
     randomization: Randomization = field(default_factory=Randomization)
     renderer: Renderer = "ffpose"
+    lamp: float = LAMP
 
     def __post_init__(self) -> None:
         if self.renderer not in get_args(Renderer):
@@ -118,8 +125,10 @@ class Scene:
 
     def parameters(self) -> dict[str, Any]:
         """All fields as plain values for a manifest; the spacecraft by its name."""
-        shown = replace(self, craft=self.build().name)
-        return asdict(shown)
+        shown = asdict(replace(self, craft=self.build().name))
+        if self.lamp == LAMP:  # as sets were before it could be another
+            del shown["lamp"]
+        return shown
 
 
 SCENES = {

@@ -17,7 +17,7 @@ from typing import Any
 from ffpose._internal.files import atomic_write, read_json, shortened
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
-from ffpose.render.scene import Scene, get_scene
+from ffpose.render.scene import LAMP, USUAL_RADIUS_M, Scene, get_scene
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.meshfile import Up, load_craft
 
@@ -72,13 +72,16 @@ class SceneFile:
             ffpose.DataError: The file is no mesh that can be read.
             ValueError: An option of the mesh, or a range of the set, is out of its limits.
         """
+        craft = self.craft()
         return Scene(
             self.name,
-            self.craft(),
+            craft,
             self.distance_m,
             self.distance_m[1],  # as far off the axis as the frame goes
             attitude_range_deg=self.attitude_range_deg,
             camera=self.camera,
+            # Distances are as large as the spacecraft, and light falls with their square.
+            lamp=LAMP * (craft.radius / USUAL_RADIUS_M) ** 2,
         )
 
     def write(self, path: Path) -> None:

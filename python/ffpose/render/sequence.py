@@ -194,7 +194,7 @@ def render_frame(sequence: Sequence, index: int) -> NDArray[np.uint8]:
     if scene.randomization.materials > 0:
         finish = finish.varied(scene.randomization.materials, odd_rng)
     pose = sequence.pose(index)
-    light = object_light(pose, around, scene.randomization.light, odd_rng)
+    light = object_light(pose, around, scene, odd_rng)
     lit = [np.zeros((3, 0), dtype=np.float32)]
     total = np.zeros_like(radiance)
     instants = _instants(sequence, index, sequence.exposure_s)

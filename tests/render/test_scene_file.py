@@ -1,0 +1,24 @@
+"""Sets of one's own spacecraft."""
+
+import numpy as np
+import trimesh
+
+from ffpose.geometry import Camera
+from ffpose.render import SceneFile, render
+
+CAMERA = Camera(64, 48, 32.0, 32.0, 32.0, 24.0)
+
+
+def test_images_depend_on_the_ratio_of_size_and_distance_alone(tmp_path):
+    """In the sun and in the light of the lamp, of a picosatellite as of a station."""
+    trimesh.creation.box((2.0, 1.0, 0.7)).export(tmp_path / "box.stl")
+    for index in range(6):
+        images = []
+        for scale in (0.05, 1.0, 40.0):
+            distance = (3.6 * scale, 19.2 * scale)
+            limits = (180.0, 90.0, 180.0)
+            file = SceneFile("box", tmp_path / "box.stl", scale, distance, limits, CAMERA)
+            images.append(render(file.scene(), 0, index).image.astype(float))
+        for image in images[::2]:
+            assert np.abs(image - images[1]).mean() < 0.5
+            assert np.quantile(np.abs(image - images[1]), 0.98) <= 3
