@@ -36,3 +36,19 @@ def random_image():
 
     pixels = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
     return Image.fromarray(pixels)
+
+
+def test_bins_at_the_edge_of_a_mode_are_no_difference():
+    """A network that has hardly learned has probability there."""
+    from ffpose.onnx.pose_graph import EDGE, pose_differences
+
+    quaternion = np.array([[1.0, 0, 0, 0]])
+    expected = {
+        "translation": np.zeros((1, 3)),
+        "orientation": quaternion,
+        "alternative": quaternion,
+        "probabilities": np.array([[0.2, 0.1]]),
+    }
+    for change, found in ((0.004, 0.0), (0.05, 0.05 - EDGE)):
+        got = expected | {"probabilities": expected["probabilities"] + change}
+        assert pose_differences(got, expected)["probabilities"] == pytest.approx(found)
