@@ -14,7 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from build_licenses import linked  # noqa: E402
+from build_licenses import linked  # noqa: E402 - found by the line above
 
 SOURCES = (
     *("Cargo.lock", "Cargo.toml", "LICENSE", "README.md", "THIRD-PARTY.txt", "pyproject.toml"),

@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ffpose.render import Scene, load_craft, render
 from ffpose.render.spacecraft.craft import Craft, bounding_sphere
@@ -19,8 +20,9 @@ IMAGES, ROUNDS = 6, 5
 
 def compare(craft: Craft) -> tuple[float, float]:
     """Return the least seconds of an image without textures and with them, in turns."""
-    none = dict.fromkeys(("color_map", "roughness_map", "normal_map", "emission_map"))
-    plain = replace(craft, materials=tuple(replace(m, **none) for m in craft.materials))  # type: ignore[arg-type]
+    maps = ("color_map", "roughness_map", "normal_map", "emission_map")
+    none: dict[str, Any] = dict.fromkeys(maps)
+    plain = replace(craft, materials=tuple(replace(m, **none) for m in craft.materials))
     radius = bounding_sphere(craft.mesh.vertices)[1]
     near, far = 3 * radius, 6 * radius
     scenes = [Scene("mesh", each, (near, far), 0.5 * radius) for each in (plain, craft)]

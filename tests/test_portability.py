@@ -1,13 +1,15 @@
 """What Linux forgives and Windows does not, read from the sources; mypy finds what it lacks."""
 
 import ast
+import errno
 import io
 import sys
 from pathlib import Path
 
 import pytest
 
-from ffpose.cli import main
+from ffpose._internal.machine import worker_processes
+from ffpose.cli import is_closed_pipe, main
 
 PACKAGE = Path(__file__).parents[1] / "python/ffpose"
 
@@ -44,3 +46,18 @@ def test_a_code_page_without_a_character_ends_no_command(monkeypatch):
     assert main(["info"]) == 0
     page.seek(0)
     assert page.read() == "2.0\\xb0 \\xb1 0.1\\xb0\n"
+
+
+def test_a_reader_that_leaves_is_known_by_each_systems_error(monkeypatch):
+    invalid = OSError(errno.EINVAL, "Invalid argument")
+    assert [is_closed_pipe(error) for error in (BrokenPipeError(), invalid)] == [True, False]
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert [is_closed_pipe(error) for error in (BrokenPipeError(), invalid)] == [True, True]
+    assert not is_closed_pipe(OSError(errno.EINVAL, "Invalid argument", "a file"))
+    assert not is_closed_pipe(ValueError("count: expected at least 1, got 0"))
+
+
+def test_windows_starts_as_many_workers_as_it_can_wait_for(monkeypatch):
+    assert [worker_processes(asked, 99) for asked in (2, 64, 128)] == [2, 64, 99]
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert [worker_processes(asked, 99) for asked in (2, 64, 128)] == [2, 61, 61]

@@ -9,6 +9,7 @@ Imports are deferred until a command runs, so that ``ffpose --help`` is fast and
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import os
 import re
@@ -928,7 +929,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code = run_command(words)
         sys.stdout.flush()
-    except BrokenPipeError:
+    except OSError as error:
+        if not is_closed_pipe(error):
+            raise
         # What is left in the buffer has no reader either, and Python would say so as it leaves.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED
@@ -936,6 +939,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say("ffpose: interrupted; files already written are complete")
         return INTERRUPTED
     return code
+
+
+def is_closed_pipe(error: Exception) -> bool:
+    """Return whether nobody reads the results; Windows says that the argument is invalid."""
+    if not isinstance(error, OSError):
+        return False
+    invalid = error.errno == errno.EINVAL and error.filename is None
+    return isinstance(error, BrokenPipeError) or (sys.platform == "win32" and invalid)
 
 
 def run_command(words: list[str]) -> int:
@@ -962,10 +973,8 @@ def run_command(words: list[str]) -> int:
         known = [] if parser is None else re.findall(r"--[\w.-]+", parser.format_usage())
         say(f"ffpose {name}: {advice(error.message, known)}; see ffpose {name} --help")
         raise SystemExit(2) from error
-    except BrokenPipeError:
-        raise
     except Exception as error:
-        if "--debug" in words:
+        if "--debug" in words or is_closed_pipe(error):
             raise
         if isinstance(error, ModuleNotFoundError) and error.name:  # imported without `require`
             error = MissingExtraError.of(error.name.partition(".")[0], COMMANDS[name].extra)

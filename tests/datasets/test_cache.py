@@ -6,6 +6,7 @@ import os
 import pickle
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -210,6 +211,18 @@ def test_an_image_that_is_gone_is_named(records):
     records[1].image.unlink()
     with pytest.raises(DataError, match=r"list\.csv:2: .*1\.png: no such file"):
         cached_frames(records, PREPROCESSING)
+
+
+def test_a_faster_process_whose_file_cannot_be_replaced_is_as_good(records, folder, monkeypatch):
+    """As on Windows, where that process maps it."""
+
+    def refuse(written, target):
+        shutil.copy(written, target)
+        raise PermissionError(errno.EACCES, "mapped", str(target))
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    np.testing.assert_array_equal(cached_frames(records, PREPROCESSING)[2], decoded(records[2]))
+    assert len(files(folder)) == 1
 
 
 def test_a_cache_larger_than_the_disk_is_refused_at_once(records, folder, monkeypatch, decodings):

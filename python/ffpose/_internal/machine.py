@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -26,6 +27,15 @@ def package_versions(*packages: str) -> dict[str, str]:
 def cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def worker_processes(asked: int, pieces: int) -> int:
+    """Return how many worker processes to start for so many pieces of work.
+
+    Python waits for at most 61 on Windows; more would be an error there.
+    """
+    most = 61 if sys.platform == "win32" else asked
+    return min(asked, pieces, most)
 
 
 def processor() -> str:

@@ -129,6 +129,8 @@ def _write(
             for frame in decode_all(decode, range(shape[0])):
                 file.write(frame.data)
     except OSError as error:
+        if _is_whole(target, shape):  # of another process, and mapped: Windows does not replace it
+            return
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = f"{os.strerror(error.errno)}: {what} need {need / 1e9:.1f} GB"
             raise OSError(error.errno, message, str(folder)) from error

@@ -111,7 +111,7 @@ def _files(out: Path) -> list[str]:
     bulky = (out / "images", out / "views")
     written = {path for path in out.rglob("*") if path.is_file()} | {out / "report.json"}
     kept = (path for path in written if not any(map(path.is_relative_to, bulky)))
-    return sorted(str(path.relative_to(out)) for path in kept)
+    return sorted(path.relative_to(out).as_posix() for path in kept)
 
 
 def _attitudes(config: DemoConfig) -> dict[str, list[float]]:

@@ -87,8 +87,8 @@ def stages(minutes: float, speed: Speed) -> tuple[Stage, Stage]:
         (Stage(name='first', views=4752, epochs=31), Stage(name='second', views=16000, epochs=52))
     """
     seconds = 60 * minutes * (1 - TEST_SHARE)
-    shares = {"first": FIRST_SHARE * seconds, "second": (1 - FIRST_SHARE) * seconds}
-    return tuple(_stage(name, share, speed) for name, share in shares.items())  # type: ignore[return-value]
+    first = FIRST_SHARE * seconds
+    return _stage("first", first, speed), _stage("second", seconds - first, speed)
 
 
 def _stage(name: str, seconds: float, speed: Speed) -> Stage:

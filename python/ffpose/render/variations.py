@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 from ffpose._internal.files import atomic_write
+from ffpose._internal.machine import worker_processes
 from ffpose.geometry import Camera
 from ffpose.imaging.images import read_rgb
 from ffpose.render.dataset.pool import one_thread_each
@@ -186,7 +187,8 @@ def _mapped(workers: int, count: int) -> Iterator[Callable[..., Iterator[list[Fr
         return
     context = multiprocessing.get_context("spawn")
     with one_thread_each():  # and the parent alone answers to Ctrl-C
-        pool = context.Pool(min(workers, count), signal.signal, (signal.SIGINT, signal.SIG_IGN))
+        processes = worker_processes(workers, count)
+        pool = context.Pool(processes, signal.signal, (signal.SIGINT, signal.SIG_IGN))
     with pool:
         yield partial(_map_ahead, pool, AHEAD * workers)
 

@@ -17,6 +17,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import get_args
 
+from ffpose._internal.machine import worker_processes
 from ffpose.geometry import Camera, Pose
 from ffpose.imaging.views import Bytes, Content, Pieces, ViewSpec, cut_pieces, in_frame
 from ffpose.render.layers import object_coordinates
@@ -90,7 +91,8 @@ def render_views(
         return
     prepared(scene.build())  # forked workers share the BVH
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
-    with context.Pool(min(workers, len(indices)), _start_worker, (make,)) as pool:
+    processes = worker_processes(workers, len(indices))
+    with context.Pool(processes, _start_worker, (make,)) as pool:
         yield from pool.imap(_render_next, indices, CHUNK)
 
 

@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from safetensors.torch import load_file
+from safetensors.torch import load
 from torch.utils.data import DataLoader
 
 from ffpose import __version__
@@ -110,7 +110,8 @@ def write_calibrated(
         calibration=about,
         version=__version__,
     )
-    state = load_file(path) | {"variance_scales": found.variance_scales}
+    # Not mapped, as by `load_file`: `out` may be this file, and Windows replaces no mapped one.
+    state = load(path.read_bytes()) | {"variance_scales": found.variance_scales}
     write_weights(path if out is None else out, state, header)
     return found
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ffpose._internal.files import atomic_write, sha256
+from ffpose._internal.machine import worker_processes
 from ffpose._internal.urso import image_name
 from ffpose.errors import require
 from ffpose.render.layers import render_layers, write_layers
@@ -67,7 +68,7 @@ def render_all(job: Job, indices: Sequence[int], workers: int) -> Iterator[tuple
     """
     if workers == 1 or len(indices) < 2:
         return ((index, render_one(job, index)) for index in indices)
-    return _in_processes(job, indices, min(workers, len(indices)))
+    return _in_processes(job, indices, worker_processes(workers, len(indices)))
 
 
 def render_one(job: Job, index: int) -> str:

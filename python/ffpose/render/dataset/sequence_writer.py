@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ffpose._internal.files import atomic_write, expect_room, read_json, remove_leftovers
+from ffpose._internal.machine import worker_processes
 from ffpose._internal.seeds import refuse_final
 from ffpose.errors import DataError
 from ffpose.geometry import CAMERA_FILE
@@ -142,7 +143,7 @@ def _rendered(sequence: Sequence, folder: Path, indices: list[int], workers: int
     with (
         one_thread_each(),
         ProcessPoolExecutor(
-            min(workers, len(indices)), context, _start_worker, (sequence, folder)
+            worker_processes(workers, len(indices)), context, _start_worker, (sequence, folder)
         ) as pool,
     ):
         futures = [pool.submit(_worker_write, index) for index in indices]
