@@ -7,8 +7,8 @@
 //!
 //! A [`crate::SpectralFilter`] cuts a batch into pieces (`spectral::tiling`, `spectral::batch`) and gives each to the kernel of
 //! its shape, which [`plan`] chooses and of which it knows the traits of [`crate::kernel`] alone. A kernel takes the images of a
-//! piece, one after the other or several side by side, to spectra in scratch, applies a *pointwise* operation to these (the product with the weight, the
-//! sum of the weight's gradient, or both), and takes them back:
+//! piece, one after the other or several side by side, to spectra in scratch (tokens: in the result), applies a *pointwise*
+//! operation to these (the product with the weight, the sum of the weight's gradient, or both), and takes them back. In a grid:
 //!
 //! ```text
 //! image -> rows forward -> columns forward -> pointwise -> columns inverse -> rows inverse -> image
@@ -16,7 +16,8 @@
 //! weight (natural order) -> pack -> packed weight (kernel order); gradient sum -> unpack -> gradient
 //! ```
 //!
-//! Nothing reorders a spectrum: transforms leave frequencies where the last pass puts them, and the weight is packed to match.
+//! Planes go along X first, tokens along parts of both in turn. Nothing reorders a spectrum: transforms leave frequencies where
+//! the last pass puts them, and the weight is packed to match.
 //!
 //! ## Kernels
 //!
@@ -32,7 +33,7 @@
 //! - **[`tokens`]**: both axes of one plane, whose sizes have codelets: `X = A B` rows of lines of vectors. Three passes
 //!   (`passes`), on one image or several (`images`): `lines` along Y without the lanes and `blocks` over `A`; for each step
 //!   (`steps`) `blocks` over `B`, then `groups`, which transposes squares of vectors for the transform across lanes, with the
-//!   product (`pointwise`) between; and back. It reads the weight in natural order (`weight`).
+//!   product (`pointwise`) between; and back. It reads the weight in natural order (`weight`); `gradient` brings the sums there.
 //! - **[`planes`]**: tokens of any other size. Transforms along X, two `vectors` of a row as one complex line, then along Y as
 //!   columns of as many rows as there are lanes, transposed by `squares`; `order` is that of its weight.
 //! - **[`along`]**: so few lines that vectors across them would be half empty: rustfft along the lines.
