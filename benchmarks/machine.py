@@ -14,9 +14,9 @@ from typing import Any
 import torch
 
 import ffpose
+from benchmarks.timing import Contender, time_calls
 from ffpose._internal.machine import bfloat16_instructions, cores, package_versions, processor
 from ffpose.arrays import instruction_set
-from ffpose.bench.timing import Contender, time_calls
 
 MATRIX_SIDE = 768
 COPIED_FLOATS = 2**24

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from statistics import geometric_mean
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
@@ -32,9 +33,9 @@ from benchmarks.filter.results import (
     traffic,
 )
 from benchmarks.output import in_threads, make_console, make_table, print_notes, save_plot
+from benchmarks.timing import Timing
 from ffpose._internal.figures import new_figure, style_axes
-from ffpose.bench.filter import geometric_mean
-from ffpose.bench.timing import OURS, Timing
+from ffpose.bench.timing import OURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

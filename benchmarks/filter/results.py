@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import geometric_mean
 
 from benchmarks.filter.cases import (
     CHANNELS_FIRST,
@@ -18,8 +19,8 @@ from benchmarks.filter.cases import (
 )
 from benchmarks.filter.children import Setting
 from benchmarks.filter.worker import Measurement
-from ffpose.bench.filter import geometric_mean
-from ffpose.bench.timing import OURS, Timing
+from benchmarks.timing import Timing
+from ffpose.bench.timing import OURS
 
 WORTH_TWO_THREADS = 200e-6
 """Least duration of a call, in seconds, for which a second thread should help."""

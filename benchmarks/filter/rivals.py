@@ -22,8 +22,9 @@ from benchmarks.filter.cases import (
     SCIPY,
     Case,
 )
+from benchmarks.timing import Contender
 from ffpose.bench.filter import DIMS, DIMS_FIRST, Filter, Kind, our_filter, torch_filter
-from ffpose.bench.timing import OURS, Contender
+from ffpose.bench.timing import OURS
 
 FIRST = (CHANNELS_FIRST, COMPILED)
 """Contenders whose grids and sequences have their channels first."""

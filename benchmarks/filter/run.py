@@ -1,7 +1,7 @@
 """`python -m benchmarks filter`: the spectral filter against what else computes it.
 
 The rivals are torch.fft, compiled torch.fft, SciPy's fft and matrix products. All contenders of a
-case are timed in turn in one process (`ffpose.bench.timing`); each instruction set and allocator
+case are timed in turn in one process (`benchmarks.timing`); each instruction set and allocator
 setting has a process of its own (`benchmarks.filter.children`). A ratio above 1 means that ffpose
 is faster.
 """

@@ -19,7 +19,8 @@ import torch
 from benchmarks.filter.cases import COPY, HALF, Case
 from benchmarks.filter.rivals import contenders, in_our_layout
 from benchmarks.machine import environment, measure_peak
-from ffpose.bench.timing import OURS, WARM_UP, Contender, Timing, interleave, torch_threads
+from benchmarks.timing import WARM_UP, Contender, Timing, interleave
+from ffpose.bench.timing import OURS, torch_threads
 
 APART = 1e-3
 """Largest difference of float32 results, relative to the largest value, that counts as equal."""

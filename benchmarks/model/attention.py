@@ -3,7 +3,7 @@
 One baseline runs the forward of `torch.nn.MultiheadAttention`, one plain
 `scaled_dot_product_attention`, one filters by ``torch.fft``; in all else they are ours
 (`benchmarks.model.networks`). The contenders of a case are timed in turn in this process
-(`ffpose.bench.timing`), so that other load on the machine affects them alike: the ratio is more
+(`benchmarks.timing`), so that other load on the machine affects them alike: the ratio is more
 reliable than the milliseconds. A ratio above 1 means that ffpose is faster than the baseline.
 """
 
@@ -35,8 +35,9 @@ from benchmarks.output import (
     print_document,
     print_notes,
 )
+from benchmarks.timing import Timing, interleave
 from ffpose._internal.machine import bfloat16_instructions, cores
-from ffpose.bench.timing import OURS, Timing, interleave, torch_threads
+from ffpose.bench.timing import OURS, torch_threads
 
 MODELS = ("base", "small", "tiny")
 THREADS = (1, 2)

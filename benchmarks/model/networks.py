@@ -17,9 +17,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import linear, scaled_dot_product_attention
 
+from benchmarks.timing import Contender
 from ffpose._internal.choices import FilterKind
 from ffpose.bench.filter import DIMS, torch_filter
-from ffpose.bench.timing import OURS, Contender
+from ffpose.bench.timing import OURS
 from ffpose.models import FilterformerPose
 from ffpose.nn import GlobalFilter, SpectralFilter
 from ffpose.nn.attention import SelfAttention

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
+from statistics import geometric_mean
 from typing import Any
 
 from benchmarks.filter.cases import CHANNELS_FIRST, COMPILED, MATRICES, SCIPY, TORCH
 from benchmarks.output import in_threads
 from benchmarks.pages.documents import Figures
 from benchmarks.pages.markdown import ISAS, NOTHING, Source, measured_on, spread, table
-from ffpose.bench.filter import geometric_mean
 
 GROUPS: Mapping[str, tuple[str, str]] = {
     "grid, batch 1": ("grids", "grids 7×7×512 to 56×56×64, batch 1"),

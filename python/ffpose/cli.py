@@ -815,14 +815,14 @@ def bench_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")
     parser.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
     text = "graphs that take turns with a model, in ONNX Runtime: an older one, an int8 one"
-    parser.add_argument("--beside", type=Path, nargs="+", metavar="GRAPH", help=text)
+    parser.add_argument("--compare", type=Path, nargs="+", metavar="GRAPH", help=text)
     view_arguments(parser)
 
 
 def bench(options: Namespace) -> None:
     """Measure the filter against torch.fft, or a network in torch, ONNX Runtime and OpenVINO."""
     if options.subject == "filter":
-        for name in ("network", "batch", "threads", "beside", "looks", "candidates"):
+        for name in ("network", "batch", "threads", "compare", "looks", "candidates"):
             if options[name] is not None:
                 raise ValueError(f"{name}: expected with model, got {options[name]} with filter")
         from ffpose.bench.filter import run
@@ -838,7 +838,7 @@ def bench(options: Namespace) -> None:
         options.quick,
         batches=options.batch,
         threads=options.threads,
-        beside=options.beside or (),
+        compare=options.compare or (),
         **view_fields(options),
     )
 

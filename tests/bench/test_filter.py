@@ -7,7 +7,7 @@ import torch
 
 from ffpose.bench import filter as bench
 from ffpose.bench.filter import DIMS, DIMS_FIRST, Result, our_filter, torch_filter
-from ffpose.bench.timing import OURS, Timing
+from ffpose.bench.timing import OURS, percentiles
 from ffpose.cli import main
 
 SMALL = (("grid", (4, 6, 3)), ("tokens", (4, 6)), ("sequence", (6, 2)))
@@ -54,8 +54,8 @@ def test_a_document_a_table_and_a_plot(tmp_path, capsys):
 
 def test_ratios_are_to_the_fastest_rival():
     seconds = {OURS: 2.0, bench.LAST: 8.0, bench.FIRST: 6.0}
-    timings = {name: Timing(value, value, value, 1, 1) for name, value in seconds.items()}
-    result = Result("grid", (4, 6, 3), 1, "forward", 1, timings)
+    latencies = {name: percentiles([value]) for name, value in seconds.items()}
+    result = Result("grid", (4, 6, 3), 1, "forward", 1, latencies)
     assert result.ratio(bench.LAST) == 4.0
     assert result.ratio(bench.LAST, bench.FIRST) == 3.0
 

@@ -51,7 +51,7 @@ def test_a_document_a_table_and_a_plot(tmp_path, capsys):
 def test_another_graph_takes_turns(tmp_path, capsys):
     other = tmp_path / "other.onnx"
     bench.export_weights(bench.weights_of("speck", tmp_path), other)
-    words = ["--quick", "--json", "--beside", str(other)]
+    words = ["--quick", "--json", "--compare", str(other)]
     assert main(["bench", "model", "speck", *words]) == 0
     (result,) = json.loads(capsys.readouterr().out)["results"]
     assert list(result["latencies"])[-1] == "other.onnx"

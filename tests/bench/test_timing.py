@@ -4,62 +4,23 @@ import time
 import pytest
 
 from ffpose.bench import timing
-from ffpose.bench.timing import (
-    FEWEST_ROUNDS,
-    Contender,
-    interleave,
-    percentiles,
-    summarize,
-    take_turns,
-    time_calls,
-)
+from ffpose.bench.timing import percentiles, take_turns, timed
 
 
-def test_contenders_take_turns():
+def test_what_prepares_a_call_is_not_timed():
     order = []
-    contenders = {
-        name: Contender(lambda name=name: (order.append(name), time.sleep(0.002))) for name in "ab"
-    }
-    result = interleave(contenders, seconds=0.011, warmup_seconds=0.0)
-    assert result["a"].rounds == result["b"].rounds == FEWEST_ROUNDS
-    turns = [name for name, each in result.items() for _ in range(each.inner)]
-    assert order[-FEWEST_ROUNDS * len(turns) :] == turns * FEWEST_ROUNDS
-
-
-def test_a_sleep_is_measured_as_long_as_it_is():
-    result = interleave({"sleep": Contender(lambda: time.sleep(0.01))}, seconds=0.05)
-    assert result["sleep"].lower >= 0.01
-    assert result["sleep"].lower <= result["sleep"].median <= result["sleep"].upper
-
-
-def test_what_prepares_a_call_is_done_before_each_and_not_timed():
-    order = []
-    contender = Contender(
+    measure = timed(
         lambda: order.append("call"), lambda: (order.append("prepare"), time.sleep(0.01))
     )
-    assert time_calls(contender, 3) < 0.01
-    assert order == ["prepare", "call"] * 3
-
-
-def test_quartiles_by_hand():
-    timing = summarize([5.0, 1.0, 2.0, 4.0, 3.0], inner=7)
-    assert (timing.lower, timing.median, timing.upper) == (2.0, 3.0, 4.0)
-    assert (timing.rounds, timing.inner) == (5, 7)
-    between = summarize([1.0, 2.0, 3.0, 4.0], inner=1)
-    assert (between.lower, between.median, between.upper) == (1.75, 2.5, 3.25)
+    assert measure() < 0.01
+    assert order == ["prepare", "call"]
 
 
 def test_the_garbage_collector_is_put_back():
     assert gc.isenabled()
-    with pytest.raises(ZeroDivisionError):
-        interleave({"broken": Contender(lambda: 1 / 0)}, 0.001)
-    interleave({"fine": Contender(lambda: None)}, 0.001)
+    with pytest.raises(ZeroDivisionError), timing.without_collection():
+        _ = 1 / gc.isenabled()
     assert gc.isenabled()
-
-
-def test_nothing_to_time_is_refused():
-    with pytest.raises(ValueError, match="expected at least 1 contender, got none"):
-        interleave({}, 0.001)
 
 
 def test_percentiles_by_hand():

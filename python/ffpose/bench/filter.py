@@ -8,10 +8,10 @@ reliable than microseconds. A ratio above 1 means that ffpose is faster.
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import geometric_mean
 from typing import Literal
 
 import torch
@@ -19,10 +19,18 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from ffpose._internal.figures import new_figure, save_figure, style_axes
 from ffpose._internal.info import collect
 from ffpose._internal.machine import cores, processor
-from ffpose.bench.timing import OURS, Contender, Timing, expect_place, interleave, torch_threads
+from ffpose.bench.timing import (
+    OURS,
+    Latency,
+    draw_bars,
+    expect_place,
+    percentiles,
+    take_turns,
+    timed,
+    torch_threads,
+)
 from ffpose.ops import spectral_filter
 
 Kind = Literal["grid", "tokens", "sequence"]
@@ -68,7 +76,7 @@ class Result:
         batch: Number of images or sequences.
         work: What is timed; ``"forward+backward"`` gives both gradients.
         threads: Number of threads of torch.
-        timings: Seconds of a call.
+        latencies: Of a call.
     """
 
     kind: Kind
@@ -76,7 +84,7 @@ class Result:
     batch: int
     work: Work
     threads: int
-    timings: dict[str, Timing]
+    latencies: dict[str, Latency]
 
     @property
     def label(self) -> str:
@@ -85,8 +93,8 @@ class Result:
 
     def ratio(self, *rivals: str) -> float:
         """Return our speedup over the fastest of these contenders."""
-        fastest = min(self.timings[name].median for name in rivals if name in self.timings)
-        return fastest / self.timings[OURS].median
+        fastest = min(self.latencies[name].p50 for name in rivals if name in self.latencies)
+        return fastest / self.latencies[OURS].p50
 
 
 def run(as_json: bool = False, plot: Path | None = None, quick: bool = False) -> None:
@@ -112,7 +120,12 @@ def run(as_json: bool = False, plot: Path | None = None, quick: bool = False) ->
             ours, best = _means(results, work)
             print(f"{work}: {ours:.2f} times as fast as torch.fft, {best:.2f} in its best layout")
     if plot is not None:
-        _draw(results, plot)
+        bars = {
+            f"{each.label}, batch {each.batch}, {each.work}": each.ratio(LAST, FIRST)
+            for each in results
+            if each.threads == 1
+        }
+        draw_bars(plot, bars, "times as fast as torch.fft in its best layout, one thread")
 
 
 def measure(quick: bool) -> Iterator[Result]:
@@ -123,12 +136,14 @@ def measure(quick: bool) -> Iterator[Result]:
             for kind, size in FEW if quick else SIZES:
                 for batch in BATCHES:
                     for work in WORKS:
-                        contenders = _contenders(kind, size, batch, work)
-                        timings = interleave(contenders, seconds, warmup_seconds=seconds / 4)
-                        yield Result(kind, size, batch, work, threads, timings)
+                        samples = take_turns(_contenders(kind, size, batch, work), seconds)
+                        found = {name: percentiles(times) for name, times in samples.items()}
+                        yield Result(kind, size, batch, work, threads, found)
 
 
-def _contenders(kind: Kind, size: tuple[int, ...], batch: int, work: Work) -> dict[str, Contender]:
+def _contenders(
+    kind: Kind, size: tuple[int, ...], batch: int, work: Work
+) -> dict[str, Callable[[], float]]:
     generator = torch.Generator().manual_seed(0)
     x = torch.randn(batch, *size, generator=generator)
     spectrum = list(size)
@@ -144,14 +159,14 @@ def _contenders(kind: Kind, size: tuple[int, ...], batch: int, work: Work) -> di
     return found
 
 
-def _contender(function: Filter, x: Tensor, weight: Tensor, work: Work) -> Contender:
+def _contender(function: Filter, x: Tensor, weight: Tensor, work: Work) -> Callable[[], float]:
     x, weight = x.clone(), weight.clone()
     if work == "forward":
-        return Contender(lambda: function(x, weight))
+        return timed(lambda: function(x, weight))
     grad = torch.ones_like(x)
     x.requires_grad_()
     weight.requires_grad_()
-    return Contender(
+    return timed(
         lambda: torch.autograd.grad(function(x, weight), (x, weight), grad),
         # As an optimizer's step would: a weight prepared for the last call is out of date.
         prepare=lambda: weight.data.neg_(),
@@ -179,17 +194,7 @@ def torch_filter(dim: tuple[int, ...]) -> Filter:
     return plain
 
 
-def geometric_mean(values: Iterable[float]) -> float:
-    """Return the geometric mean of positive ratios.
-
-    >>> geometric_mean([2.0, 8.0])
-    4.0
-    """
-    logarithms = [math.log2(value) for value in values]
-    return math.exp2(sum(logarithms) / len(logarithms))
-
-
-def _means(results: list[Result], work: Work) -> tuple[float, float]:
+def _means(results: Sequence[Result], work: Work) -> tuple[float, float]:
     """Return the mean ratios to torch.fft on data that lie as ours, and in its best layout."""
     chosen = [each for each in results if each.work == work]
     return (
@@ -198,7 +203,7 @@ def _means(results: list[Result], work: Work) -> tuple[float, float]:
     )
 
 
-def _table(results: list[Result]) -> Table:
+def _table(results: Sequence[Result]) -> Table:
     table = Table(title=f"ffpose bench filter: float32, {processor()}", title_justify="left")
     for name in ("size", "batch", "threads", "work"):
         table.add_column(name)
@@ -207,26 +212,8 @@ def _table(results: list[Result]) -> Table:
     for each in results:
         table.add_row(
             *(each.label, str(each.batch), str(each.threads), each.work),
-            *(f"{1e6 * each.timings[name].median:.1f}" for name in (OURS, LAST)),
+            *(f"{1e6 * each.latencies[name].p50:.1f}" for name in (OURS, LAST)),
             f"{each.ratio(LAST):.2f}",
             f"{each.ratio(LAST, FIRST):.2f}",
         )
     return table
-
-
-def _draw(results: list[Result], path: Path) -> None:
-    """Plot the ratios to torch.fft in its best layout, by size, one thread."""
-    labels = list(dict.fromkeys(each.label for each in results))
-    figure = new_figure(7.0, 1.2 + 0.3 * len(labels))
-    axes = figure.subplots()
-    for work, marker in zip(WORKS, "os", strict=True):
-        chosen = [each for each in results if (each.work, each.threads) == (work, 1)]
-        places = [labels.index(each.label) for each in chosen]
-        ratios = [each.ratio(LAST, FIRST) for each in chosen]
-        axes.scatter(ratios, places, label=work, marker=marker)
-    axes.set_yticks(range(len(labels)), labels)
-    axes.axvline(1.0, color="#333333", linewidth=1)
-    axes.set_xlabel("times as fast as torch.fft in its best layout, one thread")
-    axes.legend(frameon=False)
-    style_axes(axes)
-    save_figure(figure, path, format="png")

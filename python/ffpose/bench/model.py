@@ -22,12 +22,12 @@ from rich.console import Console
 from rich.table import Table
 from safetensors.torch import load_file
 
-from ffpose._internal.figures import new_figure, save_figure, style_axes
 from ffpose._internal.info import collect
 from ffpose._internal.machine import cores, processor
 from ffpose._internal.zoo import resolve
 from ffpose.bench.timing import (
     Latency,
+    draw_bars,
     expect_place,
     percentiles,
     take_turns,
@@ -67,7 +67,7 @@ def run(
     *,
     batches: Sequence[int] | None = None,
     threads: Sequence[int] | None = None,
-    beside: Sequence[Path] = (),
+    compare: Sequence[Path] = (),
     **fields: int,
 ) -> None:
     """Time a network, and print a table, or all latencies as JSON, on standard output.
@@ -79,7 +79,7 @@ def run(
         quick: Batch 1, one thread, short timings.
         batches: Images a batch; None for 1 and 8.
         threads: Numbers of threads; None for 1, 2 and all.
-        beside: Graphs that take turns with it in ONNX Runtime, each named by its file.
+        compare: Graphs that take turns with it in ONNX Runtime, each named by its file.
         **fields: Fields of the network to change: ``looks`` and ``candidates``.
 
     Raises:
@@ -97,7 +97,7 @@ def run(
         weights = weights_of(network, Path(name), **fields)
         files = _files(weights, Path(name))
         results = [
-            _measure(files, beside, batch, count, 0.5 if quick else 5.0)
+            _measure(files, compare, batch, count, 0.5 if quick else 5.0)
             for count, batch in product(counts, batches or ((1,) if quick else BATCHES))
         ]
     if as_json:
@@ -106,7 +106,14 @@ def run(
     else:
         Console().print(_table(network, results))
     if plot is not None:
-        _draw(network, results, plot)
+        bars = {
+            f"{name}, batch {each.batch}, threads {each.threads}": latency
+            for each in results
+            for name, latency in each.latencies.items()
+        }
+        title = f"{network}: ms, p50 (bar) to p99 (line)"
+        medians = {name: 1e3 * latency.p50 for name, latency in bars.items()}
+        draw_bars(plot, medians, title, [1e3 * latency.p99 for latency in bars.values()])
 
 
 def weights_of(network: str, folder: Path, **fields: int) -> Path:
@@ -153,7 +160,7 @@ def _files(weights: Path, folder: Path) -> dict[Backend, Path]:
 
 
 def _measure(
-    files: Mapping[Backend, Path], beside: Sequence[Path], batch: int, threads: int, seconds: float
+    files: Mapping[Backend, Path], compare: Sequence[Path], batch: int, threads: int, seconds: float
 ) -> Result:
     with torch_threads(threads):
         estimators = {
@@ -171,7 +178,7 @@ def _measure(
         for name, difference in apart.items():
             if not difference <= APART:
                 raise RuntimeError(f"poses by {name} differ from torch's by {difference:.1e}")
-        calls |= {graph.name: _call(graph, batch, threads) for graph in beside}
+        calls |= {graph.name: _call(graph, batch, threads) for graph in compare}
         samples = take_turns({name: timed(call) for name, call in calls.items()}, seconds)
         latencies: dict[str, Latency] = {
             name: percentiles(times) for name, times in samples.items()
@@ -201,19 +208,3 @@ def _table(network: str, results: Sequence[Result]) -> Table:
                 f"{each.differences[name]:.0e}" if name in each.differences else "",
             )
     return table
-
-
-def _draw(network: str, results: Sequence[Result], path: Path) -> None:
-    """Plot p50 as bars, with a line up to p99."""
-    bars = [(each, name) for each in results for name in each.latencies]
-    latencies = [each.latencies[name] for each, name in bars]
-    names = [f"{name}, batch {each.batch}, threads {each.threads}" for each, name in bars]
-    figure = new_figure(7.0, 1.2 + 0.3 * len(bars))
-    axes = figure.subplots()
-    lengths = [1e3 * latency.p50 for latency in latencies]
-    above = [1e3 * (latency.p99 - latency.p50) for latency in latencies]
-    axes.barh(names, lengths, xerr=[[0.0] * len(bars), above])
-    axes.invert_yaxis()
-    axes.set_title(f"{network}: ms, p50 (bar) to p99 (line)")
-    style_axes(axes, "x")
-    save_figure(figure, path, format="png")

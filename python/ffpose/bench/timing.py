@@ -1,13 +1,11 @@
 """Timing of contenders that take turns, so that drift of the machine affects them alike.
 
-`interleave` gives medians and quartiles of seconds per call, `take_turns` samples of single calls,
-whose `percentiles` are latencies.
+`take_turns` gives samples of single calls, whose `percentiles` are latencies.
 """
 
 from __future__ import annotations
 
 import gc
-import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,14 +16,10 @@ from typing import TypeVar
 import numpy as np
 import torch
 
+from ffpose._internal.figures import new_figure, save_figure, style_axes
+
 OURS = "ffpose"
 """Name of our contender in tables and documents."""
-
-FEWEST_ROUNDS = 5
-MOST_ROUNDS = 15
-
-WARM_UP = 0.05
-"""Seconds of a contender's calls before it is timed."""
 
 TURN = 4
 """Timed calls in a row; the call before them is not timed, as the threads of the contender before
@@ -37,25 +31,6 @@ FEWEST_TURNS = 3
 MOST_TURNS = 50
 
 
-@dataclass(frozen=True)
-class Contender:
-    """A timed call, and the untimed preparation before each call."""
-
-    call: Callable[[], object]
-    prepare: Callable[[], object] | None = None
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Seconds per call: median and quartiles over `rounds` rounds of `inner` calls each."""
-
-    median: float
-    lower: float
-    upper: float
-    rounds: int
-    inner: int
-
-
 def expect_place(path: Path | None) -> None:
     """Check, before anything is measured, that the folder of an output file exists.
 
@@ -64,70 +39,6 @@ def expect_place(path: Path | None) -> None:
     """
     if path is not None and not path.parent.is_dir():
         raise FileNotFoundError(f"expected an existing folder for {path}, got {path.parent}")
-
-
-def interleave(
-    contenders: Mapping[str, Contender], seconds: float, warmup_seconds: float = WARM_UP
-) -> dict[str, Timing]:
-    """Time contenders in turn, A B A B ….
-
-    Args:
-        contenders: Contenders by name.
-        seconds: Time to spend on each, without warm-up; more where `FEWEST_ROUNDS` calls of the
-            slowest contender take longer.
-        warmup_seconds: Duration of each contender's warm-up, whose fastest call determines the
-            number of calls per round.
-
-    Returns:
-        The `Timing` of each contender, by name.
-
-    Raises:
-        ValueError: ``contenders`` is empty.
-    """
-    if not contenders:
-        raise ValueError("expected at least 1 contender, got none")
-    fastest = {name: _warm_up(each, warmup_seconds) for name, each in contenders.items()}
-    slowest = max(fastest.values())
-    rounds = max(FEWEST_ROUNDS, min(MOST_ROUNDS, int(seconds / slowest)))
-    inner = {name: max(1, int(seconds / rounds / each)) for name, each in fastest.items()}
-    samples: dict[str, list[float]] = {name: [] for name in contenders}
-    with _without_collection():
-        for _ in range(rounds):
-            for name, contender in contenders.items():
-                samples[name].append(time_calls(contender, inner[name]))
-    return {name: summarize(values, inner[name]) for name, values in samples.items()}
-
-
-def time_calls(contender: Contender, count: int) -> float:
-    """Return the mean seconds per call over ``count`` calls."""
-    if contender.prepare is None:
-        start = time.perf_counter()
-        for _ in range(count):
-            contender.call()
-        return (time.perf_counter() - start) / count
-    total = 0.0
-    for _ in range(count):
-        contender.prepare()
-        start = time.perf_counter()
-        contender.call()
-        total += time.perf_counter() - start
-    return total / count
-
-
-def summarize(values: Sequence[float], inner: int) -> Timing:
-    """Return median and quartiles of at least two samples, with linear interpolation."""
-    lower, median, upper = statistics.quantiles(values, n=4, method="inclusive")
-    return Timing(median, lower, upper, len(values), inner)
-
-
-def _warm_up(contender: Contender, seconds: float) -> float:
-    """Call for ``seconds``, at least twice, and return the time of the fastest call."""
-    end = time.perf_counter() + seconds
-    fastest = time_calls(contender, 1)
-    while True:
-        fastest = min(fastest, time_calls(contender, 1))
-        if time.perf_counter() >= end:
-            return fastest
 
 
 @dataclass(frozen=True)
@@ -165,10 +76,10 @@ def take_turns(
         raise ValueError("expected at least 1 contender, got none")
     for measure in measures.values():
         measure()  # memory and plans of the first call
-    once = sum(time_calls(Contender(measure), 1) for measure in measures.values())
+    once = sum(timed(measure)() for measure in measures.values())
     turns = int(seconds * len(measures) / ((TURN + 1) * once))
     samples: dict[str, list[Sample]] = {name: [] for name in measures}
-    with _without_collection():
+    with without_collection():
         for _ in range(max(FEWEST_TURNS, min(MOST_TURNS, turns))):
             for name, measure in measures.items():
                 measure()
@@ -176,9 +87,19 @@ def take_turns(
     return samples
 
 
-def timed(call: Callable[[], object]) -> Callable[[], float]:
-    """Return what runs ``call`` once and returns the seconds that it took."""
-    return lambda: time_calls(Contender(call), 1)
+def timed(
+    call: Callable[[], object], prepare: Callable[[], object] | None = None
+) -> Callable[[], float]:
+    """Return what runs ``call`` once and returns its seconds, after an untimed ``prepare``."""
+
+    def run() -> float:
+        if prepare is not None:
+            prepare()
+        start = time.perf_counter()
+        call()
+        return time.perf_counter() - start
+
+    return run
 
 
 @contextmanager
@@ -193,7 +114,7 @@ def torch_threads(count: int) -> Iterator[None]:
 
 
 @contextmanager
-def _without_collection() -> Iterator[None]:
+def without_collection() -> Iterator[None]:
     """Switch Python's garbage collection off within the block."""
     collecting = gc.isenabled()
     gc.disable()
@@ -202,3 +123,18 @@ def _without_collection() -> Iterator[None]:
     finally:
         if collecting:
             gc.enable()
+
+
+def draw_bars(
+    path: Path, bars: Mapping[str, float], title: str, ends: Sequence[float] = ()
+) -> None:
+    """Write a PNG file of named horizontal bars, each with a line up to its end if it has one."""
+    figure = new_figure(7.0, 1.2 + 0.3 * len(bars))
+    axes = figure.subplots()
+    lengths = list(bars.values())
+    above = [end - length for end, length in zip(ends, lengths, strict=True)] if ends else None
+    axes.barh(list(bars), lengths, xerr=above and [[0.0] * len(bars), above])
+    axes.invert_yaxis()
+    axes.set_title(title)
+    style_axes(axes, "x")
+    save_figure(figure, path, format="png")

@@ -6,7 +6,6 @@ from benchmarks.filter.report import print_tables
 from benchmarks.filter.results import (
     bring_together,
     gains_of_threads,
-    geometric_mean,
     group_means,
     half_over_single,
     operations,
@@ -16,7 +15,8 @@ from benchmarks.filter.results import (
 )
 from benchmarks.filter.worker import Measurement
 from benchmarks.machine import Peak, environment
-from ffpose.bench.timing import OURS, Timing
+from benchmarks.timing import Timing
+from ffpose.bench.timing import OURS
 
 GRID = (14, 14, 256)
 
@@ -119,11 +119,6 @@ def test_overhead_is_what_does_not_grow_with_the_batch():
     )
     assert overhead.arithmetic == pytest.approx(1e-6)
     assert (overhead.call, overhead.torch_call) == (5e-6, 50e-6)
-
-
-def test_geometric_mean_by_hand():
-    assert geometric_mean([1.0, 2.0, 4.0]) == pytest.approx(2.0)
-    assert geometric_mean([3.0, 12.0]) == pytest.approx(6.0)
 
 
 def test_operations_by_hand():

@@ -26,7 +26,8 @@ from benchmarks.model.networks import (
     random_images,
     with_attention,
 )
-from ffpose.bench.timing import OURS, Timing
+from benchmarks.timing import Timing
+from ffpose.bench.timing import OURS
 from ffpose.config import CONFIGS, PRESETS
 from ffpose.nn import SpectralFilter
 from ffpose.nn.attention import SelfAttention
