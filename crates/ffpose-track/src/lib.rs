@@ -7,7 +7,7 @@
 //!   and Dynamics* 5(5), 1982; Markley, *ibid.* 26(2), 2003): the orientation is a unit quaternion, its error a rotation
 //!   vector along the object's axes, `R_true = R exp([θ]×)`.
 //! - A network's errors are functions of what it sees: they repeat while the object shows the same side, however many frames
-//!   are taken. Six of the eighteen states are such errors, first-order Gauss–Markov processes in the *angle turned*.
+//!   are taken. Beside twelve numbers of the motion six are such errors, first-order Gauss–Markov processes in the *angle turned*.
 //! - [`Tracker`] holds up to three filters, one for each attitude that the frames speak for, and says which of them leads.
 
 #![no_std]

@@ -2,10 +2,11 @@
 //! white accelerations.
 
 use libm::{ceil, exp, sqrt};
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, SMatrix, UnitQuaternion, Vector3};
 
 use crate::filter::{
-    ATTITUDE, ATTITUDE_BIAS, Covariance, Filter, POSITION, POSITION_BIAS, RATE, VELOCITY,
+    ATTITUDE, ATTITUDE_BIAS, Covariance, Filter, MOTION, POSITION, POSITION_BIAS, RATE, VELOCITY,
+    turn_rows,
 };
 use crate::parameters::Parameters;
 use crate::rotation::{Quotients, Turn, hat};
@@ -50,12 +51,18 @@ impl Filter {
         (self.position, self.velocity) = way.of(&self.position, &self.velocity);
         self.orientation *= UnitQuaternion::from_scaled_axis(self.rate * t);
         self.orientation.renormalize();
+        move_rows(&mut self.cross, &way, turn);
+        for (bias, scale) in
+            [(POSITION_BIAS, parameters.position_angle), (ATTITUDE_BIAS, parameters.attitude_angle)]
+        {
+            let mut columns = self.cross.fixed_columns_mut::<3>(bias);
+            columns *= exp(-angle / scale);
+        }
         let p = &mut self.covariance;
-        let kept =
-            [exp(-angle / parameters.position_angle), exp(-angle / parameters.attitude_angle)];
-        move_rows(p, &way, turn, kept);
-        p.transpose_mut();
-        move_rows(p, &way, turn, kept);
+        for _ in 0..2 {
+            move_rows(p, &way, turn);
+            p.transpose_mut();
+        }
         let white = parameters.acceleration * parameters.acceleration;
         let [of_position, across, of_velocity] = spread(parameters, t);
         add(p, POSITION, POSITION, &(of_position * white));
@@ -68,9 +75,6 @@ impl Filter {
         add(p, ATTITUDE, ATTITUDE, &(turn.square * white));
         add(p, ATTITUDE, RATE, &(turn.cross * white));
         add(p, RATE, RATE, &Matrix3::from_diagonal_element(white * t));
-        for (place, kept) in [POSITION_BIAS, ATTITUDE_BIAS].into_iter().zip(kept) {
-            add(p, place, place, &Matrix3::from_diagonal_element(1.0 - kept * kept));
-        }
         if *camera_rate != Vector3::zeros() {
             self.turn_camera(&UnitQuaternion::from_scaled_axis(camera_rate * t));
         }
@@ -108,10 +112,14 @@ impl Filter {
         self.velocity = back * self.velocity;
         self.orientation = back * self.orientation;
         let matrix = back.to_rotation_matrix().into_inner();
+        for place in [POSITION, VELOCITY] {
+            turn_rows(&mut self.cross, place, &matrix);
+        }
+        let columns = self.cross.fixed_columns::<3>(POSITION_BIAS) * matrix.transpose();
+        self.cross.fixed_columns_mut::<3>(POSITION_BIAS).copy_from(&columns);
         for _ in 0..2 {
-            for place in [POSITION, VELOCITY, POSITION_BIAS] {
-                let rows = matrix * self.covariance.fixed_rows::<3>(place);
-                self.covariance.fixed_rows_mut::<3>(place).copy_from(&rows);
+            for place in [POSITION, VELOCITY] {
+                turn_rows(&mut self.covariance, place, &matrix);
             }
             self.covariance.transpose_mut();
         }
@@ -234,7 +242,7 @@ const GAUSS: [(f64, f64); 5] = [
 ];
 
 /// `F P`, where `F` is the transition of the errors.
-fn move_rows(p: &mut Covariance, way: &Way, turn: &Turn, kept: [f64; 2]) {
+fn move_rows<const COLUMNS: usize>(p: &mut SMatrix<f64, MOTION, COLUMNS>, way: &Way, turn: &Turn) {
     let (positions, velocities) = (p.fixed_rows::<3>(POSITION), p.fixed_rows::<3>(VELOCITY));
     let moved = [way.of_position, way.of_velocity]
         .map(|[of_position, of_velocity]| of_position * positions + of_velocity * velocities);
@@ -242,12 +250,7 @@ fn move_rows(p: &mut Covariance, way: &Way, turn: &Turn, kept: [f64; 2]) {
     p.fixed_rows_mut::<3>(VELOCITY).copy_from(&moved[1]);
     let rows = turn.error * p.fixed_rows::<3>(ATTITUDE) + turn.of_rate * p.fixed_rows::<3>(RATE);
     p.fixed_rows_mut::<3>(ATTITUDE).copy_from(&rows);
-    let rows = turn.rate * p.fixed_rows::<3>(RATE);
-    p.fixed_rows_mut::<3>(RATE).copy_from(&rows);
-    for (place, kept) in [POSITION_BIAS, ATTITUDE_BIAS].into_iter().zip(kept) {
-        let mut rows = p.fixed_rows_mut::<3>(place);
-        rows *= kept;
-    }
+    turn_rows(p, RATE, &turn.rate);
 }
 
 /// Adds a block, and its mirror image off the diagonal.

@@ -3,18 +3,20 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::error::Error;
-use crate::filter::{Covariance, Filter};
+use crate::filter::{Covariance, Cross, ERRORS, Filter, MOTION};
 use crate::parameters::{self, Parameters};
 use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
 
 /// The first bytes of each state; the number is the format's version.
-const MAGIC: [u8; 8] = *b"FFTRACK4";
+const MAGIC: [u8; 8] = *b"FFTRACK5";
 
 /// Bytes that say whose track it is, such as the digest of a network's file.
 pub const TAG_BYTES: usize = 32;
 
-/// Numbers of a hypothesis: whether there is one, score, frames, time, state and covariance.
-const OF_HYPOTHESIS: usize = 4 + 13 + 18 * 18;
+/// Numbers of a hypothesis: whether there is one, score, frames, time, state and covariances.
+const OF_HYPOTHESIS: usize = 4 + 13 + OF_COVARIANCE + OF_CROSS;
+const OF_COVARIANCE: usize = MOTION * MOTION;
+const OF_CROSS: usize = MOTION * ERRORS;
 
 /// Numbers of a tracker.
 const NUMBERS: usize = parameters::NUMBERS + 1 + 3 + 1 + HYPOTHESES * OF_HYPOTHESIS;
@@ -116,6 +118,7 @@ impl Writer<'_> {
         self.numbers(filter.orientation.coords.as_slice());
         self.numbers(filter.rate.as_slice());
         self.numbers(filter.covariance.as_slice());
+        self.numbers(filter.cross.as_slice());
     }
 }
 
@@ -144,8 +147,9 @@ impl Reader<'_> {
         let [i, j, k, w] = self.numbers();
         let orientation = UnitQuaternion::new_unchecked(Quaternion::new(w, i, j, k));
         let rate = self.vector();
-        let covariance = Covariance::from_column_slice(&self.numbers::<{ 18 * 18 }>());
-        let filter = Filter { position, velocity, orientation, rate, covariance };
+        let covariance = Covariance::from_column_slice(&self.numbers::<OF_COVARIANCE>());
+        let cross = Cross::from_column_slice(&self.numbers::<OF_CROSS>());
+        let filter = Filter { position, velocity, orientation, rate, covariance, cross };
         (present != 0.0).then_some(Hypothesis { filter, score, agreed, last })
     }
 }

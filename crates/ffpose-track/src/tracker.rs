@@ -1,10 +1,10 @@
 //! Which of several tracks the frames speak for.
 
 use libm::{exp, log};
-use nalgebra::{SMatrix, Vector3};
+use nalgebra::Vector3;
 
 use crate::error::Error;
-use crate::filter::{Filter, Innovation};
+use crate::filter::{Covariance, Filter, Innovation};
 use crate::measurement::{Measurement, Mode, finite};
 use crate::parameters::Parameters;
 
@@ -56,7 +56,7 @@ pub struct Estimate {
     pub rate: [f64; 3],
     /// Covariance of the errors of position (m, camera axes), velocity (m/s), attitude (rad, object's axes:
     /// `R_true = R exp([θ]×)`) and angular velocity (rad/s).
-    pub covariance: SMatrix<f64, 12, 12>,
+    pub covariance: Covariance,
 }
 
 /// What a frame has brought.
@@ -333,7 +333,7 @@ impl Tracker {
             orientation: [q.w, q.i, q.j, q.k].map(|number| number * sign),
             velocity: filter.velocity.into(),
             rate: (filter.rate - of_camera).into(),
-            covariance: filter.covariance.fixed_view::<12, 12>(0, 0).into_owned(),
+            covariance: filter.covariance,
         })
     }
 }
