@@ -436,7 +436,8 @@ BOTH = ("jsonargparse", "PIL", "rich", *POSE, "embreex", "trimesh")
     [
         (BOTH, ["render", "soyuz_easy", "--out", "x", "--count", "1"], "render"),
         (BOTH, ["inspect", "--data.kind", "urso", "--data.root", "x", "--out", "x"], "pose"),
-        (BOTH, ["demo"], "pose,render"),
+        (BOTH, ["demo"], "onnx,render"),
+        (BOTH, ["predict", "soyuz", "x.png"], "onnx"),
         (POSE, ["inspect", "--data.kind", "urso", "--data.root", "x", "--out", "x"], "pose"),
         (POSE, ["demo", "--train", "--out", "x"], "pose,render"),
         (POSE, ["bench", "filter"], "pose"),

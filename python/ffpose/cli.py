@@ -37,6 +37,17 @@ if TYPE_CHECKING:
 TRAINED_DEMO = 500
 """Images of a demo that trains: its training takes longer than they do."""
 
+POSE_PACKAGES = (
+    "torch",
+    "torchvision",
+    "torchmetrics",
+    "timm",
+    "roma",
+    "safetensors",
+    "matplotlib",
+)
+"""What the extra [pose] brings and [onnx,render] do not."""
+
 
 class Command(NamedTuple):
     """A command: one-line summary, arguments, function, and the extra that it needs."""
@@ -79,9 +90,12 @@ def demo_arguments(parser: ArgumentParser) -> None:
 def demo(options: Namespace) -> None:
     """Predict the poses of unseen images, and write a report.
 
-    Without torch the graph in the package poses fewer images, and the report is a gallery.
+    Without the extra [pose] the shipped graph poses fewer images, and the report is a gallery.
     """
-    if not options.train and find_spec("torch") is None:
+    missing = [package for package in POSE_PACKAGES if find_spec(package) is None]
+    if missing and options.train:
+        raise MissingExtraError.of(missing[0], "pose,render")
+    if missing:
         gallery(options.out or Path("runs/demo"))
         return
     from ffpose.demo.config import DemoConfig
@@ -847,12 +861,12 @@ INTERRUPTED, CLOSED = 130, 141
 """Exit codes of a program that a signal ends, 128 and its number: SIGINT's and SIGPIPE's."""
 
 COMMANDS = {
-    "demo": Command("predict poses of unseen images", demo_arguments, demo, "pose,render"),
+    "demo": Command("predict poses of unseen images", demo_arguments, demo, "onnx,render"),
     "render": Command("render images with exact labels", render_arguments, render, "render"),
     "learn": Command("learn to pose your own mesh", learn_arguments, learn, "pose,render,export"),
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
-    "predict": Command("print the pose seen in each image", predict_arguments, predict),
+    "predict": Command("print the pose seen in each image", predict_arguments, predict, "onnx"),
     "track": Command("track a spacecraft through a sequence", track_arguments, track),
     "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
     "calibrate": Command("calibrate weights", calibrate_arguments, calibrate, "pose,render"),
