@@ -39,6 +39,12 @@ LEAST_EPOCHS, MOST_EPOCHS = 4, 150
 
 BATCH = 32
 
+LEAST_PIXELS = 5
+"""Pixels of the first look that the bounding sphere covers at the farthest, or more."""
+
+FIRST_STRIDES = (8, 4, 2)
+"""Factors by which the first look's frame is smaller than the network's input."""
+
 KINDS = {"count": 0.55, "cut": 0.11, "randomized": 0.2, "empty": 0.06, "decoys": 0.08}
 """Shares of the views: plain, cut by the border, randomized, without it, of other spacecraft."""
 
@@ -129,6 +135,24 @@ def image_size(camera: Camera) -> tuple[int, int]:
     return 64 * max(1, round(8 * camera.height / camera.width)), 512
 
 
+def first_stride(radius_m: float, farthest_m: float, camera: Camera) -> int:
+    """Return the factor by which the first look's frame is smaller than the network's input.
+
+    Args:
+        radius_m: Greatest distance of the spacecraft's surface from its origin.
+        farthest_m: Distance from the camera.
+        camera: Of the images, which are resized to the input.
+
+    Examples:
+        >>> [first_stride(1, farthest, DEFAULT_CAMERA) for farthest in (12, 24, 100)]
+        [8, 4, 2]
+    """
+    _, width = image_size(camera)
+    pixels = 2 * radius_m / farthest_m * camera.fx * width / camera.width
+    fits = [stride for stride in FIRST_STRIDES if pixels >= stride * LEAST_PIXELS]
+    return max(fits, default=min(FIRST_STRIDES))
+
+
 def training(
     out: Path,
     scene: Path,
@@ -180,6 +204,7 @@ def training(
         model="polar",
         model_fields={
             "image_size": image_size(camera),
+            "first_stride": first_stride(radius_m, BEYOND[1] * distance_m[1], camera),
             "object_radius_m": VIEW_MARGIN * radius_m,
             "distance_m": distance_m,
         },
@@ -200,7 +225,7 @@ def training(
             clip_norm=1.0,
         ),
         object_loss=ObjectLossConfig(angle=5.0, offset=5.0),
-        views=ViewAugmentation(empty=0.12, jpeg=0.1),
+        views=ViewAugmentation(empty=0.12, jpeg=0.1, frames=0.4),
         seed=seed,
         device=device,
         symmetry=symmetry,

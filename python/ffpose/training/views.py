@@ -1,15 +1,15 @@
 """Training batches for a network with a second look: stored views with geometric augmentation.
 
-Each sample is augmented anew: the camera of the first look is rotated about its boresight; the
-virtual camera of the second look is pointed to where a first look might have found the object, and
-rotated about the viewing ray by any angle. Each is one homography of the stored pixels, and the
-label changes exactly with it (`ffpose.models.virtual_camera`). Of the attitudes in which a
-symmetric object looks the same, the label is the one that is seen from the direction nearest to a
-reference in the object's frame (`ffpose.geometry.symmetry`). That choice does not depend on the
-camera's rotation about the viewing ray, so labels stay equivariant to it; it depends on no
-prediction, so attitude, object coordinates and keypoints agree. Brightness, blur and noise are
-varied before, in the stored pixels, as a camera makes them: a polar view has a seam and rings of
-other resolutions, which they do not know.
+Each sample is augmented anew: the frame of the first look is mirrored or not, and rotated about the
+boresight; the virtual camera of the second look is pointed to where a first look might have found
+the object, and rotated about the viewing ray by any angle. Each is one homography of the stored
+pixels, and the label changes exactly with it (`ffpose.models.virtual_camera`). Of the attitudes in
+which a symmetric object looks the same, the label is the one that is seen from the direction
+nearest to a reference in the object's frame (`ffpose.geometry.symmetry`). That choice does not
+depend on the camera's rotation about the viewing ray, so labels stay equivariant to it; it depends
+on no prediction, so attitude, object coordinates and keypoints agree. Brightness, blur and noise
+are varied before, in the stored pixels, as a camera makes them: a polar view has a seam and rings
+of other resolutions, which they do not know.
 
 Some samples are negatives, so that the network learns whether the object is in view: empty scenes,
 and images that are not scenes at all.
@@ -207,12 +207,17 @@ class ViewBatches:
     def _turned_frames(
         self, index: Tensor, t: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
-        """Rotate the first look's camera about its boresight where the object stays in frame."""
+        """Mirror every other frame, and rotate it, where the object stays in it.
+
+        A mirror image shows no attitude that the object can have, and all that the first look is
+        asked for: where the object is.
+        """
         frames = _images(self._gather("frames", index))
         height, width = frames.shape[-2:]
         limit = math.radians(self.augmentation.roll_deg)
         angles = limit * (2 * torch.rand(len(t), generator=generator) - 1)
         turn = turned_about_axis(angles)
+        turn[:, :, 0] *= 1 - 2 * torch.randint(2, (len(t), 1), generator=generator)
         moved = (turn @ t[:, :, None])[..., 0]
         x, y, depth = (moved @ self.frame_matrix.mT).unbind(-1)
         u, v = x / depth, y / depth
