@@ -23,7 +23,7 @@ from ffpose._internal.seeds import CHOICES, refuse_final
 from ffpose.arrays import rotation_error
 from ffpose.evaluation.attitude import rotation_parts
 from ffpose.models import PolarPose, load_network, read_metadata
-from ffpose.models.virtual_camera import look_into, pyramid
+from ffpose.models.virtual_camera import pyramid, render_virtual
 from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.render import render
 
@@ -48,8 +48,8 @@ def attitudes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) ->
     points = point.expand(len(twists), 3)
     with torch.inference_mode():
         view = model.view_at(points, twists)
-        crops = look_into(pyramid(image), view, points, model.intrinsics)
-        numbers = model.read(model.see(crops, view.slopes))
+        crops = render_virtual(pyramid(image), view, points, model.intrinsics)
+        numbers = model.decode(model.encode(crops, view.tan_half_angle))
         seen = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
         return matrix_to_quaternion(view.rotation.mT @ seen)
 

@@ -28,7 +28,7 @@ from ffpose.datasets import Decoding, Part
 from ffpose.datasets.scenes import find_scene, render_images
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import PoseNetwork, find_config, load_network
+from ffpose.models import BaseNetwork, find_config, load_network
 from ffpose.training import Stage, TrainConfig
 from ffpose.training.checkpoint import FREE_FIELDS
 from ffpose.training.config_file import flatten
@@ -274,7 +274,7 @@ def _cost(trained: TrainResult) -> dict[str, float]:
     return {"epochs": len(trained.history), **totals}
 
 
-def latency_ms(model: PoseNetwork) -> float:
+def latency_ms(model: BaseNetwork) -> float:
     """Return the median time of one image's pose, in milliseconds, on torch's threads."""
     model.eval()
     image = torch.zeros(1, 3, *model.config.image_size)

@@ -571,14 +571,14 @@ def track(options: Namespace) -> None:
     say(f"{options.out / TRAJECTORY}: {len(followed)} frames, {accepted} accepted")
 
 
-def view_arguments(parser: ArgumentParser) -> None:
+def inference_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments that change how often a network with a second look looks."""
     for name, what in (("looks", "second looks"), ("candidates", "places looked at first")):
         parser.add_argument(f"--{name}", type=int, help=f"number of {what}, for less latency")
 
 
-def view_fields(options: Namespace) -> dict[str, Any]:
-    """Return the fields of a network that `view_arguments` changes."""
+def inference_fields(options: Namespace) -> dict[str, Any]:
+    """Return the fields of a network that `inference_arguments` changes."""
     return {name: options[name] for name in ("looks", "candidates") if options[name] is not None}
 
 
@@ -592,7 +592,7 @@ def export_arguments(parser: ArgumentParser) -> None:
         default="custom",
         help="filters by ffpose's operator, or by standard ones alone (default: custom)",
     )
-    view_arguments(parser)
+    inference_arguments(parser)
     parser.add_argument(
         "--track",
         action="store_true",
@@ -626,7 +626,11 @@ def export(options: Namespace) -> None:
         if options.track:
             beside = options.out.with_suffix(TRACK_SUFFIX)
             tell(export_weights(options.weights, beside, options.filter, takes_point=True, say=say))
-        tell(export_weights(options.weights, path, options.filter, say=say, **view_fields(options)))
+        tell(
+            export_weights(
+                options.weights, path, options.filter, say=say, **inference_fields(options)
+            )
+        )
         if options.int8:
             quantized = quantize_graph(path, options.out, images, say=say)
             print(*quantized.lines(), sep="\n")
@@ -830,7 +834,7 @@ def bench_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
     text = "graphs that take turns with a model, in ONNX Runtime: an older one, an int8 one"
     parser.add_argument("--compare", type=Path, nargs="+", metavar="GRAPH", help=text)
-    view_arguments(parser)
+    inference_arguments(parser)
 
 
 def bench(options: Namespace) -> None:
@@ -853,7 +857,7 @@ def bench(options: Namespace) -> None:
         batches=options.batch,
         threads=options.threads,
         compare=options.compare or (),
-        **view_fields(options),
+        **inference_fields(options),
     )
 
 

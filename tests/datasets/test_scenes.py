@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 
-from ffpose.datasets.scenes import find_scene, open_frames, open_views
+from ffpose.datasets.scenes import find_scene, open_frames, rendered_patches
 from ffpose.errors import DataError
+from ffpose.imaging.patches import LABELS, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.imaging.views import LABELS, ViewSpec
-from ffpose.render import label, views
+from ffpose.render import label, patches
 
 ALL = (180.0, 90.0, 180.0)
 COUNT, SEED = 3, 7
@@ -24,25 +24,25 @@ def scene():
 
 @pytest.fixture(scope="module")
 def spec(scene):
-    return ViewSpec(scene.camera.resized(64, 48), 4, 32, 6.6)
+    return PatchSpec(scene.camera.resized(64, 48), 4, 32, 6.6)
 
 
 @pytest.fixture
 def rendered(monkeypatch):
     """The indices of the views that were rendered since."""
-    indices, render = [], views.render_view
+    indices, render = [], patches.render_patches
 
     def counted(scene, seed, index, spec, content="object"):
         indices.append(index)
         return render(scene, seed, index, spec, content)
 
-    monkeypatch.setattr(views, "render_view", counted)
+    monkeypatch.setattr(patches, "render_patches", counted)
     return indices
 
 
 def opened(root, scene, spec, **changes):
     options = {"seed": SEED, "count": COUNT, "workers": 0} | changes
-    return open_views(root, scene, spec=spec, **options)
+    return rendered_patches(root, scene, spec=spec, **options)
 
 
 def test_views_hold_the_scenes_poses(tmp_path, scene, spec):
@@ -82,7 +82,7 @@ def test_other_attitudes_and_another_look_lie_elsewhere(tmp_path, scene, spec):
     narrow = find_scene("soyuz_easy", (10.0, 10.0, 10.0))
     opened(tmp_path, scene, spec, count=1)
     opened(tmp_path, narrow, spec, count=1)
-    opened(tmp_path, scene, ViewSpec(spec.camera, 4, 32, 7.0), count=1)
+    opened(tmp_path, scene, PatchSpec(spec.camera, 4, 32, 7.0), count=1)
     assert len(list(tmp_path.iterdir())) == 3
 
 
@@ -99,7 +99,7 @@ def test_a_damaged_folder_is_named_with_what_to_do(tmp_path, scene, spec, damage
     opened(tmp_path, scene, spec, count=1)
     (folder,) = tmp_path.iterdir()
     damage(folder / "windows.npy")
-    with pytest.raises(DataError, match=r"expected views, remove the folder to make them anew"):
+    with pytest.raises(DataError, match=r"expected patches, remove the folder to make them anew"):
         opened(tmp_path, scene, spec, count=1)
 
 
@@ -108,7 +108,7 @@ def test_a_rendering_that_is_killed_leaves_no_views(tmp_path, scene, spec, monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(views, "render_view", kill)
+        patch.setattr(patches, "render_patches", kill)
         with pytest.raises(KeyboardInterrupt):
             opened(tmp_path, scene, spec)
     assert list(tmp_path.iterdir()) == []
@@ -126,22 +126,24 @@ def test_leftovers_are_removed_after_a_day_and_not_before(tmp_path, scene, spec)
 
 
 def test_a_full_disk_is_met_before_anything_is_rendered(tmp_path, scene, spec, rendered):
-    with pytest.raises(OSError, match=r"100000000000 views need at least [\d.]+ GB") as met:
+    with pytest.raises(
+        OSError, match=r"patches of 100000000000 images need at least [\d.]+ GB"
+    ) as met:
         opened(tmp_path, scene, spec, count=10**11)
     assert met.value.errno == errno.ENOSPC
     assert rendered == []
 
 
 def test_another_process_that_was_faster_is_not_in_the_way(tmp_path, scene, spec, monkeypatch):
-    render = views.render_view
+    render = patches.render_patches
 
     def slowly(*arguments, **options):
         with monkeypatch.context() as patch:
-            patch.setattr(views, "render_view", render)
+            patch.setattr(patches, "render_patches", render)
             opened(tmp_path, scene, spec, count=1)  # the other process
         return render(*arguments, **options)
 
-    monkeypatch.setattr(views, "render_view", slowly)
+    monkeypatch.setattr(patches, "render_patches", slowly)
     assert len(opened(tmp_path, scene, spec, count=1)["labels"]) == 1
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -17,8 +17,8 @@ from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import FOLDERS
 from ffpose.demo.run import run
 from ffpose.geometry import URSO_CAMERA, Pose
+from ffpose.imaging.patches import LABELS
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.imaging.views import LABELS
 from ffpose.models import FilterformerPose
 from ffpose.render.renderer import label
 

@@ -9,11 +9,11 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.models import CONFIGS, FilterformerPose, PosePrediction, load_network
-from ffpose.models.network import UncertainPose
-from ffpose.models.object_look import OFFSET_LIMIT, LookNumbers
+from ffpose.models.base import UncertainPose
+from ffpose.models.second_look import OFFSET_LIMIT, SecondLookOutput
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.object_objective import ObjectObjective
-from ffpose.training.views import ViewBatch
+from ffpose.training.patches import PatchBatch
 
 FIELDS = {
     "image_size": (48, 64),
@@ -116,13 +116,13 @@ def test_the_frame_view_takes_every_head(head):
 def fixed(model, first, second, monkeypatch):
     """Let both looks of a network give these numbers, whatever they see."""
     monkeypatch.setattr(model, "locate", lambda frames: first)
-    monkeypatch.setattr(model, "look", lambda views: second)
+    monkeypatch.setattr(model, "decode", lambda feature_map: second)
     return model(torch.zeros(len(first), 3, 48, 64))
 
 
 def numbers(model, count, offset=(0.0, 0.0, 0.0), log_sigma=(0.0,) * 6):
     """Return equal outputs of the second look for each image."""
-    return LookNumbers(
+    return SecondLookOutput(
         torch.randn(1, model.orientation.features).expand(count, -1),
         torch.tensor(offset).expand(count, 3),
         torch.tensor(log_sigma).expand(count, 6),
@@ -191,8 +191,9 @@ def test_the_second_turn_goes_to_what_the_first_found(monkeypatch):
     views = []
     answers = [numbers(model, 1, (1.0, 1.0, 0.5)), *2 * [numbers(model, 1)]]
     monkeypatch.setattr(model, "locate", lambda frames: torch.tensor([[0.2, 0.1, 0.0]]))
+    monkeypatch.setattr(model, "encode", lambda seen: seen)
     monkeypatch.setattr(
-        model, "look", lambda seen: (views.append(seen), answers[len(views) - 1])[1]
+        model, "decode", lambda seen: (views.append(seen), answers[len(views) - 1])[1]
     )
     model(torch.rand(1, 3, 48, 64))
     assert len(views) == 3
@@ -235,14 +236,14 @@ def test_wild_looks_give_a_pose_in_front(model, monkeypatch, second):
 
 
 def test_numbers_beyond_their_limits_are_clamped(model):
-    feature_map = model.see(torch.randn(2, 3, 16, 24))
+    feature_map = model.encode(torch.randn(2, 3, 16, 24))
     small = model.orientation_branch.head.small
     with torch.no_grad():
         bias = small.bias.clone()
         small.bias.copy_(torch.full_like(bias, 1e9))
-        high = model.read(feature_map)
+        high = model.decode(feature_map)
         small.bias.copy_(torch.full_like(bias, -1e9))
-        low = model.read(feature_map)
+        low = model.decode(feature_map)
         small.bias.copy_(bias)
     assert torch.equal(high.log_sigma, torch.full((2, 6), 1.5))
     assert torch.equal(low.log_sigma, torch.full((2, 6), -6.0))
@@ -256,11 +257,11 @@ def random_batch(model, objective, count=4):
     rows, columns = (side // config.first_stride for side in config.image_size)
     coordinates = torch.rand(count, 4, *objective.cells) * 2 - 1
     coordinates[:, 3] = (coordinates[:, 3] > 0).float()
-    return ViewBatch(
+    return PatchBatch(
         frames=torch.randn(2, 3, rows, columns),
         translation=torch.randn(2, 3) + torch.tensor([0.0, 0.0, 20.0]),
         crops=torch.randn(count, 3, *config.object_size),
-        slopes=torch.rand(count),
+        tan_half_angle=torch.rand(count),
         orientation=torch.nn.functional.normalize(torch.randn(count, 4), dim=1),
         offset=torch.randn(count, 3),
         coordinates=coordinates,

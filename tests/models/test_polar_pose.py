@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.config import PolarPoseConfig
 from ffpose.models import PolarPose, build_network, load_network
+from ffpose.models.base import UncertainPose
 from ffpose.models.heat_map import Candidates
-from ffpose.models.network import UncertainPose
-from ffpose.models.object_look import covariances, offset_of, points_at
-from ffpose.models.virtual_camera import look_into, pyramid
+from ffpose.models.second_look import covariances, offset_of, points_at
+from ffpose.models.virtual_camera import pyramid, render_virtual
 from ffpose.nn.rotations import quaternion_to_matrix
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.object_objective import ObjectObjective
-from ffpose.training.views import ViewBatch
+from ffpose.training.patches import PatchBatch
 
 FIELDS = {
     "image_size": (96, 128),
@@ -64,8 +64,8 @@ def looked(model, twist):
     model, points = model.double(), POINTS.double()
     view = model.view_at(points, torch.full((3,), twist, dtype=torch.float64))
     with torch.no_grad():
-        crops = look_into(pyramid(images().double()), view, points, model.intrinsics)
-        numbers = model.read(model.see(crops, view.slopes))
+        crops = render_virtual(pyramid(images().double()), view, points, model.intrinsics)
+        numbers = model.decode(model.encode(crops, view.tan_half_angle))
         matrix = quaternion_to_matrix(model.orientation.decode(numbers.orientation))
     return {
         "t": view.points_back(points_at(numbers.offset, view)),
@@ -99,8 +99,8 @@ def test_logits_are_shifted_by_a_turn(model):
     for twist in (0.0, CELL):
         view = model.view_at(POINTS, torch.full((3,), twist))
         with torch.no_grad():
-            crops = look_into(pyramid(images()), view, POINTS, model.intrinsics)
-            raw = model.read(model.see(crops, view.slopes)).orientation
+            crops = render_virtual(pyramid(images()), view, POINTS, model.intrinsics)
+            raw = model.decode(model.encode(crops, view.tan_half_angle)).orientation
             logits.append(model.orientation.logits(raw).unflatten(1, (24, 50)))
     torch.testing.assert_close(logits[1], logits[0].roll(2, 1), rtol=1e-4, atol=1e-4)
     assert (logits[1] - logits[0]).abs().max() > 0.1
@@ -137,14 +137,14 @@ def answers(model, monkeypatch, in_view, log_mass):
         "candidates",
         lambda *_: Candidates(points, torch.tensor(log_mass)),
     )
-    read = model.read
+    decode = model.decode
 
     def said(feature_map):
-        numbers = read(feature_map)
+        numbers = decode(feature_map)
         logits = torch.tensor(in_view).flatten() if len(numbers.offset) == 4 else numbers.in_view
         return numbers._replace(offset=torch.zeros_like(numbers.offset), in_view=logits)
 
-    monkeypatch.setattr(model, "read", said)
+    monkeypatch.setattr(model, "decode", said)
     return points, model(images(2))
 
 
@@ -202,11 +202,11 @@ def test_the_objective_trains_every_weight():
     view = model.view_at(t + 0.1)
     coordinates = torch.rand(4, 4, *objective.cells) * 2 - 1
     coordinates[:, 3] = (coordinates[:, 3] > 0).float()
-    batch = ViewBatch(
+    batch = PatchBatch(
         frames=torch.randn(2, 3, 24, 32),
         translation=t[:2],
         crops=torch.randn(4, 3, 16, 96),
-        slopes=view.slopes,
+        tan_half_angle=view.tan_half_angle,
         orientation=torch.nn.functional.normalize(torch.randn(4, 4), dim=1),
         offset=offset_of(view.points(t), view),
         coordinates=coordinates,
@@ -234,8 +234,10 @@ def test_turned_attitudes_are_scipys(model):
     for twist in (0.0, 2 * CELL):
         view = model.view_at(POINTS, torch.full((3,), twist))
         with torch.no_grad():
-            crops = look_into(pyramid(images()), view, POINTS, model.intrinsics)
-            q = model.orientation.decode(model.read(model.see(crops, view.slopes)).orientation)
+            crops = render_virtual(pyramid(images()), view, POINTS, model.intrinsics)
+            q = model.orientation.decode(
+                model.decode(model.encode(crops, view.tan_half_angle)).orientation
+            )
         attitudes.append(Rotation.from_quat(q.double().numpy(), scalar_first=True))
     turn = Rotation.from_rotvec([0, 0, 2 * CELL])
     assert ((turn * attitudes[0]).inv() * attitudes[1]).magnitude().max() < 1e-4
@@ -274,8 +276,8 @@ def test_both_modes_are_those_of_the_last_view_in_the_cameras_frame():
         maps = model.locate(torch.nn.functional.avg_pool2d(shown, model.config.first_stride))
         points = model.translation_branch.candidates(*maps, 1)[0].flatten(0, 1)
         view = model.view_at(points)
-        crops = look_into(levels, view, points, model.intrinsics)
-        numbers = model.read(model.see(crops, view.slopes))
+        crops = render_virtual(levels, view, points, model.intrinsics)
+        numbers = model.decode(model.encode(crops, view.tan_half_angle))
         modes, pose = model.orientation.modes(numbers.orientation), model(shown)
     turn = view.rotation.mT
     for got, expected in ((pose.orientation, modes[0]), (pose.alternative, modes[1])):

@@ -17,11 +17,11 @@ from ffpose.models import read_metadata
 from ffpose.render import label
 from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM
 from ffpose.training.calibration_images import (
-    CUT_SEEDS,
-    CUT_SHARE,
     EMPTY_SEEDS,
     RANDOMIZATION,
     RANDOMIZED_SEEDS,
+    TRUNCATED_SEEDS,
+    TRUNCATED_SHARE,
 )
 from ffpose.training.config_file import load_config
 from ffpose.training.data import find_scene
@@ -49,7 +49,7 @@ def test_the_sets_in_the_header_have_the_mean_pose_in_the_header(name):
         label(scene, part["seed"] + more, index).vector
         for change, more, count in (
             (lambda scene: scene, 0, None),
-            (lambda scene: scene.cut(*CUT_SHARE), CUT_SEEDS, said["cut"]),
+            (lambda scene: scene.truncated(*TRUNCATED_SHARE), TRUNCATED_SEEDS, said["cut"]),
             (lambda scene: scene.randomized(RANDOMIZATION), RANDOMIZED_SEEDS, said["randomized"]),
         )
         for scene, part in zip(map(change, scenes), sets, strict=True)
@@ -82,7 +82,7 @@ def test_the_command_in_the_header_names_the_images_in_the_header(name):
     parser = build_parser("calibrate")
     options = parser.instantiate(parser.parse_args(words_of("calibrate", words[2:])))
     data = options.data
-    kinds = ((True, 0), (data.cut, CUT_SEEDS), (data.randomized, RANDOMIZED_SEEDS))
+    kinds = ((True, 0), (data.cut, TRUNCATED_SEEDS), (data.randomized, RANDOMIZED_SEEDS))
     seeds = [data.seed + more for shown, more in (*kinds, (True, EMPTY_SEEDS)) if shown]
     assert [(each["scene"], each["seed"], each["count"]) for each in said["images"]] == [
         (data.scene, seed, data.count) for seed in seeds

@@ -7,8 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera
 from ffpose.models.virtual_camera import (
-    look,
+    pyramid,
     pyramid_level,
+    render_virtual,
     sample,
     source_pixels,
     toward,
@@ -195,7 +196,9 @@ def test_a_look_shows_the_pattern_along_its_rays(generator, level):
     view = turn_to(points, 1.0, size, twist)
     view = view._replace(focal=torch.full((count,), CAMERA.fx / 1.1 / 2**level).double())
     assert pyramid_level(view, points, INTRINSICS).tolist() == [level] * count
-    seen = look(drawn().expand(count, -1, -1, -1), view, points, INTRINSICS).numpy()
+    seen = render_virtual(
+        pyramid(drawn().expand(count, -1, -1, -1)), view, points, INTRINSICS
+    ).numpy()
     for i in range(count):
         rays = pixel_grid(size) @ np.linalg.inv(virtual_matrix(float(view.focal[i]), size)).T
         rays = rays @ view.rotation[i].numpy()
@@ -216,14 +219,14 @@ def test_a_batch_of_all_levels_is_its_images_one_by_one(generator):
     view = view._replace(focal=INTRINSICS[0] / 4 / finer)
     assert set(pyramid_level(view, points, INTRINSICS / 4).tolist()) == {0, 1, 2, 3}
     images = torch.from_numpy(generator.uniform(size=(8, 3, 60, 80)))
-    together = look(images, view, points, INTRINSICS / 4)
+    together = render_virtual(pyramid(images), view, points, INTRINSICS / 4)
     for i in range(8):
         one = slice(i, i + 1)
         alone = view._replace(
             rotation=view.rotation[one], focal=view.focal[one], distance=view.distance[one]
         )
         torch.testing.assert_close(
-            look(images[one], alone, points[one], INTRINSICS / 4), together[one]
+            render_virtual(pyramid(images[one]), alone, points[one], INTRINSICS / 4), together[one]
         )
 
 
@@ -233,7 +236,7 @@ def test_rays_behind_the_camera_see_nothing():
     points.requires_grad_()
     view = turn_to(points, 8.0, (16, 16))
     wide = torch.tensor([4.0, 4.0, 32.0, 32.0])  # sees 83 degrees off its axis
-    seen = look(torch.ones(1, 1, 64, 64), view, points, wide)
+    seen = render_virtual(pyramid(torch.ones(1, 1, 64, 64)), view, points, wide)
     x = (torch.arange(16) + 0.5 - 8) / view.focal.detach()
     behind = np.cos(np.radians(80)) - x.numpy() * np.sin(np.radians(80)) <= 0
     assert 4 <= behind.sum() <= 12
@@ -248,7 +251,7 @@ def test_gradients_reach_the_point_that_is_looked_at(generator):
     image = drawn().expand(2, -1, -1, -1)
 
     def seen(p):
-        return look(image, turn_to(p, 3.0, (3, 4)), p, INTRINSICS)
+        return render_virtual(pyramid(image), turn_to(p, 3.0, (3, 4)), p, INTRINSICS)
 
     assert torch.autograd.gradcheck(seen, points, eps=1e-7, atol=1e-5)
     assert torch.autograd.grad(seen(points).sum(), points)[0].abs().min() > 0
@@ -256,7 +259,9 @@ def test_gradients_reach_the_point_that_is_looked_at(generator):
 
 class Look(torch.nn.Module):
     def forward(self, images, points):
-        return look(images, turn_to(points, 3.0, (8, 8)), points, INTRINSICS.float() / 4)
+        return render_virtual(
+            pyramid(images), turn_to(points, 3.0, (8, 8)), points, INTRINSICS.float() / 4
+        )
 
 
 def test_it_exports_for_batches_of_any_size(generator):

@@ -15,10 +15,10 @@ from ffpose.render import (
     render_layers,
     renderer,
 )
+from ffpose.render.shading.rays import find_window
 from ffpose.render.shading.sensor import Sensor, expose
 from ffpose.render.shading.sky import Earth
 from ffpose.render.shading.vectors import unit
-from ffpose.render.shading.view import find_window
 
 SIZE = (128, 96)
 

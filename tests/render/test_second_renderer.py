@@ -13,7 +13,8 @@ import pytest
 from ffpose.geometry import Camera, Pose
 from ffpose.render import SCENES, label, mitsuba, render, render_layers
 from ffpose.render.renderer import prepared
-from ffpose.render.shading.finish import Surface
+from ffpose.render.shading.patterns import Surface
+from ffpose.render.shading.rays import View
 from ffpose.render.shading.reflection import (
     EARTH_COLOR,
     HIGHLIGHT_LIMIT,
@@ -22,7 +23,6 @@ from ffpose.render.shading.reflection import (
     sun_visible,
 )
 from ffpose.render.shading.tracer import Hits
-from ffpose.render.shading.view import View
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.materials import Material
 from ffpose.render.spacecraft.mesh import Mesh

@@ -11,7 +11,7 @@ from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.inference.load import load
 from ffpose.models import build_network
-from ffpose.models.virtual_camera import look
+from ffpose.models.virtual_camera import pyramid, render_virtual
 from ffpose.onnx.metadata import read_model_metadata
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.follow import follow
@@ -67,8 +67,8 @@ def test_it_is_the_second_look_alone(weights):
     view = network.view_at(where)
     images = torch.from_numpy(x)
     with torch.inference_mode():
-        crop = look(images, view, where, network.intrinsics)
-        wanted = network._pose(network.read(network.see(crop, view.slopes)), view)
+        crop = render_virtual(pyramid(images), view, where, network.intrinsics)
+        wanted = network._pose(network.decode(network.encode(crop, view.tan_half_angle)), view)
     np.testing.assert_allclose(got["in_view"], wanted.in_view, atol=1e-6)
     np.testing.assert_allclose(got["orientation"], wanted.orientation, atol=1e-5)
     assert np.linalg.norm(got["translation"] - estimator.run(x)["translation"]) > 1e-3

@@ -12,7 +12,7 @@ from scipy.stats import f, multivariate_t
 from ffpose.config import FilterformerPoseConfig
 from ffpose.datasets import Sample
 from ffpose.evaluation.calibration import CURVE, coverage, region_probability
-from ffpose.models.network import UncertainPose
+from ffpose.models.base import UncertainPose
 from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM, calibrate, fit_tails
 
 COUNT = 2000

@@ -10,11 +10,11 @@ from PIL import Image
 from safetensors.torch import load_file
 
 from ffpose import DataError
-from ffpose.datasets import cut_views
+from ffpose.datasets import patches
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import CONFIGS, read_metadata
-from ffpose.training.config import DataConfig, ObjectLossConfig, TrainConfig, ViewAugmentation
+from ffpose.training.config import DataConfig, ObjectLossConfig, PatchAugmentation, TrainConfig
 from ffpose.training.data import open_training_data
 from ffpose.training.engine import train
 from ffpose.training.run import build_run
@@ -157,7 +157,7 @@ def test_a_second_look_needs_an_object_and_a_pinhole(scene, own):
     small = replace(CONFIGS["compact"], image_size=(64, 64))
     undistorted = replace(config, undistort=True)
     data = open_training_data(undistorted, small, Preprocessing((64, 64)), coordinates=False)
-    assert len(data.views) == 1
+    assert len(data.patches) == 1
 
 
 def test_a_scene_trains_and_selects_by_its_spread(scene, tmp_path):
@@ -207,7 +207,7 @@ def second_look_config(root, out, **fields):
 def test_keypoints_teach_a_set_that_has_poses_alone(own, tmp_path):
     """Objects straight ahead, unturned, in a view 6.6 m wide to each side and not displaced."""
     config = second_look_config(own, tmp_path / "run")
-    still = ViewAugmentation(twist_deg=0, look_lateral=0, look_distance=0, empty=0)
+    still = PatchAugmentation(twist_deg=0, look_lateral=0, look_distance=0, empty=0)
     run = build_run(replace(config, views=still))
     (batch,) = [b for b in run.task.batches(0) if 0 in b.index]
     row = batch.index.tolist().index(0)
@@ -241,25 +241,25 @@ def test_a_set_without_coordinates_says_what_does_without(own, tmp_path):
 def test_views_of_a_set_are_cut_once_where_they_are_cached(own, tmp_path, monkeypatch):
     monkeypatch.setenv("FFPOSE_CACHE", str(tmp_path / "cache"))
     cut = []
-    once = cut_views.cut_pieces
+    once = patches.extract_patches
     monkeypatch.setattr(
-        cut_views, "cut_pieces", lambda *args: cut.append(args[1].t[2]) or once(*args)
+        patches, "extract_patches", lambda *args: cut.append(args[1].t[2]) or once(*args)
     )
     config = DataConfig("csv", own, holdout=3)
-    (fresh,) = second_look(config).views
+    (fresh,) = second_look(config).patches
     assert sorted(cut) == [6, 7, 9, 10]
     for _ in range(2):
-        (mapped,) = second_look(replace(config, cache=True)).views
+        (mapped,) = second_look(replace(config, cache=True)).patches
         assert len(cut) == 8
         for name, values in fresh.items():
             np.testing.assert_array_equal(mapped[name], values)
         assert isinstance(mapped["windows"], np.memmap)
     moved = (own / "train.csv").read_text().replace("0,0,6,1", "0,0,6.5,1")
     (own / "train.csv").write_text(moved)
-    (mapped,) = second_look(replace(config, cache=True)).views
+    (mapped,) = second_look(replace(config, cache=True)).patches
     assert mapped["labels"][0, 2] == 6.5
     assert len(cut) == 12
     (own / "1.png").write_bytes((own / "2.png").read_bytes())
-    (mapped,) = second_look(replace(config, cache=True)).views
+    (mapped,) = second_look(replace(config, cache=True)).patches
     np.testing.assert_array_equal(mapped["frames"][0], mapped["frames"][1])
     assert len(cut) == 16

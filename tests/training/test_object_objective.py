@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.config import FilterformerPoseConfig
 from ffpose.geometry.symmetry import Axis, SymmetryGroup
-from ffpose.models.object_look import LookNumbers
+from ffpose.models.second_look import SecondLookOutput
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.object_objective import ObjectObjective, heatmap_loss
-from ffpose.training.views import ViewBatch
+from ffpose.training.patches import PatchBatch
 
 COUNT, CHANNELS, GRID, KEYPOINTS = 5, 3, (2, 3), 7
 NONE = ObjectLossConfig(**dict.fromkeys(vars(ObjectLossConfig()), 0.0))
@@ -31,11 +31,11 @@ def batch():
     """Five samples, of which the first shows nothing; two have a frame."""
     coordinates = torch.rand(COUNT, 4, 2 * GRID[0], 2 * GRID[1]) * 2 - 1
     coordinates[:, 3] = (coordinates[:, 3] > 0).float()
-    return ViewBatch(
+    return PatchBatch(
         frames=torch.zeros(2, 3, 4, 4),
         translation=torch.randn(2, 3),
         crops=torch.zeros(COUNT, 3, 4, 4),
-        slopes=torch.ones(COUNT),
+        tan_half_angle=torch.ones(COUNT),
         orientation=torch.nn.functional.normalize(torch.randn(COUNT, 4), dim=1),
         offset=torch.randn(COUNT, 3),
         coordinates=coordinates,
@@ -59,7 +59,7 @@ class Answers:
         self.orientation = QuaternionHead()
         self.first = torch.zeros(())
         self.feature_map = torch.randn(COUNT, CHANNELS, *GRID)
-        self.numbers = LookNumbers(
+        self.numbers = SecondLookOutput(
             orientation=batch.orientation.clone().requires_grad_(),
             offset=batch.offset.clone().requires_grad_(),
             log_sigma=torch.zeros(COUNT, 6).requires_grad_(),
@@ -70,10 +70,10 @@ class Answers:
         assert len(frames) == len(translation)
         return self.first
 
-    def see(self, crops, slopes):
+    def encode(self, crops, tan_half_angle):
         return self.feature_map
 
-    def read(self, feature_map):
+    def decode(self, feature_map):
         return self.numbers
 
 
@@ -269,14 +269,14 @@ def test_without_dense_weights_there_is_no_convolution(batch):
 
 def test_half_precision_is_the_networks_alone(batch):
     answers = Answers(batch)
-    answers.numbers = LookNumbers(*map(torch.randn_like, answers.numbers[:-1]))
+    answers.numbers = SecondLookOutput(*map(torch.randn_like, answers.numbers[:-1]))
     objective = ObjectObjective(answers, ObjectLossConfig(keypoints=1.0), KEYPOINTS)
     answers.feature_map = answers.feature_map.bfloat16()
-    answers.numbers = LookNumbers(*(number.bfloat16() for number in answers.numbers[:-1]))
+    answers.numbers = SecondLookOutput(*(number.bfloat16() for number in answers.numbers[:-1]))
     with torch.autocast("cpu", torch.bfloat16):
         got = objective(answers, batch).total
     answers.feature_map = answers.feature_map.float()
-    answers.numbers = LookNumbers(*(number.float() for number in answers.numbers[:-1]))
+    answers.numbers = SecondLookOutput(*(number.float() for number in answers.numbers[:-1]))
     torch.testing.assert_close(got, objective(answers, batch).total, rtol=1e-6, atol=0)
 
 

@@ -18,7 +18,7 @@ from ffpose.models import (
     load_network,
     read_metadata,
 )
-from ffpose.render import label, views
+from ffpose.render import label, patches
 from ffpose.render.dataset import writer
 from ffpose.render.renderer import situation
 from ffpose.training import DataConfig, data
@@ -44,7 +44,7 @@ def root(tmp_path_factory):
 @pytest.fixture
 def rendered(monkeypatch):
     """Views and whole images that were rendered since."""
-    made, view, images = [], views.render_view, writer.render_all
+    made, view, images = [], patches.render_patches, writer.render_all
 
     def counted(scene, seed, index, spec, content="object"):
         made.append((seed, index, content))
@@ -54,7 +54,7 @@ def rendered(monkeypatch):
         made.extend((job.seed, index, "object") for index in indices)
         return images(job, indices, *rest)
 
-    monkeypatch.setattr(views, "render_view", counted)
+    monkeypatch.setattr(patches, "render_patches", counted)
     monkeypatch.setattr(writer, "render_all", all_counted)
     return made
 
@@ -156,11 +156,11 @@ def test_a_set_smaller_than_a_batch_is_refused(root, tmp_path):
 def test_no_training_renders_a_tests_scenes(monkeypatch, seed):
     asked = []
 
-    def open_views(root, scene, seed, count, spec, *, content="object", workers):
+    def rendered_patches(root, scene, seed, count, spec, *, content="object", workers):
         asked.append((seed, content))
         return {"labels": np.zeros((count, 13))}
 
-    monkeypatch.setattr(data, "open_views", open_views)
+    monkeypatch.setattr(data, "rendered_patches", rendered_patches)
     for name in ("open_frames", "open_calibration"):
         monkeypatch.setattr(data, name, lambda *_, **__: None)
     config = DataConfig("scenes", Path("none"), scene="soyuz_hard+soyuz_easy", seed=seed)
@@ -176,11 +176,11 @@ def test_sets_that_are_joined_show_different_scenes(monkeypatch):
     """Image i of one set has another attitude, light and Earth than image i of any other."""
     asked = []
 
-    def open_views(root, scene, seed, count, spec, *, content="object", workers):
+    def rendered_patches(root, scene, seed, count, spec, *, content="object", workers):
         asked.append((scene, seed, count, content))
         return {"labels": np.zeros((count, 13))}
 
-    monkeypatch.setattr(data, "open_views", open_views)
+    monkeypatch.setattr(data, "rendered_patches", rendered_patches)
     for name in ("open_frames", "open_calibration"):
         monkeypatch.setattr(data, name, lambda *_, **__: None)
     config = DataConfig(

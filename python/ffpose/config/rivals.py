@@ -11,7 +11,7 @@ from ffpose.config.network import FrameConfig
 
 @dataclass(frozen=True)
 class UrsoNetConfig(FrameConfig):
-    """Architecture of UrsoNet (`ffpose.models.urso_net`).
+    """Architecture of UrsoNet (`ffpose.models.ursonet`).
 
     The defaults are those of the authors' program and of their commands for URSO, at half the size
     of its images.
@@ -67,7 +67,7 @@ class UrsoNetConfig(FrameConfig):
 
 @dataclass(frozen=True)
 class PoseNetConfig(FrameConfig):
-    """Architecture of direct regression in the manner of PoseNet (`ffpose.models.pose_net`).
+    """Architecture of direct regression in the manner of PoseNet (`ffpose.models.posenet`).
 
     Attributes:
         image_size: Size of the network's input in pixels.

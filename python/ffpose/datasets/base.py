@@ -192,4 +192,4 @@ class PoseDataset(Dataset[Sample]):
                 whole, image = preprocessing.frame_camera(camera), torch.from_numpy(planes(frame))
                 return turn_camera(image, *label, whole, crop_turn(whole, crop, view), view), view
             view = crop
-        return (torch.from_numpy(preprocessing.cut(frame, window)), *label), view
+        return (torch.from_numpy(preprocessing.crop(frame, window)), *label), view

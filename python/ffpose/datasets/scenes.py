@@ -1,7 +1,7 @@
 """Rendered scenes as a dataset: an unlimited set, rendered on demand and cached.
 
 A scene is a pure function of set, seed and index (`ffpose.render`), so rendered data can be cached:
-views (`ffpose.datasets.view_cache`) and validation images lie in a folder whose name is the digest
+patches (`ffpose.datasets.patches`) and validation images lie in a folder whose name is the digest
 of all that they depend on, and any number of runs and processes map one copy. Needs the extra
 `render`.
 """
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from ffpose._internal.files import atomic_write
 from ffpose.datasets import PoseDataset, open_dataset
-from ffpose.datasets.view_cache import cached_views, digest
+from ffpose.datasets.patches import cached_patches, digest
 from ffpose.errors import require
+from ffpose.imaging.patches import Content, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.imaging.views import Content, ViewSpec
 
 if TYPE_CHECKING:
     from ffpose.render import Scene
@@ -42,40 +42,40 @@ def find_scene(name: str, attitude_range_deg: tuple[float, float, float]) -> Sce
     return replace(scene, attitude_range_deg=attitude_range_deg)
 
 
-def open_views(
+def rendered_patches(
     root: Path,
     scene: Scene,
     seed: int,
     count: int,
-    spec: ViewSpec,
+    spec: PatchSpec,
     *,
     content: Content = "object",
     workers: int,
 ) -> dict[str, NDArray[Any]]:
-    """Return the views of the scenes 0 ... ``count - 1``; render them where they are not cached.
+    """Return the patches of the scenes 0 ... ``count - 1``; render them where they are not cached.
 
     Args:
         root: The cache folder.
         scene: The set.
         seed: Seed of the set.
         count: Number of scenes.
-        spec: Geometry of the network's two views.
-        content: What is in view, as for `ffpose.render.views.render_view`.
+        spec: Geometry of the two patches.
+        content: What is in view, as for `ffpose.render.patches.render_patches`.
         workers: Number of processes that render.
 
     Raises:
-        ffpose.DataError: A folder of views is damaged.
+        ffpose.DataError: A folder of patches is damaged.
         OSError: The disk is full.
     """
-    from ffpose.render import views
+    from ffpose.render.patches import describe, render_all_patches
 
-    described = views.describe(scene, seed, spec, content)
+    described = describe(scene, seed, spec, content)
     folder = root / f"views-{digest({**described, 'count': count})}"
-    return cached_views(
+    return cached_patches(
         folder,
         count,
         spec,
-        lambda: views.render_views(scene, seed, range(count), spec, content, workers),
+        lambda: render_all_patches(scene, seed, range(count), spec, content, workers),
     )
 
 

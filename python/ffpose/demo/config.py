@@ -10,7 +10,7 @@ from ffpose._internal.seeds import CHOICES
 from ffpose.datasets.scenes import find_scene
 from ffpose.render import Scene
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
-from ffpose.training.config import ViewAugmentation
+from ffpose.training.config import PatchAugmentation
 
 SCENE = "soyuz_easy"
 
@@ -101,7 +101,7 @@ class DemoConfig:
                 warmup_epochs=1.0,
                 clip_norm=1.0,
             ),
-            views=ViewAugmentation(
+            views=PatchAugmentation(
                 look_outliers=0.02, brightness=0.15, noise=0.02, blur=0.2, empty=0.06
             ),
         )

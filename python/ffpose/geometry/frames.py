@@ -123,9 +123,9 @@ class Camera:
         """
         p = real_array("points", points, 3)
         depth = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
-        return self.bend(p[..., :2] / depth) * (self.fx, self.fy) + (self.cx, self.cy)
+        return self.distort(p[..., :2] / depth) * (self.fx, self.fy) + (self.cx, self.cy)
 
-    def bend(self, rays: FloatArray) -> FloatArray:
+    def distort(self, rays: FloatArray) -> FloatArray:
         """Return where the lens sends rays ``(x/z, y/z)`` ``(..., 2)``: a pinhole, as they are."""
         return rays
 
@@ -154,7 +154,7 @@ class DistortedCamera(Camera):
         """The camera of this camera's undistorted images: the same without the lens."""
         return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
 
-    def bend(self, rays: FloatArray) -> FloatArray:
+    def distort(self, rays: FloatArray) -> FloatArray:
         """Return where the lens sends rays ``(x/z, y/z)`` ``(..., 2)``."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = rays[..., 0], rays[..., 1]

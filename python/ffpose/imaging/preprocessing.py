@@ -107,7 +107,7 @@ class Preprocessing:
         """Return the window in the middle of a frame of ``(height, width)``."""
         return Window((frame_size[0] - self.size[0]) // 2, (frame_size[1] - self.size[1]) // 2)
 
-    def cut(self, frame: NDArray[np.uint8], window: Window) -> NDArray[np.float32]:
+    def crop(self, frame: NDArray[np.uint8], window: Window) -> NDArray[np.float32]:
         """Return the window of a frame ``(H, W, 3)`` as float32 ``(3, h, w)`` in [0, 1]."""
         rows = slice(window.top, window.top + self.size[0])
         columns = slice(window.left, window.left + self.size[1])
@@ -122,7 +122,7 @@ class Preprocessing:
         if image.mode != "RGB":
             raise ValueError(f"image: expected mode RGB, got {image.mode}")
         frame = self.frame(image)
-        standardized = self.cut(frame, self.center_window(frame.shape[:2]))
+        standardized = self.crop(frame, self.center_window(frame.shape[:2]))
         for plane, mean, std in zip(standardized, self.mean, self.std, strict=True):
             plane -= np.float32(mean)
             plane /= np.float32(std)

@@ -45,7 +45,7 @@ def _corners(camera: DistortedCamera) -> list[tuple[NDArray[np.intp], NDArray[np
     width, height = camera.width, camera.height
     columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = (np.stack([columns, rows], axis=-1) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    seen = camera.bend(rays) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    seen = camera.distort(rays) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     x, y = (np.clip(seen + 0.5, 0, (width + 1, height + 1))).reshape(-1, 2).T  # center 0.5 is at 1
     left, top = np.minimum(x, width).astype(np.intp), np.minimum(y, height).astype(np.intp)
     across, down = x - left, y - top

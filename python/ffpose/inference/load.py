@@ -99,7 +99,7 @@ def load(
     else:
         from ffpose.inference.in_torch import TorchSession
         from ffpose.models import PolarPose, open_weights
-        from ffpose.models.polar_pose import OneLook
+        from ffpose.models.polar_pose import NearPoint
 
         if precision != "float32":
             raise ValueError(f"precision: expected float32 for weights, got {precision!r}")
@@ -108,7 +108,7 @@ def load(
         model, weights = open_weights(source.path)
         session = TorchSession(model, device, threads)
         near = (
-            TorchSession(OneLook(model), device, threads)
+            TorchSession(NearPoint(model), device, threads)
             if track and isinstance(model, PolarPose)
             else None
         )

@@ -14,7 +14,7 @@ from typing import Any
 from ffpose._internal.seeds import TRAINING, matching
 from ffpose.geometry import Camera
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
-from ffpose.training.config import ObjectLossConfig, ViewAugmentation
+from ffpose.training.config import ObjectLossConfig, PatchAugmentation
 
 DEFAULT_CAMERA = Camera(512, 384, 256.0, 256.0, 256.0, 192.0)
 """A pinhole camera of 90 degrees."""
@@ -225,7 +225,7 @@ def training(
             clip_norm=1.0,
         ),
         object_loss=ObjectLossConfig(angle=5.0, offset=5.0),
-        views=ViewAugmentation(empty=0.12, jpeg=0.1, frames=0.4),
+        views=PatchAugmentation(empty=0.12, jpeg=0.1, frames=0.4),
         seed=seed,
         device=device,
         symmetry=symmetry,

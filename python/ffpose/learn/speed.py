@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ffpose.imaging.views import ViewSpec
+from ffpose.imaging.patches import PatchSpec
 from ffpose.learn.plan import Speed
 from ffpose.models import SecondLookNetwork, build_network
-from ffpose.models.network import find_device
+from ffpose.models.base import find_device
 from ffpose.render import Scene
-from ffpose.render.views import render_views
+from ffpose.render.patches import render_all_patches
 from ffpose.training import TrainConfig
 from ffpose.training.object_objective import ObjectObjective
-from ffpose.training.views import ViewBatches
+from ffpose.training.patches import PatchBatches
 
 VIEWS = 24
 """Rendered views, for each process."""
@@ -44,7 +44,7 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
     device = find_device(config.device)
     model = build_network(config.model, backbone_weights="none", **fields).to(device)
     assert isinstance(model, SecondLookNetwork)
-    spec = ViewSpec(
+    spec = PatchSpec(
         camera, model.config.first_stride, model.config.object_width, model.config.object_radius_m
     )
     count = VIEWS * processes
@@ -52,12 +52,12 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
     wide = scene.scaled(*config.data.distance)
     began = time.perf_counter()
     for row, view in enumerate(
-        render_views(wide, config.data.seed, range(count), spec, "object", processes)
+        render_all_patches(wide, config.data.seed, range(count), spec, "object", processes)
     ):
         view.store(arrays, row)
     views = count / (time.perf_counter() - began)
     loss = ObjectObjective(model, config.object_loss).to(device)
-    batches = ViewBatches(
+    batches = PatchBatches(
         model, [arrays], [], config.views, (1.0, 1.0, 1.0), loss.cells, np.zeros((0, 3))
     )
     threads = torch.get_num_threads()
@@ -78,7 +78,7 @@ def _rate(
     config: TrainConfig,
     model: SecondLookNetwork,
     loss: ObjectObjective,
-    batches: ViewBatches,
+    batches: PatchBatches,
     device: torch.device,
 ) -> float:
     """Return training samples per second of one process."""

@@ -10,10 +10,10 @@ from ffpose.config import (
     UrsoNetConfig,
 )
 from ffpose.models.backbone import Backbone, backbone_preprocessing, build_backbone
+from ffpose.models.base import BaseNetwork, FrameNetwork, PosePrediction, find_device
 from ffpose.models.filterformer_pose import FilterformerPose
-from ffpose.models.network import FrameNetwork, PoseNetwork, PosePrediction, find_device
 from ffpose.models.polar_pose import PolarPose
-from ffpose.models.pose_net import PoseNet
+from ffpose.models.posenet import PoseNet
 from ffpose.models.registry import (
     SecondLookNetwork,
     build_network,
@@ -21,13 +21,14 @@ from ffpose.models.registry import (
     load_network,
     open_weights,
 )
-from ffpose.models.urso_net import UrsoNet
+from ffpose.models.ursonet import UrsoNet
 from ffpose.models.weights import WeightsMetadata, read_metadata
 
 __all__ = [
     "CONFIGS",
     "PRESETS",
     "Backbone",
+    "BaseNetwork",
     "FilterformerPose",
     "FilterformerPoseConfig",
     "FrameNetwork",
@@ -36,7 +37,6 @@ __all__ = [
     "PolarPoseConfig",
     "PoseNet",
     "PoseNetConfig",
-    "PoseNetwork",
     "PosePrediction",
     "SecondLookNetwork",
     "UrsoNet",

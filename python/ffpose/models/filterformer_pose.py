@@ -24,22 +24,22 @@ from torch.nn import functional as F
 
 from ffpose.config import FLAT_CHANNELS, FLAT_LATENT, FilterformerPoseConfig
 from ffpose.models.backbone import Backbone, build_backbone
-from ffpose.models.network import FrameNetwork, PosePrediction, UncertainPose
-from ffpose.models.object_look import (
-    SMALL_NUMBERS,
-    LookHead,
-    LookNumbers,
+from ffpose.models.base import FrameNetwork, PosePrediction, UncertainPose
+from ffpose.models.second_look import (
+    SMALL_OUTPUTS,
+    SecondLookHead,
+    SecondLookOutput,
     calibrated,
     covariances,
     in_front,
     points_at,
-    split_numbers,
+    split_output,
 )
 from ffpose.models.virtual_camera import (
     VirtualCamera,
     downsampled,
-    look_into,
     pyramid,
+    render_virtual,
     turn_to,
 )
 from ffpose.nn import Filterformer, HyperHead, PositionCode
@@ -157,7 +157,7 @@ class FilterformerPose(FrameNetwork):
     With ``config.orientation_view`` ``"frame"``, as in the paper, both branches see the frame and
     the result is a `PosePrediction`. With ``"object"`` the translation branch sees the downsampled
     frame, the orientation branch a virtual camera's view of the object
-    (`ffpose.models.object_look`), and the result is an `UncertainPose`.
+    (`ffpose.models.second_look`), and the result is an `UncertainPose`.
 
     It can be exported by `torch.export`, with any batch size if ``dynamic_shapes`` says so. Import
     `ffpose.models` before loading a saved program, to register its operators and result types.
@@ -235,7 +235,7 @@ class FilterformerPose(FrameNetwork):
                 head.bias.copy_(torch.tensor(start))
         if config.orientation_view == "frame":
             return head
-        return LookHead(head, hyper_head(config, SMALL_NUMBERS, config.translation_mlp_dim))
+        return SecondLookHead(head, hyper_head(config, SMALL_OUTPUTS, config.translation_mlp_dim))
 
     def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
         """Predict the pose of the object in each image.
@@ -272,7 +272,7 @@ class FilterformerPose(FrameNetwork):
         levels = pyramid(images)
         points = self.located(self.locate(downsampled(levels, self.config.first_stride)))
         for _ in range(self.config.looks):
-            pose = self._look_at(levels, points)
+            pose = self._pose_at(levels, points)
             points = pose.translation
         return calibrated(pose, self.config)
 
@@ -280,19 +280,19 @@ class FilterformerPose(FrameNetwork):
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
         return turn_to(points, self.config.object_radius_m, self.config.object_size, twist)
 
-    def _look_at(self, levels: Sequence[Tensor], points: Tensor) -> UncertainPose:
+    def _pose_at(self, levels: Sequence[Tensor], points: Tensor) -> UncertainPose:
         """Look at points ``(B, 3)``; the covariances are multiplied by ``variance_scales``."""
         view = self.view_at(points)
-        numbers = self.look(look_into(levels, view, points, self.intrinsics))
-        matrix = quaternion_to_matrix(self.orientation.decode(numbers.orientation))
+        output = self.decode(self.encode(render_virtual(levels, view, points, self.intrinsics)))
+        matrix = quaternion_to_matrix(self.orientation.decode(output.orientation))
         q = matrix_to_quaternion(view.rotation.transpose(1, 2) @ matrix)
-        translation, rotation = covariances(numbers, view)
+        translation, rotation = covariances(output, view)
         return UncertainPose(
-            in_front(view.points_back(points_at(numbers.offset, view))),
+            in_front(view.points_back(points_at(output.offset, view))),
             q,
             translation * self.variance_scales[0],
             rotation * self.variance_scales[1],
-            numbers.in_view.sigmoid(),
+            output.in_view.sigmoid(),
             F.normalize(q, dim=-1),  # another tensor: an output of a graph has one name
             points.new_tensor([1.0, 0.0]).expand(points.shape[0], 2),
         )
@@ -318,7 +318,7 @@ class FilterformerPose(FrameNetwork):
         middle = math.sqrt(math.prod(self.config.distance_m))
         return torch.stack([x / z, y / z, (points.norm(dim=-1) / middle).log()], dim=-1)
 
-    def located(self, numbers: Tensor) -> Tensor:
+    def located(self, output: Tensor) -> Tensor:
         """Convert the outputs of `locate` to points ``(B, 3)``, meters.
 
         Directions are clamped to the frame, and distances to between half the smallest and twice
@@ -326,22 +326,18 @@ class FilterformerPose(FrameNetwork):
         """
         near, far = self.config.distance_m
         logs = [math.log(d / math.sqrt(near * far)) for d in (near / 2, far * 2)]
-        distance = math.sqrt(near * far) * numbers[:, 2].clamp(*logs).exp()
+        distance = math.sqrt(near * far) * output[:, 2].clamp(*logs).exp()
         height, width = self.config.image_size
         fx, fy, cx, cy = self.intrinsics.unbind(-1)
-        x = torch.minimum(torch.maximum(numbers[:, 0], -cx / fx), (width - cx) / fx)
-        y = torch.minimum(torch.maximum(numbers[:, 1], -cy / fy), (height - cy) / fy)
+        x = torch.minimum(torch.maximum(output[:, 0], -cx / fx), (width - cx) / fx)
+        y = torch.minimum(torch.maximum(output[:, 1], -cy / fy), (height - cy) / fy)
         rays = torch.stack([x, y, torch.ones_like(x)], dim=-1)
         return F.normalize(rays, dim=-1) * distance[:, None]
 
-    def look(self, views: Tensor) -> LookNumbers:
-        """Compute the second look's outputs for views of the object ``(B, 3, h, w)``."""
-        return self.read(self.see(views))
-
-    def see(self, views: Tensor, slopes: Tensor | None = None) -> Tensor:
+    def encode(self, views: Tensor, tan_half_angle: Tensor | None = None) -> Tensor:
         """Compute the feature map ``(B, C, rows, columns)`` of views of the object.
 
-        It does not depend on the ``slopes`` of `PolarPose.see`.
+        It does not depend on the ``tan_half_angle`` of `PolarPose.encode`.
         """
         assert self.object_backbone is not None
         feature_map: Tensor = self.object_backbone(
@@ -349,9 +345,9 @@ class FilterformerPose(FrameNetwork):
         )[0]
         return feature_map
 
-    def read(self, feature_map: Tensor) -> LookNumbers:
+    def decode(self, feature_map: Tensor) -> SecondLookOutput:
         """Compute the second look's outputs for its feature map."""
-        return split_numbers(self.orientation_branch(feature_map))
+        return split_output(self.orientation_branch(feature_map))
 
     @classmethod
     def build(cls, config: FilterformerPoseConfig, backbone_weights: str | Path) -> Self:

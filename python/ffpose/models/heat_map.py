@@ -130,6 +130,6 @@ class HeatMap(nn.Module):
         """
         near, far = self.config.distance_m
         logs = [math.log(d / self._middle) for d in (near / 2, far * 2)]
-        slopes = (place - self.intrinsics[2:]) / self.intrinsics[:2]
-        rays = F.normalize(torch.cat((slopes, torch.ones_like(relative)), dim=1), dim=-1)
+        tangents = (place - self.intrinsics[2:]) / self.intrinsics[:2]
+        rays = F.normalize(torch.cat((tangents, torch.ones_like(relative)), dim=1), dim=-1)
         return rays * (self._middle * relative.clamp(*logs).exp())

@@ -3,8 +3,8 @@
 The first look is a heat map of the downsampled frame (`ffpose.models.heat_map`): its highest peaks
 are candidates. A virtual camera is pointed at each (`ffpose.models.virtual_camera`), and its view,
 sampled in polar coordinates about the viewing ray, gives attitude, offset, uncertainty and whether
-the object is there (`ffpose.models.polar_look`). The likelier candidate is kept, and looked at
-again where its offset says that the object is.
+the object is there (`ffpose.models.polar_second_look`). The likelier candidate is kept, and looked
+at again where its offset says that the object is.
 """
 
 from __future__ import annotations
@@ -19,17 +19,23 @@ from torch.nn import functional as F
 
 from ffpose.config import PolarPoseConfig
 from ffpose.models.backbone import Backbone, build_backbone
+from ffpose.models.base import BaseNetwork, UncertainPose
 from ffpose.models.heat_map import HeatMap
-from ffpose.models.network import PoseNetwork, UncertainPose
-from ffpose.models.object_look import (
-    LookNumbers,
+from ffpose.models.polar_second_look import PolarBackbone, PolarHead, map_angles
+from ffpose.models.second_look import (
+    SecondLookOutput,
     calibrated,
     covariances,
     in_front,
     points_at,
 )
-from ffpose.models.polar_look import PolarBackbone, PolarHead, map_angles
-from ffpose.models.virtual_camera import VirtualCamera, downsampled, look_into, pyramid, turn_to
+from ffpose.models.virtual_camera import (
+    VirtualCamera,
+    downsampled,
+    pyramid,
+    render_virtual,
+    turn_to,
+)
 from ffpose.nn.polar_bins import PolarBinsHead
 from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 
@@ -37,7 +43,7 @@ DISTANCE_SMOOTH = 0.05
 """Errors of the first look's log distance below it count by their square (Huber)."""
 
 
-class PolarPose(PoseNetwork):
+class PolarPose(BaseNetwork):
     """Pose network; `from_config` builds it, `from_pretrained` reads a file.
 
     It can be exported by `torch.export`, with any batch size if ``dynamic_shapes`` says so. Import
@@ -95,17 +101,17 @@ class PolarPose(PoseNetwork):
         maps = self.locate(downsampled(levels, self.config.first_stride))
         count = self.config.candidates
         points, log_mass = self.translation_branch.candidates(*maps, count)
-        numbers, view = self._look(levels, points.flatten(0, 1))
+        output, view = self._second_look(levels, points.flatten(0, 1))
         if count > 1:
             # Not logsigmoid: in graphs that is a sigmoid's, which runtimes clamp at 18.
-            score = log_mass - F.softplus(-torch.unflatten(numbers.in_view, 0, (-1, count)))
+            score = log_mass - F.softplus(-torch.unflatten(output.in_view, 0, (-1, count)))
             best = score.argmax(-1) + count * torch.arange(images.shape[0], device=images.device)
-            numbers, view = numbers.of(best), view.of(best)
+            output, view = output.of(best), view.of(best)
         for _ in range(1, self.config.looks):
-            numbers, view = self._look(levels, _located(numbers, view))
-        return calibrated(self._pose(numbers, view), self.config)
+            output, view = self._second_look(levels, _located(output, view))
+        return calibrated(self._pose(output, view), self.config)
 
-    def look_at(self, images: Tensor, points: Tensor) -> UncertainPose:
+    def predict_near(self, images: Tensor, points: Tensor) -> UncertainPose:
         """Predict the poses of objects that are known to be near given points.
 
         One second look, without a first one and without a correction of where to look.
@@ -118,29 +124,31 @@ class PolarPose(PoseNetwork):
             ValueError: The shape of ``images`` is not as above.
         """
         self.check_images(images)
-        numbers, view = self._look(pyramid(images), in_front(points))
-        return calibrated(self._pose(numbers, view), self.config)
+        output, view = self._second_look(pyramid(images), in_front(points))
+        return calibrated(self._pose(output, view), self.config)
 
-    def _look(self, levels: Sequence[Tensor], points: Tensor) -> tuple[LookNumbers, VirtualCamera]:
+    def _second_look(
+        self, levels: Sequence[Tensor], points: Tensor
+    ) -> tuple[SecondLookOutput, VirtualCamera]:
         """Look at points ``(V, 3)``, those of the first image first."""
         view = self.view_at(points)
-        crops = look_into(levels, view, points, self.intrinsics)
-        return self.read(self.see(crops, view.slopes)), view
+        crops = render_virtual(levels, view, points, self.intrinsics)
+        return self.decode(self.encode(crops, view.tan_half_angle)), view
 
-    def _pose(self, numbers: LookNumbers, view: VirtualCamera) -> UncertainPose:
+    def _pose(self, output: SecondLookOutput, view: VirtualCamera) -> UncertainPose:
         """Return the poses that the outputs of second looks mean, in the camera's frame."""
-        modes = self.orientation.modes(numbers.orientation)
+        modes = self.orientation.modes(output.orientation)
         back = view.rotation.transpose(1, 2)
         orientation, alternative = (
             matrix_to_quaternion(back @ quaternion_to_matrix(q)) for q in modes[:2]
         )
-        translation, rotation = covariances(numbers, view)
+        translation, rotation = covariances(output, view)
         return UncertainPose(
-            _located(numbers, view),
+            _located(output, view),
             orientation,
             translation * self.variance_scales[0],
             rotation * self.variance_scales[1],
-            numbers.in_view.sigmoid(),
+            output.in_view.sigmoid(),
             alternative,
             modes.probabilities,
         )
@@ -168,20 +176,20 @@ class PolarPose(PoseNetwork):
                 logits.float(), distances.float(), translation, DISTANCE_SMOOTH
             )
 
-    def see(self, views: Tensor, slopes: Tensor) -> Tensor:
+    def encode(self, views: Tensor, tan_half_angle: Tensor) -> Tensor:
         """Compute the feature map ``(B, C, radii, angles)`` of polar views of the object.
 
         Args:
             views: ``(B, 3, radii, angles)``.
-            slopes: ``(B,)``, as `VirtualCamera.slopes`.
+            tan_half_angle: ``(B,)``, as `VirtualCamera.tan_half_angle`.
         """
-        feature_map: Tensor = self.object_backbone(views, slopes)
+        feature_map: Tensor = self.object_backbone(views, tan_half_angle)
         return feature_map
 
-    def read(self, feature_map: Tensor) -> LookNumbers:
+    def decode(self, feature_map: Tensor) -> SecondLookOutput:
         """Compute the second look's outputs for its feature map."""
-        numbers: LookNumbers = self.orientation_branch(feature_map)
-        return numbers
+        output: SecondLookOutput = self.orientation_branch(feature_map)
+        return output
 
     @classmethod
     def build(cls, config: PolarPoseConfig, backbone_weights: str | Path) -> Self:
@@ -191,18 +199,18 @@ class PolarPose(PoseNetwork):
         )
 
 
-class OneLook(nn.Module):
-    """`PolarPose.look_at` as a module's forward."""
+class NearPoint(nn.Module):
+    """`PolarPose.predict_near` as a module's forward."""
 
     def __init__(self, network: PolarPose) -> None:
         super().__init__()
         self.network = network
 
     def forward(self, images: Tensor, point: Tensor) -> UncertainPose:
-        """Predict poses of objects near points, as `PolarPose.look_at`."""
-        return self.network.look_at(images, point)
+        """Predict poses of objects near points, as `PolarPose.predict_near`."""
+        return self.network.predict_near(images, point)
 
 
-def _located(numbers: LookNumbers, view: VirtualCamera) -> Tensor:
+def _located(output: SecondLookOutput, view: VirtualCamera) -> Tensor:
     """Return the points ``(B, 3)`` of the camera's frame where second looks find the object."""
-    return in_front(view.points_back(points_at(numbers.offset, view)))
+    return in_front(view.points_back(points_at(output.offset, view)))

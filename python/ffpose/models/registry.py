@@ -7,14 +7,14 @@ from typing import Any
 
 from ffpose._internal.zoo import resolve
 from ffpose.config import PRESETS, NetworkConfig
+from ffpose.models.base import BaseNetwork
 from ffpose.models.filterformer_pose import FilterformerPose
-from ffpose.models.network import PoseNetwork
 from ffpose.models.polar_pose import PolarPose
-from ffpose.models.pose_net import PoseNet
-from ffpose.models.urso_net import UrsoNet
+from ffpose.models.posenet import PoseNet
+from ffpose.models.ursonet import UrsoNet
 from ffpose.models.weights import WeightsMetadata, read_metadata
 
-NETWORKS: dict[str, type[PoseNetwork]] = {
+NETWORKS: dict[str, type[BaseNetwork]] = {
     each.config_type.architecture: each for each in (FilterformerPose, PolarPose, UrsoNet, PoseNet)
 }
 """Networks by the name of their class, which files of weights and graphs record."""
@@ -36,7 +36,7 @@ def find_config(model: str) -> NetworkConfig:
 
 def build_network(
     config: str | NetworkConfig, *, backbone_weights: str | Path = "auto", **fields: Any
-) -> PoseNetwork:
+) -> BaseNetwork:
     """Build any network with new weights.
 
     Args:
@@ -56,12 +56,12 @@ def build_network(
     return network.from_config(config, backbone_weights=backbone_weights, **fields)
 
 
-def load_network(path: str | Path, **fields: Any) -> PoseNetwork:
+def load_network(path: str | Path, **fields: Any) -> BaseNetwork:
     """Load a network of any kind, in evaluation mode.
 
     Args:
         path: Weights file, or name of shipped weights (`ffpose._internal.zoo.names`).
-        **fields: As in `PoseNetwork.from_pretrained`.
+        **fields: As in `BaseNetwork.from_pretrained`.
 
     Raises:
         FileNotFoundError: No such file or name.
@@ -72,7 +72,7 @@ def load_network(path: str | Path, **fields: Any) -> PoseNetwork:
     return open_weights(path, **fields)[0]
 
 
-def open_weights(path: str | Path, **fields: Any) -> tuple[PoseNetwork, WeightsMetadata]:
+def open_weights(path: str | Path, **fields: Any) -> tuple[BaseNetwork, WeightsMetadata]:
     """Load a network as `load_network`, with the header of its file, which is read once."""
     path = resolve(path)
     metadata = read_metadata(path)

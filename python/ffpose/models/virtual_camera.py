@@ -28,7 +28,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ffpose.geometry.warping import LEAST_DEPTH, sample_planes, source_planes
-from ffpose.imaging.views import LEVELS, SHARPNESS
+from ffpose.imaging.patches import LEVELS, SHARPNESS
 from ffpose.nn.pyramid import sample_pyramid
 
 
@@ -55,7 +55,7 @@ class VirtualCamera(NamedTuple):
     polar: bool = False
 
     @property
-    def slopes(self) -> Tensor:
+    def tan_half_angle(self) -> Tensor:
         """Tangents ``(B,)`` of half the angle of the view: of an object of its radius, the size.
 
         They tell how strong the perspective is, which the view does not: it shows an object in one
@@ -196,21 +196,6 @@ def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:
     return sample_planes(image, u, v, mode)
 
 
-def look(images: Tensor, view: VirtualCamera, points: Tensor, intrinsics: Tensor) -> Tensor:
-    """Render the images ``(B, C, h, w)`` of virtual cameras.
-
-    Each image is sampled from the level of its pyramid of 2 x 2 means whose resolution is about
-    that of the virtual camera, which prevents aliasing for near objects.
-
-    Args:
-        images: ``(B, C, H, W)``, zero outside.
-        view: The virtual cameras.
-        points: ``(B, 3)``, points that the cameras are pointed at.
-        intrinsics: ``(4,)``, fx, fy, cx, cy of the images.
-    """
-    return look_into(pyramid(images), view, points, intrinsics)
-
-
 def pyramid(images: Tensor) -> list[Tensor]:
     """Return the pyramid of images ``(B, C, H, W)``, finest first; each level has half the size."""
     levels = [images]
@@ -227,7 +212,7 @@ def downsampled(pyramid: Sequence[Tensor], stride: int) -> Tensor:
     return F.avg_pool2d(pyramid[0], stride)
 
 
-def look_into(
+def render_virtual(
     pyramid: Sequence[Tensor], view: VirtualCamera, points: Tensor, intrinsics: Tensor
 ) -> Tensor:
     """Render the images of virtual cameras as `look`, from the `pyramid` of each image.

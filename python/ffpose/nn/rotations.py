@@ -54,7 +54,7 @@ def rotation_vector(difference: Tensor) -> Tensor:
     return q[:, 1:] * torch.where(sine > 1e-6, angle / sine.clamp_min(1e-6), 2.0)
 
 
-def nearest_of_look(q_hat: Tensor, q: Tensor, rotations: Tensor) -> Tensor:
+def nearest_equivalent(q_hat: Tensor, q: Tensor, rotations: Tensor) -> Tensor:
     """Return the attitudes ``q g``, of either sign, nearest to ``q_hat``, for ``g`` of a group.
 
     Args:

@@ -15,8 +15,8 @@ from ffpose._internal.zoo import resolve
 from ffpose.config import NetworkConfig, PolarPoseConfig, looks_twice
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import PolarPose, PosePrediction, WeightsMetadata, open_weights
-from ffpose.models.network import UncertainPose
-from ffpose.models.polar_pose import OneLook
+from ffpose.models.base import UncertainPose
+from ffpose.models.polar_pose import NearPoint
 from ffpose.onnx.exporter import (
     TOLERANCE,
     Exported,
@@ -63,7 +63,7 @@ def export_weights(
         path: The ONNX file to write; its folder must exist.
         filter: ``"custom"`` or ``"matmul"``, as `ffpose.onnx.export`.
         takes_point: Write the single look at points that a track expects the object at
-            (`ffpose.models.PolarPose.look_at`); that of the graph ``X.onnx`` is ``X.track.onnx``.
+            (`ffpose.models.PolarPose.predict_near`); that of ``X.onnx`` is ``X.track.onnx``.
         tolerance: Difference of graph and network on random images that is taken for rounding,
             whatever the network (`ffpose.onnx.export`).
         say: Is told what is under way.
@@ -88,7 +88,7 @@ def export_weights(
                 "track: expected weights of a PolarPose, which can look at a point, got those of a"
                 f" {network.config.architecture}"
             )
-        module = OneLook(network).eval()
+        module = NearPoint(network).eval()
         batches = [(*each, _middles(network.config, len(each[0]))) for each in batches]
     return write_graph(
         module,

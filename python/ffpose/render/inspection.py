@@ -15,9 +15,9 @@ from ffpose._internal.files import atomic_write
 from ffpose.geometry import Camera, Pose
 from ffpose.imaging.overlay import draw_axes
 from ffpose.render.renderer import draw_craft, prepared
+from ffpose.render.shading.rays import cast_rays, find_window
 from ffpose.render.shading.reflection import Light
 from ffpose.render.shading.tracer import Tracer
-from ffpose.render.shading.view import find_window, look
 from ffpose.render.spacecraft.craft import Craft, bounding_sphere
 from ffpose.render.symmetry import find_symmetries
 
@@ -220,7 +220,7 @@ def _inside_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> fl
         window = find_window(mesh.vertices, pose, camera)
         if window is None:
             continue
-        seen = look(tracer, window, camera, pose, 1)
+        seen = cast_rays(tracer, window, camera, pose, 1)
         facing = np.einsum("ij,ji->i", normals[seen.hits.face], seen.rays)
         back, count = back + int((facing > 0).sum()), count + len(facing)
     return back / max(count, 1)

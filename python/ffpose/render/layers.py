@@ -15,8 +15,8 @@ from ffpose._internal.files import atomic_write
 from ffpose.geometry import Camera, Pose
 from ffpose.render.renderer import camera_of, label, prepared
 from ffpose.render.scene import Scene, get_scene
+from ffpose.render.shading.rays import View, Window, cast_rays, find_window
 from ffpose.render.shading.vectors import Floats, dot
-from ffpose.render.shading.view import View, Window, find_window, look
 from ffpose.render.spacecraft.craft import Craft
 
 LABELS = {
@@ -81,7 +81,7 @@ def render_layers(
     """
     scene = get_scene(scene) if isinstance(scene, str) else scene
     camera, pose, craft = camera_of(scene, size), label(scene, seed, index), scene.build()
-    seen = _look(craft, pose, camera)
+    seen = _traced(craft, pose, camera)
     depth = _depth(seen, pose, camera)
     coordinates = _coordinates(seen, craft, camera)
     return Layers(depth > 0, depth, _keypoints(craft, pose, camera), coordinates)
@@ -104,7 +104,7 @@ def object_coordinates(craft: Craft, pose: Pose, camera: Camera) -> NDArray[np.u
         alpha is 255; elsewhere all four are 0. So the meters are ``(2 · code / 255 − 1) · L``,
         within L / 255.
     """
-    return _coordinates(_look(craft, pose, camera), craft, camera)
+    return _coordinates(_traced(craft, pose, camera), craft, camera)
 
 
 def coordinates_limit(craft: Craft) -> float:
@@ -174,12 +174,12 @@ def _write_keypoints(path: Path, keypoints: list[Keypoint]) -> None:
         writer.writerows((p.name, p.u, p.v, p.depth, int(p.visible)) for p in keypoints)
 
 
-def _look(craft: Craft, pose: Pose, camera: Camera) -> tuple[Window, View] | None:
+def _traced(craft: Craft, pose: Pose, camera: Camera) -> tuple[Window, View] | None:
     """Trace a ray through each pixel's center; None if the spacecraft is out of frame."""
     window = find_window(craft.mesh.vertices, pose, camera)
     if window is None:
         return None
-    return window, look(prepared(craft)[0], window, camera, pose, 1)
+    return window, cast_rays(prepared(craft)[0], window, camera, pose, 1)
 
 
 def _depth(seen: tuple[Window, View] | None, pose: Pose, camera: Camera) -> Floats:

@@ -5,7 +5,7 @@ one show how much that matters. Poses, sun, Earth, exposure and sensor are those
 `ffpose.render.renderer`, so that images compare one by one. Mitsuba brings its own camera rays,
 shadows, reflection (the Disney principled BSDF, Burley 2012), light reflected between surfaces, and
 the Earth's light as an environment map. Base colors, normals and roughness of the surface patterns
-are textures baked from `ffpose.render.shading.finish`; a mesh file's textures are Mitsuba's too.
+are textures baked from `ffpose.render.shading.patterns`; a mesh file's textures are Mitsuba's too.
 Where such a material has both a texture and colors of vertices the texture alone is shown, and all
 its textures have the coordinates of the first. Needs the extra `mitsuba`.
 """
@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from ffpose.errors import require
 from ffpose.geometry import Camera, Pose
-from ffpose.render.shading.finish import DRAW, Surface
+from ffpose.render.shading.patterns import DRAW, Surface
+from ffpose.render.shading.rays import Window, find_window
 from ffpose.render.shading.reflection import EARTH_COLOR, HIGHLIGHT_LIMIT, Light
 from ffpose.render.shading.vectors import Floats, unit
-from ffpose.render.shading.view import Window, find_window
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.materials import Material, Pattern, Texture
 from ffpose.render.spacecraft.textures import averaged

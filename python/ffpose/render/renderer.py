@@ -16,13 +16,19 @@ from ffpose.render import mitsuba
 from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
 from ffpose.render.scene import Scene, get_scene
 from ffpose.render.shading.randomization import backdrop, stops
-from ffpose.render.shading.reflection import Finish, Light, earth_visible, reflected, sun_visible
+from ffpose.render.shading.rays import View, Window, cast_rays, find_window, pixel_rays, smoothed
+from ffpose.render.shading.reflection import (
+    Light,
+    MaterialTable,
+    earth_visible,
+    reflected,
+    sun_visible,
+)
 from ffpose.render.shading.sensor import Sensor, choose_gain, expose
 from ffpose.render.shading.sieve import Sieve
 from ffpose.render.shading.sky import Earth, draw_stars, sun_disk
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.vectors import Floats
-from ffpose.render.shading.view import View, Window, find_window, look, pixel_rays, smoothed
 from ffpose.render.spacecraft.craft import Craft
 
 MIN_SIDE, MAX_SIDE = 16, 8192
@@ -150,14 +156,14 @@ def shoot_each(
     radiance = background(scene, camera, around, star_rng, odd_rng, side)
     lit = np.zeros((3, 0), dtype=np.float32)
     if not empty:
-        finish = prepared(craft)[1]
+        materials = prepared(craft)[1]
         if scene.randomization.materials > 0:
-            finish = finish.varied(scene.randomization.materials, odd_rng)
+            materials = materials.varied(scene.randomization.materials, odd_rng)
         light = object_light(pose, around, scene, odd_rng)
         if scene.renderer == "mitsuba":
             lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
         else:
-            lit = draw_craft(radiance, camera, pose, craft, finish, light, surface_rng)
+            lit = draw_craft(radiance, camera, pose, craft, materials, light, surface_rng)
     shots = []
     for sensor in sensors:
         rng = copy.deepcopy(sensor_rng)
@@ -212,10 +218,10 @@ def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
 
 
 @lru_cache(maxsize=4)
-def prepared(craft: Craft) -> tuple[Tracer, Finish]:
+def prepared(craft: Craft) -> tuple[Tracer, MaterialTable]:
     """Return ray tracer and material tables of a spacecraft, built once for each."""
-    finish = Finish(craft)
-    return Tracer(craft.mesh, Sieve(craft, finish.maps)), finish
+    materials = MaterialTable(craft)
+    return Tracer(craft.mesh, Sieve(craft, materials.maps)), materials
 
 
 def _streams(seed: int, index: int) -> list[np.random.Generator]:
@@ -268,7 +274,7 @@ def draw_craft(
     camera: Camera,
     pose: Pose,
     craft: Craft,
-    finish: Finish,
+    materials: MaterialTable,
     light: Light,
     rng: np.random.Generator,
 ) -> Floats:
@@ -279,8 +285,8 @@ def draw_craft(
     tracer, samples = prepared(craft)[0], sample_count(window, camera)
     colors = []
     for band in window.bands(BAND // samples**2):
-        view = look(tracer, band, camera, pose, samples)
-        colors.append(shade(view, tracer, band, samples, camera, finish, light, rng))
+        view = cast_rays(tracer, band, camera, pose, samples)
+        colors.append(shade(view, tracer, band, samples, camera, materials, light, rng))
         composite(radiance, band, view.hits.ray, colors[-1], samples)
     return np.concatenate(colors, axis=1)
 
@@ -291,12 +297,12 @@ def shade(
     window: Window,
     samples: int,
     camera: Camera,
-    finish: Finish,
+    materials: MaterialTable,
     light: Light,
     rng: np.random.Generator,
 ) -> Floats:
     """Compute the radiance (3, H) of the points that a view hit."""
-    surface = finish.surface(view, view.hits.distance * np.float32(1 / camera.fx), samples)
+    surface = materials.surface(view, view.hits.distance * np.float32(1 / camera.fx), samples)
     place = view.place
     sunlit = sun_visible(tracer, place, surface.normal, light)
     # About one sample per pixel is enough, as the mean over the pixels around is taken.

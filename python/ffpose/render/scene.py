@@ -109,7 +109,7 @@ class Scene:
         other = build_craft(stranger) if isinstance(stranger, str) else stranger
         return replace(self, craft=other.scaled(self.craft.radius / USUAL_RADIUS_M))
 
-    def cut(self, least: float, most: float) -> Scene:
+    def truncated(self, least: float, most: float) -> Scene:
         """The set whose spacecraft the frame's border cuts: a share of least to most is seen."""
         lateral_m = self.distance_m[1]  # as far off the axis as the frame goes
         return replace(self, min_visible=least, max_visible=most, lateral_m=lateral_m)

@@ -30,8 +30,8 @@ from ffpose.render.renderer import (
     shade,
 )
 from ffpose.render.scene import Scene
+from ffpose.render.shading.rays import Window, cast_rays, find_window
 from ffpose.render.shading.sensor import choose_gain, expose
-from ffpose.render.shading.view import Window, find_window, look
 
 SEQUENCE = 0x5E9
 """Separates the generators of sequences from those of sets of the same seed."""
@@ -190,9 +190,9 @@ def render_frame(sequence: Sequence, index: int) -> NDArray[np.uint8]:
     around = sequence.orbit.at(time)
     radiance = background(scene, camera, around, star_rng, odd_rng, 1, sequence.orbit.turn(time))
     craft = scene.build()
-    tracer, finish = prepared(craft)
+    tracer, materials = prepared(craft)
     if scene.randomization.materials > 0:
-        finish = finish.varied(scene.randomization.materials, odd_rng)
+        materials = materials.varied(scene.randomization.materials, odd_rng)
     pose = sequence.pose(index)
     light = object_light(pose, around, scene, odd_rng)
     lit = [np.zeros((3, 0), dtype=np.float32)]
@@ -203,8 +203,10 @@ def render_frame(sequence: Sequence, index: int) -> NDArray[np.uint8]:
         for window, seen in _rows(sequence, index, instant):
             samples = sample_count(window, camera)
             for band in window.bands(BAND // samples**2):
-                view = look(tracer, band, camera, seen, samples)
-                lit.append(shade(view, tracer, band, samples, camera, finish, light, surface_rng))
+                view = cast_rays(tracer, band, camera, seen, samples)
+                lit.append(
+                    shade(view, tracer, band, samples, camera, materials, light, surface_rng)
+                )
                 composite(layer, band, view.hits.ray, lit[-1], samples)
         total += layer
     total /= len(instants)

@@ -130,7 +130,7 @@ def find_symmetries(craft: Craft) -> Symmetries:
             "mesh: expected a spacecraft of some depth, got one that is flat, of which nothing is"
             " seen from the side"
         )
-    looks = _Looks(craft, center, float(reach))
+    looks = _Renders(craft, center, float(reach))
     found = list[Symmetry]()
     for direction in _directions(moments, normals, area):
         for fold in FOLDS:
@@ -221,7 +221,7 @@ def _directions(moments: FloatArray, normals: FloatArray, area: FloatArray) -> l
     return chosen
 
 
-class _Looks:
+class _Renders:
     """Views of a spacecraft from some sides, each with a light of its own.
 
     Args:
@@ -272,9 +272,9 @@ class _Looks:
             tint=np.ones((3, 1), np.float32),
         )
         radiance = np.zeros((SIDE, SIDE, 3), np.float32)
-        finish = prepared(self.craft)[1]
+        materials = prepared(self.craft)[1]
         rng = np.random.default_rng(0)
-        draw_craft(radiance, self.camera, pose, self.craft, finish, light, rng)
+        draw_craft(radiance, self.camera, pose, self.craft, materials, light, rng)
         return radiance
 
 

@@ -119,7 +119,7 @@ def variations(
         Variation(
             "cut by the border",
             f"{100 * least:.0f} to {100 * most:.0f} % of the spacecraft in the frame",
-            scene.cut(least, most),
+            scene.truncated(least, most),
         ),
         Variation("beyond range", f"{farthest_m:g} to {beyond:.3g} m", far),
         *([mitsuba] if second_renderer else []),

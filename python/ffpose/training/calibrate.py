@@ -236,7 +236,7 @@ def _distances(
 
 
 def _see(model: SecondLookNetwork, images: Tensor) -> dict[str, FloatArray]:
-    """Return the fields of `ffpose.models.network.UncertainPose` for a batch, in float64."""
+    """Return the fields of `ffpose.models.base.UncertainPose` for a batch, in float64."""
     with torch.inference_mode():
         found = model(images.to(model.variance_scales.device))
     return {name: _array(values) for name, values in found._asdict().items()}

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 from ffpose._internal.seeds import CALIBRATION, matching
 from ffpose.datasets import Decoding, PoseDataset, find_target, read_records
 from ffpose.datasets.scenes import find_scene, open_empty_images, open_frames
+from ffpose.imaging.patches import Bytes
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.imaging.views import Bytes
 from ffpose.training.config import CalibrationImages
 
-EMPTY_SEEDS, RANDOMIZED_SEEDS, CUT_SEEDS = 500_000, 400_000, 300_000
+EMPTY_SEEDS, RANDOMIZED_SEEDS, TRUNCATED_SEEDS = 500_000, 400_000, 300_000
 """Added, among the seeds of one purpose, to a set's seed: no two kinds of images show one scene."""
 
-CUT_SHARE = (0.25, 0.9)
+TRUNCATED_SHARE = (0.25, 0.9)
 """Least and greatest share of a spacecraft that the border leaves."""
 
 RANDOMIZATION = 0.7
@@ -78,7 +78,7 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
     scene = scene.scaled(*config.distance)
     parts = {"object": (scene, 0)}
     if config.cut:
-        parts["object that the border cuts"] = (scene.cut(*CUT_SHARE), CUT_SEEDS)
+        parts["object that the border cuts"] = (scene.truncated(*TRUNCATED_SHARE), TRUNCATED_SEEDS)
     if config.randomized:
         parts["object in randomized scenes"] = (scene.randomized(RANDOMIZATION), RANDOMIZED_SEEDS)
     seeds = {what: matching(CALIBRATION, config.seed + more) for what, (_, more) in parts.items()}

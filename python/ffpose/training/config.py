@@ -309,8 +309,8 @@ class ObjectLossConfig:
 
 
 @dataclass(frozen=True)
-class ViewAugmentation:
-    """Augmentation of the training views of a network with a second look.
+class PatchAugmentation:
+    """Augmentation of the training patches of a network with a second look.
 
     Attributes:
         roll_deg: Largest rotation of the first look's camera about the boresight, degrees.
@@ -407,7 +407,7 @@ class TrainConfig:
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     object_loss: ObjectLossConfig = field(default_factory=ObjectLossConfig)
-    views: ViewAugmentation = field(default_factory=ViewAugmentation)
+    views: PatchAugmentation = field(default_factory=PatchAugmentation)
     seed: int = 0
     device: str = "auto"
     weights_dtype: Literal["float32", "float16"] = "float32"

@@ -19,24 +19,24 @@ from ffpose.datasets import (
     list_splits,
     read_records,
 )
-from ffpose.datasets.cut_views import cut_views
 from ffpose.datasets.keypoints import read_keypoints
+from ffpose.datasets.patches import dataset_patches
 from ffpose.datasets.scenes import (
     find_scene,
     open_frames,
-    open_views,
+    rendered_patches,
 )
 from ffpose.errors import hint
 from ffpose.geometry import Camera, DistortedCamera
+from ffpose.imaging.patches import Arrays, Content, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.transforms import Augmentation
-from ffpose.imaging.views import Arrays, Content, ViewSpec
 from ffpose.training.calibration_images import (
-    CUT_SEEDS,
-    CUT_SHARE,
     EMPTY_SEEDS,
     RANDOMIZATION,
     RANDOMIZED_SEEDS,
+    TRUNCATED_SEEDS,
+    TRUNCATED_SHARE,
     CalibrationSet,
     open_calibration,
 )
@@ -54,8 +54,8 @@ class TrainingData:
         val_set: Whole images of the validation split.
         camera: Of the network's input; None where the images have several.
         train_set: Whole images of the training split, for a network that looks at the frame.
-        views: Stored views, for one with a second look.
-        empty: Stored views without an object.
+        patches: Stored patches, for one with a second look.
+        empty: Stored patches without an object.
         calibration: Images that calibrate a network with a second look.
         keypoints: Points of the object ``(K, 3)``, meters; none where they are unknown.
     """
@@ -64,7 +64,7 @@ class TrainingData:
     val_set: PoseDataset
     camera: Camera | None
     train_set: PoseDataset | None = None
-    views: list[Arrays] = field(default_factory=list)
+    patches: list[Arrays] = field(default_factory=list)
     empty: list[Arrays] = field(default_factory=list)
     calibration: CalibrationSet | None = None
     keypoints: NDArray[np.float64] = field(default_factory=lambda: NO_KEYPOINTS)
@@ -97,15 +97,15 @@ def open_training_data(
             f"(--data.undistort) that locate an object, got images of {train_set.camera} that "
             f"locate the {train_set.target}"
         )
-    spec = view_spec(model, camera)
-    views = cut_views(train_set, spec, coordinates=coordinates, cache=config.cache)
+    spec = patch_spec(model, camera)
+    patches = dataset_patches(train_set, spec, coordinates=coordinates, cache=config.cache)
     keypoints = NO_KEYPOINTS if config.keypoints is None else read_keypoints(Path(config.keypoints))
     return TrainingData(
         train_set.poses,
         val_set,
         camera,
         train_set,
-        [views],
+        [patches],
         calibration=open_calibration(config.calibration_images, preprocessing),
         keypoints=keypoints,
     )
@@ -165,7 +165,10 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
     counted = zip(seeded, config.counts, strict=True)
     kinds = [
         *((scene, seed, count) for (scene, seed), count in counted),
-        *((scene.cut(*CUT_SHARE), seed + CUT_SEEDS, config.cut) for scene, seed in seeded),
+        *(
+            (scene.truncated(*TRUNCATED_SHARE), seed + TRUNCATED_SEEDS, config.cut)
+            for scene, seed in seeded
+        ),
         *(
             (scene.randomized(RANDOMIZATION), seed + RANDOMIZED_SEEDS, config.randomized)
             for scene, seed in seeded
@@ -176,19 +179,23 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
         frames = [open_frames(config.root, *part, preprocessing, workers=workers) for part in parts]
         train_set = _joined(frames, config)
         return TrainingData(train_set.poses, val_set, camera, train_set)
-    spec = view_spec(model, camera)
-    views: list[Arrays] = [open_views(config.root, *part, spec, workers=workers) for part in parts]
+    spec = patch_spec(model, camera)
+    patches: list[Arrays] = [
+        rendered_patches(config.root, *part, spec, workers=workers) for part in parts
+    ]
     seed = matching(TRAINING, config.seed + EMPTY_SEEDS)
     others: tuple[tuple[Content, int], ...] = (("empty", config.empty), ("decoy", config.decoys))
     empty: list[Arrays] = [
-        open_views(config.root, scenes[0], seed, count, spec, content=content, workers=workers)
+        rendered_patches(
+            config.root, scenes[0], seed, count, spec, content=content, workers=workers
+        )
         for content, count in others
         if count > 0
     ]
-    poses = np.concatenate([arrays["labels"][:, :7] for arrays in views])
+    poses = np.concatenate([arrays["labels"][:, :7] for arrays in patches])
     keypoints = np.array(list(scenes[0].build().keypoints.values()))
     calibration = open_calibration(config.calibration_images, preprocessing)
-    return TrainingData(poses, val_set, camera, None, views, empty, calibration, keypoints)
+    return TrainingData(poses, val_set, camera, None, patches, empty, calibration, keypoints)
 
 
 def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:
@@ -198,9 +205,9 @@ def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:
     return PoseDataset(records, sets[0].preprocessing, augmentation, config.cache)
 
 
-def view_spec(model: SecondLookConfig, camera: Camera) -> ViewSpec:
+def patch_spec(model: SecondLookConfig, camera: Camera) -> PatchSpec:
     """Return how a network looks at the images of its camera."""
-    return ViewSpec(camera, model.first_stride, model.object_width, model.object_radius_m)
+    return PatchSpec(camera, model.first_stride, model.object_width, model.object_radius_m)
 
 
 def _augmentation(values: Mapping[str, Any]) -> Augmentation:

@@ -17,11 +17,11 @@ from torch.nn import functional as F
 from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import SecondLookNetwork
-from ffpose.models.object_look import LookNumbers, sigma_loss
-from ffpose.nn.rotations import nearest_of_look, rotation_between, rotation_vector
+from ffpose.models.second_look import SecondLookOutput, sigma_loss
+from ffpose.nn.rotations import nearest_equivalent, rotation_between, rotation_vector
 from ffpose.training.config import ObjectLossConfig
 from ffpose.training.losses import LossTerms
-from ffpose.training.views import ViewBatch
+from ffpose.training.patches import PatchBatch
 
 CELLS_PER_SIDE = 2
 """Coordinates are predicted for this many places along each side of a cell of the feature map."""
@@ -72,21 +72,21 @@ class ObjectObjective(nn.Module):
             }
         )
 
-    def forward(self, model: SecondLookNetwork, batch: ViewBatch) -> LossTerms:
+    def forward(self, model: SecondLookNetwork, batch: PatchBatch) -> LossTerms:
         """Return the loss, the mean position errors in meters at unit distance, and the head's."""
         first = model.first_loss(batch.frames, batch.translation)
-        feature_map = model.see(batch.crops, batch.slopes)
-        numbers = model.read(feature_map)
+        feature_map = model.encode(batch.crops, batch.tan_half_angle)
+        numbers = model.decode(feature_map)
         with torch.autocast(feature_map.device.type, enabled=False):  # half: the network's alone
             return self._terms(model, batch, first, feature_map.float(), numbers.float())
 
     def _terms(
         self,
         model: SecondLookNetwork,
-        batch: ViewBatch,
+        batch: PatchBatch,
         first: Tensor,
         feature_map: Tensor,
-        numbers: LookNumbers,
+        numbers: SecondLookOutput,
     ) -> LossTerms:
         c, present = self.config, batch.present
         shown, truth = numbers.of(present), batch.orientation[present]
@@ -95,7 +95,7 @@ class ObjectObjective(nn.Module):
         orientation = model.orientation.loss(shown.orientation, truth).mean()
         q_hat = self._decoded(model, shown)
         with torch.no_grad():
-            truth = nearest_of_look(q_hat, truth, self.rotations)
+            truth = nearest_equivalent(q_hat, truth, self.rotations)
         angle = half_angle(q_hat, truth).mean()
         with torch.no_grad():
             turned = rotation_vector(rotation_between(q_hat, truth))
@@ -118,18 +118,18 @@ class ObjectObjective(nn.Module):
             total = total + c.keypoints * heatmap_loss(seen, places, self.cyclic)
         return LossTerms(total, first + offset, orientation)
 
-    def _decoded(self, model: SecondLookNetwork, numbers: LookNumbers) -> Tensor:
+    def _decoded(self, model: SecondLookNetwork, numbers: SecondLookOutput) -> Tensor:
         """Return the attitudes ``(B, 4)``, with gradients where the loss has a term of them."""
         if self.config.angle > 0:
             return model.orientation.decode(numbers.orientation)
         with torch.no_grad():
             return model.orientation.decode(numbers.orientation)
 
-    def _maps(self, name: str, feature_map: Tensor, batch: ViewBatch) -> Tensor:
+    def _maps(self, name: str, feature_map: Tensor, batch: PatchBatch) -> Tensor:
         """Return predicted maps ``(P, channels, rows, columns)`` of the samples with the object."""
         return F.pixel_shuffle(self.dense[name](feature_map), CELLS_PER_SIDE)[batch.present]
 
-    def _coordinates_loss(self, feature_map: Tensor, batch: ViewBatch) -> Tensor:
+    def _coordinates_loss(self, feature_map: Tensor, batch: PatchBatch) -> Tensor:
         """Return the loss of coordinates and silhouette."""
         seen = self._maps("coordinates", feature_map, batch)
         truth = batch.coordinates[batch.present]

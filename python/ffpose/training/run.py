@@ -13,7 +13,7 @@ from torch import nn
 from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
-    PoseNetwork,
+    BaseNetwork,
     SecondLookNetwork,
     backbone_preprocessing,
     build_network,
@@ -27,11 +27,11 @@ from ffpose.training.config import LossConfig, OptimizerConfig, TrainConfig
 from ffpose.training.data import NO_KEYPOINTS, TrainingData, open_training_data
 from ffpose.training.losses import FixedLoss, JointLoss, PoseLoss
 from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.patches import PatchBatches
 from ffpose.training.processes import ALONE, Processes
 from ffpose.training.provenance import origin
 from ffpose.training.stages import check_stages
 from ffpose.training.tasks import FrameTask, ObjectTask, Task
-from ffpose.training.views import ViewBatches
 
 UNKNOWN_CAMERA = (1.0, 1.0, 0.0, 0.0)
 
@@ -55,8 +55,8 @@ class Run:
     """
 
     config: TrainConfig
-    model: PoseNetwork
-    average: AveragedModel[PoseNetwork]
+    model: BaseNetwork
+    average: AveragedModel[BaseNetwork]
     optimizer: torch.optim.Optimizer
     task: Task
     device: torch.device
@@ -123,7 +123,7 @@ def build_run(
 
 def _task(
     config: TrainConfig,
-    model: PoseNetwork,
+    model: BaseNetwork,
     data: TrainingData,
     device: torch.device,
     processes: Processes,
@@ -133,9 +133,9 @@ def _task(
     if isinstance(model, SecondLookNetwork) and looks_twice(model.config):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
         loss = ObjectObjective(model, config.object_loss, len(keypoints), symmetry).to(device)
-        views = ViewBatches(
+        patches = PatchBatches(
             model,
-            data.views,
+            data.patches,
             data.empty,
             config.views,
             data.val_set.preprocessing.std,
@@ -144,7 +144,7 @@ def _task(
             symmetry,
         )
         return ObjectTask(
-            views,
+            patches,
             data.val_set,
             loss,
             config.batch_size,
@@ -157,7 +157,7 @@ def _task(
     )
 
 
-def _joint_loss(config: LossConfig, model: PoseNetwork) -> JointLoss:
+def _joint_loss(config: LossConfig, model: BaseNetwork) -> JointLoss:
     """Return the sum of the network's losses, with its fixed weights or learned ones."""
     if (weights := model.config.loss_weights) is not None:
         return FixedLoss(*weights, config.antipodal)

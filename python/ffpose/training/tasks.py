@@ -2,8 +2,8 @@
 
 The training loop (`ffpose.training.engine`) is independent of data and loss; a task supplies both.
 `FrameTask` is the paper's, and that of any network: whole images and the joint loss. `ObjectTask`
-trains a network with a second look on stored views. Both are validated alike, on the poses of whole
-images.
+trains a network with a second look on stored patches. Both are validated alike, on the poses of
+whole images.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from torch.utils.data import DataLoader
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import FrameNetwork, PoseNetwork, SecondLookNetwork
+from ffpose.models import BaseNetwork, FrameNetwork, SecondLookNetwork
 from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import DataConfig
 from ffpose.training.losses import JointLoss, LossTerms
 from ffpose.training.object_objective import ObjectObjective
+from ffpose.training.patches import PatchBatch, PatchBatches
 from ffpose.training.processes import ALONE, Processes
 from ffpose.training.provenance import describe_data, rendered_sets, set_name
-from ffpose.training.views import ViewBatch, ViewBatches
 
 VALIDATION_BATCH = 20
 """Batch size for validating a network with a second look on whole images."""
@@ -62,7 +62,7 @@ class Task(Protocol):
     def batches(self, seed: int) -> Iterator[Any]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
 
-    def terms(self, model: PoseNetwork, batch: Any, device: torch.device) -> LossTerms:
+    def terms(self, model: BaseNetwork, batch: Any, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
 
     def size(self, batch: Any) -> int:
@@ -90,7 +90,7 @@ class Objective(nn.Module):
         device: Where it computes.
     """
 
-    def __init__(self, task: Task, model: PoseNetwork, device: torch.device) -> None:
+    def __init__(self, task: Task, model: BaseNetwork, device: torch.device) -> None:
         super().__init__()
         self.model, self.loss = model, task.loss
         self._task, self._device = task, device
@@ -156,7 +156,7 @@ class FrameTask:
             _loader(self.train_set, self.batch_size, self.workers, sampler=own, generator=generator)
         )
 
-    def terms(self, model: PoseNetwork, batch: Sample, device: torch.device) -> LossTerms:
+    def terms(self, model: BaseNetwork, batch: Sample, device: torch.device) -> LossTerms:
         """Return the joint loss of a batch."""
         t, q = batch.translation.to(device), batch.orientation.to(device)
         assert isinstance(model, FrameNetwork)
@@ -193,10 +193,10 @@ class FrameTask:
 
 
 class ObjectTask:
-    """Pose with a second look, trained on stored views.
+    """Pose with a second look, trained on stored patches.
 
     Args:
-        views: Source of the training batches.
+        patches: Source of the training batches.
         val_set: Whole validation images, which select the best epoch.
         loss: The loss terms and their weights.
         batch_size: Images per batch.
@@ -205,14 +205,14 @@ class ObjectTask:
 
     def __init__(
         self,
-        views: ViewBatches,
+        patches: PatchBatches,
         val_set: PoseDataset,
         loss: ObjectObjective,
         batch_size: int,
         processes: Processes = ALONE,
     ) -> None:
         self.processes = processes
-        self.views, self.val_set, self.loss, self.batch_size = views, val_set, loss, batch_size
+        self.patches, self.val_set, self.loss, self.batch_size = patches, val_set, loss, batch_size
         self.preprocessing = val_set.preprocessing
 
     @property
@@ -223,24 +223,24 @@ class ObjectTask:
     @property
     def steps(self) -> int:
         """Number of batches per epoch in this process."""
-        return len(self.views) // self.processes.world // self.batch_size
+        return len(self.patches) // self.processes.world // self.batch_size
 
-    def batches(self, seed: int) -> Iterator[ViewBatch]:
+    def batches(self, seed: int) -> Iterator[PatchBatch]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
-        return prefetched(self.views.epoch(seed, self.batch_size, self.processes))
+        return prefetched(self.patches.epoch(seed, self.batch_size, self.processes))
 
-    def terms(self, model: PoseNetwork, batch: ViewBatch, device: torch.device) -> LossTerms:
+    def terms(self, model: BaseNetwork, batch: PatchBatch, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
         assert isinstance(model, SecondLookNetwork)
-        result: LossTerms = self.loss(model, ViewBatch(*(part.to(device) for part in batch)))
+        result: LossTerms = self.loss(model, PatchBatch(*(part.to(device) for part in batch)))
         return result
 
-    def size(self, batch: ViewBatch) -> int:
+    def size(self, batch: PatchBatch) -> int:
         """Return the number of images in a batch."""
         return len(batch.crops)
 
-    def names(self, batch: ViewBatch) -> str:
-        """Return the indices of a batch's views."""
+    def names(self, batch: PatchBatch) -> str:
+        """Return the indices of a batch's patches."""
         return ", ".join(map(str, batch.index.tolist()))
 
     def weights(self) -> dict[str, float]:
@@ -252,8 +252,8 @@ class ObjectTask:
         return _validation(self.val_set, self.processes, VALIDATION_BATCH, workers=0)
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
-        """Return name, sets, number, size, mean pose and digest of the training views' labels."""
-        labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in self.views.sets]
+        """Return name, sets, number, size, mean pose and digest of the training patches' labels."""
+        labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in self.patches.sets]
         digest = hashlib.sha256()
         for part in labels:
             digest.update(part.tobytes())
@@ -262,7 +262,7 @@ class ObjectTask:
             "kind": config.kind,
             "name": set_name(config),
             **rendered_sets(config),
-            "count": len(self.views),
+            "count": len(self.patches),
             "image_size": None if size is None else list(size),
             "mean_pose": mean_pose(np.concatenate(labels)[:, :7]).tolist(),
             "digest": digest.hexdigest(),
@@ -276,7 +276,7 @@ def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Ite
         yield torch.stack([preprocessing(Image.fromarray(image)) for image in part])
 
 
-def prefetched(batches: Iterator[ViewBatch]) -> Iterator[ViewBatch]:
+def prefetched(batches: Iterator[PatchBatch]) -> Iterator[PatchBatch]:
     """Yield batches, and prepare the next one in a thread meanwhile."""
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, batches, None)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ffpose.render.shading.finish import fbm
+from ffpose.render.shading.patterns import fbm
 from noise_reference import slow_fbm
 
 

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from ffpose.geometry import Camera, Pose
+from ffpose.render.shading.rays import cast_rays, find_window
 from ffpose.render.shading.reflection import LIFT_M
 from ffpose.render.shading.tracer import Tracer
-from ffpose.render.shading.view import find_window, look
 from ffpose.render.spacecraft.mesh import ball, box, dish, lathe, merge, tube, turn
 
 CAMERA = Camera(64, 48, 32.0, 32.0, 32.0, 24.0)
 
 
 def depth_image(mesh, pose):
-    view = look(Tracer(mesh), find_window(mesh.vertices, pose, CAMERA), CAMERA, pose, 1)
+    view = cast_rays(Tracer(mesh), find_window(mesh.vertices, pose, CAMERA), CAMERA, pose, 1)
     return view.hits.distance, view.rays
 
 

@@ -14,7 +14,7 @@ from ffpose.geometry import Camera, Pose
 from ffpose.render import load_craft
 from ffpose.render.renderer import prepared, sample_count
 from ffpose.render.shading.maps import Maps
-from ffpose.render.shading.view import find_window, look
+from ffpose.render.shading.rays import cast_rays, find_window
 from ffpose.render.spacecraft.textures import build_pyramid, linear
 
 SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
@@ -107,7 +107,7 @@ def seen(craft, pose=FROM_ABOVE, samples=2):
     """Surface at the hits of a view, and the hits' pixels (row, column)."""
     tracer, finish = prepared(craft)
     window = find_window(craft.mesh.vertices, pose, CAMERA)
-    view = look(tracer, window, CAMERA, pose, samples)
+    view = cast_rays(tracer, window, CAMERA, pose, samples)
     width = np.float32(1 / CAMERA.fx)
     surface = finish.surface(view, view.hits.distance * width, samples)
     row, column = np.divmod(view.hits.ray, window.shape[1] * samples)
@@ -372,7 +372,7 @@ def test_a_far_texture_has_its_mean_light(tmp_path, distance):
     pose = Pose((0.0, 0.0, distance), (0.0, 1.0, 0.0, 0.0))
     tracer, finish = prepared(craft)
     camera = Camera(32, 32, 12.0 * distance, 12.0 * distance, 16.0, 16.0)
-    view = look(tracer, find_window(craft.mesh.vertices, pose, camera), camera, pose, 2)
+    view = cast_rays(tracer, find_window(craft.mesh.vertices, pose, camera), camera, pose, 2)
     shown = finish.surface(view, view.hits.distance / np.float32(camera.fx), 2).color
     np.testing.assert_allclose(shown.mean(axis=1), light, rtol=0.01)
     np.testing.assert_allclose(Maps(craft).mean("color_map")[:, :3].mean(axis=0), light, rtol=0.03)
@@ -392,7 +392,7 @@ def test_an_object_that_recedes_from_a_camera_keeps_its_textures_mean(tmp_path, 
         pose = Pose((0.2, 0.1, distance), attitude)
         window = find_window(craft.mesh.vertices, pose, camera)
         samples = sample_count(window, camera)
-        view = look(tracer, window, camera, pose, samples)
+        view = cast_rays(tracer, window, camera, pose, samples)
         footprint = view.hits.distance / np.float32(camera.fx)
         shown = finish.surface(view, footprint, samples).color
         np.testing.assert_allclose(shown.mean(axis=1), light, rtol=0.01)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ffpose.datasets.view_cache import digest
+from ffpose.datasets.patches import digest
 from ffpose.errors import DataError
-from ffpose.imaging.views import ViewSpec
+from ffpose.imaging.patches import PatchSpec
 from ffpose.render import SCENES, Scene, load_craft, render, render_layers, write_dataset
+from ffpose.render.patches import describe
 from ffpose.render.shading.maps import Maps
-from ffpose.render.views import describe
 
 RED, BLUE = (200, 0, 0), (0, 40, 240)
 CODES = 1
@@ -219,7 +219,7 @@ def test_every_file_that_a_mesh_refers_to_identifies_it(tmp_path, writer, name):
     """In the manifest and in the key of cached views."""
     path = writer(tmp_path)
     (tmp_path / "notes.txt").write_text("of no importance")
-    spec = ViewSpec(SCENES["soyuz_easy"].camera.resized(64, 48), 4, 32, 6.6)
+    spec = PatchSpec(SCENES["soyuz_easy"].camera.resized(64, 48), 4, 32, 6.6)
 
     def identity():
         scene = Scene("quads", load_craft(path), (4.0, 9.0), 5.0)

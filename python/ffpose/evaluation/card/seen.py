@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from ffpose.render.scene import SCENES, Scene
 from ffpose.render.shading.randomization import Randomization
-from ffpose.training.calibration_images import CUT_SHARE, RANDOMIZATION
+from ffpose.training.calibration_images import RANDOMIZATION, TRUNCATED_SHARE
 
 if TYPE_CHECKING:
     from ffpose.render.variations import Variation
@@ -112,7 +112,7 @@ def _had(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> See
         within = max(astuple(scene.randomization)) <= RANDOMIZATION
         return Seen("yes" if within and data.get("randomized", 0) > 0 else "no")
     if scene.max_visible < trained[0].min_visible:
-        inside = CUT_SHARE[0] <= scene.min_visible and scene.max_visible <= CUT_SHARE[1]
+        inside = TRUNCATED_SHARE[0] <= scene.min_visible and scene.max_visible <= TRUNCATED_SHARE[1]
         return Seen("yes" if inside and data.get("cut", 0) > 0 else "no")
     near, far = scene.distance_m
     if not any(each.distance_m[0] <= near and far <= each.distance_m[1] for each in trained):

@@ -10,7 +10,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from ffpose.render.shading.finish import fbm
+from ffpose.render.shading.patterns import fbm
 from ffpose.render.shading.vectors import Floats, column, rotate
 
 

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.render.shading.finish import DRAW, Indices, Surface
 from ffpose.render.shading.maps import Maps, Points
+from ffpose.render.shading.patterns import DRAW, Indices, Surface
 from ffpose.render.shading.randomization import stops
+from ffpose.render.shading.rays import View
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.vectors import Floats, column, dot, unit
-from ffpose.render.shading.view import View
 from ffpose.render.spacecraft.craft import Craft
 
 EARTH_COLOR = (0.26, 0.31, 0.38)
@@ -64,7 +64,7 @@ class Light(NamedTuple):
     tint: Floats
 
 
-class Finish:
+class MaterialTable:
     """Lookup tables of the spacecraft's materials, for many points at once."""
 
     def __init__(self, craft: Craft) -> None:
@@ -83,7 +83,7 @@ class Finish:
         self._mapped = [number for number, m in enumerate(table) if m.maps]
         self.maps = Maps(craft)
 
-    def varied(self, spread: float, rng: np.random.Generator) -> Finish:
+    def varied(self, spread: float, rng: np.random.Generator) -> MaterialTable:
         """Return a copy with every material's color and roughness varied by random stops."""
         other = copy.copy(self)
         other._color = np.minimum(self._color * stops(spread, self._color.shape, rng), 1)
@@ -298,9 +298,9 @@ def _earth_shine(
 
 
 def _face_eye(normal: Floats, rays: Floats) -> Floats:
-    """Bend unit normals (3, N) that face away from the camera until they are seen edge-on."""
-    lean = np.maximum(dot(normal, rays) + np.float32(0.02), 0)
-    return unit(normal - lean * rays)
+    """Tilt unit normals (3, N) that face away from the camera until they are seen edge-on."""
+    tilt = np.maximum(dot(normal, rays) + np.float32(0.02), 0)
+    return unit(normal - tilt * rays)
 
 
 def _blend(corners: Floats, weights: Floats) -> Floats:

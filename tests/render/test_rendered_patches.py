@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ffpose.geometry import URSO_CAMERA
-from ffpose.imaging.views import ViewSpec, averaged, cut_pieces, in_frame
+from ffpose.imaging.patches import PatchSpec, averaged, extract_patches, in_frame
 from ffpose.render import SCENES, Sensor, render_layers, renderer
 from ffpose.render.layers import coordinates_limit
+from ffpose.render.patches import render_all_patches, render_patches
 from ffpose.render.renderer import shoot
+from ffpose.render.shading.rays import pixel_rays
 from ffpose.render.shading.sensor import expose
 from ffpose.render.shading.sky import draw_stars, sun_disk
-from ffpose.render.shading.view import pixel_rays
-from ffpose.render.views import render_view, render_views
 
 SILENT = Sensor(vignette=0, bloom=0, full_well=1e12, read_noise=0, exposure_spread=0)
 SCENE = replace(SCENES["soyuz_easy"], sensor=SILENT)
@@ -23,13 +23,13 @@ STRIDE = 4
 
 def spec_of(width):
     camera = SCENE.camera.resized(width, width * 3 // 4)
-    return ViewSpec(camera, STRIDE, object_width=64, object_radius_m=6.6)
+    return PatchSpec(camera, STRIDE, object_width=64, object_radius_m=6.6)
 
 
 def cut_from_the_whole(scene, index, spec):
     """The pieces of the whole image, whose windows reach over its edge."""
     shot = shoot(scene, SEED, index, spec.camera, scene.sensor)
-    return cut_pieces(shot.image, shot.pose, spec)
+    return extract_patches(shot.image, shot.pose, spec)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def cut_from_the_whole(scene, index, spec):
 def test_a_window_of_the_finest_level_is_the_crop_of_the_whole_image(name, width, index, visible):
     """Bit for bit, noise included; glare and vignette are in the window, as there they are seen."""
     scene, spec = SCENES[name], spec_of(width)
-    view, whole = render_view(scene, SEED, index, spec), cut_from_the_whole(scene, index, spec)
+    view, whole = render_patches(scene, SEED, index, spec), cut_from_the_whole(scene, index, spec)
     assert view.level == 0
     np.testing.assert_array_equal(view.window, whole.window)
     np.testing.assert_array_equal(view.frame, whole.frame)
@@ -78,7 +78,7 @@ def test_a_coarser_window_is_nearly_the_crop_of_the_whole_image(name, index, lev
     """
     sensor = replace(SCENES[name].sensor, full_well=1e12, read_noise=0)
     scene, spec = replace(SCENES[name], sensor=sensor), spec_of(512)
-    view, whole = render_view(scene, SEED, index, spec), cut_from_the_whole(scene, index, spec)
+    view, whole = render_patches(scene, SEED, index, spec), cut_from_the_whole(scene, index, spec)
     assert view.level == whole.level == level
     np.testing.assert_array_equal(view.camera.matrix, whole.camera.matrix)
     inside = in_frame(view.camera, spec.level_camera(level))
@@ -93,7 +93,7 @@ def test_a_coarser_window_is_nearly_the_crop_of_the_whole_image(name, index, lev
 def test_a_stride_that_cannot_be_halved_is_cut_from_the_whole_image():
     spec = replace(spec_of(512), first_stride=3)
     view, whole = (
-        render_view(SCENE, SEED, 12, spec),
+        render_patches(SCENE, SEED, 12, spec),
         cut_from_the_whole(SCENE, 12, spec),
     )
     np.testing.assert_array_equal(view.frame, whole.frame)
@@ -102,7 +102,7 @@ def test_a_stride_that_cannot_be_halved_is_cut_from_the_whole_image():
 
 @pytest.mark.parametrize("index", range(4))
 def test_coordinates_are_of_the_surface_that_their_place_shows(index):
-    view = render_view(SCENE, SEED, index, spec_of(128))
+    view = render_patches(SCENE, SEED, index, spec_of(128))
     rows, columns = np.nonzero(view.coordinates[..., 3])
     assert len(rows) > 30
     codes = view.coordinates[rows, columns, :3].astype(float)
@@ -115,11 +115,11 @@ def test_coordinates_are_of_the_surface_that_their_place_shows(index):
 @pytest.mark.parametrize("index", range(4))
 def test_the_silhouette_is_that_of_the_whole_image(index):
     spec = spec_of(128)
-    view = render_view(SCENE, SEED, index, spec)
+    view = render_patches(SCENE, SEED, index, spec)
     mask = render_layers(SCENE, SEED, index, (1024, 768)).mask
     share = mask.reshape(96, 8, 128, 8).mean(axis=(1, 3))
     share = np.repeat(share[..., None], 3, axis=2)
-    covered = cut_pieces((share * 255).astype(np.uint8), view.pose, spec).window[..., 0] / 255
+    covered = extract_patches((share * 255).astype(np.uint8), view.pose, spec).window[..., 0] / 255
     covered = covered.reshape(72, 2, 72, 2).mean(axis=(1, 3))
     shown = view.coordinates[..., 3] > 0
     assert shown[covered == 1].all()
@@ -131,7 +131,7 @@ def test_beyond_the_frames_edge_a_view_shows_nothing():
     spec = spec_of(128)
     cut_off = 0
     for index in range(4):
-        view = render_view(SCENE, SEED, index, spec)
+        view = render_patches(SCENE, SEED, index, spec)
         outside = ~in_frame(view.camera, spec.level_camera(view.level))
         assert not view.window[outside].any()
         assert not view.coordinates[outside[::2, ::2]].any()
@@ -143,7 +143,7 @@ def test_beyond_the_frames_edge_a_view_shows_nothing():
 def test_an_empty_view_lacks_the_spacecraft_alone(monkeypatch):
     monkeypatch.setattr(renderer, "choose_gain", lambda *_: 2.0)
     spec = spec_of(128)
-    view, empty = (render_view(SCENE, SEED, 1, spec, content) for content in ("object", "empty"))
+    view, empty = (render_patches(SCENE, SEED, 1, spec, content) for content in ("object", "empty"))
     assert (view.present, empty.present) == (True, False)
     assert not empty.coordinates.any()
     assert view.pose == empty.pose
@@ -206,7 +206,8 @@ def test_sun_and_stars_of_a_mean_of_pixels_have_as_much_light():
 def test_processes_give_the_views_of_one():
     spec = spec_of(128)
     alone, shared = (
-        list(render_views(SCENE, SEED, range(16), spec, "empty", workers)) for workers in (1, 2)
+        list(render_all_patches(SCENE, SEED, range(16), spec, "empty", workers))
+        for workers in (1, 2)
     )
     for index, (one, other) in enumerate(zip(alone, shared, strict=True)):
         np.testing.assert_array_equal(one.window, other.window)

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from ffpose.config import UrsoNetConfig
 from ffpose.models.backbone import Backbone, build_backbone
-from ffpose.models.network import FrameNetwork
+from ffpose.models.base import FrameNetwork
 from ffpose.nn.euler_bins import EulerBinsHead
 
 

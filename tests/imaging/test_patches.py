@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from ffpose.geometry import Camera, Pose
-from ffpose.imaging.views import (
+from ffpose.imaging.patches import (
     LABELS,
-    ViewSpec,
+    PatchSpec,
     averaged,
-    cut,
-    cut_pieces,
+    crop,
+    extract_patches,
     nearest_pixels,
     open_arrays,
 )
 
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)
-SPEC = ViewSpec(CAMERA, first_stride=4, object_width=32, object_radius_m=3.0)
+SPEC = PatchSpec(CAMERA, first_stride=4, object_width=32, object_radius_m=3.0)
 UNTURNED = (1, 0, 0, 0)
 SIDE = 80  # of a window: twice the virtual camera's 32 pixels, and 16
 
@@ -54,7 +54,7 @@ def test_a_window_is_black_outside_the_image(generator, corner):
     around = 500
     padded = np.pad(image, ((around, around), (around, around), (0, 0)))
     expected = padded[around + top :, around + left :][:48, :48]
-    np.testing.assert_array_equal(cut(image, left, top, 48), expected)
+    np.testing.assert_array_equal(crop(image, left, top, 48), expected)
 
 
 @pytest.mark.parametrize(
@@ -94,9 +94,9 @@ def label(arrays, name):
 def test_a_window_shows_what_its_camera_says(generator, size, t, level):
     """Each point lies in the very pixel of the image that its pixel of the window was made of."""
     camera = Camera(*size, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
-    spec = ViewSpec(camera, SPEC.first_stride, SPEC.object_width, SPEC.object_radius_m)
+    spec = PatchSpec(camera, SPEC.first_stride, SPEC.object_width, SPEC.object_radius_m)
     arrays = empty_arrays(spec)
-    cut_pieces(named_pixels(camera), Pose(t, UNTURNED), spec).store(arrays, 0)
+    extract_patches(named_pixels(camera), Pose(t, UNTURNED), spec).store(arrays, 0)
     assert label(arrays, "level") == level
     window = Camera(SIDE, SIDE, *(label(arrays, name) for name in ("fx", "fy", "cx", "cy")))
 
@@ -125,7 +125,7 @@ def test_a_row_holds_frame_labels_and_coordinates(generator):
 
     image, pose = pixels(generator, 192, 256), Pose((1, 2, 20), (0.6, 0, -0.8, 0))
     arrays = empty_arrays(SPEC, 3)
-    cut_pieces(image, pose, SPEC, coordinates).store(arrays, 1)
+    extract_patches(image, pose, SPEC, coordinates).store(arrays, 1)
     np.testing.assert_array_equal(arrays["frames"][1], averaged(image, 4))
     assert arrays["frames"].shape[1:3] == SPEC.frame_size == (48, 64)
     np.testing.assert_array_equal(arrays["labels"][1, :7], [1, 2, 20, 0.6, 0, -0.8, 0])
@@ -155,15 +155,15 @@ def test_nearest_pixels_are_those_that_a_resize_and_a_crop_take(generator):
 def test_refused_views(generator):
     behind = Pose((0, 0, -5), UNTURNED)
     with pytest.raises(ValueError, match="translation: expected z > 0, got"):
-        cut_pieces(pixels(generator, 192, 256), behind, SPEC)
+        extract_patches(pixels(generator, 192, 256), behind, SPEC)
     ahead = Pose((0, 0, 5), UNTURNED)
     with pytest.raises(ValueError, match=r"image: expected shape \(192, 256, 3\), got \(193, 256"):
-        cut_pieces(pixels(generator, 193, 256), ahead, SPEC)
+        extract_patches(pixels(generator, 193, 256), ahead, SPEC)
 
 
 def test_arrays_on_disk(generator, tmp_path):
     arrays = empty_arrays(SPEC, 2)
-    cut_pieces(pixels(generator, 192, 256), Pose((1, 2, 20), UNTURNED), SPEC).store(arrays, 1)
+    extract_patches(pixels(generator, 192, 256), Pose((1, 2, 20), UNTURNED), SPEC).store(arrays, 1)
     for name, array in arrays.items():
         np.save(tmp_path / f"{name}.npy", array)
     opened = open_arrays(tmp_path)

@@ -1,4 +1,4 @@
-"""Training batches for a network with a second look: stored views with geometric augmentation.
+"""Training batches for a network with a second look: stored patches with geometric augmentation.
 
 Each sample is augmented anew: the frame of the first look is mirrored or not, and rotated about the
 boresight; the virtual camera of the second look is pointed to where a first look might have found
@@ -33,9 +33,9 @@ from ffpose.config import looks_twice
 from ffpose.geometry.rotations import rotation_matrix
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
-from ffpose.imaging.views import Arrays
+from ffpose.imaging.patches import Arrays
 from ffpose.models import SecondLookNetwork
-from ffpose.models.object_look import in_front, offset_of
+from ffpose.models.second_look import in_front, offset_of
 from ffpose.models.virtual_camera import (
     VirtualCamera,
     sample,
@@ -45,7 +45,7 @@ from ffpose.models.virtual_camera import (
 )
 from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
-from ffpose.training.config import ViewAugmentation
+from ffpose.training.config import PatchAugmentation
 from ffpose.training.processes import ALONE, Processes
 
 SUPPLY = 1 << 21
@@ -61,17 +61,17 @@ FRAME_MARGIN = 0.02
 """Least distance of the object's origin from the border after a rotation, relative to the frame."""
 
 
-class ViewBatch(NamedTuple):
+class PatchBatch(NamedTuple):
     """Inputs and targets of both looks for ``B`` samples.
 
     Attributes:
         frames: ``(F, 3, h, w)``, standardized input of the first look for the first F samples.
         translation: ``(F, 3)``, where they show the object, meters.
         crops: ``(B, 3, h, w)``, standardized input of the second look.
-        slopes: ``(B,)``, tangents of half the angle that it covers, as
-            `ffpose.models.virtual_camera.VirtualCamera.slopes`.
+        tan_half_angle: ``(B,)``, tangents of half the angle that it covers, as
+            `ffpose.models.virtual_camera.VirtualCamera.tan_half_angle`.
         orientation: ``(B, 4)``, unit quaternions in the virtual camera's frame.
-        offset: ``(B, 3)``, as `ffpose.models.object_look.offset_of`.
+        offset: ``(B, 3)``, as `ffpose.models.second_look.offset_of`.
         coordinates: ``(B, 4, rows, columns)``: object coordinates in [-1, 1], and a mask of the
             object, 0 or 1.
         keypoints: ``(B, K, 2)``, places of the object's keypoints, column and row relative to the
@@ -83,7 +83,7 @@ class ViewBatch(NamedTuple):
     frames: Tensor
     translation: Tensor
     crops: Tensor
-    slopes: Tensor
+    tan_half_angle: Tensor
     orientation: Tensor
     offset: Tensor
     coordinates: Tensor
@@ -92,13 +92,13 @@ class ViewBatch(NamedTuple):
     index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
 
 
-class ViewBatches:
-    """A set of stored views, and its augmented batches for one network.
+class PatchBatches:
+    """A set of stored patches, and its augmented batches for one network.
 
     Args:
         model: The network; its configuration gives the geometry of both looks.
-        arrays: Views of one or several sets, as `ffpose.imaging.views.open_arrays` returns them.
-        empty: Views without an object; may be empty.
+        arrays: Patches of one or several sets, from `ffpose.imaging.patches.open_arrays`.
+        empty: Patches without an object; may be empty.
         augmentation: Ranges of the augmentation.
         std: Standard deviation of the input's preprocessing, whose mean is zero, so that pixels
             outside an image are zero as well.
@@ -115,7 +115,7 @@ class ViewBatches:
         model: SecondLookNetwork,
         arrays: Sequence[Arrays],
         empty: Sequence[Arrays],
-        augmentation: ViewAugmentation,
+        augmentation: PatchAugmentation,
         std: tuple[float, float, float],
         cells: tuple[int, int],
         keypoints: NDArray[np.float64],
@@ -142,7 +142,7 @@ class ViewBatches:
 
     def epoch(
         self, seed: int, batch_size: int, processes: Processes = ALONE
-    ) -> Iterator[ViewBatch]:
+    ) -> Iterator[PatchBatch]:
         """Iterate once over a process's share, in an order drawn from ``seed``, in whole batches.
 
         Raises:
@@ -159,7 +159,7 @@ class ViewBatches:
         for start in range(0, most - batch_size + 1, batch_size):
             yield self.batch(own[start : start + batch_size], generator)
 
-    def batch(self, index: Tensor, generator: torch.Generator) -> ViewBatch:
+    def batch(self, index: Tensor, generator: torch.Generator) -> PatchBatch:
         """Return the samples ``index``, augmented with ``generator``."""
         a, count = self.augmentation, len(index)
         labels = torch.from_numpy(self._gather("labels", index)).float()
@@ -179,11 +179,11 @@ class ViewBatches:
         if empty:
             crops = torch.cat((self._negatives(empty, view, generator), crops))
         frames = torch.cat([self._varied(frame, generator) for frame in frames[:, None]])
-        return ViewBatch(
+        return PatchBatch(
             frames.contiguous(memory_format=torch.channels_last),
             t_frame,
             crops.contiguous(memory_format=torch.channels_last),
-            view.slopes,
+            view.tan_half_angle,
             matrix_to_quaternion(view.rotation @ rotation),
             offset_of(view.points(t), view),
             self._coordinates(index, view, intrinsics, turn),

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose.config import PolarPoseConfig
-from ffpose.models.object_look import LOG_SIGMA_LIMITS, LookNumbers
+from ffpose.models.second_look import LOG_SIGMA_LIMITS, SecondLookOutput
 from ffpose.nn.polar import PolarBlock, PolarConv, SpectralPool
 
 SHEAR_LIMIT = 1.5
@@ -63,18 +63,18 @@ class PolarBackbone(nn.Module):
         self.channels = (last,)
         self.to(memory_format=torch.channels_last)
 
-    def forward(self, views: Tensor, slopes: Tensor) -> Tensor:
+    def forward(self, views: Tensor, tan_half_angle: Tensor) -> Tensor:
         """Return the map ``(B, C, radii', angles')`` of polar images.
 
         Args:
             views: ``(B, 3, radii, angles)``.
-            slopes: ``(B,)``, as `VirtualCamera.slopes`.
+            tan_half_angle: ``(B,)``, as `VirtualCamera.tan_half_angle`.
         """
         x = self.begin(views.contiguous(memory_format=torch.channels_last))
         x = self.widen(self.pool(x.permute(0, 2, 3, 1)).permute(0, 3, 1, 2))
         x = (
             self.pool_again(x.permute(0, 2, 3, 1))
-            + self.perspective(slopes[:, None])[:, None, None]
+            + self.perspective(tan_half_angle[:, None])[:, None, None]
         )
         x = self.first(x).permute(0, 3, 1, 2)
         result: Tensor = self.last(self.down(x).permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
@@ -102,7 +102,7 @@ class PolarHead(nn.Module):
             "turns", torch.stack([rotations(angles), rotations(2 * angles)]), persistent=False
         )
 
-    def forward(self, feature_map: Tensor) -> LookNumbers:
+    def forward(self, feature_map: Tensor) -> SecondLookOutput:
         """Return the outputs for a map ``(B, C, radii, angles)``."""
         g = feature_map.permute(0, 3, 2, 1).flatten(2)  # (B, angles, radii * C)
         g = F.relu(self.mix(g))
@@ -116,7 +116,7 @@ class PolarHead(nn.Module):
         length = shear.norm(dim=-1, keepdim=True).clamp_min(1e-6)
         shear = shear * (SHEAR_LIMIT * (length / SHEAR_LIMIT).tanh() / length)
         log_sigma = torch.stack([across, across, along, turned, turned, turned_along], dim=1)
-        return LookNumbers(
+        return SecondLookOutput(
             orientation=g.flatten(1),
             offset=torch.cat((offset, distance[:, None]), dim=1),
             log_sigma=log_sigma.clamp(*LOG_SIGMA_LIMITS),

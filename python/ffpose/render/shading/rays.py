@@ -78,7 +78,7 @@ def find_window(vertices: NDArray[np.float64], pose: Pose, camera: Camera) -> Wi
     return Window(left, top, right, bottom) if left < right and top < bottom else None
 
 
-def look(tracer: Tracer, window: Window, camera: Camera, pose: Pose, samples: int) -> View:
+def cast_rays(tracer: Tracer, window: Window, camera: Camera, pose: Pose, samples: int) -> View:
     """Cast `samples` × `samples` rays through each pixel of a window."""
     rays = _unit_rays(
         camera,

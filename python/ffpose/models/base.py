@@ -1,7 +1,7 @@
 """Base classes of pose networks, for training, evaluation, prediction and export.
 
 A network maps images to a named tuple of predictions and has parts that a training stage may freeze
-(`ffpose.config.NetworkConfig.parts`). It is a subclass of `PoseNetwork`, for Python cannot name a
+(`ffpose.config.NetworkConfig.parts`). It is a subclass of `BaseNetwork`, for Python cannot name a
 type that has a protocol and is an ``nn.Module`` too. One that looks at the frame alone is a
 `FrameNetwork`, and brings its losses: that of the translation, and that of its orientation head.
 Its configuration names it in files, by which `ffpose.models.load_network` finds the class again.
@@ -86,7 +86,7 @@ def find_device(name: str) -> torch.device:
         ) from error
 
 
-class PoseNetwork(nn.Module, ABC):
+class BaseNetwork(nn.Module, ABC):
     """Base of the networks: construction by name, and weights files.
 
     A subclass sets `config_type`, builds its modules after ``super().__init__(config)``, among them
@@ -259,7 +259,7 @@ class PoseNetwork(nn.Module, ABC):
         return model.eval()
 
 
-class FrameNetwork(PoseNetwork):
+class FrameNetwork(BaseNetwork):
     """Base of the networks that look at the frame alone; they define `regress`."""
 
     config: FrameConfig
@@ -285,7 +285,7 @@ class FrameNetwork(PoseNetwork):
         return distance
 
     def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
-        """Predict the pose of the object in each image, as `PoseNetwork.forward`."""
+        """Predict the pose of the object in each image, as `BaseNetwork.forward`."""
         self.check_images(images)
         translation, orientation = self.regress(images)
         return PosePrediction(translation, self.orientation.decode(orientation))

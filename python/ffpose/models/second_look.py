@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ffpose.config import SecondLookConfig
-from ffpose.models.network import UncertainPose
+from ffpose.models.base import UncertainPose
 from ffpose.models.virtual_camera import VirtualCamera
 
 OFFSET_SCALE = 4.0
@@ -32,7 +32,7 @@ OFFSET_LIMIT = 4.0
 LOG_SIGMA_LIMITS = (-6.0, 1.5)
 """Bounds on the log standard deviations, beyond which float32 covariances lose precision."""
 
-SMALL_NUMBERS = 3 + 6 + 1
+SMALL_OUTPUTS = 3 + 6 + 1
 """Number of outputs besides the orientation's: offset, log standard deviations, logit."""
 
 
@@ -40,7 +40,7 @@ TAIL = 4.0
 """Degrees of freedom of the errors' t distribution in training."""
 
 
-class LookNumbers(NamedTuple):
+class SecondLookOutput(NamedTuple):
     """Outputs of the second look for a batch of views.
 
     Attributes:
@@ -60,25 +60,25 @@ class LookNumbers(NamedTuple):
     in_view: Tensor
     shear: Tensor | None = None
 
-    def of(self, rows: Tensor) -> LookNumbers:
-        """Return the numbers of some views, ``rows`` being indices or a mask."""
+    def of(self, rows: Tensor) -> SecondLookOutput:
+        """Return the output of some views, ``rows`` being indices or a mask."""
         shear = None if self.shear is None else self.shear[rows]
         orientation, offset, log_sigma, in_view = (part[rows] for part in self[:4])
-        return LookNumbers(orientation, offset, log_sigma, in_view, shear)
+        return SecondLookOutput(orientation, offset, log_sigma, in_view, shear)
 
-    def float(self) -> LookNumbers:
-        """Return the numbers in float32."""
+    def float(self) -> SecondLookOutput:
+        """Return the output in float32."""
         shear = None if self.shear is None else self.shear.float()
         orientation, offset, log_sigma, in_view = (part.float() for part in self[:4])
-        return LookNumbers(orientation, offset, log_sigma, in_view, shear)
+        return SecondLookOutput(orientation, offset, log_sigma, in_view, shear)
 
 
-class LookHead(nn.Module):
+class SecondLookHead(nn.Module):
     """Head that computes the outputs of the second look from a latent vector.
 
     Args:
         orientation: Module from the latent vector to the orientation head's inputs.
-        small: Module from the latent vector to the other `SMALL_NUMBERS` outputs.
+        small: Module from the latent vector to the other `SMALL_OUTPUTS` outputs.
     """
 
     def __init__(self, orientation: nn.Module, small: nn.Module) -> None:
@@ -86,17 +86,17 @@ class LookHead(nn.Module):
         self.orientation, self.small = orientation, small
 
     def forward(self, z: Tensor) -> Tensor:
-        """Return ``(B, SMALL_NUMBERS + features)`` for a latent vector ``z``."""
+        """Return ``(B, SMALL_OUTPUTS + features)`` for a latent vector ``z``."""
         return torch.cat((self.small(z), self.orientation(z)), dim=1)
 
 
-def split_numbers(numbers: Tensor) -> LookNumbers:
-    """Split the output ``(B, SMALL_NUMBERS + features)`` of `LookHead` into named parts."""
-    return LookNumbers(
-        orientation=numbers[:, SMALL_NUMBERS:],
-        offset=numbers[:, :3],
-        log_sigma=numbers[:, 3:9].clamp(*LOG_SIGMA_LIMITS),
-        in_view=numbers[:, 9],
+def split_output(output: Tensor) -> SecondLookOutput:
+    """Split the output ``(B, SMALL_OUTPUTS + features)`` of `SecondLookHead` into named parts."""
+    return SecondLookOutput(
+        orientation=output[:, SMALL_OUTPUTS:],
+        offset=output[:, :3],
+        log_sigma=output[:, 3:9].clamp(*LOG_SIGMA_LIMITS),
+        in_view=output[:, 9],
     )
 
 
@@ -116,8 +116,8 @@ def points_at(offset: Tensor, view: VirtualCamera) -> Tensor:
     """
     length = offset[:, :2].norm(dim=1, keepdim=True)
     across = offset[:, :2] * (OFFSET_LIMIT / length.clamp_min(OFFSET_LIMIT))
-    slopes = across * (view.width / (OFFSET_SCALE * view.focal))[:, None]
-    rays = torch.cat((slopes, torch.ones_like(length)), dim=1)
+    tangents = across * (view.width / (OFFSET_SCALE * view.focal))[:, None]
+    rays = torch.cat((tangents, torch.ones_like(length)), dim=1)
     along = offset[:, 2].clamp(-OFFSET_LIMIT, OFFSET_LIMIT)
     distance = view.distance * torch.exp(along / OFFSET_SCALE)
     return F.normalize(rays, dim=-1) * distance[:, None]
@@ -138,19 +138,19 @@ def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
     return torch.stack(columns, dim=-1)
 
 
-def covariances(numbers: LookNumbers, view: VirtualCamera) -> tuple[Tensor, Tensor]:
+def covariances(output: SecondLookOutput, view: VirtualCamera) -> tuple[Tensor, Tensor]:
     """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame.
 
     Args:
-        numbers: Outputs of the second look.
+        output: Outputs of the second look.
         view: The virtual camera.
     """
     offset, rotation = (
-        covariance_of(numbers.log_sigma[:, 3 * part : 3 * part + 3], _shear(numbers, part))
+        covariance_of(output.log_sigma[:, 3 * part : 3 * part + 3], _shear(output, part))
         for part in range(2)
     )
     back = view.rotation.transpose(1, 2)
-    to_camera = back @ offset_jacobian(numbers.offset, view)
+    to_camera = back @ offset_jacobian(output.offset, view)
     translation = to_camera @ offset @ to_camera.transpose(1, 2)
     return translation, back @ rotation @ view.rotation
 
@@ -176,8 +176,8 @@ def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
     return torch.unflatten(torch.stack(rows, dim=1), 1, (3, 3)) * variance[:, :, None]
 
 
-def _shear(numbers: LookNumbers, part: int) -> Tensor | None:
-    return None if numbers.shear is None else numbers.shear[:, 2 * part : 2 * part + 2]
+def _shear(output: SecondLookOutput, part: int) -> Tensor | None:
+    return None if output.shear is None else output.shear[:, 2 * part : 2 * part + 2]
 
 
 def in_front(points: Tensor) -> Tensor:
@@ -204,7 +204,7 @@ def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
     )
 
 
-def sigma_loss(numbers: LookNumbers, residual: Tensor) -> Tensor:
+def sigma_loss(output: SecondLookOutput, residual: Tensor) -> Tensor:
     """Return the negative log likelihood ``(B,)`` of residuals, a sixth of it.
 
     The offset and the rotation vector have a multivariate t distribution each, of `TAIL`
@@ -213,14 +213,14 @@ def sigma_loss(numbers: LookNumbers, residual: Tensor) -> Tensor:
     JASA 1989).
 
     Args:
-        numbers: Outputs of the second look.
-        residual: ``(B, 6)``, errors of the offset and the rotation vector, as in `LookNumbers`.
+        output: Outputs of the second look.
+        residual: ``(B, 6)``, errors of offset and rotation vector, as in `SecondLookOutput`.
     """
-    scaled = torch.unflatten(residual * torch.exp(-numbers.log_sigma), 1, (2, 3))
-    if numbers.shear is not None:
+    scaled = torch.unflatten(residual * torch.exp(-output.log_sigma), 1, (2, 3))
+    if output.shear is not None:
         # The inverse of `covariance_of` is that of the negative shear, and of variances of one.
-        halves = torch.unflatten(-numbers.shear / 2, 1, (2, 2)).flatten(0, 1)
+        halves = torch.unflatten(-output.shear / 2, 1, (2, 2)).flatten(0, 1)
         root = covariance_of(torch.zeros_like(scaled).flatten(0, 1), halves)
         scaled = (root @ scaled.flatten(0, 1)[:, :, None]).view_as(scaled)
     far = (TAIL + 3) / 2 * torch.log1p(scaled.square().sum(-1) / TAIL)
-    return (far.sum(-1) + numbers.log_sigma.sum(-1)) / 6
+    return (far.sum(-1) + output.log_sigma.sum(-1)) / 6

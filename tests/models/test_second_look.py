@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_t
 
 from ffpose.geometry import Camera
-from ffpose.models.object_look import (
+from ffpose.models.second_look import (
     LOG_SIGMA_LIMITS,
     OFFSET_LIMIT,
-    SMALL_NUMBERS,
-    LookHead,
-    LookNumbers,
+    SMALL_OUTPUTS,
+    SecondLookHead,
+    SecondLookOutput,
     covariance_of,
     covariances,
     in_front,
@@ -23,7 +23,7 @@ from ffpose.models.object_look import (
     offset_of,
     points_at,
     sigma_loss,
-    split_numbers,
+    split_output,
 )
 from ffpose.models.virtual_camera import VirtualCamera, turn_to
 from ffpose.nn.rotations import rotation_between, rotation_vector
@@ -106,7 +106,7 @@ def test_jacobian_is_autograds(generator, view):
 
 def numbers_for(offset, log_sigma):
     nothing = torch.zeros(len(offset))
-    return LookNumbers(nothing[:, None], offset, log_sigma, nothing)
+    return SecondLookOutput(nothing[:, None], offset, log_sigma, nothing)
 
 
 def test_covariances_are_symmetric_and_positive(generator, view):
@@ -176,11 +176,11 @@ def test_a_half_turn_is_pi_about_its_axis_either_way():
 
 
 def test_the_heads_numbers_have_their_places():
-    numbers = torch.arange(2.0 * (SMALL_NUMBERS + 5)).unflatten(0, (2, -1)) / 10
-    small, orientation = numbers[:, :SMALL_NUMBERS], numbers[:, SMALL_NUMBERS:]
-    head = LookHead(torch.nn.Identity(), torch.nn.Identity())
+    numbers = torch.arange(2.0 * (SMALL_OUTPUTS + 5)).unflatten(0, (2, -1)) / 10
+    small, orientation = numbers[:, :SMALL_OUTPUTS], numbers[:, SMALL_OUTPUTS:]
+    head = SecondLookHead(torch.nn.Identity(), torch.nn.Identity())
     head.orientation.forward, head.small.forward = lambda z: orientation, lambda z: small
-    split = split_numbers(head(torch.zeros(2, 1)))
+    split = split_output(head(torch.zeros(2, 1)))
     assert torch.equal(split.offset, numbers[:, :3])
     assert torch.equal(split.log_sigma, numbers[:, 3:9].clamp(max=LOG_SIGMA_LIMITS[1]))
     assert torch.equal(split.in_view, numbers[:, 9])
@@ -188,11 +188,11 @@ def test_the_heads_numbers_have_their_places():
 
 
 def test_log_sigmas_stay_within_their_limits():
-    wild = torch.zeros(2, SMALL_NUMBERS + 1)
+    wild = torch.zeros(2, SMALL_OUTPUTS + 1)
     wild[0, 3:9], wild[1, 3:9] = -1e30, 1e30
     low, high = LOG_SIGMA_LIMITS
     expected = torch.tensor([[low] * 6, [high] * 6])
-    assert torch.equal(split_numbers(wild).log_sigma, expected)
+    assert torch.equal(split_output(wild).log_sigma, expected)
 
 
 FRAME = Camera(640, 480, 500.0, 520.0, 320.0, 240.0)
@@ -201,7 +201,7 @@ CENTERED = torch.tensor([FRAME.fx, FRAME.fy, FRAME.cx, FRAME.cy])
 
 def numbers_of(log_sigma, shear=None):
     nothing = torch.zeros(len(log_sigma))
-    return LookNumbers(nothing[:, None], nothing[:, None], log_sigma, nothing, shear)
+    return SecondLookOutput(nothing[:, None], nothing[:, None], log_sigma, nothing, shear)
 
 
 def t_log_likelihood(residual, covariance):

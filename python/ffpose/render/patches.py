@@ -1,6 +1,6 @@
-"""Rendering training views: the pieces that would be cut out of the whole image.
+"""Rendering training patches, which would be cut out of the whole image.
 
-A network with a second look reads two pieces of an image (`ffpose.imaging.views`). A window of the
+A network with a second look reads two of an image (`ffpose.imaging.patches`). A window of the
 finest pyramid level is cut out of the whole image, bit for bit. Of the coarser windows and of the
 frame, which average at least two pixels each way, the pixels are averaged anyway: they are cut out
 of the whole image rendered at half its resolution, in a third of the time. Sun, stars, glare,
@@ -19,29 +19,29 @@ from typing import get_args
 
 from ffpose._internal.machine import worker_processes
 from ffpose.geometry import Camera, Pose
-from ffpose.imaging.views import Bytes, Content, Pieces, ViewSpec, cut_pieces, in_frame
+from ffpose.imaging.patches import Bytes, Content, Patches, PatchSpec, extract_patches, in_frame
 from ffpose.render.layers import object_coordinates
 from ffpose.render.renderer import label, prepared, shoot
 from ffpose.render.scene import Scene
 from ffpose.render.spacecraft.decoys import build_decoy
 
 CHUNK = 8
-"""Views per task of a worker process."""
+"""Images per task of a worker process."""
 
 RENDERING = 2
-"""Version of how views are rendered; those that were rendered otherwise are rendered again."""
+"""Version of how patches are rendered; those that were rendered otherwise are rendered again."""
 
 
-def render_view(
-    scene: Scene, seed: int, index: int, spec: ViewSpec, content: Content = "object"
-) -> Pieces:
-    """Render the pieces of one image that a network with a second look reads.
+def render_patches(
+    scene: Scene, seed: int, index: int, spec: PatchSpec, content: Content = "object"
+) -> Patches:
+    """Render the patches of one image that a network with a second look reads.
 
     Args:
         scene: A set.
         seed: Seed of the whole set.
         index: Number of the image in the set.
-        spec: Geometry of the network's two views.
+        spec: Geometry of the two patches.
         content: "object": the set's spacecraft; "empty": no spacecraft, the window where it would
             be; "decoy": another spacecraft in its place (`ffpose.render.spacecraft.decoys`).
 
@@ -66,12 +66,12 @@ def render_view(
         return seen * (inside[::2, ::2] & inside[1::2, 1::2])[..., None]
 
     known = coordinates if content == "object" else None
-    pieces = cut_pieces(shot.image, pose, spec, known, halved)
+    pieces = extract_patches(shot.image, pose, spec, known, halved)
     return pieces._replace(present=content == "object")
 
 
-def describe(scene: Scene, seed: int, spec: ViewSpec, content: Content) -> dict[str, object]:
-    """Return all parameters that views depend on, except their indices, as plain values."""
+def describe(scene: Scene, seed: int, spec: PatchSpec, content: Content) -> dict[str, object]:
+    """Return all parameters that patches depend on, except their indices, as plain values."""
     return {
         "rendering": RENDERING,
         "scene": scene.parameters(),
@@ -81,10 +81,10 @@ def describe(scene: Scene, seed: int, spec: ViewSpec, content: Content) -> dict[
     }
 
 
-def render_views(
-    scene: Scene, seed: int, indices: range, spec: ViewSpec, content: Content, workers: int
-) -> Iterator[Pieces]:
-    """Render views in order with several processes."""
+def render_all_patches(
+    scene: Scene, seed: int, indices: range, spec: PatchSpec, content: Content, workers: int
+) -> Iterator[Patches]:
+    """Render the patches of images in order with several processes."""
     make = partial(_render_one, scene, seed, spec, content)
     if workers <= 1 or len(indices) < 2 * CHUNK:
         yield from map(make, indices)
@@ -96,17 +96,17 @@ def render_views(
         yield from pool.imap(_render_next, indices, CHUNK)
 
 
-def _render_one(scene: Scene, seed: int, spec: ViewSpec, content: Content, index: int) -> Pieces:
-    return render_view(scene, seed, index, spec, content)
+def _render_one(scene: Scene, seed: int, spec: PatchSpec, content: Content, index: int) -> Patches:
+    return render_patches(scene, seed, index, spec, content)
 
 
-_worker_make: list[Callable[[int], Pieces]] = []
+_worker_make: list[Callable[[int], Patches]] = []
 """What this worker process renders by; sent once, because a spacecraft may be a large mesh."""
 
 
-def _start_worker(make: Callable[[int], Pieces]) -> None:
+def _start_worker(make: Callable[[int], Patches]) -> None:
     _worker_make[:] = [make]
 
 
-def _render_next(index: int) -> Pieces:
+def _render_next(index: int) -> Patches:
     return _worker_make[0](index)

@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from ffpose.geometry import Camera, Pose
 from ffpose.geometry.symmetry import IDENTITY, Axis, SymmetryGroup
-from ffpose.imaging.views import ViewSpec, cut_pieces
+from ffpose.imaging.patches import PatchSpec, extract_patches
 from ffpose.models import FilterformerPose, build_network
 from ffpose.models.virtual_camera import turn_to
 from ffpose.training.clutter import clutter
-from ffpose.training.config import ViewAugmentation
-from ffpose.training.views import ViewBatches
+from ffpose.training.config import PatchAugmentation
+from ffpose.training.patches import PatchBatches
 
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)  # neither square pixels nor centered
 RADIUS, SIDE, CELLS, STRIDE, STD = 3.0, 64, 16, 4, 0.5
@@ -101,12 +101,12 @@ def disk(pose, camera):
 
 
 def stored(poses, image_of, coordinates=None):
-    spec = ViewSpec(CAMERA, STRIDE, SIDE, RADIUS)
+    spec = PatchSpec(CAMERA, STRIDE, SIDE, RADIUS)
     arrays = {
         name: np.zeros(shape, dtype) for name, (shape, dtype) in spec.shapes(len(poses)).items()
     }
     for index, pose in enumerate(poses):
-        cut_pieces(image_of(pose), pose, spec, coordinates).store(arrays, index)
+        extract_patches(image_of(pose), pose, spec, coordinates).store(arrays, index)
     return arrays
 
 
@@ -127,8 +127,8 @@ def origins(poses):
 
 
 def batches(model, arrays, nothing=(), cells=(CELLS, CELLS), symmetry=IDENTITY, **changes):
-    augmentation = ViewAugmentation(**(CLEAN | changes))
-    return ViewBatches(model, arrays, nothing, augmentation, (STD,) * 3, cells, DOTS, symmetry)
+    augmentation = PatchAugmentation(**(CLEAN | changes))
+    return PatchBatches(model, arrays, nothing, augmentation, (STD,) * 3, cells, DOTS, symmetry)
 
 
 def all_of(views, seed=0):
@@ -494,7 +494,7 @@ def test_blur_spreads_but_moves_nothing(model, dotted):
 )
 def test_refused_augmentations(name, value, text):
     with pytest.raises(ValueError, match=text):
-        ViewAugmentation(**{name: value})
+        PatchAugmentation(**{name: value})
 
 
 def test_a_network_that_looks_once_is_refused(model, dotted):

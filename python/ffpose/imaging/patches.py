@@ -1,7 +1,7 @@
-"""Training views of a network with a second look: small pieces of each image, cut once and stored.
+"""Training patches of a network with a second look: cut from each image once, and stored.
 
 A network whose orientation comes from a virtual camera (`ffpose.models.virtual_camera`) reads two
-pieces of an image: the downsampled whole frame, and the surroundings of the object at the
+patches of an image: the downsampled whole frame, and the surroundings of the object at the
 resolution of the virtual camera. Both are cut once and stored as memory-mapped uint8, so that an
 epoch decodes and resizes nothing, and any number of processes share one copy:
 
@@ -28,10 +28,10 @@ from ffpose.geometry import Camera, Pose
 
 Bytes = NDArray[np.uint8]
 Arrays = Mapping[str, NDArray[Any]]
-"""Arrays by name, as in `ViewSpec.shapes`."""
+"""Arrays by name, as in `PatchSpec.shapes`."""
 
 Content = Literal["object", "empty", "decoy"]
-"""Content of a view: the object, nothing, or another object in its place."""
+"""Content of a patch: the object, nothing, or another object in its place."""
 
 WINDOW_MARGIN = 16
 """Pixels by which a window is wider than twice the virtual camera's image.
@@ -48,8 +48,8 @@ LABELS = ("tx", "ty", "tz", "qw", "qx", "qy", "qz", "fx", "fy", "cx", "cy", "lev
 
 
 @dataclass(frozen=True)
-class ViewSpec:
-    """Geometry of the two views that are cut from an image.
+class PatchSpec:
+    """Geometry of the two patches that are cut from an image.
 
     Attributes:
         camera: Camera of the network's input, the finest level of the image pyramid.
@@ -118,8 +118,8 @@ def averaged(image: Bytes, side: int) -> Bytes:
     return ((sums + area // 2) // area).astype(np.uint8)
 
 
-def cut(image: Bytes, left: int, top: int, side: int) -> Bytes:
-    """Cut the window with corner (left, top) from an image ``(H, W, 3)``, black outside."""
+def crop(image: Bytes, left: int, top: int, side: int) -> Bytes:
+    """Crop the window with corner (left, top) from an image ``(H, W, 3)``, black outside."""
     window = np.zeros((side, side, 3), np.uint8)
     height, width = image.shape[:2]
     rows = slice(max(0, top), min(height, top + side))
@@ -132,7 +132,7 @@ def cut(image: Bytes, left: int, top: int, side: int) -> Bytes:
 
 
 def in_frame(window: Camera, whole: Camera) -> NDArray[np.bool_]:
-    """Return which pixels of a window from `ViewSpec.window_camera` lie in the image."""
+    """Return which pixels of a window from `PatchSpec.window_camera` lie in the image."""
     left, top = round(whole.cx - window.cx), round(whole.cy - window.cy)
     columns, rows = np.arange(window.width) + left, np.arange(window.height) + top
     inside_columns = (columns >= 0) & (columns < whole.width)
@@ -162,12 +162,12 @@ def nearest_pixels(picture: Bytes, camera: Camera, other: Camera) -> Bytes:
     return seen
 
 
-class Pieces(NamedTuple):
-    """The stored pieces of one image.
+class Patches(NamedTuple):
+    """The stored patches of one image.
 
     Attributes:
         frame: ``(h, w, 3)`` uint8.
-        window: ``(S, S, 3)`` uint8, S being `ViewSpec.window`.
+        window: ``(S, S, 3)`` uint8, S being `PatchSpec.window`.
         coordinates: ``(S / 2, S / 2, 4)`` uint8, zero where unknown.
         pose: Pose of the object; without an object, the pose that the window was cut around.
         camera: Camera of the window.
@@ -184,7 +184,7 @@ class Pieces(NamedTuple):
     present: bool
 
     def store(self, arrays: Arrays, row: int) -> None:
-        """Write the pieces to a row of the arrays of `ViewSpec.shapes`."""
+        """Write the patches to a row of the arrays of `PatchSpec.shapes`."""
         c = self.camera
         arrays["frames"][row] = self.frame
         arrays["windows"][row] = self.window
@@ -195,22 +195,22 @@ class Pieces(NamedTuple):
         )
 
 
-def cut_pieces(
+def extract_patches(
     image: Bytes,
     pose: Pose,
-    spec: ViewSpec,
+    spec: PatchSpec,
     coordinates: Callable[[Pose, Camera], Bytes] | None = None,
     halved: int = 0,
-) -> Pieces:
-    """Cut the stored pieces from an image of the network's camera.
+) -> Patches:
+    """Extract the stored patches from an image of the network's camera.
 
     Args:
         image: Image ``(H, W, 3)`` of ``spec.level_camera(halved)``, uint8.
         pose: Pose of the object.
-        spec: Geometry of the views.
+        spec: Geometry of the patches.
         coordinates: Function that returns the object coordinates ``(h, w, 4)`` for a pose and a
             camera, as `ffpose.render.layers.object_coordinates`; None where unknown.
-        halved: Level of the image pyramid that the image is, at most `ViewSpec.level` of the pose.
+        halved: Level of the image pyramid that the image is, at most `PatchSpec.level` of the pose.
 
     Raises:
         ValueError: The image's size differs from its camera's, or the object is not in front of it.
@@ -224,9 +224,9 @@ def cut_pieces(
     whole = spec.level_camera(level)
     left, top = round(whole.cx - camera.cx), round(whole.cy - camera.cy)
     half = spec.window // 2
-    return Pieces(
+    return Patches(
         averaged(image, spec.first_stride >> halved),
-        cut(averaged(image, 1 << (level - halved)), left, top, spec.window),
+        crop(averaged(image, 1 << (level - halved)), left, top, spec.window),
         np.zeros((half, half, 4), np.uint8)
         if coordinates is None
         else coordinates(pose, camera.resized(half, half)),
@@ -237,8 +237,8 @@ def cut_pieces(
     )
 
 
-def make_arrays(folder: Path, count: int, spec: ViewSpec) -> dict[str, np.memmap[Any, Any]]:
-    """Create the memory-mapped arrays of a folder of views."""
+def make_arrays(folder: Path, count: int, spec: PatchSpec) -> dict[str, np.memmap[Any, Any]]:
+    """Create the memory-mapped arrays of a folder of patches."""
     return {
         name: np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, shape)
         for name, (shape, dtype) in spec.shapes(count).items()
@@ -246,6 +246,6 @@ def make_arrays(folder: Path, count: int, spec: ViewSpec) -> dict[str, np.memmap
 
 
 def open_arrays(folder: Path) -> dict[str, NDArray[Any]]:
-    """Open the memory-mapped arrays of a folder of views for reading."""
+    """Open the memory-mapped arrays of a folder of patches for reading."""
     names = ("frames", "windows", "coordinates", "labels")
     return {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names}
