@@ -64,11 +64,12 @@ test-onboard: tools ## the Rust tests of the program without Python
 bench: $(VENV)/.user ## the filter against torch.fft
 	$(BIN)/ffpose bench filter
 
-cards: $(VENV)/.user ## measure the final cards of the shipped weights and fill the pages: an hour; cards that are there stay
+cards: $(VENV)/.dev ## measure the final cards of the shipped weights and fill the pages: an hour; cards that are there stay
 	for card in soyuz/soyuz_easy soyuz/soyuz_hard dragon/dragon_hard; do \
 		$(BIN)/ffpose card $${card%/*} --scene $${card#*/} --final --count $(or $(COUNT),500) --images runs/cards \
-			--out cards/$${card#*/} --page docs/models.md README.md > /dev/null || exit 1; \
+			--out cards/$${card#*/} > /dev/null || exit 1; \
 	done
+	$(BIN)/python -m benchmarks cards docs/models.md README.md
 
 figures: $(VENV)/.dev ## measure the figures of the pages, NAME being this machine's: ten minutes
 	$(BIN)/python -m benchmarks pages --all $(if $(NAME),--machine "$(NAME)") $(if $(NOTE),--note "$(NOTE)")

@@ -1,4 +1,4 @@
-"""``python -m benchmarks filter|model|attention|twist|pages``, from the root of the repository."""
+"""``python -m benchmarks filter|model|attention|twist|cards|pages``, from the repository's root."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from benchmarks.filter.run import run as run_filter
 from benchmarks.model import attention, deployment
 from benchmarks.output import in_threads
 from benchmarks.pages.blocks import write_pages
+from benchmarks.pages.cards import fill_page
 from benchmarks.pages.documents import DOCUMENTS, Effort, measure, write
 from ffpose._internal.machine import cores, processor
 from ffpose.errors import explain
@@ -41,6 +42,11 @@ def build_parser() -> argparse.ArgumentParser:
     twisted.add_argument("network", help="weights of the preset polar")
     twisted.add_argument("--scene", default="soyuz_easy", help="of the images (default: this)")
     twisted.add_argument("--count", type=int, default=100, help="number of images")
+    text = "put the tables of the model cards into pages, after <!-- card: SET -->"
+    carded = commands.add_parser("cards", help=text)
+    carded.add_argument("pages", type=Path, nargs="+", metavar="PAGE", help="Markdown")
+    text = "of the cards, SET/card.json (default: cards)"
+    carded.add_argument("--folder", type=Path, default=Path("cards"), help=text)
     text = "measure data files, and put the figures of all into the pages"
     pages = commands.add_parser("pages", help=text)
     text = f"data files to measure: {', '.join(DOCUMENTS)}"
@@ -92,6 +98,9 @@ def _run(options: argparse.Namespace) -> None:
             attention.run(options.json, options.quick)
         case "twist":
             twist.run(options.network, options.scene, options.count)
+        case "cards":
+            for page in options.pages:
+                fill_page(page, options.folder)
         case _:
             _fill_pages(options)
 

@@ -744,8 +744,6 @@ def card_arguments(parser: ArgumentParser) -> None:
     )
     text = "folder for card.json and card.md; one that holds this card is not measured again"
     parser.add_argument("--out", type=Path, help=text)
-    text = "pages whose parts after <!-- card: SET --> are filled with the cards beside --out"
-    parser.add_argument("--page", type=Path, nargs="+", default=[], help=text)
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
@@ -756,7 +754,6 @@ def card(options: Namespace) -> None:
     image takes a third of a second of one core to render, half of them far less.
     """
     from ffpose.evaluation.card.measurement import kept_card, measure, write_card
-    from ffpose.evaluation.card.page import fill_page
     from ffpose.evaluation.card.tables import format_card
 
     settings = {
@@ -766,8 +763,6 @@ def card(options: Namespace) -> None:
         "final": options.final,
         "second_renderer": options.mitsuba,
     }
-    if options.page and options.out is None:
-        raise ValueError("--page: expected with --out, the folder of the card")
     document = None
     if options.out is not None:
         expect_folder(options.out)
@@ -783,8 +778,6 @@ def card(options: Namespace) -> None:
         )
     if options.out is not None:
         write_card(document, options.out)
-    for page in options.page:
-        fill_page(page, options.out.parent)
     if options.json:
         show(document)
     else:

@@ -73,17 +73,7 @@ def remove_in_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> Float
     The result ``T⁻¹ R_hat`` keeps the prediction's viewing direction and thus its out-of-plane
     error, which is its whole rotation error.
 
-    Args:
-        q_hat: Predicted orientations ``(N, 4)``.
-        t: True translations ``(N, 3)``.
-        q: True orientations ``(N, 4)``.
-
-    Returns:
-        Unit quaternions ``(N, 4)``.
-
-    Raises:
-        TypeError: An argument is not of floating dtype.
-        ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
+    Arguments and errors are those of `rotation_parts`; returns unit quaternions ``(N, 4)``.
     """
     q_hat, ray, q = _checked(q_hat, t, q)
     return multiply(conjugate(_twist(q_hat, ray, q)), q_hat)
@@ -95,17 +85,7 @@ def remove_out_of_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> F
     The result ``T R`` has the true viewing direction; its rotation error is the prediction's
     in-plane error.
 
-    Args:
-        q_hat: Predicted orientations ``(N, 4)``.
-        t: True translations ``(N, 3)``.
-        q: True orientations ``(N, 4)``.
-
-    Returns:
-        Unit quaternions ``(N, 4)``.
-
-    Raises:
-        TypeError: An argument is not of floating dtype.
-        ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
+    Arguments and errors are those of `rotation_parts`; returns unit quaternions ``(N, 4)``.
     """
     q_hat, ray, q = _checked(q_hat, t, q)
     return multiply(_twist(q_hat, ray, q), q)

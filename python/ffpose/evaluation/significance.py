@@ -66,15 +66,7 @@ def circular_correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
 def correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
     """Return Pearson's correlation of two angles that do not wrap, such as pitch.
 
-    Args:
-        a_deg: ``(N,)`` degrees.
-        b_deg: ``(N,)`` degrees.
-
-    Returns:
-        From -1 to 1; None where one of them is constant.
-
-    Raises:
-        ValueError: Shapes other than ``(N,)``, or different ones.
+    Arguments, result and errors are as those of `circular_correlation`.
     """
     return _correlation(*(angle - angle.mean() for angle in _pair(a_deg, b_deg)))
 

@@ -3,10 +3,7 @@
 The header holds what is needed to build the network (architecture, config with the camera,
 preprocessing), its provenance (backbone, recipe, training data), the version of ffpose that wrote
 it and the version of the format. Reading checks everything: a file that is truncated, altered,
-newer than this code or of another architecture is rejected with the reason. Older formats still
-load: format 1 has no provenance, and format 2 the size of the images as ``[width, height]``. Before
-format 4 errors were Gaussian, with standard deviations that grew with the share of the object
-outside of the frame; that growth is not read: such weights are to be calibrated again.
+of another format or of another architecture is rejected with the reason.
 """
 
 from __future__ import annotations
@@ -15,7 +12,7 @@ import json
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -28,7 +25,7 @@ from torch import Tensor, nn
 from ffpose import __version__
 from ffpose._internal.files import atomic_write, sha256
 from ffpose._internal.zoo import resolve
-from ffpose.config import FilterformerPoseConfig, NetworkConfig, config_type, degrees_of_freedom
+from ffpose.config import NetworkConfig, config_type, degrees_of_freedom
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.geometry.symmetry import SymmetryGroup
@@ -40,18 +37,11 @@ logger = logging.getLogger(__name__)
 FORMAT = 4
 """Version of the header, incremented whenever older code could not read it correctly."""
 
-FORMER = ("translation_mean", "translation_std", "turns", "hidden_sigma")
-"""Fields of earlier versions that not all networks, or none, have any more.
-
-PolarPose did not use the first two. ``turns`` was the number of rotated views of the last look that
-were averaged, and ``hidden_sigma`` the growth of standard deviations before format 4.
-"""
-
 NAMES_SHOWN = 4
 
-LATER = ("calibration", "tracking")
-ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold", *LATER)
-"""Fields of `WeightsMetadata` that format 2 added, or a `LATER` one: JSON values in the header."""
+OPTIONAL = ("calibration", "tracking")
+ORIGIN = ("backbone_source", "recipe", "data", "in_view_threshold", *OPTIONAL)
+"""Fields of `WeightsMetadata` that are JSON values in the header, which may lack the optional."""
 
 
 @dataclass(frozen=True)
@@ -189,17 +179,16 @@ def read_metadata(path: str | Path) -> WeightsMetadata:
 
     Raises:
         FileNotFoundError: ``path`` is neither a file nor a name of shipped weights.
-        ffpose.DataError: The file is truncated, not a weights file of ffpose, or newer than this
-            version.
+        ffpose.DataError: The file is truncated, not a weights file of ffpose, or of another format.
     """
     path = resolve(path)
     header = _read_header(path)
     if "format" not in header:
         raise DataError("expected weights written by ffpose, got a safetensors file without", path)
     version = header.get("ffpose_version", "unknown")
-    if header["format"] not in map(str, range(1, FORMAT + 1)):
+    if header["format"] != str(FORMAT):
         raise DataError(
-            f"expected weights of format 1 to {FORMAT}, which ffpose {__version__} reads;"
+            f"expected weights of format {FORMAT}, which ffpose {__version__} reads;"
             f" got format {header['format']}, written by ffpose {version}",
             path,
         )
@@ -223,40 +212,19 @@ def _to_header(metadata: WeightsMetadata) -> dict[str, str]:
 
 
 def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
-    """Parse a header of a known format; format 1 has no provenance, and one network alone."""
-    origin: dict[str, Any] = {}
-    if header["format"] != "1":
-        known = [name for name in ORIGIN if name in header or name not in LATER]
-        origin = {name: json.loads(header[name]) for name in known}
-        for name in ("backbone_source", "recipe", "data"):
-            value = origin[name]
-            if not isinstance(value, dict | None) and (name, value) != ("backbone_source", "none"):
-                raise ValueError(f"{name}: expected a JSON object, got {value!r}")
-    if header["format"] == "2":
-        origin["data"] = _height_first(origin["data"])
-    architecture = header.get("architecture", FilterformerPoseConfig.architecture)
+    """Parse a header of this format."""
+    known = [name for name in ORIGIN if name in header or name not in OPTIONAL]
+    origin: dict[str, Any] = {name: json.loads(header[name]) for name in known}
+    for name in ("backbone_source", "recipe", "data"):
+        value = origin[name]
+        if not isinstance(value, dict | None) and (name, value) != ("backbone_source", "none"):
+            raise ValueError(f"{name}: expected a JSON object, got {value!r}")
     return WeightsMetadata(
-        _read_config(config_type(architecture), header["config"]),
+        config_type(header["architecture"]).from_json(header["config"]),
         Preprocessing.from_dict(json.loads(header["preprocessing"])),
         **origin,
         version=version,
     )
-
-
-def _read_config(kind: type[NetworkConfig], text: str) -> NetworkConfig:
-    """Read a configuration, without the fields of `FORMER` that its network no longer has."""
-    values, known = json.loads(text), {field.name for field in fields(kind)}
-    if isinstance(values, dict):
-        values = {k: value for k, value in values.items() if k in known or k not in FORMER}
-    return kind.from_json(json.dumps(values))
-
-
-def _height_first(data: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return ``data`` of format 2, with its ``image_size``, ``[width, height]``, turned."""
-    size = (data or {}).get("image_size")
-    if data is None or not isinstance(size, list):
-        return data
-    return data | {"image_size": size[::-1]}
 
 
 def load_weights(path: str | Path, model: nn.Module) -> None:

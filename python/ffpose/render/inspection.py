@@ -74,18 +74,7 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
         ``symmetry``, that of `ffpose.render.symmetry.Symmetries`, None where there is no attitude,
         and ``doubts``, sentences that name the option that mends each.
     """
-    vertices = craft.mesh.vertices[np.unique(craft.mesh.faces)]
-    center, radius = bounding_sphere(vertices)
-    inside = _inside_seen(craft, center, radius)
-    summary: dict[str, Any] = {
-        "size_m": np.ptp(vertices, axis=0).tolist(),
-        "triangles": len(craft.mesh.faces),
-        "materials": [_material(craft, number) for number in range(len(craft.materials))],
-        "center_m": center.tolist(),
-        "radius_m": radius,
-        "origin_offset_m": float(np.linalg.norm(center)),
-        "inside_seen": inside,
-    }
+    summary = _measured(craft)
     summary["doubts"] = _doubts(craft, summary)
     if y_up:
         summary["doubts"].append(
@@ -111,15 +100,22 @@ def find_doubts(craft: Craft) -> list[str]:
     Args:
         craft: The spacecraft.
     """
-    center, radius = bounding_sphere(craft.mesh.vertices[np.unique(craft.mesh.faces)])
-    return _doubts(
-        craft,
-        {
-            "radius_m": radius,
-            "origin_offset_m": float(np.linalg.norm(center)),
-            "inside_seen": _inside_seen(craft, center, radius),
-        },
-    )
+    return _doubts(craft, _measured(craft))
+
+
+def _measured(craft: Craft) -> dict[str, Any]:
+    """Return what `inspect_mesh` measures."""
+    vertices = craft.mesh.vertices[np.unique(craft.mesh.faces)]
+    center, radius = bounding_sphere(vertices)
+    return {
+        "size_m": np.ptp(vertices, axis=0).tolist(),
+        "triangles": len(craft.mesh.faces),
+        "materials": [_material(craft, number) for number in range(len(craft.materials))],
+        "center_m": center.tolist(),
+        "radius_m": radius,
+        "origin_offset_m": float(np.linalg.norm(center)),
+        "inside_seen": _inside_seen(craft, center, radius),
+    }
 
 
 def view_sheet(craft: Craft) -> Image.Image:

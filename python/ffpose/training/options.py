@@ -35,15 +35,6 @@ LISTS = tuple(
 )
 """Options whose values may be lists."""
 
-REPLACED = {
-    "--recipe": "--config NAME",
-    "--transforms": "--data.mode MODE and --data.augmentation.FIELD VALUE, as --data.mode "
-    "center_crop --data.augmentation.random-crop",
-    "--model-fields": "--model.FIELD VALUE, as --model.depth 4",
-    "--model.name": "--model NAME",
-}
-"""Options of former versions, and what took their place."""
-
 
 def add_fields(parser: ArgumentParser) -> None:
     """Declare every field of `TrainConfig`."""
@@ -72,15 +63,11 @@ def read_words(words: Sequence[str]) -> list[str]:
     """Return the words of a command line as the parser of `add_fields` takes them.
 
     Raises:
-        argparse.ArgumentError: An option is spelled as in a former version, or a value is a JSON
-            string; the message has the new spelling. Or a value of ``--config`` is neither a file
-            nor a name.
+        argparse.ArgumentError: An option has underscores, or a value is a JSON string; the message
+            has the right spelling. Or a value of ``--config`` is neither a file nor a name.
     """
     found = []
     for option, separator, value in split(words):
-        hyphens = option.replace("_", "-")
-        if hyphens in REPLACED:
-            raise wrong(f"expected {REPLACED[hyphens]}, got {option}")
         check_spelling([option])
         if option == "--stages":
             raise wrong(f"expected stages in a file, --config FILE, got {option} {value}")
@@ -119,19 +106,18 @@ def _value(option: str, value: str) -> str:
 
 
 def check_document(text: str) -> None:
-    """Check that a configuration in YAML has not the fields of former versions.
+    """Check that a configuration in YAML has the network's name and fields together.
 
     Raises:
-        argparse.ArgumentError: It has, and the message has what took their place; or the text is
-            not YAML.
+        argparse.ArgumentError: It has not, or the text is not YAML.
     """
     try:
         document = require("jsonargparse", "pose").get_loader("yaml")(text)
     except Exception as error:  # that of the YAML package, which jsonargparse chooses
         raise wrong(f"expected YAML: {error}") from error
     if isinstance(document, dict):
-        for name, former in (("model", str), ("model_fields", dict)):
-            if isinstance(document.get(name), former):
+        for name, kind in (("model", str), ("model_fields", dict)):
+            if isinstance(document.get(name), kind):
                 expected = f"model: {{name: {DEFAULT_MODEL}, FIELD: VALUE}}"
                 raise wrong(f"expected {expected}, got {name}: {document[name]}")
 

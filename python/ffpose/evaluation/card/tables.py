@@ -16,7 +16,7 @@ def format_card(document: Mapping[str, Any]) -> str:
     width, height = document["size"]
     near, far = document["distance_m"]
     head = (
-        f"{_of(document)} (SHA-256 of the weights {document['sha256'][:12]}…): "
+        f"{card_name(document)} (SHA-256 of the weights {document['sha256'][:12]}…): "
         f"{document['count']} images of {width}x{height} per condition, seed {document['seed']}"
         f"{' (final)' if document['final'] else ''}, "
         f"{near:g} to {far:g} m, all attitudes; ffpose {document['ffpose']}."
@@ -31,68 +31,7 @@ def format_card(document: Mapping[str, Any]) -> str:
     return "\n\n".join([*parts, *document["notes"]]) + "\n"
 
 
-def accuracy_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the table that compares cards, by set, on the scenes as trained.
-
-    The last column is the constant pose of the first card.
-    """
-    rows = [card["conditions"][0] for card in cards.values()]
-    constant = next(iter(cards.values()))["mean_pose_baseline"]
-
-    def median(name: str, show: Any) -> list[str]:
-        found = [show(row[f"median_{name}"]) for row in rows]
-        between = [map(show, row["median_intervals_95"][f"median_{name}"]) for row in rows]
-        cells = [f"{value} [{', '.join(ends)}]" for value, ends in zip(found, between, strict=True)]
-        return [*cells, show(constant[f"median_{name}"])]
-
-    def both(row: Row) -> str:
-        rotation, translation = row["mean_rotation_error_deg"], row["mean_translation_error_m"]
-        return f"{_degrees(rotation)}, {_meters(translation)}"
-
-    lines = [
-        ["E_q", *median("rotation_error_deg", _degrees)],
-        ["in-plane", *median("in_plane_error_deg", _degrees)],
-        ["out-of-plane", *median("out_of_plane_error_deg", _degrees)],
-        ["E_t", *median("translation_error_m", _meters)],
-        ["E_t / ‖t‖", *median("relative_translation_error", _percent)],
-        ["mean E_q, E_t", *map(both, rows), both(constant)],
-        *(
-            [f"{name} in the 50 / 90 / 99 % region", *(_coverage(row[name]) for row in rows), NONE]
-            for name in ("rotation", "translation")
-        ),
-        [
-            "object in view or not, AUROC",
-            *(f"{card['without_object'][-1]['auroc']:.4f}" for card in cards.values()),
-            NONE,
-        ],
-    ]
-    return _table(["", *map(_of, cards.values()), "constant"], lines)
-
-
-def summary_table(cards: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a table of the errors of each card, and of the constant mean poses of the sets."""
-
-    def cells(name: str, row: Row) -> list[str]:
-        relative = _percent(row["median_relative_translation_error"])
-        return [
-            name,
-            _degrees(row["median_rotation_error_deg"]),
-            f"{_degrees(row['mean_rotation_error_deg'])}, {_percent(row['share_over_30_deg'])}",
-            f"{_meters(row['median_translation_error_m'])}, {relative} of the distance",
-            str(row["images"]),
-        ]
-
-    lines = []
-    for card in cards.values():
-        near, far = card["distance_m"]
-        lines.append(cells(f"{_of(card)}, {near:g}–{far:g} m", card["conditions"][0]))
-        lines.append(
-            cells(f"… constant: mean pose of `{card['scene']}`", card["mean_pose_baseline"])
-        )
-    return _table(["", "attitude", "its mean, > 30°", "position", "images"], lines)
-
-
-def _of(card: Mapping[str, Any]) -> str:
+def card_name(card: Mapping[str, Any]) -> str:
     """Return what a card is of: weights and set."""
     return f"`{card['weights']}` on `{card['scene']}`"
 
@@ -109,7 +48,7 @@ def errors_table(document: Mapping[str, Any]) -> str:
     rows = [_errors(first), _intervals(first), *map(_errors, others), _errors(constant)]
     caption = "Medians, where no other is named; in brackets their bootstrap intervals of 95 %."
     about = f"{_conditions(document['conditions'])} {_partly(document['conditions'])}".rstrip()
-    return f"{_table(header, rows)}\n\n{caption} {about}"
+    return f"{markdown_table(header, rows)}\n\n{caption} {about}"
 
 
 def _errors(row: Row) -> list[str]:
@@ -117,15 +56,15 @@ def _errors(row: Row) -> list[str]:
         row["name"],
         row.get("seen", ""),
         str(row["images"]),
-        _degrees(row["median_rotation_error_deg"]),
-        _degrees(row["mean_rotation_error_deg"]),
-        _degrees(row["percentile_90_rotation_error_deg"]),
-        _percent(row["share_over_30_deg"]),
-        _degrees(row["median_in_plane_error_deg"]),
-        _degrees(row["median_out_of_plane_error_deg"]),
-        _meters(row["median_translation_error_m"]),
-        _meters(row["mean_translation_error_m"]),
-        _percent(row["median_relative_translation_error"]),
+        degrees(row["median_rotation_error_deg"]),
+        degrees(row["mean_rotation_error_deg"]),
+        degrees(row["percentile_90_rotation_error_deg"]),
+        percent(row["share_over_30_deg"]),
+        degrees(row["median_in_plane_error_deg"]),
+        degrees(row["median_out_of_plane_error_deg"]),
+        meters(row["median_translation_error_m"]),
+        meters(row["mean_translation_error_m"]),
+        percent(row["median_relative_translation_error"]),
     ]
 
 
@@ -138,12 +77,12 @@ def _intervals(row: Row) -> list[str]:
         return f"[{show(low)}, {show(high)}]"
 
     return [
-        *("", "", "", between("rotation_error_deg", _degrees), "", "", ""),
-        between("in_plane_error_deg", _degrees),
-        between("out_of_plane_error_deg", _degrees),
-        between("translation_error_m", _meters),
+        *("", "", "", between("rotation_error_deg", degrees), "", "", ""),
+        between("in_plane_error_deg", degrees),
+        between("out_of_plane_error_deg", degrees),
+        between("translation_error_m", meters),
         "",
-        between("relative_translation_error", _percent),
+        between("relative_translation_error", percent),
     ]
 
 
@@ -165,14 +104,14 @@ def uncertainty_table(rows: Sequence[Row]) -> str:
     lines = [
         [
             row["name"],
-            _degrees(row["median_rotation_error_deg"]),
-            _degrees(row["median_sigma_rotation_deg"]),
-            _meters(row["median_translation_error_m"]),
-            _meters(row["median_sigma_distance_m"]),
-            _coverage(row["rotation"]),
-            _coverage(row["translation"]),
+            degrees(row["median_rotation_error_deg"]),
+            degrees(row["median_sigma_rotation_deg"]),
+            meters(row["median_translation_error_m"]),
+            meters(row["median_sigma_distance_m"]),
+            coverage_text(row["rotation"]),
+            coverage_text(row["translation"]),
             f"{row['median_in_view']:.4g}",
-            _percent(row["flagged"]) if "flagged" in row else NONE,
+            percent(row["flagged"]) if "flagged" in row else NONE,
         ]
         for row in rows
     ]
@@ -181,7 +120,7 @@ def uncertainty_table(rows: Sequence[Row]) -> str:
         "distance: along the ray) and of the probability of being in view; shares of the truths "
         "in the regions of 50, 90 and 99 %."
     )
-    return f"{_table(header, lines)}\n\n{caption}"
+    return f"{markdown_table(header, lines)}\n\n{caption}"
 
 
 def refusal_table(document: Mapping[str, Any]) -> str:
@@ -194,7 +133,7 @@ def refusal_table(document: Mapping[str, Any]) -> str:
             row.get("seen", ""),
             str(row["images"]),
             f"{row['auroc']:.4f}",
-            _percent(row["miss_rate"]) if "miss_rate" in row else NONE,
+            percent(row["miss_rate"]) if "miss_rate" in row else NONE,
             f"{row['median_in_view']:.4g}",
         ]
         for row in rows
@@ -205,27 +144,32 @@ def refusal_table(document: Mapping[str, Any]) -> str:
     if threshold is not None:
         caption = (
             f"Flagged below {threshold:.4g}; false alarms on the scenes as trained: "
-            f"{_percent(rows[0]['false_alarm_rate'])}."
+            f"{percent(rows[0]['false_alarm_rate'])}."
         )
-    return f"{_table(header, lines)}\n\n{caption} {_partly(rows)}".rstrip()
+    return f"{markdown_table(header, lines)}\n\n{caption} {_partly(rows)}".rstrip()
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _coverage(shares: Mapping[str, float]) -> str:
+def coverage_text(shares: Mapping[str, float]) -> str:
+    """Return the coverage of three regions, in percent."""
     return " / ".join(f"{100 * shares[f'coverage_{level}']:.0f}" for level in (50, 90, 99))
 
 
-def _degrees(value: float) -> str:
+def degrees(value: float) -> str:
+    """Return an angle as text."""
     return f"{value:.2f}°"
 
 
-def _meters(value: float) -> str:
+def meters(value: float) -> str:
+    """Return a length as text."""
     return f"{value:.2f} m"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """Return a share as text."""
     return f"{100 * share:.1f} %"

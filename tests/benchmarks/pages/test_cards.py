@@ -4,11 +4,11 @@ import json
 
 import pytest
 
+from benchmarks.pages.cards import PART, fill_page, filled, read_cards
 from ffpose._internal import zoo
 from ffpose._internal.files import sha256
 from ffpose._internal.seeds import FINAL
 from ffpose.errors import DataError
-from ffpose.evaluation.card.page import PART, fill_page, filled, read_cards
 from ffpose.evaluation.card.tables import format_card
 from pages import ROOT
 
