@@ -1,4 +1,4 @@
-"""``python -m benchmarks filter|model|attention|twist|cards|pages``, from the repository's root."""
+"""``python -m benchmarks COMMAND``, from the root of the repository."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import benchmarks
-from benchmarks import twist
+from benchmarks import correlation, look, textures, tracking, twist
 from benchmarks.filter.run import run as run_filter
 from benchmarks.model import attention, deployment
 from benchmarks.output import in_threads
@@ -18,6 +18,14 @@ from benchmarks.pages.cards import fill_page
 from benchmarks.pages.documents import DOCUMENTS, Effort, measure, write
 from ffpose._internal.machine import cores, processor
 from ffpose.errors import explain
+
+WHOLE = {
+    "look": (look, "the lean and the time of a look where an object is expected"),
+    "tracking": (tracking, "tracks through rendered sequences against frames posed alone"),
+    "correlation": (correlation, "angles over which a network's errors correlate"),
+    "textures": (textures, "what textures add to the time of a rendered image"),
+}
+"""Modules that know their own arguments."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -47,6 +55,8 @@ def build_parser() -> argparse.ArgumentParser:
     carded.add_argument("pages", type=Path, nargs="+", metavar="PAGE", help="Markdown")
     text = "of the cards, SET/card.json (default: cards)"
     carded.add_argument("--folder", type=Path, default=Path("cards"), help=text)
+    for name, (module, text) in WHOLE.items():
+        module.add_arguments(commands.add_parser(name, help=text, description=module.__doc__))
     text = "measure data files, and put the figures of all into the pages"
     pages = commands.add_parser("pages", help=text)
     text = f"data files to measure: {', '.join(DOCUMENTS)}"
@@ -96,6 +106,8 @@ def _run(options: argparse.Namespace) -> None:
             )
         case "attention":
             attention.run(options.json, options.quick)
+        case name if name in WHOLE:
+            WHOLE[name][0].run(options)
         case "twist":
             twist.run(options.network, options.scene, options.count)
         case "cards":

@@ -1,6 +1,6 @@
-"""``python -m benchmarks.correlation WEIGHTS DIR``: angles over which a network's errors correlate.
+"""``python -m benchmarks correlation WEIGHTS DIR``: angles over which a network's errors correlate.
 
-Reads the sequences and poses that ``python -m benchmarks.tracking WEIGHTS --out DIR`` keeps, and
+Reads the sequences and poses that ``python -m benchmarks tracking WEIGHTS --out DIR`` keeps, and
 fits ``share exp(-angle / correlation angle)`` to the correlation of the errors, in the network's
 own standard deviations, of frames whose true attitudes are an angle apart; what is new in each
 frame is left to the share. With ``--out FILE`` the
@@ -31,13 +31,15 @@ FLIP_DEG = 25.0
 """Errors above are flips, which trackers refuse, and are left out."""
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Measure, print the angles as JSON, and write them where a file is named."""
-    parser = argparse.ArgumentParser("python -m benchmarks.correlation", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command line."""
     parser.add_argument("weights", help="weights file, or a name")
-    parser.add_argument("folder", type=Path, help="folder of benchmarks.tracking")
+    parser.add_argument("folder", type=Path, help="folder of sequences")
     parser.add_argument("--out", type=Path, help="weights file to write")
-    options = parser.parse_args(words)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Measure, print the angles as JSON, and write them where a file is named."""
     sequences = []
     for folder in sorted(path.parent for path in options.folder.glob("*/frames.csv")):
         frames = read_frames(folder)
@@ -49,7 +51,6 @@ def main(words: Sequence[str] | None = None) -> int:
     if options.out is not None:
         path = resolve(options.weights)
         write_weights(options.out, load_file(path), replace(read_metadata(path), tracking=found))
-    return 0
 
 
 def correlation_angles(sequences: Sequence[Sequence[tuple[Pose, Pose]]]) -> dict[str, float]:
@@ -105,7 +106,3 @@ def _fitted(angles: FloatArray, correlation: FloatArray, count: FloatArray) -> f
     shares = (falling * correlation) @ count / (falling**2 @ count)
     misses = (shares[:, None] * falling - correlation) ** 2 @ count
     return float(candidates[misses.argmin()])
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

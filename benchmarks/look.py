@@ -1,4 +1,4 @@
-"""``python -m benchmarks.look WEIGHTS [GRAPH]``: the lean and the time of a look at a known point.
+"""``python -m benchmarks look WEIGHTS [GRAPH]``: the lean and the time of a look at a known point.
 
 The look is pointed off the true place by one and two predicted standard deviations along each of
 their axes; the slope of the measured offset on the true one is 1 without a lean. The CPU time
@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -28,15 +28,17 @@ SEED = CHOICES.start + 35_000
 SIZE = (512, 384)
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Measure, and print the results as JSON."""
-    parser = argparse.ArgumentParser("python -m benchmarks.look", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command line."""
     parser.add_argument("weights", help="weights file, or a name")
     parser.add_argument("graph", nargs="?", type=Path, help="graph whose time is measured")
     parser.add_argument("--scenes", nargs="+", default=["soyuz_hard", "soyuz_easy"])
     parser.add_argument("--images", type=int, default=60, help="of each scene")
     parser.add_argument("--repeats", type=int, default=100, help="frames timed of each kind")
-    options = parser.parse_args(words)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Measure, and print the results as JSON."""
     estimator = load(options.weights, track=True, device="cpu", threads=1, warm_up=1)
     found: dict[str, object] = {}
     for scene in options.scenes:
@@ -46,7 +48,6 @@ def main(words: Sequence[str] | None = None) -> int:
         timed = load(options.graph, track=True, threads=1, warm_up=3)
     found["milliseconds"] = milliseconds(timed, options.repeats)
     print(json.dumps(found, indent=1))
-    return 0
 
 
 def median_slopes(estimator: PoseEstimator, scene: str, images: int) -> dict[str, float]:
@@ -96,7 +97,3 @@ def milliseconds(estimator: PoseEstimator, repeats: int) -> dict[str, float]:
     ]
     whole, look = (float(np.median(each)) for each in zip(*pairs, strict=True))
     return {"whole": whole, "look": look, "ratio": look / whole}
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

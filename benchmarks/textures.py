@@ -1,11 +1,11 @@
 """Cost of textures: images of meshes with them beside those of the same meshes without.
 
-``python -m benchmarks.textures MESH...`` prints CPU milliseconds of an image, and their ratio.
+``python -m benchmarks textures MESH...`` prints CPU milliseconds of an image, and their ratio.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -36,13 +36,14 @@ def compare(craft: Craft) -> tuple[float, float]:
     return best[0], best[1]
 
 
-def main(paths: list[str]) -> None:
-    """Measure each mesh."""
-    for path in paths:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command line."""
+    parser.add_argument("meshes", nargs="+", metavar="MESH", help="file, as for ffpose render")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Measure each mesh, and print a line of it."""
+    for path in options.meshes:
         without, with_them = compare(load_craft(path, center=True))
         ratio = with_them / without
         print(f"{Path(path).name}: {without * 1e3:.0f} {with_them * 1e3:.0f} ms, {ratio:.2f}")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

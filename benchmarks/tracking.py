@@ -1,4 +1,4 @@
-"""``python -m benchmarks.tracking WEIGHTS --out DIR``: tracks against frames posed alone.
+"""``python -m benchmarks tracking WEIGHTS --out DIR``: tracks against frames posed alone.
 
 Renders sequences of approaches, tumbles and flybys, a tenth of their frames lost, and follows each
 by looks where the object is expected, or with ``--whole`` by whole frames. Sequences, poses of
@@ -11,14 +11,14 @@ import argparse
 import json
 import pickle
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import atomic_write, sha256
 from ffpose._internal.seeds import CHOICES
+from ffpose._internal.zoo import resolve
 from ffpose.geometry import Camera, FloatArray, Pose
 from ffpose.inference.load import load
 from ffpose.inference.prediction import Failure, predict
@@ -37,9 +37,8 @@ KNOWN = 0.003
 """`Settings.asymmetry` of an inertia that is known."""
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
-    parser = argparse.ArgumentParser("python -m benchmarks.tracking", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command line."""
     parser.add_argument("weights", help="as for ffpose.load")
     parser.add_argument("--out", type=Path, required=True, help="folder to write or to continue")
     parser.add_argument("--scene", default="soyuz_hard", help="set within whose ranges they stay")
@@ -56,12 +55,10 @@ def build_parser() -> argparse.ArgumentParser:
         "--inertia", action="store_true", help="tell the tracker the spacecraft's, exactly"
     )
     parser.add_argument("--whole", action="store_true", help="track by the poses of whole frames")
-    return parser
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def run(options: argparse.Namespace) -> None:
     """Measure, and print the results as JSON."""
-    options = build_parser().parse_args(words)
     scene = find_scene(options.scene)
     if options.attitude_range:
         scene = replace(scene, attitude_range_deg=tuple(options.attitude_range))
@@ -101,12 +98,11 @@ def main(words: Sequence[str] | None = None) -> int:
     with atomic_write(options.out / "tracking.json") as path:
         path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(document, indent=1))
-    return 0
 
 
 def predicted(weights: str, folder: Path, sequence: list[Frame]) -> list[Pose | None]:
-    """Return the pose of each whole frame, from the folder where it was kept."""
-    kept = folder / f"poses-{Path(weights).stem}.pickle"
+    """Return the pose of each whole frame, from the folder where those of the file were kept."""
+    kept = folder / f"poses-{sha256(resolve(weights))[:12]}.pickle"
     if not kept.exists():
         estimator = load(weights, camera=Camera.read(folder / "camera.json"), warm_up=0)
         answers = predict(estimator, [frame.image for frame in sequence])
@@ -186,7 +182,3 @@ def _at(values: FloatArray, share: float) -> float:
 
 def _ratio(tracked: FloatArray, alone: FloatArray, rows: FloatArray) -> float:
     return _at(tracked[rows], 0.5) / _at(alone[rows], 0.5)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -14,7 +14,6 @@ from dataclasses import fields
 import pytest
 
 from benchmarks.__main__ import build_parser as benchmarks_parser
-from benchmarks.tracking import build_parser as tracking_parser
 from ffpose._internal.info import main as info
 from ffpose.cli import COMMANDS, build_parser, words_of
 from ffpose.imaging.transforms import Augmentation
@@ -116,7 +115,7 @@ def test_options_in_the_text_exist():
         for option in re.findall(r"--[\w.-]+", build_parser(name).format_help())
     }
     known |= {f"--data.augmentation.{f.name.replace('_', '-')}" for f in fields(Augmentation)}
-    parsers = [studies_parser(), tracking_parser(), *subparsers(benchmarks_parser())]
+    parsers = [studies_parser(), *subparsers(benchmarks_parser())]
     known |= {name for each in parsers for name in re.findall(r"--[\w.-]+", each.format_help())}
     onboard = (ROOT / "crates/ffpose-onboard/src/options.rs").read_text()
     known |= set(re.findall(r"\"(--[\w-]+)\"", onboard))
