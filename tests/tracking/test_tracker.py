@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.tracking import Settings, Tracker
 
-PLAIN = Settings(gate=np.inf, tails=np.inf, agreeing=1, coasting=np.inf)
+PLAIN = Settings(gate=np.inf, tails=np.inf, said_views=np.inf, agreeing=1, coasting=np.inf)
 """A filter alone, which believes everything."""
 
 
@@ -239,6 +239,25 @@ def walk(rng, settings, frames, dt):
             kept = np.exp(-turn / np.radians(angle))
             bias *= kept
             bias += np.sqrt(1 - kept**2) * rng.normal(size=3)
+
+
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_a_track_learns_how_large_errors_are_from_views_that_differ(factor):
+    own = replace(PLAIN, position_noise=1, attitude_noise=1, asymmetry=0, ordinary_nis=6)
+    ct, cr = np.diag([0.05, 0.05, 0.3]) ** 2, np.diag([0.02, 0.03, 0.015]) ** 2
+    rng = np.random.default_rng(5)
+    trackers = Tracker(own), Tracker(replace(own, said_views=1))
+    for frame in range(300):
+        turn = Rotation.from_rotvec([0, 0.2 * frame, 0])
+        noise = rng.multivariate_normal(np.zeros(3), ct), rng.multivariate_normal(np.zeros(3), cr)
+        r = Rotation.from_rotvec(factor * noise[1]) * turn
+        seen = pose([0, 0, 20] + factor * noise[0], r, ct, cr)
+        said, learned = (tracker.step(frame, seen).estimate for tracker in trackers)
+    np.testing.assert_array_equal(learned.t, said.t)
+    np.testing.assert_array_equal(learned.q, said.q)
+    scale = np.trace(learned.covariance) / np.trace(said.covariance)
+    np.testing.assert_allclose(learned.covariance, scale * said.covariance, atol=1e-12)
+    np.testing.assert_allclose(scale, factor**2, rtol=0.1)
 
 
 def test_covariances_are_those_of_the_errors_on_the_models_own_noise():

@@ -37,6 +37,11 @@ pub struct Parameters {
     pub gate: f64,
     /// Degrees of freedom of the errors' tails, by which frames far off count less; infinite for Gaussian errors.
     pub tails: f64,
+    /// Independent views that count as much as the network's own covariances for how large its errors are in a track; infinite
+    /// where its covariances alone count.
+    pub said_views: f64,
+    /// Mean squared Mahalanobis distance (6 degrees of freedom) of frames whose errors are as large as the network says.
+    pub ordinary_nis: f64,
     /// Frames in agreement that make a track.
     pub agreeing: f64,
     /// Seconds without a believed frame after which the track is lost.
@@ -49,7 +54,7 @@ pub struct Parameters {
 }
 
 /// How many numbers [`Parameters`] are.
-pub(crate) const NUMBERS: usize = 25;
+pub(crate) const NUMBERS: usize = 27;
 
 /// The inertia of a sphere.
 const SPHERE: [f64; 6] = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
@@ -57,18 +62,20 @@ const SPHERE: [f64; 6] = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0];
 impl Default for Parameters {
     fn default() -> Self {
         Self {
-            acceleration: 2e-4,
-            angular_acceleration: 0.003f64.to_radians(),
-            asymmetry: 0.15,
+            acceleration: 1e-4,
+            angular_acceleration: 0.001f64.to_radians(),
+            asymmetry: 0.12,
             inertia: SPHERE,
             velocity: 0.3,
             rate: 5f64.to_radians(),
-            position_angle: 25f64.to_radians(),
+            position_angle: 20f64.to_radians(),
             attitude_angle: 15f64.to_radians(),
-            position_noise: 0.4,
-            attitude_noise: 0.4,
-            gate: 30.0,
+            position_noise: 0.2,
+            attitude_noise: 0.3,
+            gate: 60.0,
             tails: 3.0,
+            said_views: 1.0,
+            ordinary_nis: 1.0,
             agreeing: 4.0,
             coasting: 10.0,
             orbital_rate: [0.0; 3],
@@ -115,6 +122,8 @@ impl Parameters {
             ixy,
             ixz,
             iyz,
+            p.said_views,
+            p.ordinary_nis,
         ]
     }
 
@@ -137,6 +146,8 @@ impl Parameters {
             zenith: [n[15], n[16], n[17]],
             asymmetry: n[18],
             inertia: [n[19], n[20], n[21], n[22], n[23], n[24]],
+            said_views: n[25],
+            ordinary_nis: n[26],
         }
     }
 
@@ -160,6 +171,8 @@ impl Parameters {
             "attitude_noise" => (slice::from_mut(&mut self.attitude_noise), 1.0),
             "gate" => (slice::from_mut(&mut self.gate), 1.0),
             "tails" => (slice::from_mut(&mut self.tails), 1.0),
+            "said_views" => (slice::from_mut(&mut self.said_views), 1.0),
+            "ordinary_nis" => (slice::from_mut(&mut self.ordinary_nis), 1.0),
             "agreeing" => (slice::from_mut(&mut self.agreeing), 1.0),
             "coasting" => (slice::from_mut(&mut self.coasting), 1.0),
             "orbital_rate" => (&mut self.orbital_rate, DEGREE),
@@ -231,6 +244,13 @@ impl Parameters {
             ),
             ("gate", self.gate, "a number above 0", self.gate > 0.0),
             ("tails", self.tails, "a number above 0", self.tails > 0.0),
+            ("said_views", self.said_views, "a number above 0", self.said_views > 0.0),
+            (
+                "ordinary_nis",
+                self.ordinary_nis,
+                "a finite number above 0",
+                above_zero(self.ordinary_nis),
+            ),
             ("agreeing", self.agreeing, "a number of at least 1", self.agreeing >= 1.0),
             ("coasting", self.coasting, "a number above 0", self.coasting > 0.0),
         ] {

@@ -82,6 +82,24 @@ pub(crate) struct Hypothesis {
     pub(crate) agreed: f64,
     /// The time of the last of them.
     pub(crate) last: f64,
+    /// Independent views that it was compared with, and the sum of their squared distances.
+    pub(crate) views: f64,
+    pub(crate) squares: f64,
+}
+
+impl Hypothesis {
+    /// By what the variances of this track differ from those that the network's own make.
+    ///
+    /// The network errs more in some scenes than it says, and less in others. How much shows in how frames differ from what was
+    /// expected, once the view has changed: the mean of a scaled inverse χ² distribution of the scale (Gelman and others,
+    /// *Bayesian Data Analysis*, 3rd edition, 2013, section 2.6), whose prior is the scale of one.
+    fn scale(&self, parameters: &Parameters) -> f64 {
+        let said = parameters.said_views;
+        if said.is_infinite() {
+            return 1.0;
+        }
+        (said + self.squares / parameters.ordinary_nis) / (said + self.views)
+    }
 }
 
 /// A spacecraft's motion from the poses of its images.
@@ -216,6 +234,10 @@ impl Tracker {
         if let Some(measurement) = measurement {
             let found = closest(&hypothesis.filter, measurement, parameters);
             let accepted = found.filter(|(_, _, innovation)| innovation.nis <= parameters.gate);
+            if let Some((_, _, innovation)) = &found {
+                hypothesis.views += news;
+                hypothesis.squares += news * innovation.nis.min(parameters.gate);
+            }
             if let Some((mode, pose, innovation)) = &accepted {
                 hypothesis.filter.correct(innovation, parameters);
                 hypothesis.score += news * (2.0 * pose.probability - 1.0);
@@ -254,6 +276,8 @@ impl Tracker {
                 score: BEGINNING,
                 agreed: 1.0,
                 last: time,
+                views: 0.0,
+                squares: 0.0,
             });
         }
     }
@@ -324,7 +348,8 @@ impl Tracker {
     }
 
     fn motion(&self, place: usize) -> Option<Estimate> {
-        let filter = &self.hypotheses[place]?.filter;
+        let hypothesis = self.hypotheses[place]?;
+        let filter = &hypothesis.filter;
         let q = filter.orientation.quaternion();
         let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
         let of_camera = filter.orientation.inverse_transform_vector(&self.camera_rate);
@@ -333,7 +358,7 @@ impl Tracker {
             orientation: [q.w, q.i, q.j, q.k].map(|number| number * sign),
             velocity: filter.velocity.into(),
             rate: (filter.rate - of_camera).into(),
-            covariance: filter.covariance,
+            covariance: filter.covariance * hypothesis.scale(&self.parameters),
         })
     }
 }

@@ -39,7 +39,7 @@ class Settings:
         acceleration: White acceleration of the relative motion, m/s² per √Hz.
         angular_acceleration: White angular acceleration, deg/s² per √Hz.
         asymmetry: What is not known of a free body's angular acceleration, as a share of the square
-            of its angular velocity, white over the time of a radian: about 0.15 while the inertia
+            of its angular velocity, white over the time of a radian: about 0.12 while the inertia
             is unknown, the relative error of a known one.
         inertia: Moments and products about the object's axes, ``(xx, yy, zz, xy, xz, yz)`` of any
             unit: the object turns as a free rigid body does, a sphere at a constant angular
@@ -55,6 +55,11 @@ class Settings:
             believed; infinite for none.
         tails: Degrees of freedom of the errors' tails; frames far off count less. Infinite for
             Gaussian errors.
+        said_views: Independent views that count as much as the network's own covariances for how
+            large its errors are in a track (`Estimate.covariance`); infinite where its covariances
+            alone count.
+        ordinary_nis: Mean `Step.nis` of frames whose errors are as large as the network says: below
+            six, as what is new in a frame is counted larger than it is.
         agreeing: Frames in agreement that make a track.
         coasting: Seconds without a believed frame after which the track is lost.
         orbital_rate: The orbit's angular velocity, deg/s along the camera's axes, of a camera that
@@ -64,18 +69,20 @@ class Settings:
             alone.
     """
 
-    acceleration: float = 2e-4
-    angular_acceleration: float = 0.003
-    asymmetry: float = 0.15
+    acceleration: float = 1e-4
+    angular_acceleration: float = 0.001
+    asymmetry: float = 0.12
     inertia: tuple[float, float, float, float, float, float] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
     velocity: float = 0.3
     rate: float = 5.0
-    position_angle: float = 25.0
+    position_angle: float = 20.0
     attitude_angle: float = 15.0
-    position_noise: float = 0.4
-    attitude_noise: float = 0.4
-    gate: float = 30.0
+    position_noise: float = 0.2
+    attitude_noise: float = 0.3
+    gate: float = 60.0
     tails: float = 3.0
+    said_views: float = 1.0
+    ordinary_nis: float = 1.0
     agreeing: int = 4
     coasting: float = 10.0
     orbital_rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
