@@ -31,8 +31,8 @@ from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import BaseNetwork, find_config, load_network
 from ffpose.training import Stage, TrainConfig
 from ffpose.training.checkpoint import FREE_FIELDS
-from ffpose.training.config_file import flatten
 from ffpose.training.engine import TrainResult, train
+from ffpose.training.options import flatten
 from ffpose.training.run import UNKNOWN_CAMERA, build_run
 from ffpose.training.stages import shortened
 from studies.study import Study, Variant, changed

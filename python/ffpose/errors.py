@@ -1,4 +1,4 @@
-"""Exceptions of ffpose: invalid data, named by file and line, and a missing extra.
+"""Exceptions of ffpose (invalid data by file and line, a missing extra), and checks of choices.
 
 All other errors are Python's own: `ValueError` for a shape or value, `TypeError` for a dtype,
 `FileNotFoundError` for a path.
@@ -11,6 +11,7 @@ import importlib
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
+from typing import Literal, get_args, get_origin, get_type_hints
 
 
 class DataError(ValueError):
@@ -114,3 +115,15 @@ def require(module: str, extra: str) -> ModuleType:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise MissingExtraError.of(module.partition(".")[0], extra) from error
+
+
+def check_choices(values: object, prefix: str = "") -> None:
+    """Check the fields of a dataclass whose type is a `Literal`.
+
+    Raises:
+        ValueError: A value is none of its field's; the message begins with ``prefix`` and the name.
+    """
+    for name, kind in get_type_hints(type(values)).items():
+        value, choices = getattr(values, name, None), get_args(kind)
+        if get_origin(kind) is Literal and value not in choices:
+            raise ValueError(f"{prefix}{name}: expected one of {', '.join(choices)}, got {value!r}")

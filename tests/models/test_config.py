@@ -37,7 +37,7 @@ def test_a_grid_covers_the_image():
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("filter", "fourier", r"filter: expected one of \('tokens', 'grid', 'none'\)"),
+        ("filter", "fourier", r"filter: expected one of tokens, grid, none"),
         ("norm", "both", "norm: expected one of"),
         ("position", None, "position: expected one of"),
         ("pooling", "max", "pooling: expected one of"),
@@ -79,4 +79,5 @@ def test_refused_json(text, message):
 def test_every_field_is_saved_and_documented():
     names = {field.name for field in fields(FilterformerPoseConfig)}
     assert set(asdict(CONFIGS["base"])) == names
-    assert all(f"        {name}: " in FilterformerPoseConfig.__doc__ for name in names)
+    text = "".join(each.__doc__ or "" for each in FilterformerPoseConfig.__mro__)
+    assert all(f"        {name}: " in text for name in names)

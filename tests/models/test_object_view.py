@@ -367,7 +367,7 @@ def test_an_exported_network_takes_batches_of_any_size():
         ({"object_radius_m": 0.0}, "object_radius_m: expected above 0, got 0"),
         ({"object_size": (0, 16)}, r"object_size: expected whole numbers.* got \(0, 16\)"),
         ({"object_size": (16.5, 16)}, r"object_size: expected whole numbers.* got \(16.5, 16\)"),
-        ({"orientation_view": "both"}, r"orientation_view: expected one of \('frame', 'object'\)"),
+        ({"orientation_view": "both"}, r"orientation_view: expected one of frame, object"),
         ({"orientation_head": "euler"}, "orientation_head: expected one of .*, got 'euler'"),
         ({"looks": 0}, "looks: expected a whole number, at least 1, got 0"),
         ({"bins": 34}, "bins: expected at least 35, .* of degree 2, got 34"),

@@ -23,8 +23,8 @@ from ffpose.training.calibration_images import (
     TRUNCATED_SEEDS,
     TRUNCATED_SHARE,
 )
-from ffpose.training.config_file import load_config
 from ffpose.training.data import find_scene
+from ffpose.training.options import load_config
 from ffpose.training.provenance import recipe, rendered_sets
 
 CONFIGS = Path(__file__).parents[2] / "configs"

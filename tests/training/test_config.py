@@ -9,8 +9,7 @@ from ffpose.errors import DataError
 from ffpose.models import PRESETS
 from ffpose.training import DataConfig, LossConfig, OptimizerConfig, Stage, TrainConfig
 from ffpose.training.config import CalibrationImages, ModelName
-from ffpose.training.config_file import dump_config, flatten, load_config
-from ffpose.training.options import field_parser, to_config
+from ffpose.training.options import dump_config, field_parser, flatten, load_config, to_config
 
 
 def config(**fields):
@@ -95,10 +94,10 @@ def test_flat_names_reach_into_groups():
         (lambda: DataConfig("scenes", Path(), seed=-1), "data.seed: expected 0 to 999999"),
         (lambda: config(accumulate=0), "accumulate: expected 1 or more, got 0"),
         (lambda: config(ema=1.0), "ema: expected 0 <= ema < 1, got 1.0"),
-        (lambda: config(autocast="float16"), "expected none or bfloat16, got 'float16'"),
-        (lambda: config(weights_dtype="int8"), "expected float32 or float16, got 'int8'"),
-        (lambda: OptimizerConfig(kind="sgd"), "expected adam or adamw, got 'sgd'"),
-        (lambda: OptimizerConfig(schedule="linear"), "expected step or cosine, got 'linear'"),
+        (lambda: config(autocast="float16"), "expected one of none, bfloat16, got 'float16'"),
+        (lambda: config(weights_dtype="int8"), "expected one of float32, float16, got 'int8'"),
+        (lambda: OptimizerConfig(kind="sgd"), "expected one of adam, adamw, got 'sgd'"),
+        (lambda: OptimizerConfig(schedule="linear"), "expected one of step, cosine, got 'linear'"),
     ],
 )
 def test_bad_values_are_refused(build, message):

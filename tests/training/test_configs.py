@@ -13,7 +13,7 @@ from ffpose.cli import main
 from ffpose.config import PRESETS
 from ffpose.training import configs
 from ffpose.training.config import DataConfig, TrainConfig
-from ffpose.training.config_file import load_config
+from ffpose.training.options import load_config
 from ffpose.training.stages import PAPER_STAGES, check_stages
 from studies.paper import TABLE_1, TABLE_2, TABLE_3, TABLE_4, TABLE_5
 

@@ -8,7 +8,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from ffpose.errors import MissingExtraError
 from ffpose.training.engine import train
-from ffpose.training.events import Events
+from ffpose.training.progress import Events
 from tiny_runs import train_config, write_set
 
 

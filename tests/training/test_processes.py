@@ -14,8 +14,8 @@ from ffpose import DataError
 from ffpose.training import DataConfig, OptimizerConfig, Stage
 from ffpose.training.checkpoint import read_results
 from ffpose.training.config import TrainConfig
-from ffpose.training.config_file import dump_config
 from ffpose.training.engine import train
+from ffpose.training.options import dump_config
 from ffpose.training.processes import Processes, joined, started
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
@@ -79,7 +79,7 @@ WORKER = """
 import os, signal, sys, time
 from pathlib import Path
 from ffpose.training import engine
-from ffpose.training.config_file import load_config
+from ffpose.training.options import load_config
 
 take_step, steps = engine._step, 0
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal
 
 from ffpose._internal.choices import FilterKind, NormPlace, PositionKind
 from ffpose.config.network import FrameConfig, is_whole
@@ -31,9 +31,9 @@ FLAT_LATENT = 256
 class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
     """Architecture of the network; sizes of images and grids are ``(height, width)``.
 
+    Fields that other networks have too are described by the bases.
+
     Attributes:
-        image_size: Size of the network's input in pixels.
-        backbone: Name of a timm model with feature maps, or of `ffpose.models.compact_resnet`.
         translation_reduction: Stride of the feature map of the translation branch, pixels per cell;
             16 with EfficientNet-B0 at 224 is the paper's 14 x 14 x 112.
         orientation_reduction: Stride of the feature map of the orientation branch; 8 is the paper's
@@ -56,11 +56,6 @@ class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
         head_hidden: Hidden width of the heads' static perceptron.
         translation_mlp_dim: Width of the generated perceptron for translation (Table 1).
         orientation_mlp_dim: Width of the generated perceptron for orientation (Table 1).
-        translation_mean: Mean that is added to the translation head's output, meters, camera frame.
-        translation_std: Scale of the translation head's output, meters. With a mean of zeros and a
-            scale of ones the head regresses meters, as published.
-        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``;
-            None if unknown. `view_camera` returns them as a `ffpose.geometry.Camera`.
         orientation_view: ``"frame"``: orientation from the whole image, the paper's reading;
             ``"object"``: from a second look, through a virtual camera pointed to where the first
             look found the object (`ffpose.models.virtual_camera`); needs ``camera``.
@@ -70,20 +65,6 @@ class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
         bins_degree: Largest degree of its harmonics of SO(3).
         bins_width_deg: Standard deviation of its soft labels, degrees.
         object_backbone: Backbone of the second look, named as ``backbone``.
-        object_size: Size of the virtual camera's image in pixels.
-        object_radius_m: Distance that the virtual camera's image covers from its center to its left
-            edge, in meters at the object.
-        first_stride: Downsampling factor from the network's input to the first look.
-        distance_m: Smallest and largest distance in training, meters.
-        distance_scale: Factor on the predicted translation, found by calibration, that removes the
-            median error of the distance (view ``"object"``).
-        doubt_sigma: Growth of the standard deviations of translation and rotation with the
-            probability ``p`` that the attitude is not near the predicted one, ``1 + doubt_sigma
-            p``; found by calibration.
-        degrees_of_freedom: Of the t distributions of the errors of translation and rotation; found
-            by calibration. None for Gaussian errors.
-        looks: Number of times that the virtual camera is pointed; 2 looks again at the position
-            that the first of these looks refined.
 
     Raises:
         ValueError: A value is out of range, or sizes are inconsistent.
@@ -91,14 +72,6 @@ class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
 
     architecture: ClassVar[str] = "FilterformerPose"
     TUPLES: ClassVar[dict[str, int]] = SecondLookConfig.TUPLES | FrameConfig.TUPLES
-    CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {
-        "norm": get_args(NormPlace),
-        "filter": get_args(FilterKind),
-        "position": get_args(PositionKind),
-        "pooling": get_args(Pooling),
-        "orientation_view": get_args(OrientationView),
-        "orientation_head": get_args(OrientationHead),
-    }
     COUNTS: ClassVar[tuple[str, ...]] = (
         *("translation_reduction", "orientation_reduction", "dim", "heads", "feed_forward"),
         *("head_hidden", "translation_mlp_dim", "orientation_mlp_dim"),

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
-from ffpose.errors import hint
+from ffpose.errors import check_choices, hint
 from ffpose.geometry import Camera
 
 
@@ -17,8 +17,7 @@ class NetworkConfig:
     """Fields that every network has; sizes of images are ``(height, width)``.
 
     Subclasses add theirs, and name those whose values are checked here: `TUPLES` with their
-    lengths, `OPTIONAL`, those of these that may be None, `CHOICES` with their values, `COUNTS`,
-    whole numbers of at least 1.
+    lengths, `OPTIONAL`, those of these that may be None, and `COUNTS`, whole numbers of at least 1.
 
     Attributes:
         image_size: Size of the network's input in pixels.
@@ -38,7 +37,6 @@ class NetworkConfig:
         "camera": 4,
     }
     OPTIONAL: ClassVar[tuple[str, ...]] = ("camera",)
-    CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {}
     COUNTS: ClassVar[tuple[str, ...]] = ()
 
     image_size: tuple[int, int] = (224, 224)
@@ -49,9 +47,7 @@ class NetworkConfig:
         for name, length in self.TUPLES.items():  # JSON and YAML bring lists
             if name not in self.OPTIONAL or getattr(self, name) is not None:
                 object.__setattr__(self, name, _as_tuple(name, getattr(self, name), length))
-        for name, choices in self.CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise ValueError(f"{name}: expected one of {choices}, got {getattr(self, name)!r}")
+        check_choices(self)
         for name in self.COUNTS:
             value = getattr(self, name)
             if not is_whole(value) or value < 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, get_args
+from typing import ClassVar
 
 from ffpose._internal.choices import PolarMixer
 from ffpose.config.network import is_whole
@@ -24,12 +24,11 @@ DENSE = 2
 class PolarPoseConfig(SecondLookConfig):
     """Architecture of `ffpose.models.PolarPose`; sizes are ``(height, width)``.
 
+    Fields that are not described here are of the bases.
+
     Attributes:
-        image_size: Size of the network's input in pixels.
         backbone: Name of the first look's backbone, a timm model or one of
             `ffpose.models.compact_resnet`.
-        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input, in pixels of ``image_size``.
-        first_stride: Downsampling factor from the network's input to the first look.
         first_reduction: Stride of the first look's feature map, pixels per cell.
         first_channels: Number of channels between that feature map and the heat map.
         candidates: Number of peaks of the heat map at which the network looks; the likelier is
@@ -47,14 +46,6 @@ class PolarPoseConfig(SecondLookConfig):
         angles: Number of angles of the orientation bins, rotations about the viewing ray.
         directions: Number of viewing directions of the orientation bins.
         bins_width_deg: Standard deviation of the bins' soft labels, degrees.
-        distance_m: Smallest and largest distance in training, meters.
-        distance_scale: Factor on the predicted translation, found by calibration, that removes the
-            median error of the distance.
-        doubt_sigma: Growth of the standard deviations of translation and rotation with the
-            probability ``p`` that the attitude is not near the predicted one, ``1 + doubt_sigma
-            p``; found by calibration.
-        degrees_of_freedom: Of the t distributions of the errors of translation and rotation; found
-            by calibration. None for Gaussian errors.
         looks: Number of second looks; each but the first is pointed by the one before.
 
     Raises:
@@ -66,7 +57,6 @@ class PolarPoseConfig(SecondLookConfig):
         "channels": 3,
         "blocks": 2,
     }
-    CHOICES: ClassVar[dict[str, tuple[str, ...]]] = {"mixer": get_args(PolarMixer)}
     COUNTS: ClassVar[tuple[str, ...]] = (
         *("first_reduction", "first_channels", "candidates", "object_width"),
         *("expansion", "latent", "angles", "directions"),

@@ -17,11 +17,6 @@ class UrsoNetConfig(FrameConfig):
     of its images.
 
     Attributes:
-        image_size: Size of the network's input in pixels.
-        backbone: Name of a timm model with feature maps, or of `ffpose.models.compact_resnet`.
-        translation_mean: Mean that is added to the translation branch's output, meters.
-        translation_std: Scale of the translation branch's output, meters.
-        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input; None if unknown.
         reduction: Stride of the feature map that the bottleneck compresses, pixels per cell.
         bottleneck: Number of channels of the bottleneck.
         hidden: Width of the fully connected layer of each branch.
@@ -70,11 +65,6 @@ class PoseNetConfig(FrameConfig):
     """Architecture of direct regression in the manner of PoseNet (`ffpose.models.posenet`).
 
     Attributes:
-        image_size: Size of the network's input in pixels.
-        backbone: Name of a timm model with feature maps, or of `ffpose.models.compact_resnet`.
-        translation_mean: Mean that is added to the translation branch's output, meters.
-        translation_std: Scale of the translation branch's output, meters.
-        camera: Intrinsics ``(fx, fy, cx, cy)`` of the network's input; None if unknown.
         reduction: Stride of the feature map that is averaged, pixels per cell.
         dropout: Dropout rate of the features.
         beta: Fixed weight of the quaternion loss (Kendall et al., 2015), beside 1 for the

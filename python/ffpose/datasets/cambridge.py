@@ -20,9 +20,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from ffpose._internal.files import read_text
-from ffpose.datasets.cameras import read_camera
 from ffpose.datasets.parsing import Entry, Names, expect_set, find_image, read_table
-from ffpose.datasets.records import Record
+from ffpose.datasets.records import Record, read_camera
 from ffpose.datasets.targets import Target, camera_pose
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose

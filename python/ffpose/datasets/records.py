@@ -10,7 +10,7 @@ from pathlib import Path
 from PIL import Image
 
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, DistortedCamera, Pose
+from ffpose.geometry import CAMERA_FILE, Camera, DistortedCamera, Pose
 from ffpose.imaging.images import DEEP_MODES, MODES, check_white, open_image, to_rgb
 from ffpose.imaging.undistortion import undistort
 
@@ -153,3 +153,28 @@ class Record:
             raise self.error("no such file") from error
         except DataError as error:
             raise self.error(error.message) from error
+
+
+def read_camera(root: Path, first: Record, published: Camera) -> Camera:
+    """Return the camera of ``camera.json``, else the published one at the size of the first image.
+
+    Args:
+        root: The dataset's folder.
+        first: The first image.
+        published: Camera of the images as published; smaller ones of its shape are taken as
+            resized.
+
+    Raises:
+        DataError: The camera is invalid, or the images are larger than the published ones or of
+            another shape.
+    """
+    path = root / CAMERA_FILE
+    if path.exists():
+        return Camera.read(path)
+    width, height = first.size()
+    if not published.has_aspect(width, height) or width > published.width:
+        raise first.error(
+            f"expected at most {published.width}x{published.height} pixels, of that shape, "
+            f"where there is no {path.name}, got {width}x{height}"
+        )
+    return published.resized(width, height)

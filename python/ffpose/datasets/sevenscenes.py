@@ -19,9 +19,8 @@ import roma
 import torch
 
 from ffpose._internal.files import read_text
-from ffpose.datasets.cameras import read_camera
 from ffpose.datasets.parsing import existing_splits, split_file
-from ffpose.datasets.records import Record
+from ffpose.datasets.records import Record, read_camera
 from ffpose.datasets.targets import Target, camera_pose
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, FloatArray, Pose

@@ -26,9 +26,8 @@ from ffpose._internal.urso import (
     index_of,
     poses_file,
 )
-from ffpose.datasets.cameras import read_camera
 from ffpose.datasets.parsing import read_rows
-from ffpose.datasets.records import Record
+from ffpose.datasets.records import Record, read_camera
 from ffpose.datasets.targets import Target
 from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA, Pose

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ffpose.errors import require
-from ffpose.onnx.nodes import Nodes
-from ffpose.onnx.schema import script_op
+from ffpose.onnx.nodes import Nodes, script_op
 
 DOMAIN = "com.microsoft"
 DOMAIN_VERSION = 1

@@ -20,7 +20,7 @@ import ffpose.nn.pyramid
 import ffpose.ops  # noqa: F401 - both register operators that are translated
 from ffpose.errors import require
 from ffpose.onnx.attention import translate_attention
-from ffpose.onnx.schema import script_op
+from ffpose.onnx.nodes import script_op
 
 DOMAIN = "ffpose"
 DOMAIN_VERSION = 1

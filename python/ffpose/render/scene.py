@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
+from ffpose.errors import check_choices
 from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.render.shading.randomization import Randomization
 from ffpose.render.shading.sensor import Sensor
@@ -65,10 +66,7 @@ class Scene:
     lamp: float = LAMP
 
     def __post_init__(self) -> None:
-        if self.renderer not in get_args(Renderer):
-            raise ValueError(
-                f"renderer: expected one of {', '.join(get_args(Renderer))}, got {self.renderer!r}"
-            )
+        check_choices(self)
         if self.renderer == "mitsuba" and self.randomization.materials > 0:
             raise ValueError("renderer: expected ffpose for randomized materials, got 'mitsuba'")
         least, most = self.distance_m

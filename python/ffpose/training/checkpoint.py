@@ -20,7 +20,7 @@ import torch
 from ffpose._internal.files import atomic_write, remove_leftovers
 from ffpose.errors import DataError
 from ffpose.training.config import TrainConfig
-from ffpose.training.config_file import dump_config, flatten, load_config
+from ffpose.training.options import dump_config, flatten, load_config
 
 Row = dict[str, float | str]
 """One epoch in the table of results, value by column name."""

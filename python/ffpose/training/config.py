@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from ffpose._internal.seeds import CALIBRATION, TRAINING, matching
+from ffpose.errors import check_choices
 from ffpose.imaging.images import check_white
 from ffpose.training.stages import JOINT_STAGE, Stage
 
@@ -24,6 +25,13 @@ def _expect(condition: bool, name: str, expected: str, got: object) -> None:
     """Raise a ValueError with the expected and actual value of ``name``, unless ``condition``."""
     if not condition:
         raise ValueError(f"{name}: expected {expected}, got {got!r}")
+
+
+def _expect_least(config: object, prefix: str = "", **least: int) -> None:
+    """Raise a ValueError unless each field named is at least so large."""
+    for name, bound in least.items():
+        value = getattr(config, name)
+        _expect(value >= bound, prefix + name, f"{bound} or more", value)
 
 
 @dataclass(frozen=True)
@@ -69,11 +77,7 @@ class CalibrationImages:
     def __post_init__(self) -> None:
         expected = f"{CALIBRATION.start} to {CALIBRATION.stop - 1}, which are for calibration"
         _expect(self.seed in CALIBRATION, "data.seed", expected, self.seed)
-        for name, value, least in (
-            *(("data.count", self.count, 2), ("data.start", self.start, 0)),
-            *(("data.step", self.step, 1), ("data.workers", self.workers, 0)),
-        ):
-            _expect(value >= least, name, f"{least} or more", value)
+        _expect_least(self, "data.", count=2, start=0, step=1, workers=0)
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,8 @@ class DataConfig:
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
 
     def __post_init__(self) -> None:
-        _expect(self.workers >= 0, "data.workers", "0 or more", self.workers)
+        check_choices(self, "data.")
+        _expect_least(self, "data.", workers=0)
         _expect(self.holdout == 0 or self.holdout > 1, "data.holdout", "0, 2 or more", self.holdout)
         if self.white is not None:
             check_white("data.white", self.white)
@@ -157,10 +162,8 @@ class DataConfig:
         if self.kind == "scenes":
             sets = len(self.scenes)
             _expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
-        _expect(self.validation >= 1, "data.validation", "1 or more", self.validation)
-        _expect(self.calibration >= 2, "data.calibration", "2 or more", self.calibration)
-        for name in ("empty", "decoys", "cut", "randomized"):
-            _expect(getattr(self, name) >= 0, f"data.{name}", "0 or more", getattr(self, name))
+        _expect_least(self, "data.", validation=1, calibration=2, empty=0, decoys=0)
+        _expect_least(self, "data.", cut=0, randomized=0)
         near, far = self.distance
         _expect(0 < near <= 1 <= far, "data.distance", "0 < near <= 1 <= far", self.distance)
         expected = f"0 to {TRAINING.stop - 1}, as later seeds are not for training"
@@ -238,19 +241,12 @@ class OptimizerConfig:
     warmup_epochs: float = 0.0
 
     def __post_init__(self) -> None:
-        _expect(
-            self.learning_rate > 0, "optimizer.learning_rate", "more than 0", self.learning_rate
-        )
-        _expect(self.weight_decay >= 0, "optimizer.weight_decay", "0 or more", self.weight_decay)
-        _expect(self.eps > 0, "optimizer.eps", "more than 0", self.eps)
-        _expect(self.clip_norm >= 0, "optimizer.clip_norm", "0 or more", self.clip_norm)
-        _expect(self.step_epochs >= 1, "optimizer.step_epochs", "1 or more", self.step_epochs)
-        _expect(self.step_factor > 0, "optimizer.step_factor", "more than 0", self.step_factor)
-        _expect(self.warmup_epochs >= 0, "optimizer.warmup_epochs", "0 or more", self.warmup_epochs)
-        kinds = ("adam", "adamw")
-        _expect(self.kind in kinds, "optimizer.kind", " or ".join(kinds), self.kind)
-        known = ("step", "cosine")
-        _expect(self.schedule in known, "optimizer.schedule", " or ".join(known), self.schedule)
+        for name in ("learning_rate", "eps", "step_factor"):
+            value = getattr(self, name)
+            _expect(value > 0, f"optimizer.{name}", "more than 0", value)
+        _expect_least(self, "optimizer.", weight_decay=0, clip_norm=0, step_epochs=1)
+        _expect_least(self, "optimizer.", warmup_epochs=0)
+        check_choices(self, "optimizer.")
 
 
 @dataclass(frozen=True)
@@ -416,21 +412,10 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         _expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)
-        names = get_args(ModelName)
-        _expect(self.model in names, "model", f"one of {', '.join(names)}", self.model)
+        check_choices(self)
         _expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
-        _expect(self.patience >= 0, "patience", "0 or more", self.patience)
-        _expect(self.batch_size >= 1, "batch_size", "1 or more", self.batch_size)
-        _expect(self.accumulate >= 1, "accumulate", "1 or more", self.accumulate)
-        _expect(self.processes >= 1, "processes", "1 or more", self.processes)
+        _expect_least(self, patience=0, batch_size=1, accumulate=1, processes=1, seed=0)
         _expect(0 <= self.ema < 1, "ema", "0 <= ema < 1", self.ema)
-        kinds = ("none", "bfloat16")
-        _expect(self.autocast in kinds, "autocast", " or ".join(kinds), self.autocast)
-        kinds = ("float32", "float16")
-        _expect(
-            self.weights_dtype in kinds, "weights_dtype", " or ".join(kinds), self.weights_dtype
-        )
-        _expect(self.seed >= 0, "seed", "0 or more", self.seed)
         self._check_keypoints()
         fields = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_fields.items()}
         object.__setattr__(self, "model_fields", fields)

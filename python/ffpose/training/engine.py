@@ -28,10 +28,9 @@ from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibrate_weights import write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
-from ffpose.training.events import Events
 from ffpose.training.memory import keep_freed_memory
 from ffpose.training.processes import Processes, accumulating, joined, started
-from ffpose.training.progress import Reporter
+from ffpose.training.progress import Events, Reporter
 from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
 from ffpose.training.schedule import learning_rate

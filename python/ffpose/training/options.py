@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from ffpose._internal.options import check_spelling, join, restyle, split, wrong
 from ffpose.config import PRESETS
-from ffpose.errors import require
+from ffpose.errors import DataError, require
 from ffpose.training import configs
 from ffpose.training.config import DataConfig, TrainConfig
 
@@ -187,3 +188,39 @@ def to_document(config: TrainConfig) -> dict[str, Any]:
     values = asdict(config)
     network = values.pop("model_fields")
     return {**values, "model": {"name": values["model"], **network}}
+
+
+def dump_config(config: TrainConfig) -> str:
+    """Return ``config`` as YAML, with every field."""
+    parser = field_parser()
+    return str(parser.dump(parser.parse_object(to_document(config))))
+
+
+def load_config(path: Path) -> TrainConfig:
+    """Read a configuration that `dump_config` wrote.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ffpose.DataError: The file is not a training configuration.
+    """
+    from jsonargparse import ArgumentError
+
+    parser = field_parser()
+    text = path.read_text(encoding="utf-8")
+    try:
+        check_document(text)
+        values = parser.instantiate(parser.parse_string(text))
+        return to_config(vars(values))
+    except (ArgumentError, TypeError, ValueError) as error:
+        raise DataError(f"not a training configuration: {error}", path) from error
+
+
+def flatten(config: TrainConfig) -> dict[str, Any]:
+    """Return the fields of ``config`` by dotted name, as in ``data.kind``."""
+    return {
+        f"{name}.{inner}" if inner else name: value
+        for name, group in asdict(config).items()
+        for inner, value in (
+            group.items() if isinstance(group, dict) and name != "model_fields" else [("", group)]
+        )
+    }

@@ -1,10 +1,11 @@
-"""Progress of a training run on standard error."""
+"""Progress of a training run on standard error, and its results as events for TensorBoard."""
 
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 from rich.progress import (
@@ -16,10 +17,15 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from ffpose.errors import require
+
 if TYPE_CHECKING:
     from ffpose.training.checkpoint import Row
     from ffpose.training.stages import Epoch
 
+
+EVENTS = "tensorboard"
+"""Folder of a run with its events."""
 
 LONG_WAIT = 0.05
 """Share of an epoch spent waiting for data from which it is shown."""
@@ -95,3 +101,44 @@ class Reporter:
             f"{row['images_per_second']:.0f} images/s  {row['seconds']:.1f} s"
             + (f"  {100 * wait:.0f} % of it for data" if wait > LONG_WAIT else "")
         )
+
+
+class Events:
+    """Writes the rows of results as scalars; nothing where TensorBoard was not asked for.
+
+    Args:
+        folder: Of the run; the events lie in ``tensorboard`` in it.
+        done: Number of finished epochs; what a stopped run wrote of later ones is left out.
+        wanted: Whether to write at all.
+
+    Raises:
+        ffpose.MissingExtraError: TensorBoard is not installed.
+    """
+
+    def __init__(self, folder: Path, done: int, *, wanted: bool) -> None:
+        self._writer: Any = None
+        if wanted:
+            require("tensorboard", "tb")
+            module = require("torch.utils.tensorboard", "tb")
+            self._writer = module.SummaryWriter(str(folder / EVENTS), purge_step=done + 1)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def epoch_ends(self, row: Row) -> None:
+        """Write a row's numbers under their names in ``results.csv``."""
+        if self._writer is None:
+            return
+        for name, value in row.items():
+            if name != "epoch" and not isinstance(value, str):
+                self._writer.add_scalar(name, value, int(row["epoch"]))
+        self._writer.flush()

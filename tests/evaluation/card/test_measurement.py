@@ -18,7 +18,7 @@ from ffpose.evaluation.card.statistics import Answers
 from ffpose.evaluation.card.tables import format_card
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.models import FilterformerPose
-from ffpose.render.dataset.conditions import conditions_of
+from ffpose.render.dataset.tables import conditions_of
 from ffpose.render.variations import variations
 
 COUNT = 5

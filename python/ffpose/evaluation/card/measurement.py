@@ -295,7 +295,7 @@ def seen_of(plan: Plan, recipe: Mapping[str, Any] | None) -> dict[str, dict[str,
 
 def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
     """Split the scenes as trained into those in sunlight and those in eclipse."""
-    from ffpose.render.dataset.conditions import conditions_of
+    from ffpose.render.dataset.tables import conditions_of
 
     dark = np.array(
         [conditions_of(plan.trained.scene, plan.seed, i).eclipsed for i in range(plan.count)]

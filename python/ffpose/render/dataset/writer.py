@@ -22,10 +22,9 @@ from ffpose._internal.seeds import refuse_final
 from ffpose._internal.urso import image_name, index_of
 from ffpose.errors import require
 from ffpose.geometry import Camera
-from ffpose.render.dataset.conditions import conditions_of
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
 from ffpose.render.dataset.pool import Job, prepare, render_all
-from ffpose.render.dataset.tables import write_conditions, write_tables
+from ffpose.render.dataset.tables import conditions_of, write_conditions, write_tables
 from ffpose.render.layers import check_labels, label_files
 from ffpose.render.renderer import camera_of, label
 from ffpose.render.scene import Scene, get_scene

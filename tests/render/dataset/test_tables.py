@@ -10,7 +10,7 @@ import pytest
 
 from ffpose.datasets import read_conditions
 from ffpose.render import SCENES, Randomization, label, render, renderer, write_dataset
-from ffpose.render.dataset.conditions import conditions_of
+from ffpose.render.dataset.tables import conditions_of
 from ffpose.render.renderer import situation
 from ffpose.render.shading.sky import Earth
 
