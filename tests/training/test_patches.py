@@ -157,7 +157,7 @@ def labeled_pixels(batch, poses, points):
     t = rays * (distance / np.linalg.norm(rays, axis=-1))[:, None]
     q = batch.orientation.double().numpy()
     rotation = Rotation.from_quat(q, scalar_first=True).as_matrix()
-    seen = points @ rotation.mT + t[:, None]
+    seen = points @ rotation.swapaxes(1, 2) + t[:, None]
     return SIDE / 2 + focal[:, None, None] * seen[..., :2] / seen[..., 2:]
 
 
@@ -207,7 +207,7 @@ def test_coordinates_of_a_cell_are_seen_in_it(model, poses, dotted):
     shown = batch.coordinates[:, 3].numpy()
     assert set(np.unique(shown)) == {0, 1}
     assert shown.sum() > 20 * COUNT
-    points = batch.coordinates[:, :3].double().numpy().reshape(COUNT, 3, -1).mT * LIMIT
+    points = batch.coordinates[:, :3].double().flatten(2).mT.numpy() * LIMIT
     cells = labeled_pixels(batch, poses, points) * CELLS / SIDE
     column, row = np.meshgrid(np.arange(CELLS) + 0.5, np.arange(CELLS) + 0.5)
     centers = np.stack([column, row], axis=-1).reshape(-1, 2)
@@ -231,10 +231,7 @@ def test_labels_of_one_look_are_one_and_go_together(model, dotted, axes):
     assert np.abs(turn[:, 0]).min() < 0.9  # some are turned
     # What a cell shows is at the same place in the camera's frame.
     shown = plain.coordinates[:, 3].flatten(1).numpy() == 1
-    points = [
-        batch.coordinates[:, :3].double().numpy().reshape(COUNT, 3, -1).mT
-        for batch in (plain, folded)
-    ]
+    points = [batch.coordinates[:, :3].double().flatten(2).mT.numpy() for batch in (plain, folded)]
     for n in range(COUNT):
         before, after = (
             q[n].apply(p[n][shown[n]]) for q, p in zip((one, other), points, strict=True)
