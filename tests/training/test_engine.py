@@ -135,7 +135,7 @@ def test_the_wait_for_data_is_measured(image_set, tmp_path):
         run.task.batches = late
         with Reporter(1, 0, 3, quiet=True) as reporter:
             waits.append(train_epoch(run, Epoch(1, Stage("joint", 1), 0), reporter)["loader_wait"])
-    assert waits[1] < 0.1 < waits[0] < 1
+    assert 2 * waits[1] < waits[0] < 1
 
 
 def test_no_epoch_begins_once_the_time_is_used_up(image_set, tmp_path):
