@@ -15,12 +15,18 @@ import torch
 
 import ffpose
 from benchmarks.timing import Contender, time_calls
-from ffpose._internal.machine import bfloat16_instructions, cores, package_versions, processor
+from ffpose._internal.machine import cores, package_versions, processor, processor_fact
 from ffpose.arrays import instruction_set
 
 MATRIX_SIDE = 768
 COPIED_FLOATS = 2**24
 TRIES = 8
+
+
+def bfloat16_instructions() -> list[str]:
+    """Return the processor's bfloat16 instructions as named by Linux; empty where unknown."""
+    known = {"avx512_bf16", "amx_bf16", "bf16", "svebf16"}
+    return sorted(known & set(processor_fact("flags", "Features").split()))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 import studies
 from ffpose._internal.options import is_usage
 from ffpose.errors import explain
-from ffpose.training.options import read_changes
+from studies.changes import read_changes
 from studies.run import ablate
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from rich.table import Table
 
-from benchmarks.machine import environment
+from benchmarks.machine import bfloat16_instructions, environment
 from benchmarks.model.networks import (
     BASELINES,
     PRECISIONS,
@@ -36,8 +36,9 @@ from benchmarks.output import (
     print_notes,
 )
 from benchmarks.timing import Timing, interleave
-from ffpose._internal.machine import bfloat16_instructions, cores
-from ffpose.bench.timing import OURS, torch_threads
+from ffpose._internal.machine import cores
+from ffpose.bench.timing import OURS
+from ffpose.inference.in_torch import torch_threads
 
 MODELS = ("base", "small", "tiny")
 THREADS = (1, 2)

@@ -41,7 +41,8 @@ from benchmarks.model.report import draw, make_document, print_results
 from benchmarks.model.subjects import Subject, subject
 from benchmarks.output import in_threads, make_progress, print_document
 from ffpose._internal.zoo import resolve
-from ffpose.bench.timing import Latency, expect_place, percentiles, take_turns, timed, torch_threads
+from ffpose.bench.timing import Latency, expect_place, percentiles, take_turns, timed
+from ffpose.inference.in_torch import torch_threads
 
 
 @dataclass(frozen=True)

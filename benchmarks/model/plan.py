@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from benchmarks.machine import bfloat16_instructions
 from benchmarks.model.contenders import (
     COMPILED,
     COMPILED_ALONE,
@@ -26,7 +27,7 @@ from benchmarks.model.contenders import (
     WITHOUT,
 )
 from benchmarks.model.subjects import Subject
-from ffpose._internal.machine import bfloat16_instructions, cores
+from ffpose._internal.machine import cores
 from ffpose.onnx.backends import openvino_takes_bfloat16
 from ffpose.onnx.library import get_library_path
 

@@ -30,8 +30,9 @@ from benchmarks.model.contenders import COMPILED, COMPILED_ALONE, DFT, MATMUL, W
 from benchmarks.model.subjects import Subject, subject
 from benchmarks.pages.vector_code import vector_code
 from ffpose._internal.files import atomic_write
-from ffpose.bench.timing import percentiles, take_turns, timed, torch_threads
+from ffpose.bench.timing import percentiles, take_turns, timed
 from ffpose.errors import DataError
+from ffpose.inference.in_torch import torch_threads
 
 FOLDER = Path("docs/figures")
 IMAGES = Path("docs/images")

@@ -3,8 +3,9 @@
 import pytest
 
 from ffpose.cli import build_parser, main
-from ffpose.training.options import read_changes, read_words, to_config
+from ffpose.training.options import read_words, to_config
 from option_words import changes_of, options_of
+from studies.changes import read_changes
 
 REQUIRED = ["--data.kind", "urso", "--data.root", "set", "--out", "run"]
 

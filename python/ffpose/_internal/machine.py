@@ -40,16 +40,10 @@ def worker_processes(asked: int, pieces: int) -> int:
 
 def processor() -> str:
     """Return the processor's name; empty where unknown."""
-    return _processor_fact("model name") or platform.processor()
+    return processor_fact("model name") or platform.processor()
 
 
-def bfloat16_instructions() -> list[str]:
-    """Return the processor's bfloat16 instructions as named by Linux; empty where unknown."""
-    known = {"avx512_bf16", "amx_bf16", "bf16", "svebf16"}
-    return sorted(known & set(_processor_fact("flags", "Features").split()))
-
-
-def _processor_fact(*names: str) -> str:
+def processor_fact(*names: str) -> str:
     """Return the first of these entries that Linux has for the first core."""
     info = Path("/proc/cpuinfo")
     if info.exists():

@@ -29,8 +29,8 @@ from ffpose.bench.timing import (
     percentiles,
     take_turns,
     timed,
-    torch_threads,
 )
+from ffpose.inference.in_torch import torch_threads
 from ffpose.ops import spectral_filter
 
 Kind = Literal["grid", "tokens", "sequence"]

@@ -32,10 +32,10 @@ from ffpose.bench.timing import (
     percentiles,
     take_turns,
     timed,
-    torch_threads,
 )
 from ffpose.config import PRESETS
 from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.inference.in_torch import torch_threads
 from ffpose.inference.load import load
 from ffpose.inference.source import Backend
 from ffpose.models import build_network, read_metadata

@@ -41,19 +41,19 @@ class TorchSession:
     def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Return the network's outputs by name, for its inputs in order."""
         tensors = [torch.from_numpy(each).to(self.device) for each in inputs]
-        with _threads(self.threads), torch.inference_mode():
+        with torch_threads(self.threads), torch.inference_mode():
             outputs = self.model(*tensors)._asdict()
         return {name: values.cpu().numpy() for name, values in outputs.items()}
 
 
 @contextmanager
-def _threads(count: int | None) -> Iterator[None]:
+def torch_threads(count: int | None) -> Iterator[None]:
+    """Let torch use ``count`` threads within the block; None for as many as before."""
     before = torch.get_num_threads()
-    if count is None or count == before:
-        yield
-        return
-    torch.set_num_threads(count)
+    if count is not None and count != before:
+        torch.set_num_threads(count)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        if torch.get_num_threads() != before:
+            torch.set_num_threads(before)

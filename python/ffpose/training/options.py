@@ -7,7 +7,7 @@ their names in Python, and the network is ``model: {name: base, depth: 4}``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -123,37 +123,6 @@ def check_document(text: str) -> None:
                 raise wrong(f"expected {expected}, got {name}: {document[name]}")
 
 
-def read_changes(changes: Iterable[str]) -> dict[str, Any]:
-    """Read changes of some fields, ``data.count=8`` or ``model.depth=4``.
-
-    Args:
-        changes: Each the option of a field without its hyphens in front, an equals sign and a
-            value.
-
-    Returns:
-        The fields of `TrainConfig` that are changed, nested.
-
-    Raises:
-        argparse.ArgumentError: A field is unknown or a value invalid.
-
-    Examples:
-        >>> read_changes(["data.count=3,2", "model=tiny", "model.depth=2", "batch-size=4"])
-        {'data': {'count': [3, 2]}, 'batch_size': 4, 'model': 'tiny', 'model_fields': {'depth': 2}}
-    """
-    words = [f"--{change}" for change in changes]
-    for option, separator, _ in split(words):
-        if separator != "=" or not option[2:3].isalpha():
-            raise wrong(f"changes: expected FIELD=VALUE, as data.count=8, got {option[2:]}")
-    required = {"--data.kind": "urso", "--data.root": ".", "--out": "."}
-    given = {option for option, _, _ in split(words)}
-    missing = [join(o, "=", value)[0] for o, value in required.items() if o not in given]
-    parser = field_parser()
-    values = parser.parse_args(read_words([*words, *missing]), defaults=False)
-    for word in missing:
-        del values[word.partition("=")[0].removeprefix("--")]
-    return {name: value for name, value in _python(values.as_dict()).items() if value != {}}
-
-
 def to_config(values: Mapping[str, Any]) -> TrainConfig:
     """Return the configuration of the fields that a parser of `add_fields` read.
 
@@ -161,7 +130,7 @@ def to_config(values: Mapping[str, Any]) -> TrainConfig:
         argparse.ArgumentError: There is no network of the name, or it has no field of a name.
         ValueError: A value is invalid.
     """
-    named = _python({"model": {}, **values})
+    named = as_fields({"model": {}, **values})
     model = named.setdefault("model", DEFAULT_MODEL)
     if model not in PRESETS:
         raise wrong(f"model: expected one of {', '.join(PRESETS)}, got {model!r}")
@@ -172,7 +141,7 @@ def to_config(values: Mapping[str, Any]) -> TrainConfig:
     return TrainConfig(**named)
 
 
-def _python(values: Mapping[str, Any]) -> dict[str, Any]:
+def as_fields(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields with ``model`` as `TrainConfig` has it: a name, and fields to change."""
     named = dict(values)
     if "model" in named:

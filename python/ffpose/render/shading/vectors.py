@@ -35,10 +35,3 @@ def unit(vectors: Floats) -> Floats:
     length: Floats = np.sqrt(dot(vectors, vectors))
     length += np.float32(1e-12)
     return np.divide(vectors, length, dtype=np.float32)
-
-
-def smoothstep(values: Floats, low: float, high: float) -> Floats:
-    """Interpolate smoothly from 0 below `low` to 1 above `high`."""
-    part = np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)
-    result: Floats = part * part * (3 - 2 * part)
-    return result
