@@ -32,6 +32,7 @@ from ffpose.datasets import (
     read_conditions,
 )
 from ffpose.datasets.targets import spread
+from ffpose.evaluation.attitude import most_confused
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
@@ -176,12 +177,15 @@ class Evaluation:
         rotation errors of `ffpose.evaluation.baseline.oracles`; ``correlation`` the correlation of
         predicted and true roll, pitch and yaw (circular for roll and yaw; None where one is
         constant); ``without_symmetry``, where errors are modulo one, its ``axes`` and the rotation
-        errors to the labels as they are; ``groups`` the medians by condition
+        errors to the labels as they are; ``confusion`` the turn of the object that most large
+        errors are near, ``rotation_vector_deg``, and their ``share`` of all images
+        (`ffpose.evaluation.attitude.most_confused`); ``groups`` the medians by condition
         (`ffpose.evaluation.breakdown`); ``uncertainty``, for a network that predicts it, its
         calibration (`ffpose.evaluation.calibration`).
         """
         distance = np.linalg.norm(self.dataset.poses[:, :3], axis=1)
         uncertainty = self._uncertainty()
+        confusion = most_confused(self.predicted[:, 3:], self.truth[:, 3:])
         return {
             "images": len(self.dataset),
             **figures(self.predicted, self.truth),
@@ -193,6 +197,10 @@ class Evaluation:
                 "median_intervals_95": _intervals(self.baseline_errors),
             },
             **self._without_symmetry(),
+            "confusion": {
+                "rotation_vector_deg": confusion.rotation_vector_deg.tolist(),
+                "share": confusion.share,
+            },
             "oracles": self._oracles(),
             "correlation": self._correlations(),
             "groups": breakdown(self.errors, distance, self.conditions),

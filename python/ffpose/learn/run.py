@@ -62,6 +62,9 @@ NEAR_SHOWN = 3
 POOR = 0.1
 """Share of a constant pose's rotation error above which the result is called poor."""
 
+CONFUSED = 0.1
+"""Share of images that are off by one turn, above which the result tells it."""
+
 Say = Callable[[str], None]
 
 
@@ -335,12 +338,21 @@ def verdict(summary: dict[str, Any]) -> str:
         f"median errors {error:.2f} degrees{modulo} and {meters:.3g} m on {summary['images']}"
         f" unseen images; a constant pose has {constant:.0f} degrees"
     )
+    confusion = summary["confusion"]
+    if confusion["share"] >= CONFUSED:
+        turn = np.array(confusion["rotation_vector_deg"])
+        angle = float(np.linalg.norm(turn))
+        axis = ", ".join(f"{value:.2f}" for value in turn / angle)
+        text += (
+            f"; {confusion['share']:.0%} are taken for what is seen after a turn by {angle:.0f}"
+            f" degrees about ({axis}): more minutes teach to tell the two apart, and --symmetry"
+            " FILE folds them"
+        )
     if error <= POOR * constant:
         return text
     return (
         f"POOR: {text}. What helps: more --minutes; nearer --distance; a narrower --attitude-range"
-        " where the mission has one; the mesh's units and origin (ffpose inspect); a spacecraft"
-        " whose sides look alike has several attitudes of one look"
+        " where the mission has one; the mesh's units and origin (ffpose inspect)"
     )
 
 
