@@ -123,5 +123,5 @@ def test_refused_values(name, fields, text):
 def test_every_field_is_saved_and_documented(name):
     config = PRESETS[name]
     assert type(config).from_json(config.to_json()) == config
-    documentation = type(config).__doc__
+    documentation = "".join(each.__doc__ or "" for each in type(config).__mro__)
     assert all(f"        {field}: " in documentation for field in asdict(config))
