@@ -7,6 +7,7 @@ other programs too, so that a page that gets a new one has to say what becomes o
 
 import os
 import shlex
+import warnings
 from functools import partial
 from importlib.util import find_spec
 from itertools import chain
@@ -165,10 +166,14 @@ def folder(tmp_path, monkeypatch):
 
 
 def run_code(code, page):
-    if all(mark not in code or find_spec(package) for mark, package in NEEDED.items()):
+    packages = [package for mark, package in NEEDED.items() if mark in code]
+    if all(map(find_spec, packages)):
         for words, small in SMALL_CODE.items():
             code = code.replace(words, small)
-        exec(compile(code, page, "exec"), {"__name__": "__main__"})
+        with warnings.catch_warnings():
+            if packages:
+                warnings.simplefilter("ignore")  # those packages' own
+            exec(compile(code, page, "exec"), {"__name__": "__main__"})
 
 
 @pytest.mark.slow
