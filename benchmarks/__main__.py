@@ -20,7 +20,7 @@ from ffpose._internal.machine import cores, processor
 from ffpose.errors import explain
 
 WHOLE = {
-    "look": (look, "the lean and the time of a look where an object is expected"),
+    "look": (look, "the slope and the time of a look where an object is expected"),
     "tracking": (tracking, "tracks through rendered sequences against frames posed alone"),
     "correlation": (correlation, "angles over which a network's errors correlate"),
     "textures": (textures, "what textures add to the time of a rendered image"),

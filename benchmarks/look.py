@@ -1,9 +1,9 @@
-"""``python -m benchmarks look WEIGHTS [GRAPH]``: the lean and the time of a look at a known point.
+"""``python -m benchmarks look WEIGHTS [GRAPH]``: the slope and the time of a look at a known point.
 
 The look is pointed off the true place by one and two predicted standard deviations along each of
-their axes; the slope of the measured offset on the true one is 1 without a lean. The CPU time
-of a frame with such a look is measured against that of a whole frame, alternately, on one thread:
-in torch, or given a graph of ``ffpose export --track`` in ONNX Runtime.
+their axes; the slope of the measured offset on the true one is 1 where the look does not follow its
+pointing. The CPU time of a frame with such a look is measured against that of a whole frame,
+alternately, on one thread: in torch, or given a graph of ``ffpose export --track`` in ONNX Runtime.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffpose.evaluation.attitude import (
-    most_confused,
     remove_in_plane_error,
     remove_out_of_plane_error,
     rotation_error_vector,
@@ -151,20 +150,3 @@ def test_what_has_no_angle_is_refused(place, wrong, error, message):
     arguments[place] = wrong
     with pytest.raises(error, match=message):
         rotation_parts(*arguments)
-
-
-def test_the_turn_that_errors_gather_about_is_found_in_the_objects_frame():
-    _, true, elsewhere = random_case(300)
-    turn = Rotation.from_rotvec([0.0, np.radians(90), 0.0])
-    noise = Rotation.from_rotvec(np.random.default_rng(1).normal(0, np.radians(2), (300, 3)))
-    right, confused = true[:150] * noise[:150], true[150:240] * turn * noise[150:240]
-    predicted = Rotation.concatenate([right, confused, elsewhere[240:]])
-    found = most_confused(quaternion(predicted), -quaternion(true))
-    np.testing.assert_allclose(found.rotation_vector_deg, [0, 90, 0], atol=1)
-    assert found.share == pytest.approx(0.3, abs=0.01)
-
-
-def test_errors_in_all_directions_gather_about_no_turn():
-    _, true, predicted = random_case(300)
-    assert most_confused(quaternion(predicted), quaternion(true)).share < 0.03
-    assert most_confused(quaternion(true), quaternion(true)).share == 0

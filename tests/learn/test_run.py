@@ -194,7 +194,8 @@ def test_a_symmetric_spacecraft_is_folded_from_labels_to_report(tmp_path, quick)
 def test_a_poor_result_is_called_so():
     """A tenth of the constant's error is the border."""
     summary = {"median_translation_error_m": 0.5, "images": 10, "confusion": {"share": 0.0}}
-    constant = {"mean_pose_baseline": {"median_rotation_error_deg": 130.0}}
+    baseline = {"median_rotation_error_deg": 130.0, "confusion": {"share": 0.0}}
+    constant = {"mean_pose_baseline": baseline}
     assert verdict(summary | constant | {"median_rotation_error_deg": 12.0}).startswith("median")
     assert verdict(summary | constant | {"median_rotation_error_deg": 14.0}).startswith("POOR")
 
@@ -204,12 +205,16 @@ def test_sides_that_are_taken_for_each_other_are_told():
         "median_translation_error_m": 0.5,
         "median_rotation_error_deg": 3.0,
         "images": 10,
-        "mean_pose_baseline": {"median_rotation_error_deg": 130.0},
+        "mean_pose_baseline": {"median_rotation_error_deg": 130.0, "confusion": {"share": 0.02}},
     }
     turn = {"rotation_vector_deg": [0.0, -90.0, 0.0]}
     told = verdict(summary | {"confusion": turn | {"share": 0.2}})
     assert "20% are taken for what is seen after a turn by 90 degrees about (0.00, -1.00" in told
     assert "taken" not in verdict(summary | {"confusion": turn | {"share": 0.05}})
+    # of attitudes in a narrow range a constant pose's errors gather as well
+    baseline = summary["mean_pose_baseline"] | {"confusion": {"share": 0.2}}
+    narrow = summary | {"mean_pose_baseline": baseline, "confusion": turn | {"share": 0.2}}
+    assert "taken" not in verdict(narrow)
 
 
 def write_gltf(name, **changes):

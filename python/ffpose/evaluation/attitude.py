@@ -21,16 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ffpose.geometry.rotations import (
-    FloatArray,
-    conjugate,
-    multiply,
-    rotation_vector,
-    unit_quaternion,
-)
-
-LARGE_DEG, CONFUSED_DEG = 30.0, 15.0
-"""Least error that counts as a confusion, and largest angle between two that are the same."""
+from ffpose.geometry.rotations import FloatArray, conjugate, multiply, rotation_vector
 
 
 class RotationParts(NamedTuple):
@@ -161,48 +152,3 @@ def _twist(q_hat: FloatArray, ray: FloatArray, q: FloatArray) -> FloatArray:
     twist = np.concatenate([w[:, None], along[:, None] * ray], axis=1)
     identity = np.tile([1.0, 0.0, 0.0, 0.0], (len(w), 1))
     return np.asarray(np.divide(twist, norm[:, None], out=identity, where=norm[:, None] > 0))
-
-
-class Confusion(NamedTuple):
-    """A turn of the object that a network takes for the object as it stands.
-
-    Attributes:
-        rotation_vector_deg: ``(3,)``, object frame, degrees: the attitude ``R`` is predicted as
-            ``R`` after this turn.
-        share: Share of all predictions that are within `CONFUSED_DEG` of that.
-    """
-
-    rotation_vector_deg: FloatArray
-    share: float
-
-
-def most_confused(q_hat: ArrayLike, q: ArrayLike) -> Confusion:
-    """Find the turn of the object, of `LARGE_DEG` or more, that most predictions are off by.
-
-    A network takes sides that look alike for each other long after it knows all else: its errors
-    then gather about one turn, such as half a turn about the axis of a body with two wings. Errors
-    that come from elsewhere do not gather.
-
-    Args:
-        q_hat: Predicted orientations ``(N, 4)``.
-        q: True orientations ``(N, 4)``.
-
-    Returns:
-        The turn, the mean of those that gather; a share of 0 if no error is so large.
-
-    Examples:
-        >>> truth = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0.6, 0.8, 0, 0]])
-        >>> half_about_y = np.array([[0.0, 0, 1, 0]])
-        >>> predicted = np.concatenate([multiply(truth[:2], half_about_y), truth[2:]])
-        >>> turn, share = most_confused(predicted, truth)
-        >>> np.abs(turn).round().tolist(), round(share, 2)
-        ([0.0, 180.0, 0.0], 0.67)
-    """
-    turns = multiply(conjugate(unit_quaternion(q)), unit_quaternion(q_hat))
-    large = turns[np.abs(turns[:, 0]) < np.cos(np.radians(LARGE_DEG) / 2)]
-    if not len(large):
-        return Confusion(np.zeros(3), 0.0)
-    near = np.abs(large @ large.T) > np.cos(np.radians(CONFUSED_DEG) / 2)
-    gathered = large[near[near.sum(axis=1).argmax()]]
-    mean = np.linalg.eigh(gathered.T @ gathered)[1][:, -1]
-    return Confusion(np.degrees(rotation_vector(mean)), len(gathered) / len(turns))

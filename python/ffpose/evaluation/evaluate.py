@@ -32,7 +32,6 @@ from ffpose.datasets import (
     read_conditions,
 )
 from ffpose.datasets.targets import spread
-from ffpose.evaluation.attitude import most_confused
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
@@ -42,6 +41,7 @@ from ffpose.evaluation.calibration import (
     summarize_regions,
     truth_regions,
 )
+from ffpose.evaluation.confusion import most_confused
 from ffpose.evaluation.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
 from ffpose.evaluation.significance import circular_correlation, correlation, median_interval
 from ffpose.geometry import Pose
@@ -179,13 +179,12 @@ class Evaluation:
         constant); ``without_symmetry``, where errors are modulo one, its ``axes`` and the rotation
         errors to the labels as they are; ``confusion`` the turn of the object that most large
         errors are near, ``rotation_vector_deg``, and their ``share`` of all images
-        (`ffpose.evaluation.attitude.most_confused`); ``groups`` the medians by condition
+        (`ffpose.evaluation.confusion`); ``groups`` the medians by condition
         (`ffpose.evaluation.breakdown`); ``uncertainty``, for a network that predicts it, its
         calibration (`ffpose.evaluation.calibration`).
         """
         distance = np.linalg.norm(self.dataset.poses[:, :3], axis=1)
         uncertainty = self._uncertainty()
-        confusion = most_confused(self.predicted[:, 3:], self.truth[:, 3:])
         return {
             "images": len(self.dataset),
             **figures(self.predicted, self.truth),
@@ -195,12 +194,10 @@ class Evaluation:
                 "pose": self.baseline.tolist(),
                 **figures(self._constant, self._truth_for_constant),
                 "median_intervals_95": _intervals(self.baseline_errors),
+                "confusion": _confusion(self._constant, self._truth_for_constant),
             },
             **self._without_symmetry(),
-            "confusion": {
-                "rotation_vector_deg": confusion.rotation_vector_deg.tolist(),
-                "share": confusion.share,
-            },
+            "confusion": _confusion(self.predicted, self.truth),
             "oracles": self._oracles(),
             "correlation": self._correlations(),
             "groups": breakdown(self.errors, distance, self.conditions),
@@ -336,6 +333,11 @@ def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:
     metric = PoseError()
     metric.update(*_tensors(predicted), *_tensors(truth))
     return {name: float(value) for name, value in metric.compute().items()}
+
+
+def _confusion(predicted: FloatArray, truth: FloatArray) -> dict[str, Any]:
+    turn, share = most_confused(predicted[:, 3:], truth[:, 3:])
+    return {"rotation_vector_deg": turn.tolist(), "share": share}
 
 
 def _intervals(errors: PoseErrors) -> dict[str, list[float]]:

@@ -63,7 +63,7 @@ POOR = 0.1
 """Share of a constant pose's rotation error above which the result is called poor."""
 
 CONFUSED = 0.1
-"""Share of images that are off by one turn, above which the result tells it."""
+"""Share of images that are off by one turn, above a constant pose's, from which it is told."""
 
 Say = Callable[[str], None]
 
@@ -339,14 +339,14 @@ def verdict(summary: dict[str, Any]) -> str:
         f" unseen images; a constant pose has {constant:.0f} degrees"
     )
     confusion = summary["confusion"]
-    if confusion["share"] >= CONFUSED:
+    if confusion["share"] - summary["mean_pose_baseline"]["confusion"]["share"] >= CONFUSED:
         turn = np.array(confusion["rotation_vector_deg"])
         angle = float(np.linalg.norm(turn))
         axis = ", ".join(f"{value:.2f}" for value in turn / angle)
         text += (
             f"; {confusion['share']:.0%} are taken for what is seen after a turn by {angle:.0f}"
-            f" degrees about ({axis}): more minutes teach to tell the two apart, and --symmetry"
-            " FILE folds them"
+            f" degrees about ({axis}): more minutes may tell the two apart, and --symmetry FILE"
+            " folds them"
         )
     if error <= POOR * constant:
         return text
