@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 import ffpose
 from ffpose._internal import files
 from ffpose.cli import main
-from ffpose.learn import run
+from ffpose.learn import plan, run
 from ffpose.learn.plan import (
     DEFAULT_CAMERA,
     KINDS,
@@ -87,22 +88,44 @@ def test_the_network_sees_the_shape_of_the_camera(size, expected):
     assert image_size(camera) == expected
 
 
-def test_the_virtual_camera_holds_the_whole_spacecraft(tmp_path):
-    config = training(
-        tmp_path,
-        tmp_path / "scene.json",
+def planned(folder, **fields):
+    return training(
+        folder,
+        folder / "scene.json",
         3.0,
         (9.0, 40.0),
         DEFAULT_CAMERA,
         Stage("first", 1000, 5),
-        attitude_range_deg=(180.0, 90.0, 180.0),
-        seed=3,
-        processes=2,
-        device="cpu",
-        init=None,
+        **{
+            "attitude_range_deg": (180.0, 90.0, 180.0),
+            "seed": 3,
+            "processes": 2,
+            "device": "cpu",
+            "init": None,
+            **fields,
+        },
     )
+
+
+def test_the_virtual_camera_holds_the_whole_spacecraft(tmp_path):
+    config = planned(tmp_path)
     assert config.model_fields["object_radius_m"] > 3.0
     assert config.model_fields["distance_m"] == [9.0, 40.0]
+    assert config.batch_size * config.processes == 32
+
+
+@pytest.mark.parametrize(
+    ("device", "gpus", "trained_by"),
+    [("cpu", 1, 16), ("auto", 0, 16), ("auto", 1, 1), ("cuda", 2, 2), ("cuda:1", 2, 1)],
+)
+def test_one_process_trains_on_each_gpu_and_all_prepare_its_batches(
+    tmp_path, monkeypatch, device, gpus, trained_by
+):
+    found = torch.device("cuda", 0) if gpus and device != "cpu" else torch.device("cpu")
+    monkeypatch.setattr(plan, "find_device", lambda name: found)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
+    config = planned(tmp_path, device=device, processes=16)
+    assert (config.processes, config.data.workers) == (trained_by, 16)
     assert config.batch_size * config.processes == 32
 
 

@@ -86,6 +86,18 @@ def test_a_run_on_scenes_resumes_bit_for_bit_and_renders_once(root, tmp_path, re
     assert all(torch.equal(value, before[key]) for key, value in load_file(best).items())
 
 
+def test_workers_prepare_the_batches_of_this_process(root, tmp_path):
+    task = build_run(scenes_config(root, tmp_path / "run")).task
+    assert task.workers == 0
+    own = list(task.batches(seed=5))
+    task.workers = 2
+    theirs = list(task.batches(seed=5))
+    assert len(own) == len(theirs) == task.steps > 1
+    for one, two in zip(own, theirs, strict=True):
+        for name, value in one._asdict().items():
+            assert torch.equal(getattr(two, name), value), name
+
+
 def test_autocast_learns_from_scenes_too(root, tmp_path):
     losses = []
     for kind in ("none", "bfloat16"):

@@ -11,8 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from ffpose._internal.seeds import TRAINING, matching
 from ffpose.geometry import Camera
+from ffpose.models.base import find_device
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
 from ffpose.training.config import ObjectLossConfig, PatchAugmentation
 
@@ -153,6 +156,14 @@ def first_stride(radius_m: float, farthest_m: float, camera: Camera) -> int:
     return max(fits, default=min(FIRST_STRIDES))
 
 
+def training_processes(device: str, processes: int) -> int:
+    """Return how many of ``processes`` train together: one for each GPU; all on a CPU."""
+    if find_device(device).type != "cuda":
+        return processes
+    one = ":" in device  # as cuda:1
+    return 1 if one else min(processes, torch.cuda.device_count())
+
+
 def training(
     out: Path,
     scene: Path,
@@ -179,7 +190,8 @@ def training(
         stage: Which of the two trainings.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
         seed: Of the views and of the network; the second training's views have the next.
-        processes: Processes that render, and that train together.
+        processes: Processes that render and prepare batches, and that train together: on GPUs one
+            each, on a CPU all.
         device: As of `ffpose.training.TrainConfig`.
         init: Weights to start from.
         symmetry: As of `ffpose.training.TrainConfig`.
@@ -187,6 +199,7 @@ def training(
     counts: dict[str, Any] = {name: max(1, round(KINDS[name] * stage.views)) for name in KINDS}
     held_out = min(MOST_HELD_OUT, max(LEAST_HELD_OUT, stage.views // 40))
     first = init is None
+    world = training_processes(device, processes)
     return TrainConfig(
         data=DataConfig(
             "scenes",
@@ -210,8 +223,8 @@ def training(
         },
         backbone_weights="none",
         epochs=stage.epochs,
-        batch_size=max(1, BATCH // processes),
-        processes=processes,
+        batch_size=max(1, BATCH // world),
+        processes=world,
         init=init,
         ema=0.998,
         autocast="bfloat16",

@@ -36,7 +36,7 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
     Returns:
         Speed of all processes together, and the faster of the types of `TrainConfig.autocast`.
     """
-    processes = config.processes
+    processes, renderers = config.processes, max(1, config.data.workers)
     fields = dict(config.model_fields)
     camera = scene.camera.resized(*reversed(fields["image_size"]))
     fields["camera"] = (camera.fx, camera.fy, camera.cx, camera.cy)
@@ -47,12 +47,12 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
     spec = PatchSpec(
         camera, model.config.first_stride, model.config.object_width, model.config.object_radius_m
     )
-    count = VIEWS * processes
+    count = VIEWS * renderers
     arrays = {name: np.zeros(*shape) for name, shape in spec.shapes(count).items()}
     wide = scene.scaled(*config.data.distance)
     began = time.perf_counter()
     for row, view in enumerate(
-        render_all_patches(wide, config.data.seed, range(count), spec, "object", processes)
+        render_all_patches(wide, config.data.seed, range(count), spec, "object", renderers)
     ):
         view.store(arrays, row)
     views = count / (time.perf_counter() - began)
@@ -81,21 +81,31 @@ def _rate(
     batches: PatchBatches,
     device: torch.device,
 ) -> float:
-    """Return training samples per second of one process."""
+    """Return training samples per second of one process.
+
+    On a CPU, batches and steps share the cores; for a GPU, workers prepare batches meanwhile.
+    """
     size = config.batch_size
     generator = torch.Generator().manual_seed(0)
     parameters = [*model.parameters(), *loss.parameters()]
     optimizer = torch.optim.AdamW(parameters, 1e-5)
     model.train()
-    began = 0.0
-    for step in range(WARM_UP + STEPS):
-        if step == WARM_UP:
-            began = time.perf_counter()
+    preparing = stepping = 0.0
+    for step in range(-WARM_UP, STEPS):
+        began = time.perf_counter()
         index = torch.randint(len(batches), (size,), generator=generator)
         batch = batches.batch(index, generator)
+        prepared = time.perf_counter()
         with torch.autocast(device.type, torch.bfloat16, enabled=config.autocast == "bfloat16"):
             terms = loss(model, type(batch)(*(part.to(device) for part in batch)))
         torch.autograd.backward(terms.total)
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
-    return STEPS * size / (time.perf_counter() - began)
+        terms.total.item()  # waits for a GPU
+        if step >= 0:
+            preparing += prepared - began
+            stepping += time.perf_counter() - prepared
+    if device.type == "cpu":
+        return STEPS * size / (preparing + stepping)
+    workers = max(1, config.data.workers // config.processes)
+    return STEPS * size / max(preparing / workers, stepping)

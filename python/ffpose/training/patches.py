@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 from torch.nn import functional as F
+from torch.utils.data import Dataset
 
 from ffpose.config import looks_twice
 from ffpose.geometry.rotations import rotation_matrix
@@ -140,10 +141,8 @@ class PatchBatches:
     def __len__(self) -> int:
         return len(self.places)
 
-    def epoch(
-        self, seed: int, batch_size: int, processes: Processes = ALONE
-    ) -> Iterator[PatchBatch]:
-        """Iterate once over a process's share, in an order drawn from ``seed``, in whole batches.
+    def epoch(self, seed: int, batch_size: int, processes: Processes = ALONE) -> PatchEpoch:
+        """Return one pass over a process's share, in an order drawn from ``seed``.
 
         Raises:
             ValueError: ``batch_size`` is less than one or more than the number of samples.
@@ -151,13 +150,9 @@ class PatchBatches:
         most = len(self) // processes.world
         if not 1 <= batch_size <= most:
             raise ValueError(f"batch_size: expected 1 to {most}, got {batch_size}")
-        generator = torch.Generator().manual_seed(seed)
-        order = torch.randperm(len(self), generator=generator)
+        order = torch.randperm(len(self), generator=torch.Generator().manual_seed(seed))
         own = order[processes.share(most * processes.world)]
-        if not processes.leads:
-            generator.manual_seed(seed + processes.rank)
-        for start in range(0, most - batch_size + 1, batch_size):
-            yield self.batch(own[start : start + batch_size], generator)
+        return PatchEpoch(self, own, batch_size, (seed, processes.rank))
 
     def batch(self, index: Tensor, generator: torch.Generator) -> PatchBatch:
         """Return the samples ``index``, augmented with ``generator``."""
@@ -318,6 +313,38 @@ class PatchBatches:
             return torch.randn(shape, generator=generator)
         start = int(torch.randint(len(self.supply) - count, (), generator=generator))
         return self.supply[start : start + count].view(shape)
+
+
+class PatchEpoch(Dataset[PatchBatch]):
+    """The whole batches of one pass over the samples, each made when it is asked for.
+
+    The random numbers of a batch come from the seed and its number alone, so that it is the same
+    whichever thread or process makes it.
+
+    Args:
+        patches: What makes them.
+        order: Indices of the samples, in order.
+        batch_size: Samples of each batch.
+        seed: Numbers that are the pass's own.
+    """
+
+    def __init__(
+        self, patches: PatchBatches, order: Tensor, batch_size: int, seed: tuple[int, ...]
+    ) -> None:
+        self.patches, self.order, self.seed = patches, order, seed
+        self.batch_size = batch_size
+
+    def __len__(self) -> int:
+        return len(self.order) // self.batch_size
+
+    def __getitem__(self, number: int) -> PatchBatch:
+        """Make a batch."""
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        (seed,) = np.random.SeedSequence([*self.seed, number]).generate_state(1)
+        start = number * self.batch_size
+        index = self.order[start : start + self.batch_size]
+        return self.patches.batch(index, torch.Generator().manual_seed(int(seed)))
 
 
 def _draw(generator: torch.Generator) -> float:

@@ -148,6 +148,7 @@ def _task(
             data.val_set,
             loss,
             config.batch_size,
+            config.data.workers,
             processes,
         )
     assert data.train_set is not None

@@ -9,6 +9,7 @@ whole images.
 from __future__ import annotations
 
 import hashlib
+import multiprocessing
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
@@ -18,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor, nn
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Dataset
 
 from ffpose.datasets import PoseDataset, Sample
 from ffpose.evaluation.baseline import mean_pose
@@ -100,7 +101,9 @@ class Objective(nn.Module):
         return self._task.terms(self.model, batch, self._device)
 
 
-def _loader(dataset: PoseDataset, batch_size: int, workers: int, **options: Any) -> Any:
+def _loader(
+    dataset: Dataset[Any], batch_size: int | None, workers: int, **options: Any
+) -> DataLoader[Any]:
     return DataLoader(dataset, batch_size=batch_size, num_workers=workers, **options)
 
 
@@ -133,7 +136,7 @@ class FrameTask:
     ) -> None:
         self.processes = processes
         self.train_set, self.val_set, self.loss = train_set, val_set, loss
-        self.batch_size, self.workers = batch_size, workers
+        self.batch_size, self.workers = batch_size, workers // processes.world
         self.preprocessing = train_set.preprocessing
 
     @property
@@ -200,6 +203,7 @@ class ObjectTask:
         val_set: Whole validation images, which select the best epoch.
         loss: The loss terms and their weights.
         batch_size: Images per batch.
+        workers: Additional processes that augment patches, in all; 0 for a thread of this one.
         processes: This process's place among those that train together.
     """
 
@@ -209,10 +213,12 @@ class ObjectTask:
         val_set: PoseDataset,
         loss: ObjectObjective,
         batch_size: int,
+        workers: int,
         processes: Processes = ALONE,
     ) -> None:
         self.processes = processes
-        self.patches, self.val_set, self.loss, self.batch_size = patches, val_set, loss, batch_size
+        self.patches, self.val_set, self.loss = patches, val_set, loss
+        self.batch_size, self.workers = batch_size, workers // processes.world
         self.preprocessing = val_set.preprocessing
 
     @property
@@ -227,7 +233,12 @@ class ObjectTask:
 
     def batches(self, seed: int) -> Iterator[PatchBatch]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
-        return prefetched(self.patches.epoch(seed, self.batch_size, self.processes))
+        epoch = self.patches.epoch(seed, self.batch_size, self.processes)
+        if self.workers == 0:
+            return prefetched(epoch[number] for number in range(len(epoch)))
+        # Forked workers map the stored patches that this process has opened; others need copies.
+        context = "fork" if "fork" in multiprocessing.get_all_start_methods() else None
+        return iter(_loader(epoch, None, self.workers, multiprocessing_context=context))
 
     def terms(self, model: BaseNetwork, batch: PatchBatch, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
@@ -249,7 +260,7 @@ class ObjectTask:
 
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
-        return _validation(self.val_set, self.processes, VALIDATION_BATCH, workers=0)
+        return _validation(self.val_set, self.processes, VALIDATION_BATCH, self.workers)
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Return name, sets, number, size, mean pose and digest of the training patches' labels."""
