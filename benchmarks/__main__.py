@@ -24,6 +24,7 @@ WHOLE = {
     "tracking": (tracking, "tracks through rendered sequences against frames posed alone"),
     "correlation": (correlation, "angles over which a network's errors correlate"),
     "textures": (textures, "what textures add to the time of a rendered image"),
+    "twist": (twist, "change of the attitude with the twist of the second look's camera"),
 }
 """Modules that know their own arguments."""
 
@@ -45,11 +46,6 @@ def build_parser() -> argparse.ArgumentParser:
     model.add_argument("--candidates", type=int, help="number of places looked at first")
     text = "base, small and tiny, with and without torch's attention and torch.fft"
     commands.add_parser("attention", help=text)
-    text = "change of the attitude with the twist of the second look's camera"
-    twisted = commands.add_parser("twist", help=text)
-    twisted.add_argument("network", help="weights of the preset polar")
-    twisted.add_argument("--scene", default="soyuz_easy", help="of the images (default: this)")
-    twisted.add_argument("--count", type=int, default=100, help="number of images")
     text = "put the tables of the model cards into pages, after <!-- card: SET -->"
     carded = commands.add_parser("cards", help=text)
     carded.add_argument("pages", type=Path, nargs="+", metavar="PAGE", help="Markdown")
@@ -108,8 +104,6 @@ def _run(options: argparse.Namespace) -> None:
             attention.run(options.json, options.quick)
         case name if name in WHOLE:
             WHOLE[name][0].run(options)
-        case "twist":
-            twist.run(options.network, options.scene, options.count)
         case "cards":
             for page in options.pages:
                 fill_page(page, options.folder)

@@ -9,6 +9,7 @@ angles, and attitudes in the camera's frame are compared with those of the camer
 
 from __future__ import annotations
 
+import argparse
 import math
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,19 @@ def changes(model: PolarPose, image: Tensor, point: Tensor, twists: Tensor) -> C
     }
 
 
-def run(network: str, scene: str, count: int, seed: int = SEED) -> dict[str, Any]:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("network", help="weights of the preset polar")
+    parser.add_argument("--scene", default="soyuz_easy", help="of the images (default: this)")
+    parser.add_argument("--count", type=int, default=100, help="number of images")
+
+
+def run(options: argparse.Namespace) -> dict[str, Any]:
+    """Measure as the options say, as `measure`."""
+    return measure(options.network, options.scene, options.count)
+
+
+def measure(network: str, scene: str, count: int, seed: int = SEED) -> dict[str, Any]:
     """Measure a network on rendered images, and print quantiles of the changes, degrees.
 
     Args:

@@ -123,10 +123,7 @@ class Scene:
 
     def parameters(self) -> dict[str, Any]:
         """All fields as plain values for a manifest; the spacecraft by its name."""
-        shown = asdict(replace(self, craft=self.build().name))
-        if self.lamp == LAMP:  # as sets were before it could be another
-            del shown["lamp"]
-        return shown
+        return asdict(replace(self, craft=self.build().name))
 
 
 SCENES = {
