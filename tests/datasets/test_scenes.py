@@ -67,15 +67,42 @@ def test_what_was_rendered_once_is_not_rendered_again(tmp_path, scene, spec, ren
     assert folder.name.startswith("views-")
 
 
-@pytest.mark.parametrize(
-    "change", [{"seed": 8}, {"count": 2}, {"content": "empty"}, {"content": "decoy"}]
-)
+@pytest.mark.parametrize("change", [{"seed": 8}, {"content": "empty"}, {"content": "decoy"}])
 def test_other_views_lie_elsewhere(tmp_path, scene, spec, rendered, change):
     opened(tmp_path, scene, spec)
     other = opened(tmp_path, scene, spec, **change)
     assert len(rendered) > COUNT
     assert len(list(tmp_path.iterdir())) == 2
     assert (other["labels"][:, LABELS.index("object")] == ("content" not in change)).all()
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_more_scenes_begin_with_those_that_are_there(tmp_path, scene, spec, rendered, workers):
+    alone = opened(tmp_path / "alone", scene, spec, count=5)
+    rendered.clear()
+    opened(tmp_path / "grown", scene, spec, count=2)
+    grown = opened(tmp_path / "grown", scene, spec, count=5, workers=workers)
+    assert rendered == [0, 1, 2, 3, 4]
+    for name, array in alone.items():
+        np.testing.assert_array_equal(grown[name], array)
+
+
+def test_fewer_scenes_are_the_first_of_more(tmp_path, scene, spec, rendered):
+    more = opened(tmp_path, scene, spec)
+    rendered.clear()
+    fewer = opened(tmp_path, scene, spec, count=2)
+    assert rendered == []
+    assert len(list(tmp_path.iterdir())) == 1
+    for name, array in fewer.items():
+        np.testing.assert_array_equal(array, more[name][:2])
+
+
+def test_a_damaged_folder_of_fewer_scenes_is_named(tmp_path, scene, spec):
+    opened(tmp_path, scene, spec, count=1)
+    (folder,) = tmp_path.iterdir()
+    (folder / "labels.npy").unlink()
+    with pytest.raises(DataError, match=folder.name):
+        opened(tmp_path, scene, spec, count=2)
 
 
 def test_other_attitudes_and_another_look_lie_elsewhere(tmp_path, scene, spec):

@@ -22,10 +22,10 @@ from ffpose.learn.plan import (
     MOST_EPOCHS,
     MOST_VIEWS,
     Speed,
-    Stage,
+    TrainingPlan,
     image_size,
+    plan_trainings,
     replanned,
-    stages,
     training,
 )
 from ffpose.learn.run import LearnConfig, learn, verdict
@@ -49,28 +49,35 @@ def quick(monkeypatch):
     """Nothing is measured, and little is trained."""
     monkeypatch.setattr(run, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
     monkeypatch.setattr(
-        run, "stages", lambda minutes, speed: (Stage("first", 40, 1), Stage("second", 40, 1))
+        run,
+        "plan_trainings",
+        lambda minutes, speed: (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1)),
     )
 
 
 def test_a_budget_is_spent_on_rendering_and_training_by_the_speed_of_both():
-    first, second = stages(60, Speed(views=10, samples=300))
-    for stage, minutes in ((first, 60 * 0.88 / 6), (second, 60 * 0.88 * 5 / 6)):
-        seconds = stage.views / 10 + stage.epochs * stage.views / 300
+    first, second = plan_trainings(60, Speed(views=10, samples=300))
+    for each, before, minutes in (
+        (first, 0, 60 * 0.88 / 6),
+        (second, first.views, 60 * 0.88 * 5 / 6),  # the first's views are among the second's
+    ):
+        assert each.views > before
+        seconds = (each.views - before) / 10 + each.epochs * each.views / 300
         assert 0.9 * 60 * minutes < seconds <= 60 * minutes + 1e-6
-    faster = stages(60, Speed(views=1e6, samples=1e9))
-    assert faster[1] == Stage("second", MOST_VIEWS, MOST_EPOCHS)
+    faster = plan_trainings(60, Speed(views=1e6, samples=1e9))
+    assert faster[1] == TrainingPlan("second", MOST_VIEWS, MOST_EPOCHS, rendered=MOST_VIEWS)
 
 
 def test_a_slower_machine_has_fewer_epochs_in_the_time_that_is_left():
     speed = Speed(views=10, samples=300)
-    first, second = stages(60, speed)
+    first, second = plan_trainings(60, speed)
     planned = first.views / 10 + first.epochs * first.views / 300
     assert replanned(second, first, 60, speed, planned) == second
     assert replanned(second, first, 60, speed, planned / 2) == second  # never more
     fewer = replanned(second, first, 60, speed, 2 * planned)
     assert fewer.views == second.views
-    seconds = 2 * (planned + second.views / 10 + fewer.epochs * second.views / 300)
+    rendering = (second.views - first.views) / 10
+    seconds = 2 * (planned + rendering + fewer.epochs * second.views / 300)
     assert 0.9 * 60 * 60 * 0.88 < seconds <= 60 * 60 * 0.88
     assert replanned(second, first, 60, speed, 3600).epochs == LEAST_EPOCHS
 
@@ -95,7 +102,7 @@ def planned(folder, **fields):
         3.0,
         (9.0, 40.0),
         DEFAULT_CAMERA,
-        Stage("first", 1000, 5),
+        TrainingPlan("first", 1000, 5),
         **{
             "attitude_range_deg": (180.0, 90.0, 180.0),
             "seed": 3,

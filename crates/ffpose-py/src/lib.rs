@@ -1,4 +1,4 @@
-//! `ffpose._rust`: ffpose-core and ffpose-track for NumPy arrays and torch tensors. Every function checks, releases the GIL, computes and maps errors.
+//! `ffpose._rust`: ffpose-core, ffpose-scene and ffpose-track for NumPy arrays and torch tensors. Every function checks, releases the GIL, computes and maps errors.
 
 mod border;
 mod earth;

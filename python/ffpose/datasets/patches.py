@@ -126,7 +126,11 @@ def read_coordinates(record: Record, camera: Camera) -> Callable[[Pose, Camera],
 
 
 def cached_patches(
-    folder: Path, count: int, spec: PatchSpec, pieces: Callable[[], Iterator[Patches]]
+    folder: Path,
+    count: int,
+    spec: PatchSpec,
+    pieces: Callable[[], Iterator[Patches]],
+    begun: Arrays | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Return the patches in a folder; write them where it does not exist yet.
 
@@ -135,13 +139,23 @@ def cached_patches(
         count: Number of images.
         spec: Geometry of the two patches.
         pieces: Function that yields the patches in order.
+        begun: Patches of the first images, which are copied; ``pieces`` yields those of the others.
 
     Raises:
         ffpose.DataError: The folder is damaged, or an image of ``pieces`` cannot be used.
         OSError: The disk is full.
     """
     if not folder.exists():
-        _store(folder, count, spec, pieces())
+        _store(folder, count, spec, pieces(), begun)
+    return open_patches(folder)
+
+
+def open_patches(folder: Path) -> dict[str, NDArray[Any]]:
+    """Return the patches in a folder, for reading.
+
+    Raises:
+        ffpose.DataError: The folder is damaged.
+    """
     try:
         return open_arrays(folder)
     except (OSError, ValueError, EOFError) as error:
@@ -155,7 +169,9 @@ def digest(described: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _store(folder: Path, count: int, spec: PatchSpec, pieces: Iterator[Patches]) -> None:
+def _store(
+    folder: Path, count: int, spec: PatchSpec, pieces: Iterator[Patches], begun: Arrays | None
+) -> None:
     """Write the patches to a temporary folder and rename it, so that all exist or none."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder.parent, older_than=BUILD_LIMIT_S)
@@ -167,7 +183,8 @@ def _store(folder: Path, count: int, spec: PatchSpec, pieces: Iterator[Patches])
     with tempfile.TemporaryDirectory(prefix=".ffpose-", dir=folder.parent) as place:
         unfinished = Path(place) / folder.name
         unfinished.mkdir()
-        _fill(make_arrays(unfinished, count, spec), pieces)  # Windows renames no mapped files
+        # Its arrays are closed before the folder is renamed, as Windows renames no mapped files.
+        _fill(make_arrays(unfinished, count, spec), pieces, begun)
         try:
             unfinished.rename(folder)
         except OSError:
@@ -175,9 +192,16 @@ def _store(folder: Path, count: int, spec: PatchSpec, pieces: Iterator[Patches])
                 raise
 
 
-def _fill(arrays: Mapping[str, np.memmap[Any, Any]], pieces: Iterator[Patches]) -> None:
+def _fill(
+    arrays: Mapping[str, np.memmap[Any, Any]], pieces: Iterator[Patches], begun: Arrays | None
+) -> None:
     """Write the patches into the arrays' files."""
-    for row, piece in enumerate(pieces):
+    first = 0
+    if begun is not None:
+        first = len(begun["labels"])
+        for name, array in arrays.items():
+            array[:first] = begun[name]
+    for row, piece in enumerate(pieces, start=first):
         piece.store(arrays, row)
     for array in arrays.values():
         array.flush()

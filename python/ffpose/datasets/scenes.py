@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ffpose._internal.files import atomic_write
 from ffpose.datasets import PoseDataset, open_dataset
-from ffpose.datasets.patches import cached_patches, digest
+from ffpose.datasets.patches import cached_patches, digest, open_patches
 from ffpose.errors import require
 from ffpose.imaging.patches import Content, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
@@ -52,7 +52,9 @@ def rendered_patches(
     content: Content = "object",
     workers: int,
 ) -> dict[str, NDArray[Any]]:
-    """Return the patches of the scenes 0 ... ``count - 1``; render them where they are not cached.
+    """Return the patches of the scenes 0 ... ``count - 1``; render those that are not cached.
+
+    A folder of more scenes has those of fewer, and one of fewer is where one of more begins.
 
     Args:
         root: The cache folder.
@@ -69,14 +71,19 @@ def rendered_patches(
     """
     from ffpose.render.patches import describe, render_all_patches
 
-    described = describe(scene, seed, spec, content)
-    folder = root / f"views-{digest({**described, 'count': count})}"
-    return cached_patches(
-        folder,
+    name = f"views-{digest(describe(scene, seed, spec, content))}-"
+    there = sorted(int(folder.name.removeprefix(name)) for folder in root.glob(f"{name}*"))
+    enough = next((each for each in there if each >= count), count)
+    fewer = max((each for each in there if each < count), default=0)
+    begun = open_patches(root / f"{name}{fewer}") if fewer and enough not in there else None
+    arrays = cached_patches(
+        root / f"{name}{enough}",
         count,
         spec,
-        lambda: render_all_patches(scene, seed, range(count), spec, content, workers),
+        lambda: render_all_patches(scene, seed, range(fewer, count), spec, content, workers),
+        begun,
     )
+    return {part: array[:count] for part, array in arrays.items()}
 
 
 def open_frames(

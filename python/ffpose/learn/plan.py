@@ -66,25 +66,31 @@ class Speed:
 
 
 @dataclass(frozen=True)
-class Stage:
+class TrainingPlan:
     """One of the two trainings.
 
     Attributes:
         name: Name of its folder.
         views: Number of rendered views.
         epochs: Number of passes over them.
+        rendered: Those of the views that the training before has rendered.
     """
 
     name: str
     views: int
     epochs: int
+    rendered: int = 0
 
     def seconds(self, speed: Speed) -> float:
         """Return what rendering and training take."""
-        return self.views / speed.views + self.epochs * self.views / speed.samples
+        return self.rendering(speed) + self.epochs * self.views / speed.samples
+
+    def rendering(self, speed: Speed) -> float:
+        """Return what rendering takes."""
+        return (self.views - self.rendered) / speed.views
 
 
-def stages(minutes: float, speed: Speed) -> tuple[Stage, Stage]:
+def plan_trainings(minutes: float, speed: Speed) -> tuple[TrainingPlan, TrainingPlan]:
     """Return the two trainings that fit into a budget.
 
     Args:
@@ -92,22 +98,28 @@ def stages(minutes: float, speed: Speed) -> tuple[Stage, Stage]:
         speed: Of this machine.
 
     Examples:
-        >>> stages(60, Speed(views=30, samples=400))
-        (Stage(name='first', views=4752, epochs=31), Stage(name='second', views=16000, epochs=52))
+        >>> first, second = plan_trainings(60, Speed(views=30, samples=400))
+        >>> first
+        TrainingPlan(name='first', views=4752, epochs=31, rendered=0)
+        >>> second
+        TrainingPlan(name='second', views=16000, epochs=56, rendered=4752)
     """
     seconds = 60 * minutes * (1 - TEST_SHARE)
-    first = FIRST_SHARE * seconds
-    return _stage("first", first, speed), _stage("second", seconds - first, speed)
+    whole = FIRST_SHARE * seconds
+    first = _plan("first", whole, speed, 0)
+    return first, _plan("second", seconds - whole, speed, first.views)
 
 
-def _stage(name: str, seconds: float, speed: Speed) -> Stage:
-    views = round(min(max(RENDER_SHARE * seconds * speed.views, LEAST_VIEWS), MOST_VIEWS))
-    left = seconds - views / speed.views
-    epochs = int(left * speed.samples / views)
-    return Stage(name, views, min(max(epochs, LEAST_EPOCHS), MOST_EPOCHS))
+def _plan(name: str, seconds: float, speed: Speed, rendered: int) -> TrainingPlan:
+    views = rendered + RENDER_SHARE * seconds * speed.views
+    plan = TrainingPlan(name, round(min(max(views, LEAST_VIEWS), MOST_VIEWS)), 0, rendered)
+    epochs = int((seconds - plan.rendering(speed)) * speed.samples / plan.views)
+    return replace(plan, epochs=min(max(epochs, LEAST_EPOCHS), MOST_EPOCHS))
 
 
-def replanned(second: Stage, first: Stage, minutes: float, speed: Speed, spent: float) -> Stage:
+def replanned(
+    second: TrainingPlan, first: TrainingPlan, minutes: float, speed: Speed, spent: float
+) -> TrainingPlan:
     """Return the second training with fewer epochs, where the first took longer than planned.
 
     The rest is taken to go as slowly. Its views stay, as some may have been rendered already.
@@ -120,7 +132,7 @@ def replanned(second: Stage, first: Stage, minutes: float, speed: Speed, spent: 
         spent: Seconds that the first training took with its rendering.
 
     Examples:
-        >>> first, second = Stage("first", 3000, 30), Stage("second", 9000, 60)
+        >>> first, second = TrainingPlan("first", 3000, 30), TrainingPlan("second", 9000, 60)
         >>> speed = Speed(views=30, samples=400)
         >>> replanned(second, first, 40, speed, spent=325).epochs
         60
@@ -128,7 +140,7 @@ def replanned(second: Stage, first: Stage, minutes: float, speed: Speed, spent: 
         19
     """
     slower = spent / first.seconds(speed)
-    left = (60 * minutes * (1 - TEST_SHARE) - spent) / slower - second.views / speed.views
+    left = (60 * minutes * (1 - TEST_SHARE) - spent) / slower - second.rendering(speed)
     epochs = max(int(left * speed.samples / second.views), LEAST_EPOCHS)
     return replace(second, epochs=min(epochs, second.epochs))
 
@@ -170,7 +182,7 @@ def training(
     radius_m: float,
     distance_m: tuple[float, float],
     camera: Camera,
-    stage: Stage,
+    plan: TrainingPlan,
     *,
     attitude_range_deg: tuple[float, float, float],
     seed: int,
@@ -187,18 +199,17 @@ def training(
         radius_m: Greatest distance of the spacecraft's surface from its origin.
         distance_m: Least and greatest distance from the camera.
         camera: Of the images.
-        stage: Which of the two trainings.
+        plan: Which of the two trainings.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
-        seed: Of the views and of the network; the second training's views have the next.
+        seed: Of the views and of the network.
         processes: Processes that render and prepare batches, and that train together: on GPUs one
             each, on a CPU all.
         device: As of `ffpose.training.TrainConfig`.
         init: Weights to start from.
         symmetry: As of `ffpose.training.TrainConfig`.
     """
-    counts: dict[str, Any] = {name: max(1, round(KINDS[name] * stage.views)) for name in KINDS}
-    held_out = min(MOST_HELD_OUT, max(LEAST_HELD_OUT, stage.views // 40))
-    first = init is None
+    counts: dict[str, Any] = {name: max(1, round(KINDS[name] * plan.views)) for name in KINDS}
+    held_out = min(MOST_HELD_OUT, max(LEAST_HELD_OUT, plan.views // 40))
     world = training_processes(device, processes)
     return TrainConfig(
         data=DataConfig(
@@ -209,11 +220,11 @@ def training(
             validation=held_out,
             calibration=held_out,
             workers=processes,
-            seed=matching(TRAINING, seed if first else seed + 1),
+            seed=matching(TRAINING, seed),
             attitude_range_deg=attitude_range_deg,
             **counts,
         ),
-        out=out / stage.name,
+        out=out / plan.name,
         model="polar",
         model_fields={
             "image_size": image_size(camera),
@@ -222,7 +233,7 @@ def training(
             "distance_m": distance_m,
         },
         backbone_weights="none",
-        epochs=stage.epochs,
+        epochs=plan.epochs,
         batch_size=max(1, BATCH // world),
         processes=world,
         init=init,

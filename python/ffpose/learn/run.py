@@ -32,10 +32,10 @@ from ffpose.learn.plan import (
     FAR_DIAMETERS,
     NEAR_DIAMETERS,
     Speed,
-    Stage,
+    TrainingPlan,
     image_size,
+    plan_trainings,
     replanned,
-    stages,
     training,
 )
 from ffpose.learn.speed import measure_speed
@@ -151,7 +151,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     radius, scene_file = _inspected(config)
     scene = scene_file.scene()
     record = _Record.open(config)
-    planned = record.stages is not None
+    planned = record.plans is not None
     symmetries = None if planned else find_symmetries(scene.build())
     group = SymmetryGroup.chosen(config.symmetry)
     config.out.mkdir(parents=True, exist_ok=True)
@@ -165,14 +165,14 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     path = config.out / "scene.json"
     scene_file.write(path)
 
-    def configured(stage: Stage, init: Path | None = None) -> TrainConfig:
+    def configured(plan: TrainingPlan, init: Path | None = None) -> TrainConfig:
         made = training(
             config.out,
             path,
             radius,
             scene_file.distance_m,
             config.camera,
-            stage,
+            plan,
             attitude_range_deg=config.attitude_range_deg,
             seed=config.seed,
             processes=processes,
@@ -184,13 +184,13 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
 
     if symmetries is not None:
         say("measuring the speed of this machine")
-        speed, record.autocast = measure_speed(configured(Stage("first", 1000, 1)), scene)
-        record.stages, record.speed = stages(config.minutes, speed), speed
+        speed, record.autocast = measure_speed(configured(TrainingPlan("first", 1000, 1)), scene)
+        record.plans, record.speed = plan_trainings(config.minutes, speed), speed
         record.write(config.out)
         say(_planned(config, radius, scene_file, record, processes, group, symmetries))
-    assert record.stages is not None
+    assert record.plans is not None
     assert record.speed is not None
-    first, second = record.stages
+    first, second = record.plans
     rendering = time.monotonic()
     early = train(configured(first), resume=True)
     if not (config.out / WEIGHTS).exists():
@@ -203,7 +203,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
         if fewer != second:
             say(f"slower than planned: {fewer.epochs} epochs instead of {second.epochs}")
             second = fewer
-            record.stages = (first, second)
+            record.plans = (first, second)
             record.write(config.out)
     final = train(configured(second, early.folder.best), resume=True)
     _publish(final.folder.best, config.out)
@@ -258,9 +258,9 @@ def _planned(
     near, far = scene.distance_m
     rows, columns = image_size(config.camera)
     camera, speed = config.camera, record.speed
-    assert record.stages is not None
+    assert record.plans is not None
     assert speed is not None
-    shares = [f"{s.views} views, {s.epochs} epochs" for s in record.stages]
+    shares = [f"{s.views} views, {s.epochs} epochs" for s in record.plans]
     lines = {
         "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
         "distances": f"{near:.3g} to {far:.3g} m; 0.7 and 1.4 times these in training",
@@ -276,7 +276,7 @@ def _planned(
         "second training": shares[1],
         "budget": f"{config.minutes:g} minutes",
     }
-    least = sum(stage.seconds(speed) for stage in record.stages) / 60
+    least = sum(plan.seconds(speed) for plan in record.plans) / 60
     if least > config.minutes:
         lines["budget"] += f", less than the least that is trained takes: about {least:.1f}"
     chosen = [f"{name:16}{text}" for name, text in lines.items()]
@@ -404,7 +404,7 @@ class _Record:
     """``learn.json``: the settings of a folder's run, and what was planned from the speed."""
 
     settings: dict[str, Any]
-    stages: tuple[Stage, Stage] | None = None
+    plans: tuple[TrainingPlan, TrainingPlan] | None = None
     autocast: Any = None
     speed: Speed | None = None
 
@@ -418,8 +418,8 @@ class _Record:
             return cls(settings)
         found = read_json(path)
         try:
-            there, planned = found["settings"], found["stages"]
-            one, two = (Stage(**each) for each in planned)
+            there, planned = found["settings"], found["plans"]
+            one, two = (TrainingPlan(**each) for each in planned)
             autocast, speed = found["autocast"], Speed(**found["speed"])
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"expected the record of a run: {error}", path) from error

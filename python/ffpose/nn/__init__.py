@@ -1,4 +1,4 @@
-"""Layers: the spectral filter as a module, and the parts of the filterformer built on it."""
+"""Layers: the spectral filter as a module, and the parts of the networks built on it."""
 
 from ffpose._internal.choices import FilterKind, NormPlace, PositionKind
 from ffpose.nn.filterformer import (

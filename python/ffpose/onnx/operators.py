@@ -1,4 +1,4 @@
-"""ONNX forms of the operators of `ffpose.ops`: two of our own domain, one of standard operators.
+"""ONNX forms of ffpose's operators: two of our own domain, one of standard operators.
 
 ``ffpose::SpectralFilter(x, weight) -> y``, attribute ``layout``, is `ffpose.ops.spectral_filter`;
 the library of `ffpose.onnx.get_library_path` computes it, with the weight prepared once a session

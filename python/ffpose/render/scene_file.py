@@ -26,7 +26,7 @@ SUFFIX = ".json"
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Contents of the file.
+    """Definition of a set of scenes of a mesh, as its file has it.
 
     Attributes:
         name: Name of the set.

@@ -92,7 +92,7 @@ class Symmetry(NamedTuple):
 
 
 class Symmetries(NamedTuple):
-    """What was found.
+    """Symmetries and near symmetries of a spacecraft's look.
 
     Attributes:
         group: All turns about axes through the origin that leave the look the same.

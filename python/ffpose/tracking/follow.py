@@ -30,7 +30,7 @@ standard deviations of the errors, ``sd_rx`` to ``sd_rz`` in degrees about the o
 
 
 class Followed(NamedTuple):
-    """What a frame has brought.
+    """A frame of a sequence with its pose and the track after it.
 
     Attributes:
         frame: Image and time.

@@ -171,7 +171,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What a frame has brought.
+    """Outcome of a step of the tracker, and the estimate after it.
 
     Attributes:
         time: Its time, seconds.

@@ -351,7 +351,8 @@ class TrainConfig:
         data: Training and validation images.
         out: Folder to write; it must not contain another run.
         model: Preset of the network: base (the paper's), small, tiny or compact; transformerpose
-            (base without filters); ursonet or posenet, which the paper compares with.
+            (base without filters); polar, that of the shipped weights; ursonet or posenet, which
+            the paper compares with.
         model_fields: Fields of the preset to change, such as {"depth": 5}. Tuples are stored as
             lists, which is what a YAML file gives back.
         backbone_weights: "auto" (pretrained), "none" (random), or a file.

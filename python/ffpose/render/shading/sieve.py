@@ -22,7 +22,7 @@ OPAQUE = 0.999
 
 
 class Sieve:
-    """Which hits count.
+    """Alpha test: which hits of rays are with an opaque part of a surface.
 
     Args:
         craft: The spacecraft.
