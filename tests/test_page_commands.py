@@ -21,7 +21,7 @@ from ffpose.arrays import instruction_set
 from ffpose.bench import filter as quick_bench
 from ffpose.cli import main
 from ffpose.learn import run as learn
-from ffpose.learn.plan import Speed, Stage
+from ffpose.learn.plan import Speed, TrainingPlan
 from option_words import changes_of, options_of
 from pages import TEXTS, blocks_in_order, code_blocks
 from reader_files import FILTERFORMER, OF_PAGES, POSENET, write_files
@@ -158,8 +158,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(quick_bench, "FEW", (("tokens", (4, 6)),))
     monkeypatch.setattr(quick_bench, "BATCHES", (1,))
     monkeypatch.setattr(learn, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
-    tiny = (Stage("first", 40, 1), Stage("second", 40, 1))
-    monkeypatch.setattr(learn, "stages", lambda minutes, speed: tiny)
+    tiny = (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1))
+    monkeypatch.setattr(learn, "plan_trainings", lambda minutes, speed: tiny)
     small = partial(learn.LearnConfig, test_images=3, card_images=2, processes=1)
     monkeypatch.setattr(learn, "LearnConfig", lambda *given, **named: small(*given[:7], **named))
     return tmp_path

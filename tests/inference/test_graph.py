@@ -67,6 +67,7 @@ NETWORKS = {
             "object_size": (16, 96),
             "directions": 50,
             "doubt_sigma": (3.0, 2.0),
+            "truncation_sigma": (2.0, 1.0),
             "degrees_of_freedom": (5.0, 3.5),
         },
     ),

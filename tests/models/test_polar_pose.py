@@ -6,11 +6,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from ffpose.config import PolarPoseConfig
+from ffpose.config import PRESETS, PolarPoseConfig
 from ffpose.models import PolarPose, build_network, load_network
 from ffpose.models.base import UncertainPose
 from ffpose.models.heat_map import Candidates
-from ffpose.models.second_look import covariances, offset_of, points_at
+from ffpose.models.second_look import covariances, offset_of, points_at, truncation
 from ffpose.models.virtual_camera import pyramid, render_virtual
 from ffpose.nn.rotations import quaternion_to_matrix
 from ffpose.training.config import ObjectLossConfig
@@ -285,6 +285,38 @@ def test_both_modes_are_those_of_the_last_view_in_the_cameras_frame():
             quaternion_to_matrix(got), turn @ quaternion_to_matrix(expected), rtol=0, atol=1e-5
         )
     torch.testing.assert_close(pose.probabilities, modes.probabilities)
+
+
+@pytest.mark.parametrize(
+    ("position", "share"),
+    [
+        ((0.0, 0.0, 20.0), 0.0),  # 20 m within each side
+        ((-20.0, 0.0, 20.0), 0.5),  # on the left border
+        ((0.0, 15.0, 20.0), 0.5),  # on the lower one
+        ((19.0, 0.0, 20.0), 0.25),  # 1 m of 2 within
+        ((20.0, 15.0, 20.0), 0.5),
+        ((21.0, 0.0, 20.0), 0.75),
+        ((40.0, 0.0, 20.0), 1.0),
+    ],
+)
+def test_truncation_is_the_share_of_a_view_beyond_the_nearest_side(position, share):
+    """Of a view of 2 m to each side, in a frame of 90 degrees across and 4 by 3."""
+    config = PRESETS["polar"].with_fields(
+        {"image_size": (384, 512), "camera": (256.0, 256.0, 256.0, 192.0), "object_radius_m": 2.0}
+    )
+    assert truncation(torch.tensor([position]), config).item() == pytest.approx(share)
+
+
+def test_the_uncertainty_grows_with_the_share_that_the_border_cuts_off():
+    plain, grown = build(), build(truncation_sigma=(6.0, 2.0))
+    points = torch.tensor([[0.0, 0.0, 20.0], [-20.0, 3.0, 21.0], [4.0, 14.0, 20.0]])
+    with torch.no_grad():
+        got, expected = (each.predict_near(images(), points) for each in (grown, plain))
+    cut = truncation(expected.translation, plain.config)[:, None, None]
+    assert (cut > 0.1).sum() == 2
+    for name, growth in (("translation_covariance", 6), ("rotation_covariance", 2)):
+        factor = (1 + growth * cut) ** 2
+        torch.testing.assert_close(getattr(got, name), factor * getattr(expected, name))
 
 
 def test_the_uncertainty_grows_with_the_doubt_of_the_attitude():

@@ -13,6 +13,7 @@ from ffpose.config import FilterformerPoseConfig
 from ffpose.datasets import Sample
 from ffpose.evaluation.calibration import CURVE, coverage, region_probability
 from ffpose.models.base import UncertainPose
+from ffpose.models.second_look import calibrated
 from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM, calibrate, fit_tails
 
 COUNT = 2000
@@ -25,19 +26,34 @@ SAID = (0.03, 16e-4)
 
 
 AHEAD = (0.0, 0.0, 40.0)
+FAR_WITHIN = (100.0, 100.0, 256.0, 192.0)
+"""A camera that sees what is ahead far from the borders of its frame of 512 x 384 pixels."""
+
+ON_THE_BORDER = (100.0, 100.0, 0.0, 192.0)
+"""A camera that sees it on the left border of its frame."""
 
 
 class Drawn(torch.nn.Module):
     """Answers one pose to pictures that hold one number each: their presence."""
 
-    def __init__(self, view="object", distance_scale=1.0, doubt_sigma=(0.0, 0.0), doubt=0.0):
+    def __init__(
+        self,
+        view="object",
+        distance_scale=1.0,
+        doubt_sigma=(0.0, 0.0),
+        truncation_sigma=(0.0, 0.0),
+        doubt=0.0,
+        camera=FAR_WITHIN,
+    ):
         super().__init__()
         self.doubt = doubt
         self.config = FilterformerPoseConfig(
-            camera=(1.0, 1.0, 0.0, 0.0),
+            image_size=(384, 512),
+            camera=camera,
             orientation_view=view,
             distance_scale=distance_scale,
             doubt_sigma=doubt_sigma,
+            truncation_sigma=truncation_sigma,
         )
         self.register_buffer("variance_scales", torch.ones(2))
 
@@ -47,19 +63,18 @@ class Drawn(torch.nn.Module):
         shown = images.flatten(1).mean(1)
         doubt = torch.full((count,), self.doubt) if self.doubt is not None else 1 - shown
         q = torch.tensor([1.0, 0, 0, 0]).expand(count, 4)
-        growths = ((1 + k * doubt[:, None, None]) ** 2 for k in self.config.doubt_sigma)
         covariances = (
-            unit * said * scale * growth
-            for said, scale, growth in zip(SAID, self.variance_scales, growths, strict=True)
+            unit * said * scale for said, scale in zip(SAID, self.variance_scales, strict=True)
         )
-        return UncertainPose(
-            torch.tensor(AHEAD).expand(count, 3) * self.config.distance_scale,
+        pose = UncertainPose(
+            torch.tensor(AHEAD).expand(count, 3),
             q,
             *covariances,
             shown,
             q,
             torch.stack([1 - doubt, 0 * doubt], dim=1),
         )
+        return calibrated(pose, self.config)
 
 
 def errors(seed, count=COUNT):
@@ -98,43 +113,46 @@ def absent(probability=0.2):
 def test_scale_and_degrees_of_freedom_are_those_of_the_samples(nu, factor):
     """Of SciPy's samples of a t distribution, whose covariance is nu / (nu - 2)."""
     samples = multivariate_t.rvs(np.zeros(3), np.eye(3), df=nu, size=20000, random_state=1)
-    found = fit_tails(factor * (samples**2).sum(1), np.zeros(20000))
+    found = fit_tails(factor * (samples**2).sum(1), np.zeros(20000), np.zeros(20000))
     scale_matrix = found.scale * (found.degrees_of_freedom - 2) / found.degrees_of_freedom
     assert scale_matrix == pytest.approx(factor, rel=0.03)
     assert found.degrees_of_freedom == pytest.approx(nu, rel=0.1)
-    assert found.doubt_sigma == 0
+    assert found.doubt_sigma == found.truncation_sigma == 0
 
 
 def test_the_fit_has_the_largest_likelihood():
     """As SciPy's simplex finds it from SciPy's density of F, which differs by a constant."""
     rng = np.random.default_rng(2)
-    doubt = rng.random(500) ** 4
-    d2 = 3 * f.rvs(3, 4.5, size=500, random_state=rng) * 1.7 * (1 + 5 * doubt) ** 2
+    doubt, cut = rng.random(500) ** 4, rng.random(500)
+    grown = (1 + 5 * doubt) ** 2 * (1 + 2 * cut) ** 2
+    d2 = 3 * f.rvs(3, 4.5, size=500, random_state=rng) * 1.7 * grown
 
     def loss(x):
-        scales = np.exp(x[0]) * (1 + x[1] ** 2 * doubt) ** 2
+        scales = np.exp(x[0]) * (1 + x[1] ** 2 * doubt) ** 2 * (1 + x[3] ** 2 * cut) ** 2
         return -(f.logpdf(d2 / scales / 3, 3, 3 + np.exp(x[2])) - np.log(scales)).sum()
 
     options = {"xatol": 1e-7, "fatol": 1e-9, "maxiter": 5000}
-    best = minimize(loss, [0.0, 1.0, 0.0], method="Nelder-Mead", options=options).x
-    found, nu = fit_tails(d2, doubt), 3 + np.exp(best[2])
+    best = minimize(loss, [0.0, 1.0, 0.0, 1.0], method="Nelder-Mead", options=options).x
+    found, nu = fit_tails(d2, doubt, cut), 3 + np.exp(best[2])
     assert found.degrees_of_freedom == pytest.approx(nu, rel=1e-3)
     assert found.scale == pytest.approx(np.exp(best[0]) * nu / (nu - 2), rel=1e-3)
     assert found.doubt_sigma == pytest.approx(best[1] ** 2, rel=1e-3)
+    assert found.truncation_sigma == pytest.approx(best[3] ** 2, rel=1e-3)
 
 
-@pytest.mark.parametrize("growth", [0.0, 7.0])
-def test_the_growth_is_what_doubtful_errors_lack(growth):
+@pytest.mark.parametrize("growths", [(0.0, 0.0), (7.0, 0.0), (7.0, 2.0)])
+def test_the_growths_are_what_doubtful_and_cut_errors_lack(growths):
     rng = np.random.default_rng(3)
-    doubt = rng.uniform(0, 1, 20000)
+    shares = rng.uniform(0, 1, (2, 20000))
     samples = multivariate_t.rvs(np.zeros(3), np.eye(3), df=5, size=20000, random_state=rng)
-    found = fit_tails((samples**2).sum(1) * (1 + growth * doubt) ** 2, doubt)
-    assert found.doubt_sigma == pytest.approx(growth, rel=0.05, abs=0.05)
+    grown = np.prod([(1 + k * share) ** 2 for k, share in zip(growths, shares, strict=True)], 0)
+    found = fit_tails((samples**2).sum(1) * grown, *shares)
+    assert found[1:3] == pytest.approx(growths, rel=0.05, abs=0.05)
 
 
 def test_gaussian_errors_have_many_degrees_of_freedom():
     samples = np.random.default_rng(0).standard_normal((20000, 3))
-    found = fit_tails((samples**2).sum(1), np.zeros(20000))
+    found = fit_tails((samples**2).sum(1), np.zeros(20000), np.zeros(20000))
     assert found.degrees_of_freedom > 100
     assert found.scale == pytest.approx(1, rel=0.03)
 
@@ -142,7 +160,7 @@ def test_gaussian_errors_have_many_degrees_of_freedom():
 def test_a_covariance_remains_where_there_is_none():
     """Of a Cauchy distribution."""
     samples = multivariate_t.rvs(np.zeros(3), np.eye(3), df=1, size=2000, random_state=1)
-    found = fit_tails((samples**2).sum(1), np.zeros(2000))
+    found = fit_tails((samples**2).sum(1), np.zeros(2000), np.zeros(2000))
     assert found.degrees_of_freedom == pytest.approx(LEAST_DEGREES_OF_FREEDOM, rel=1e-6)
 
 
@@ -166,6 +184,7 @@ def test_calibrating_again_changes_nothing():
         model.config,
         distance_scale=found.distance_scale,
         doubt_sigma=found.doubt_sigma,
+        truncation_sigma=found.truncation_sigma,
         degrees_of_freedom=found.degrees_of_freedom,
     )
     again = calibrate(model, split(0), absent())
@@ -197,6 +216,17 @@ def test_hard_images_of_which_the_network_doubts_have_regions_that_grow(before):
     assert found.distance_scale == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("before", [(0.0, 0.0), (3.0, 1.0)])
+def test_growth_with_a_truncation_that_all_images_have_is_as_good_as_their_scale(before):
+    """Half of each view is beyond the border, as its middle is on it."""
+    cut = Drawn(truncation_sigma=before, camera=ON_THE_BORDER)
+    found, plain = (calibrate(each, split(0), absent()) for each in (cut, Drawn()))
+    grown = (1 + 0.5 * np.array(found.truncation_sigma)) ** 2
+    scales = found.variance_scales.numpy() * grown
+    np.testing.assert_allclose(scales, plain.variance_scales, rtol=1e-3)
+    assert found.degrees_of_freedom == pytest.approx(plain.degrees_of_freedom, rel=1e-2)
+
+
 def test_hard_images_do_not_count_for_distance_and_threshold():
     easy = calibrate(Drawn(), split(0), absent())
     both = calibrate(Drawn(), split(0), absent(), split(5, level=0.1, factor=9.0))
@@ -226,4 +256,4 @@ def test_without_empty_images_scales_are_found_and_no_threshold():
 @pytest.mark.parametrize("bad", [[], [1.0, -1.0], [np.nan]])
 def test_bad_distances_are_refused(bad):
     with pytest.raises(ValueError, match="expected finite numbers"):
-        fit_tails(bad, np.zeros(len(bad)))
+        fit_tails(bad, np.zeros(len(bad)), np.zeros(len(bad)))

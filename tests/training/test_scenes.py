@@ -21,7 +21,7 @@ from ffpose.models import (
 from ffpose.render import label, patches
 from ffpose.render.dataset import writer
 from ffpose.render.renderer import situation
-from ffpose.training import DataConfig, data
+from ffpose.training import DataConfig, data, tasks
 from ffpose.training.engine import train
 from ffpose.training.run import build_run
 from scene_runs import COUNT, FIELDS, scenes_config
@@ -86,7 +86,8 @@ def test_a_run_on_scenes_resumes_bit_for_bit_and_renders_once(root, tmp_path, re
     assert all(torch.equal(value, before[key]) for key, value in load_file(best).items())
 
 
-def test_workers_prepare_the_batches_of_this_process(root, tmp_path):
+def test_workers_prepare_the_batches_of_this_process(root, tmp_path, monkeypatch):
+    monkeypatch.setattr(tasks, "LEAST_BATCHES", 1)
     task = build_run(scenes_config(root, tmp_path / "run")).task
     assert task.workers == 0
     own = list(task.batches(seed=5))
@@ -96,6 +97,16 @@ def test_workers_prepare_the_batches_of_this_process(root, tmp_path):
     for one, two in zip(own, theirs, strict=True):
         for name, value in one._asdict().items():
             assert torch.equal(getattr(two, name), value), name
+
+
+@pytest.mark.slow
+def test_processes_that_train_together_share_the_workers(root, tmp_path):
+    losses = []
+    for workers in (0, 3):
+        config = scenes_config(root, tmp_path / str(workers), epochs=1, processes=2, batch_size=1)
+        config = replace(config, data=replace(config.data, workers=workers))
+        losses.append(train(config, quiet=True).history[0]["train_loss"])
+    assert losses[0] == losses[1]
 
 
 def test_autocast_learns_from_scenes_too(root, tmp_path):

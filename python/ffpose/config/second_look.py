@@ -28,6 +28,9 @@ class SecondLookConfig(NetworkConfig):
         doubt_sigma: Growth of the standard deviations of translation and rotation with the
             probability ``p`` that the attitude is not near the predicted one: they are multiplied
             by ``1 + doubt_sigma p``; found by calibration.
+        truncation_sigma: Their growth with the share ``s`` of the view of ``object_radius_m`` that
+            the border of the frame cuts off: they are multiplied by ``1 + truncation_sigma s``;
+            found by calibration.
         degrees_of_freedom: Of the multivariate t distributions of the errors of translation and
             rotation, whose covariances the network predicts; found by calibration. None for
             Gaussian errors.
@@ -42,6 +45,7 @@ class SecondLookConfig(NetworkConfig):
         "object_size": 2,
         "distance_m": 2,
         "doubt_sigma": 2,
+        "truncation_sigma": 2,
         "degrees_of_freedom": 2,
     }
     OPTIONAL: ClassVar[tuple[str, ...]] = (*NetworkConfig.OPTIONAL, "degrees_of_freedom")
@@ -53,6 +57,7 @@ class SecondLookConfig(NetworkConfig):
     distance_m: tuple[float, float] = (8.0, 42.0)
     distance_scale: float = 1.0
     doubt_sigma: tuple[float, float] = (0.0, 0.0)
+    truncation_sigma: tuple[float, float] = (0.0, 0.0)
     degrees_of_freedom: tuple[float, float] | None = None
     looks: int = 2
 
@@ -87,8 +92,9 @@ class SecondLookConfig(NetworkConfig):
             raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
         if not 0 < self.distance_scale < math.inf:
             raise ValueError(f"distance_scale: expected above 0, got {self.distance_scale}")
-        if not all(0 <= growth < math.inf for growth in self.doubt_sigma):
-            raise ValueError(f"doubt_sigma: expected 0 or more each, got {self.doubt_sigma}")
+        for name in ("doubt_sigma", "truncation_sigma"):
+            if not all(0 <= growth < math.inf for growth in getattr(self, name)):
+                raise ValueError(f"{name}: expected 0 or more each, got {getattr(self, name)}")
         least, most = 2, MOST_DEGREES_OF_FREEDOM
         if not all(least < each <= most for each in self.degrees_of_freedom or ()):
             raise ValueError(

@@ -135,7 +135,7 @@ def cached_patches(
     """Return the patches in a folder; write them where it does not exist yet.
 
     Args:
-        folder: The folder, named by `digest` of all that the patches depend on.
+        folder: The folder, named by all that the patches depend on.
         count: Number of images.
         spec: Geometry of the two patches.
         pieces: Function that yields the patches in order.

@@ -2,12 +2,13 @@
 
 A scene is a pure function of set, seed and index (`ffpose.render`), so rendered data can be cached:
 patches (`ffpose.datasets.patches`) and validation images lie in a folder whose name is the digest
-of all that they depend on, and any number of runs and processes map one copy. Needs the extra
-`render`.
+of all that they depend on and, of patches, their number; any number of runs and processes map one
+copy. Needs the extra `render`.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,19 +72,28 @@ def rendered_patches(
     """
     from ffpose.render.patches import describe, render_all_patches
 
-    name = f"views-{digest(describe(scene, seed, spec, content))}-"
-    there = sorted(int(folder.name.removeprefix(name)) for folder in root.glob(f"{name}*"))
-    enough = next((each for each in there if each >= count), count)
-    fewer = max((each for each in there if each < count), default=0)
-    begun = open_patches(root / f"{name}{fewer}") if fewer and enough not in there else None
-    arrays = cached_patches(
-        root / f"{name}{enough}",
+    name = f"views-{digest(describe(scene, seed, spec, content))}"
+    there = _folders(root, name)
+    enough = min((each for each in there if each >= count), default=None)
+    if enough is not None:
+        return {part: array[:count] for part, array in open_patches(there[enough]).items()}
+    fewer = max(there, default=0)
+    return cached_patches(
+        root / f"{name}-{count}",
         count,
         spec,
         lambda: render_all_patches(scene, seed, range(fewer, count), spec, content, workers),
-        begun,
+        open_patches(there[fewer]) if fewer else None,
     )
-    return {part: array[:count] for part, array in arrays.items()}
+
+
+def _folders(root: Path, name: str) -> dict[int, Path]:
+    """Return a set's folders of patches by their numbers of scenes."""
+    return {
+        int(match[1]): folder
+        for folder in root.glob(f"{name}-*")
+        if (match := re.fullmatch(rf"{name}-(\d+)", folder.name))
+    }
 
 
 def open_frames(

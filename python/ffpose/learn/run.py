@@ -80,7 +80,8 @@ class LearnConfig:
         camera: Camera of the images.
         distance_m: Least and greatest distance; None for 1.5 to 8 diameters of the bounding sphere.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
-        processes: Processes that render and that train together; 0 for one a core.
+        processes: Processes that render and prepare batches, and that train together, on GPUs one
+            each; 0 for one a core.
         seed: Seed of everything.
         device: "auto" (a GPU if there is one) or a device that torch knows.
         test_images: Number of images of the test.
@@ -422,7 +423,8 @@ class _Record:
             one, two = (TrainingPlan(**each) for each in planned)
             autocast, speed = found["autocast"], Speed(**found["speed"])
         except (KeyError, TypeError, ValueError) as error:
-            raise DataError(f"expected the record of a run: {error}", path) from error
+            remedy = "remove the folder, or write to another"
+            raise DataError(f"expected the record of a run: {error}; {remedy}", path) from error
         for name, value in settings.items():
             if there.get(name) != value:
                 raise ValueError(

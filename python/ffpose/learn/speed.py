@@ -61,7 +61,8 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
         model, [arrays], [], config.views, (1.0, 1.0, 1.0), loss.cells, np.zeros((0, 3))
     )
     threads = torch.get_num_threads()
-    torch.set_num_threads(1 if processes > 1 else threads)
+    alone = processes == 1 and device.type == "cpu"  # workers have one thread each
+    torch.set_num_threads(threads if alone else 1)
     try:
         rates = {
             autocast: _rate(replace(config, autocast=autocast), model, loss, batches, device)
@@ -107,5 +108,5 @@ def _rate(
             stepping += time.perf_counter() - prepared
     if device.type == "cpu":
         return STEPS * size / (preparing + stepping)
-    workers = max(1, config.data.workers // config.processes)
+    workers = max(1, config.data.workers // config.processes)  # of each process
     return STEPS * size / max(preparing / workers, stepping)

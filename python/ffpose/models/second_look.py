@@ -191,17 +191,41 @@ def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
 
     Args:
         pose: Predictions of the second look.
-        config: Architecture of the network, with ``distance_scale`` and ``doubt_sigma``.
+        config: Architecture of the network, with ``distance_scale``, ``doubt_sigma`` and
+            ``truncation_sigma``.
     """
     pose = pose._replace(translation=pose.translation * config.distance_scale)
-    if config.doubt_sigma == (0.0, 0.0):
+    if config.doubt_sigma == config.truncation_sigma == (0.0, 0.0):
         return pose
-    doubt = 1 - pose.probabilities[:, :1, None]
-    for_translation, for_rotation = ((1 + doubt * growth) ** 2 for growth in config.doubt_sigma)
+    doubt, cut = 1 - pose.probabilities[:, 0], truncation(pose.translation, config)
+    for_translation, for_rotation = (
+        ((1 + doubt * by_doubt) * (1 + cut * by_cut)).square()[:, None, None]
+        for by_doubt, by_cut in zip(config.doubt_sigma, config.truncation_sigma, strict=True)
+    )
     return pose._replace(
         translation_covariance=pose.translation_covariance * for_translation,
         rotation_covariance=pose.rotation_covariance * for_rotation,
     )
+
+
+def truncation(translation: Tensor, config: SecondLookConfig) -> Tensor:
+    """Return the shares ``(B,)`` of objects' views that the border of the frame cuts off, 0 to 1.
+
+    Of the view's diameter, through the object's origin towards the nearest side of the frame: a
+    half where the origin is on the border.
+
+    Args:
+        translation: ``(B, 3)``, in front of the camera, meters.
+        config: Has camera, frame and ``object_radius_m``.
+    """
+    assert config.camera is not None
+    (fx, fy, cx, cy), (height, width) = config.camera, config.image_size
+    x, y, z = translation.unbind(1)
+    # Distances from the planes through the camera and the sides of the frame, along the image.
+    left, right = x + z * (cx / fx), z * ((width - cx) / fx) - x
+    top, bottom = y + z * (cy / fy), z * ((height - cy) / fy) - y
+    room = torch.minimum(torch.minimum(left, right), torch.minimum(top, bottom))
+    return (0.5 - room / (2 * config.object_radius_m)).clamp(0, 1)
 
 
 def sigma_loss(output: SecondLookOutput, residual: Tensor) -> Tensor:

@@ -5,8 +5,9 @@ is zero. The errors of translation, and those of rotation, are taken for multiva
 (Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", JASA 1989): most
 are as small as the network says, and now and then it mistakes one side of the object for another.
 Found by maximum likelihood are the degrees of freedom, a scale of the covariances, and how the
-standard deviations grow with the network's own doubt of the attitude: the probability that its bins
-give to attitudes far from the most likely one. This is the analog of temperature scaling for
+standard deviations grow with the network's own doubt of the attitude, the probability that its bins
+give to attitudes far from the most likely one, and with the share of the object's view that the
+border of the frame cuts off. This is the analog of temperature scaling for
 probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML 2017). The covariances
 are then those of the t distributions, not their scale matrices.
 """
@@ -29,6 +30,7 @@ from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.calibration import choose_threshold, squared_mahalanobis
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import SecondLookNetwork
+from ffpose.models.second_look import truncation
 
 FloatArray = NDArray[np.float64]
 
@@ -51,6 +53,7 @@ class Calibration(NamedTuple):
         distance_scale: For the field of the network's config of that name.
         variance_scales: ``(2,)`` float32, for the network's buffer of that name.
         doubt_sigma: For the field of the network's config of that name.
+        truncation_sigma: For the field of the network's config of that name.
         degrees_of_freedom: For the field of the network's config of that name.
         in_view_threshold: Images with a lower probability of the object being in view are flagged;
             None where there were no images without the object.
@@ -59,6 +62,7 @@ class Calibration(NamedTuple):
     distance_scale: float
     variance_scales: Tensor
     doubt_sigma: tuple[float, float]
+    truncation_sigma: tuple[float, float]
     degrees_of_freedom: tuple[float, float]
     in_view_threshold: float | None
 
@@ -67,13 +71,16 @@ class Tails(NamedTuple):
     """A multivariate t distribution relative to a predicted covariance.
 
     Attributes:
-        scale: Factor on a covariance, without doubt, that makes it that of the distribution.
+        scale: Factor on a covariance that makes it that of the distribution, where neither doubt
+            nor truncation is.
         doubt_sigma: Growth of the standard deviations with the doubt.
+        truncation_sigma: Growth of the standard deviations with the truncation.
         degrees_of_freedom: Of the distribution.
     """
 
     scale: float
     doubt_sigma: float
+    truncation_sigma: float
     degrees_of_freedom: float
 
 
@@ -115,13 +122,14 @@ def calibrate(
     sets = [
         _distances(model, each, factor) for each in (seen, _see_all(model, hard, symmetry)) if each
     ]
-    translation, rotation, doubt = map(np.concatenate, zip(*sets, strict=True))
-    tails = [fit_tails(distances, doubt) for distances in (translation, rotation)]
-    scales, growths, degrees = zip(*tails, strict=True)
+    translation, rotation, doubt, cut = map(np.concatenate, zip(*sets, strict=True))
+    tails = [fit_tails(distances, doubt, cut) for distances in (translation, rotation)]
+    scales, by_doubt, by_cut, degrees = zip(*tails, strict=True)
     return Calibration(
         model.config.distance_scale * factor,
         model.variance_scales.detach().cpu().float() * torch.tensor(scales),
-        growths,
+        by_doubt,
+        by_cut,
         degrees,
         choose_threshold(seen["in_view"], np.concatenate(absent)).threshold if absent else None,
     )
@@ -138,14 +146,16 @@ def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
     return float(np.exp(np.median(np.log(ratios))))
 
 
-def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike) -> Tails:
+def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike, truncation: ArrayLike) -> Tails:
     """Return the t distribution of the largest likelihood of errors in three dimensions.
 
-    With a doubt ``p`` the scale matrix is that without times ``(1 + k p)²``.
+    With a doubt ``p`` and a truncation ``s`` the scale matrix is that without them times
+    ``(1 + k p)² (1 + l s)²``.
 
     Args:
         squared_distance: ``eᵀ C⁻¹ e`` of each error ``(N,)``, N > 0.
         doubt: ``(N,)``, 0…1; where all are zero no growth is found.
+        truncation: ``(N,)``, likewise.
 
     Returns:
         Its ``degrees_of_freedom`` are `LEAST_DEGREES_OF_FREEDOM` to
@@ -154,12 +164,13 @@ def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike) -> Tails:
     Raises:
         ValueError: There are no distances, or one is negative or not finite.
     """
-    d2, p = np.asarray(squared_distance, np.float64), np.asarray(doubt, np.float64)
+    d2 = np.asarray(squared_distance, np.float64)
+    shares = np.stack([np.asarray(each, np.float64) for each in (doubt, truncation)])
     if d2.ndim != 1 or len(d2) == 0 or not (np.isfinite(d2) & (d2 >= 0)).all():
         raise ValueError(
             f"squared distance: expected finite numbers (N,) of at least 0, N > 0, got {d2}"
         )
-    x = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    x = torch.zeros(4, dtype=torch.float64, requires_grad=True)
     search = torch.optim.LBFGS(
         [x],
         max_iter=STEPS,
@@ -167,29 +178,33 @@ def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike) -> Tails:
         tolerance_change=1e-12,
         line_search_fn="strong_wolfe",
     )
-    begin = math.log(max(float(np.median(d2)), LEAST_DISTANCE)), float(p.any())
+    begin = math.log(max(float(np.median(d2)), LEAST_DISTANCE))
+    grows = torch.from_numpy(shares.any(1).astype(np.float64))
 
     def found() -> tuple[Tensor, Tensor, Tensor]:
-        """Return log scale of the scale matrix, growth and degrees of freedom at ``x``."""
-        nu = LEAST_DEGREES_OF_FREEDOM + ROOM * (x[2] - 5).sigmoid()
-        return begin[0] + x[0], begin[1] * (1 + x[1]).square(), nu
+        """Return log scale of the scale matrix, growths and degrees of freedom at ``x``."""
+        nu = LEAST_DEGREES_OF_FREEDOM + ROOM * (x[3] - 5).sigmoid()
+        return begin + x[0], grows * (1 + x[1:3]).square(), nu
 
     def loss() -> Tensor:
         search.zero_grad()
-        value = negative_log_likelihood(torch.from_numpy(d2), torch.from_numpy(p), *found())
+        value = negative_log_likelihood(torch.from_numpy(d2), torch.from_numpy(shares), *found())
         torch.autograd.backward(value)
         return value
 
     search.step(loss)  # type: ignore[no-untyped-call]  # torch annotates no optimizer of its own
-    log_scale, growth, nu = (float(each.detach()) for each in found())
-    return Tails(math.exp(log_scale) * nu / (nu - 2), growth, nu)
+    log_scale, growths, nu = (each.detach().tolist() for each in found())
+    return Tails(math.exp(log_scale) * nu / (nu - 2), *growths, nu)
 
 
 def negative_log_likelihood(
-    d2: Tensor, doubt: Tensor, log_scale: Tensor, growth: Tensor, nu: Tensor
+    d2: Tensor, shares: Tensor, log_scale: Tensor, growths: Tensor, nu: Tensor
 ) -> Tensor:
-    """Return the mean of a multivariate t distribution's, up to a constant, for errors ``(N,)``."""
-    log_scales = log_scale + 2 * torch.log1p(growth * doubt)
+    """Return the mean of a multivariate t distribution's, up to a constant, for errors ``(N,)``.
+
+    ``growths (2,)`` belong to ``shares (2, N)``, doubt and truncation.
+    """
+    log_scales = log_scale + 2 * torch.log1p(growths[:, None] * shares).sum(0)
     normalization = torch.lgamma((nu + 3) / 2) - torch.lgamma(nu / 2) - 1.5 * nu.log()
     far = (nu + 3) / 2 * torch.log1p(d2 * torch.exp(-log_scales) / nu)
     return (far + 1.5 * log_scales).mean() - normalization
@@ -219,19 +234,27 @@ def _see_all(
 
 def _distances(
     model: SecondLookNetwork, seen: Mapping[str, FloatArray], factor: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return squared distances of translation and rotation, without the growth, and the doubt.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return squared distances of translation and rotation, without growth; doubt, truncation.
 
     ``(N,)`` each; predicted translations are multiplied by ``factor``.
     """
+    config, found = model.config, seen["translation"]
     doubt = 1 - seen["probabilities"][:, 0]
-    moved = seen["true_translation"] - seen["translation"] * factor
+    before, after = (
+        _array(truncation(torch.from_numpy(t), config)) for t in (found, found * factor)
+    )
+    moved = seen["true_translation"] - found * factor
     turned = rotation_error_vector(seen["orientation"], seen["true_orientation"])
-    for_translation, for_rotation = ((1 + k * doubt) ** 2 for k in model.config.doubt_sigma)
+    for_translation, for_rotation = (
+        ((1 + by_doubt * doubt) * (1 + by_cut * before)) ** 2
+        for by_doubt, by_cut in zip(config.doubt_sigma, config.truncation_sigma, strict=True)
+    )
     return (
         squared_mahalanobis(moved, seen["translation_covariance"]) * for_translation,
         squared_mahalanobis(turned, seen["rotation_covariance"]) * for_rotation,
         doubt,
+        after,
     )
 
 

@@ -87,7 +87,9 @@ def write_calibrated(
     model = load_network(path)
     assert isinstance(model, SecondLookNetwork)
     model.variance_scales.fill_(1)  # so that the same images always give the same scales
-    model.config = replace(model.config, distance_scale=1.0, doubt_sigma=(0.0, 0.0))
+    model.config = replace(
+        model.config, distance_scale=1.0, doubt_sigma=(0.0, 0.0), truncation_sigma=(0.0, 0.0)
+    )
     preprocessing = images.whole.preprocessing
     empty = [] if images.empty is None else standardized(images.empty, preprocessing)
     hard = chain.from_iterable(map(_batches, images.hard))
@@ -101,6 +103,7 @@ def write_calibrated(
         model.config,
         distance_scale=found.distance_scale,
         doubt_sigma=found.doubt_sigma,
+        truncation_sigma=found.truncation_sigma,
         degrees_of_freedom=found.degrees_of_freedom,
     )
     header = replace(

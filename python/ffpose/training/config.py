@@ -94,7 +94,8 @@ class DataConfig:
         augmentation: Fields of `ffpose.imaging.transforms.Augmentation` to change, as in ``{roll:
             10}``.
         cache: Whether to store decoded and resized images in a file that later runs share.
-        workers: Number of processes that render, read or augment images beside the one that trains.
+        workers: Number of processes that render, read or augment images beside the one that trains;
+            those that augment patches are shared by all that train on a machine.
         train_split: Name of the training split, or "all" with ``holdout``.
         val_split: Name of the validation split.
         holdout: Validate on every ``holdout``-th image of the training split instead of val_split,

@@ -37,10 +37,12 @@ class Processes:
     Attributes:
         rank: Number of this process, from 0.
         world: How many there are.
+        here: How many of them are on this machine.
     """
 
     rank: int = 0
     world: int = 1
+    here: int = 1
 
     @property
     def leads(self) -> bool:
@@ -151,7 +153,9 @@ def _store() -> Store:
 
 def current() -> Processes:
     """Return this process's place in the group that it has joined."""
-    return Processes(distributed.get_rank(), distributed.get_world_size())
+    world = distributed.get_world_size()
+    here = int(os.environ.get("LOCAL_WORLD_SIZE", world))
+    return Processes(distributed.get_rank(), world, here)
 
 
 def accumulating(objective: nn.Module, *, last: bool) -> AbstractContextManager[None]:
@@ -181,7 +185,7 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     place = {"WORLD_SIZE": str(count), "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(_free_port())}
     context = multiprocessing.get_context("spawn")
     others = [
-        context.Process(target=_follow, args=(place, rank, threads, work, args), daemon=True)
+        context.Process(target=_follow, args=(place, rank, threads, work, args))
         for rank in range(1, count)
     ]
     for process in others:

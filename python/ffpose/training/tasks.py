@@ -9,7 +9,7 @@ whole images.
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Protocol
@@ -32,6 +32,9 @@ from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatch, PatchBatches
 from ffpose.training.processes import ALONE, Processes
 from ffpose.training.provenance import describe_data, rendered_sets, set_name
+
+LEAST_BATCHES = 4
+"""Batches of an epoch for each worker, or more: fewer do not pay for its start."""
 
 VALIDATION_BATCH = 20
 """Batch size for validating a network with a second look on whole images."""
@@ -136,7 +139,7 @@ class FrameTask:
     ) -> None:
         self.processes = processes
         self.train_set, self.val_set, self.loss = train_set, val_set, loss
-        self.batch_size, self.workers = batch_size, workers // processes.world
+        self.batch_size, self.workers = batch_size, workers
         self.preprocessing = train_set.preprocessing
 
     @property
@@ -203,7 +206,8 @@ class ObjectTask:
         val_set: Whole validation images, which select the best epoch.
         loss: The loss terms and their weights.
         batch_size: Images per batch.
-        workers: Additional processes that augment patches, in all; 0 for a thread of this one.
+        workers: Additional processes that augment patches, on Linux, for all of ``processes`` that
+            are on this machine; otherwise, and with 0, a thread of each does.
         processes: This process's place among those that train together.
     """
 
@@ -218,7 +222,7 @@ class ObjectTask:
     ) -> None:
         self.processes = processes
         self.patches, self.val_set, self.loss = patches, val_set, loss
-        self.batch_size, self.workers = batch_size, workers // processes.world
+        self.batch_size, self.workers = batch_size, -(-workers // processes.here)
         self.preprocessing = val_set.preprocessing
 
     @property
@@ -234,11 +238,11 @@ class ObjectTask:
     def batches(self, seed: int) -> Iterator[PatchBatch]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
         epoch = self.patches.epoch(seed, self.batch_size, self.processes)
-        if self.workers == 0:
+        workers = min(self.workers, len(epoch) // LEAST_BATCHES)
+        if workers == 0 or sys.platform != "linux":  # others copy the patches to each worker
             return prefetched(epoch[number] for number in range(len(epoch)))
-        # Forked workers map the stored patches that this process has opened; others need copies.
-        context = "fork" if "fork" in multiprocessing.get_all_start_methods() else None
-        return iter(_loader(epoch, None, self.workers, multiprocessing_context=context))
+        own = torch.Generator()  # or the network's random numbers would depend on the workers
+        return iter(_loader(epoch, None, workers, multiprocessing_context="fork", generator=own))
 
     def terms(self, model: BaseNetwork, batch: PatchBatch, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
@@ -260,7 +264,7 @@ class ObjectTask:
 
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
-        return _validation(self.val_set, self.processes, VALIDATION_BATCH, self.workers)
+        return _validation(self.val_set, self.processes, VALIDATION_BATCH, workers=0)
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Return name, sets, number, size, mean pose and digest of the training patches' labels."""
