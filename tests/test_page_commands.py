@@ -159,7 +159,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(quick_bench, "BATCHES", (1,))
     monkeypatch.setattr(learn, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
     tiny = (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1))
-    monkeypatch.setattr(learn, "plan_trainings", lambda minutes, speed: tiny)
+    monkeypatch.setattr(learn, "plan_trainings", lambda *_: tiny)
     small = partial(learn.LearnConfig, test_images=3, card_images=2, processes=1)
     monkeypatch.setattr(learn, "LearnConfig", lambda *given, **named: small(*given[:7], **named))
     return tmp_path

@@ -51,7 +51,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(
         run,
         "plan_trainings",
-        lambda minutes, speed: (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1)),
+        lambda *_: (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1)),
     )
 
 
@@ -66,6 +66,16 @@ def test_a_budget_is_spent_on_rendering_and_training_by_the_speed_of_both():
         assert 0.9 * 60 * minutes < seconds <= 60 * minutes + 1e-6
     faster = plan_trainings(60, Speed(views=1e6, samples=1e9))
     assert faster[1] == TrainingPlan("second", MOST_VIEWS, MOST_EPOCHS, rendered=MOST_VIEWS)
+
+
+def test_views_leave_half_of_the_disk_free():
+    speed = Speed(views=20, samples=300, view_bytes=200_000)
+    first, second = plan_trainings(60, speed, room=10e9)
+    assert 4.9e9 < (second.views + second.views) * 200_000 <= 5e9
+    assert first.views < second.views
+    enough = plan_trainings(60, speed, room=1e12)
+    assert enough[1].views > second.views
+    assert enough[1].epochs < second.epochs
 
 
 def test_a_slower_machine_has_fewer_epochs_in_the_time_that_is_left():

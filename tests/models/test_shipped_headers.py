@@ -29,7 +29,17 @@ from ffpose.training.provenance import recipe, rendered_sets
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 CALIBRATED_ON = {"dragon": "dragon_hard", "soyuz": "soyuz_hard"}
-SAME = ("model", "model_fields", "epochs", "batch_size", "ema", "optimizer", "views", "seed")
+SAME = (
+    "model",
+    "model_fields",
+    "epochs",
+    "stages",
+    "batch_size",
+    "ema",
+    "optimizer",
+    "views",
+    "seed",
+)
 
 
 def test_the_shipped_weights_are_known_here():
@@ -96,7 +106,12 @@ def test_the_command_in_the_header_names_the_images_in_the_header(name):
 def test_calibrated_values_are_not_rounded_and_not_at_a_bound(name):
     metadata = read_metadata(name)
     config = metadata.config
-    values = (config.distance_scale, *config.doubt_sigma, metadata.in_view_threshold)
+    values = (
+        metadata.in_view_threshold,
+        config.distance_scale,
+        *config.doubt_sigma,
+        *config.truncation_sigma,
+    )
     assert all(value != round(value, 6) for value in values)
     assert all(math.isfinite(value) and value > 0 for value in values)
     assert all(LEAST_DEGREES_OF_FREEDOM <= nu < 100 for nu in config.degrees_of_freedom)

@@ -1,12 +1,13 @@
 """What is rendered and trained in a budget of minutes, chosen from the mesh and measured speed.
 
 Two trainings share the budget: a sixth of it goes to a first one, so that there is an answer early,
-and the rest to a second, on more views, that starts from the first one's weights. Each spends a
-third of its share on rendering and the rest on training.
+and the rest to a second, on more views, that starts from the first one's weights. Each has as many
+views as are rendered in three tenths of its share; those of the second begin with the first one's.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,9 +33,14 @@ BEYOND = (0.7, 1.4)
 """Training sees distances beyond the nearest and farthest by these factors."""
 
 FIRST_SHARE, RENDER_SHARE, TEST_SHARE = 1 / 6, 0.3, 0.12
-"""Shares of the budget: of the first training; of rendering in each; of calibration and test."""
+"""Shares of the budget: of the first training; of rendering in each, were nothing rendered before;
+of calibration and test."""
 
-LEAST_VIEWS, MOST_VIEWS = 200, 16_000
+LEAST_VIEWS, MOST_VIEWS = 200, 48_000
+
+ROOM_SHARE = 0.5
+"""Share of the disk's free space that the views may take."""
+
 LEAST_HELD_OUT, MOST_HELD_OUT = 8, 200
 """Validation images, and images of each kind that calibrate: a fortieth of the views, within."""
 
@@ -54,15 +60,17 @@ KINDS = {"count": 0.55, "cut": 0.11, "randomized": 0.2, "empty": 0.06, "decoys":
 
 @dataclass(frozen=True)
 class Speed:
-    """What this machine does with all processes together.
+    """What this machine does with all processes together, and what a view takes.
 
     Attributes:
         views: Rendered views per second.
         samples: Training samples per second.
+        view_bytes: Bytes of a stored view.
     """
 
     views: float
     samples: float
+    view_bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -90,29 +98,35 @@ class TrainingPlan:
         return (self.views - self.rendered) / speed.views
 
 
-def plan_trainings(minutes: float, speed: Speed) -> tuple[TrainingPlan, TrainingPlan]:
+def plan_trainings(
+    minutes: float, speed: Speed, room: float = math.inf
+) -> tuple[TrainingPlan, TrainingPlan]:
     """Return the two trainings that fit into a budget.
 
     Args:
         minutes: The budget, wall time.
         speed: Of this machine.
+        room: Free bytes of the disk; the views of both take at most `ROOM_SHARE` of them.
 
     Examples:
         >>> first, second = plan_trainings(60, Speed(views=30, samples=400))
         >>> first
         TrainingPlan(name='first', views=4752, epochs=31, rendered=0)
         >>> second
-        TrainingPlan(name='second', views=16000, epochs=56, rendered=4752)
+        TrainingPlan(name='second', views=23760, epochs=33, rendered=4752)
     """
     seconds = 60 * minutes * (1 - TEST_SHARE)
     whole = FIRST_SHARE * seconds
-    first = _plan("first", whole, speed, 0)
-    return first, _plan("second", seconds - whole, speed, first.views)
+    most = MOST_VIEWS
+    if speed.view_bytes:
+        most = min(most, int(ROOM_SHARE * room / 2 / speed.view_bytes))
+    first = _plan("first", whole, speed, 0, most)
+    return first, _plan("second", seconds - whole, speed, first.views, most)
 
 
-def _plan(name: str, seconds: float, speed: Speed, rendered: int) -> TrainingPlan:
-    views = rendered + RENDER_SHARE * seconds * speed.views
-    plan = TrainingPlan(name, round(min(max(views, LEAST_VIEWS), MOST_VIEWS)), 0, rendered)
+def _plan(name: str, seconds: float, speed: Speed, rendered: int, most: int) -> TrainingPlan:
+    views = min(RENDER_SHARE * seconds * speed.views, most)
+    plan = TrainingPlan(name, round(max(views, LEAST_VIEWS, rendered)), 0, rendered)
     epochs = int((seconds - plan.rendering(speed)) * speed.samples / plan.views)
     return replace(plan, epochs=min(max(epochs, LEAST_EPOCHS), MOST_EPOCHS))
 

@@ -186,7 +186,8 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     if symmetries is not None:
         say("measuring the speed of this machine")
         speed, record.autocast = measure_speed(configured(TrainingPlan("first", 1000, 1)), scene)
-        record.plans, record.speed = plan_trainings(config.minutes, speed), speed
+        free = shutil.disk_usage(config.out).free
+        record.plans, record.speed = plan_trainings(config.minutes, speed, free), speed
         record.write(config.out)
         say(_planned(config, radius, scene_file, record, processes, group, symmetries))
     assert record.plans is not None

@@ -72,7 +72,8 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
         torch.set_num_threads(threads)
     best = max(rates, key=rates.__getitem__)
     together = 1 if processes == 1 else TOGETHER * processes
-    return Speed(views, rates[best] * together), best
+    stored = sum(array.nbytes for array in arrays.values()) // count
+    return Speed(views, rates[best] * together, stored), best
 
 
 def _rate(
