@@ -193,8 +193,10 @@ def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike, truncation: ArrayLi
         return value
 
     search.step(loss)  # type: ignore[no-untyped-call]  # torch annotates no optimizer of its own
-    log_scale, growths, nu = (each.detach().tolist() for each in found())
-    return Tails(math.exp(log_scale) * nu / (nu - 2), *growths, nu)
+    log_scale, growths, degrees = (each.detach() for each in found())
+    by_doubt, by_truncation = growths.tolist()
+    nu = float(degrees)
+    return Tails(math.exp(float(log_scale)) * nu / (nu - 2), by_doubt, by_truncation, nu)
 
 
 def negative_log_likelihood(
