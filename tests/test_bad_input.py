@@ -1,4 +1,4 @@
-"""Malformed arguments of every kind meet a `TypeError` or a `ValueError`, and nothing else."""
+"""Malformed arguments of every kind meet a documented exception, and nothing else."""
 
 import contextlib
 import inspect
@@ -106,7 +106,8 @@ anything = st.one_of(any_arrays(), any_arrays(), st.sampled_from(ODDITIES), st.s
 def test_any_arguments_meet_documented_exceptions(function, data):
     names = list(inspect.signature(function).parameters)
     bad = data.draw(st.dictionaries(st.sampled_from(names), anything)) if names else {}
-    with contextlib.suppress(TypeError, ValueError):
+    # The last of an empty array whose other sides are beyond any memory (`_rust.pyi`).
+    with contextlib.suppress(TypeError, ValueError, MemoryError):
         function(**{name: GOOD[name] for name in names} | bad)
 
 
