@@ -300,7 +300,7 @@ def test_both_modes_are_those_of_the_last_view_in_the_cameras_frame():
     ],
 )
 def test_truncation_is_the_share_of_a_view_beyond_the_nearest_side(position, share):
-    """Of a view of 2 m to each side, in a frame of 90 degrees across and 4 by 3."""
+    """Of a view of 2 m to each side, in an image with a field of view of 90 by 74 degrees."""
     config = PRESETS["polar"].with_fields(
         {"image_size": (384, 512), "camera": (256.0, 256.0, 256.0, 192.0), "object_radius_m": 2.0}
     )

@@ -186,8 +186,7 @@ def training_processes(device: str, processes: int) -> int:
     """Return how many of ``processes`` train together: one for each GPU; all on a CPU."""
     if find_device(device).type != "cuda":
         return processes
-    one = ":" in device  # as cuda:1
-    return 1 if one else min(processes, torch.cuda.device_count())
+    return 1 if ":" in device else min(processes, torch.cuda.device_count())  # as cuda:1
 
 
 def training(
