@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from safetensors.numpy import save
 
 import ffpose
 from ffpose._internal import files
+from ffpose._internal.files import sha256
+from ffpose._internal.zoo import resolve
 from ffpose.cli import main
 from ffpose.learn import plan, run
 from ffpose.learn.plan import (
@@ -170,9 +173,10 @@ def test_the_reports_command_has_all_options(tmp_path):
         mesh_up="y",
         mesh_center=True,
         symmetry="none",
+        init="none",
     )
-    options = "--mesh-scale 0.001 --mesh-up y --symmetry none --distance 3.0 9.5 --mesh-center"
-    assert run._command(changed) == words + options.split()
+    options = "--mesh-scale 0.001 --mesh-up y --symmetry none --init none --distance 3.0 9.5"
+    assert run._command(changed) == [*words, *options.split(), "--mesh-center"]
 
 
 def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
@@ -194,6 +198,9 @@ def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
     assert header.config.distance_m == pytest.approx(scene.distance_m)
     assert header.recipe["data"]["scene"] == "craft"
     assert str(tmp_path) not in json.dumps(header.recipe)
+    of_the_first = header.recipe["init"]
+    assert of_the_first["sha256"] == sha256(out / "first" / "best.safetensors")
+    assert of_the_first["recipe"]["init"]["sha256"] == sha256(resolve("soyuz"))
     image = next((out / "test-images").glob("*_rgb.png"))
     for backend in ("torch", "onnxruntime"):
         pose = ffpose.load(out, backend=backend)(image)
@@ -303,6 +310,8 @@ def write_gltf(name, **changes):
         (["cycle.gltf"], "cycle.gltf: expected a tree of nodes, got node 0 in a cycle"),
         (["inner/outside.gltf"], "outside.gltf: expected files in its folder, got '../secret.png'"),
         (["craft.stl", "--symmetry", "none.json"], "none.json"),
+        (["craft.stl", "--init", "sojuz"], "expected a file or a name (one of dragon, soyuz), got"),
+        (["craft.stl", "--init", "other.safetensors"], "other.safetensors"),
         (["craft.stl", "--symmetry", "two.json"], "two.json: axes: expected some that leave"),
     ],
 )
@@ -318,6 +327,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     Path("secret.png").write_bytes(b"no texture of theirs")
     write_gltf("inner/outside.gltf", images=[{"uri": "../secret.png"}])
     axes = [{"axis": [0, 0, 1], "fold": "any"}, {"axis": [1, 0, 0], "fold": "any"}]
+    Path("other.safetensors").write_bytes(save({"weight": np.zeros(3, "f4")}))
     Path("two.json").write_text(json.dumps({"axes": axes}))
     assert main(["learn", *words, "--out", "out"]) in (1, 2)
     error = capsys.readouterr().err.strip()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import torch
 
@@ -22,6 +22,12 @@ from ffpose.training.config import ObjectLossConfig, PatchAugmentation
 
 DEFAULT_CAMERA = Camera(512, 384, 256.0, 256.0, 256.0, 192.0)
 """A pinhole camera of 90 degrees."""
+
+NETWORK: Final = "polar"
+
+DEFAULT_INIT = "soyuz"
+"""Shipped weights that a training starts from: what they know of edges, light and perspective holds
+for other spacecraft, and saves a part of the budget."""
 
 NEAR_DIAMETERS, FAR_DIAMETERS = 1.5, 8.0
 """Default distances, in diameters of the spacecraft's bounding sphere."""
@@ -238,7 +244,7 @@ def training(
             **counts,
         ),
         out=out / plan.name,
-        model="polar",
+        model=NETWORK,
         model_fields={
             "image_size": image_size(camera),
             "first_stride": first_stride(radius_m, BEYOND[1] * distance_m[1], camera),

@@ -18,6 +18,7 @@ from ffpose import __version__
 from ffpose._internal.files import atomic_write, read_json
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
+from ffpose._internal.zoo import resolve
 from ffpose.errors import DataError
 from ffpose.evaluation.card.measurement import measure
 from ffpose.evaluation.card.tables import format_card
@@ -29,8 +30,10 @@ from ffpose.geometry import Camera, DistortedCamera
 from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.learn.plan import (
     DEFAULT_CAMERA,
+    DEFAULT_INIT,
     FAR_DIAMETERS,
     NEAR_DIAMETERS,
+    NETWORK,
     Speed,
     TrainingPlan,
     image_size,
@@ -39,7 +42,8 @@ from ffpose.learn.plan import (
     training,
 )
 from ffpose.learn.speed import measure_speed
-from ffpose.models.weights import checksum_path
+from ffpose.models import build_network
+from ffpose.models.weights import checksum_path, load_weights
 from ffpose.onnx.pose_graph import export_weights
 from ffpose.render import SceneFile, Up
 from ffpose.render.dataset.writer import write_dataset
@@ -91,6 +95,8 @@ class LearnConfig:
         mesh_two_sided: Whether the back of one-sided surfaces is shown.
         symmetry: What labels and errors are modulo: "auto" for the turns that leave the look the
             same within the sensor's noise, "none", or a file (`ffpose.geometry.symmetry`).
+        init: Weights that the first training starts from, of the same architecture: a file, a
+            shipped name, or "none" for random ones.
     """
 
     mesh: Path
@@ -109,6 +115,7 @@ class LearnConfig:
     mesh_center: bool = False
     mesh_two_sided: bool = False
     symmetry: str = "auto"
+    init: str = DEFAULT_INIT
 
     def __post_init__(self) -> None:
         if not 0 < self.minutes < math.inf:
@@ -141,10 +148,11 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
         The summary of the test, with the constant pose's beside (`Evaluation.summary`).
 
     Raises:
-        FileNotFoundError: There is no such mesh.
+        FileNotFoundError: There is no such mesh, or there are no such initial weights.
         ValueError: A number is out of range, the mesh has no attitude (as a sphere) or is flat, or
             the folder holds a run with other settings.
-        ffpose.DataError: The mesh, or a file of an interrupted run, cannot be used.
+        ffpose.DataError: The mesh, the initial weights, or a file of an interrupted run cannot be
+            used.
         OSError: The folder cannot be written, or the disk is full.
     """
     began = time.monotonic()
@@ -152,6 +160,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     radius, scene_file = _inspected(config)
     scene = scene_file.scene()
     record = _Record.open(config)
+    initial = _initial(config.init)
     planned = record.plans is not None
     symmetries = None if planned else find_symmetries(scene.build())
     group = SymmetryGroup.chosen(config.symmetry)
@@ -185,7 +194,9 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
 
     if symmetries is not None:
         say("measuring the speed of this machine")
-        speed, record.autocast = measure_speed(configured(TrainingPlan("first", 1000, 1)), scene)
+        speed, record.autocast = measure_speed(
+            configured(TrainingPlan("first", 1000, 1), initial), scene
+        )
         free = shutil.disk_usage(config.out).free
         record.plans, record.speed = plan_trainings(config.minutes, speed, free), speed
         record.write(config.out)
@@ -194,7 +205,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     assert record.speed is not None
     first, second = record.plans
     rendering = time.monotonic()
-    early = train(configured(first), resume=True)
+    early = train(configured(first, initial), resume=True)
     if not (config.out / WEIGHTS).exists():
         _publish(early.folder.best, config.out)
         spent = (time.monotonic() - began) / 60
@@ -221,6 +232,15 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     _report(config, evaluation, final, radius, scene_file)
     say(verdict(summary))
     return summary
+
+
+def _initial(init: str) -> Path | None:
+    """Return the path of the initial weights, once they are known to fit the network."""
+    if init == "none":
+        return None
+    path = resolve(init)
+    load_weights(path, build_network(NETWORK, backbone_weights="none"))
+    return path
 
 
 def _inspected(config: LearnConfig) -> tuple[float, SceneFile]:
@@ -267,7 +287,8 @@ def _planned(
         "spacecraft": f"{config.mesh.name}, within {radius:.3g} m of its origin",
         "distances": f"{near:.3g} to {far:.3g} m; 0.7 and 1.4 times these in training",
         "camera": f"{camera.width} x {camera.height}, fx {camera.fx:.1f}",
-        "network": f"polar, on {columns} x {rows} pixels",
+        "network": f"{NETWORK}, on {columns} x {rows} pixels",
+        "starts from": "random weights" if config.init == "none" else f"weights {config.init}",
         "attitudes": "roll, pitch, yaw within "
         + ", ".join(f"{angle:g}" for angle in config.attitude_range_deg)
         + " degrees",
@@ -391,7 +412,15 @@ def _command(config: LearnConfig) -> list[str]:
     plain = LearnConfig(config.mesh, config.out)
     words = ["ffpose", "learn", str(config.mesh), "--out", str(config.out)]
     words += ["--minutes", f"{config.minutes:g}"]
-    for name in ("mesh_scale", "mesh_up", "symmetry", "seed", "distance_m", "attitude_range_deg"):
+    for name in (
+        "mesh_scale",
+        "mesh_up",
+        "symmetry",
+        "init",
+        "seed",
+        "distance_m",
+        "attitude_range_deg",
+    ):
         value = getattr(config, name)
         if value != getattr(plain, name):
             option = name.removesuffix("_m").removesuffix("_deg").replace("_", "-")
