@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-
-from ffpose.bench.timing import without_collection
 
 FEWEST_ROUNDS = 5
 MOST_ROUNDS = 15
@@ -97,3 +97,15 @@ def _warm_up(contender: Contender, seconds: float) -> float:
         fastest = min(fastest, time_calls(contender, 1))
         if time.perf_counter() >= end:
             return fastest
+
+
+@contextmanager
+def without_collection() -> Iterator[None]:
+    """Switch Python's garbage collection off within the block."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()

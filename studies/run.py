@@ -25,10 +25,11 @@ from ffpose._internal.files import atomic_write, remove_leftovers
 from ffpose._internal.seeds import CHOICES
 from ffpose.config import NetworkConfig
 from ffpose.datasets import Decoding, Part
-from ffpose.datasets.scenes import find_scene, render_images
+from ffpose.datasets.scenes import render_images
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import BaseNetwork, find_config, load_network
+from ffpose.render import find_scene
 from ffpose.training import Stage, TrainConfig
 from ffpose.training.checkpoint import FREE_FIELDS
 from ffpose.training.engine import TrainResult, train

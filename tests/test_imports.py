@@ -21,7 +21,10 @@ ALLOWED = {
     "config": {"geometry"},
     "models": {"nn", "imaging", "geometry", "config"},
     "datasets": {"geometry", "imaging", "render", "arrays"},
-    "training": {"models", "nn", "ops", "datasets", "geometry", "imaging", "config", "evaluation"},
+    "training": {
+        *("models", "nn", "ops", "datasets", "render", "geometry", "imaging", "config"),
+        *("evaluation",),
+    },
     "evaluation": {
         *("models", "datasets", "geometry", "arrays", "imaging", "inference", "config", "render"),
         *("onnx", "ops", "training"),

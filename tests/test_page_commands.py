@@ -155,7 +155,7 @@ def folder(tmp_path, monkeypatch):
     cases = {instruction_set(): [Case("tokens", (4, 6), 1)]}
     monkeypatch.setattr(bench, "make_plan", lambda quick: Plan(cases, 0.001, ()))
     monkeypatch.setattr(bench, "ALLOCATORS", ["default"])  # each has a process of its own
-    monkeypatch.setattr(quick_bench, "FEW", (("tokens", (4, 6)),))
+    monkeypatch.setattr(quick_bench, "SIZES", {"tokens": ((4, 6),)})
     monkeypatch.setattr(quick_bench, "BATCHES", (1,))
     monkeypatch.setattr(learn, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
     tiny = (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1))

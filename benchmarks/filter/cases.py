@@ -14,8 +14,7 @@ from typing import Any, Literal, Self
 
 from ffpose._internal.machine import cores
 from ffpose.arrays import instruction_set
-from ffpose.bench.filter import FEW, FIRST, LAST, Kind
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import FIRST, LAST, OURS, SIZES, Kind
 
 Work = Literal["forward", "forward+backward", "recorded"]
 Sizes = tuple[tuple[Kind, tuple[int, ...]], ...]
@@ -29,6 +28,8 @@ SCIPY = "scipy.fft"
 MATRICES = "matrices"
 COPY = "copy"
 
+FEW: Sizes = tuple((kind, sizes[0]) for kind, sizes in SIZES.items())
+"""The sizes of ``--quick``, one of each kind."""
 GRID: Sizes = tuple(
     ("grid", size)
     for size in ((7, 7, 512), (14, 14, 256), (14, 14, 384), (28, 28, 256), (56, 56, 64))

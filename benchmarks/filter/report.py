@@ -35,7 +35,7 @@ from benchmarks.filter.results import (
 from benchmarks.output import in_threads, make_console, make_table, print_notes, save_plot
 from benchmarks.timing import Timing
 from ffpose._internal.figures import new_figure, style_axes
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ from benchmarks.filter.cases import (
 from benchmarks.filter.children import Setting
 from benchmarks.filter.worker import Measurement
 from benchmarks.timing import Timing
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 
 WORTH_TWO_THREADS = 200e-6
 """Least duration of a call, in seconds, for which a second thread should help."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -23,8 +24,7 @@ from benchmarks.filter.cases import (
     Case,
 )
 from benchmarks.timing import Contender
-from ffpose.bench.filter import DIMS, DIMS_FIRST, Filter, Kind, our_filter, torch_filter
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import DIMS, OURS, Filter, Kind, our_filter, torch_filter
 
 FIRST = (CHANNELS_FIRST, COMPILED)
 """Contenders whose grids and sequences have their channels first."""
@@ -67,7 +67,7 @@ def _contender(name: str, case: Case, inputs: Inputs) -> Contender:
         return Contender(_scipy_call(case, x, weight))
     if name == HALF:
         x, grad = x.bfloat16(), grad.bfloat16()
-        return _contender_of(our_filter(case.kind), x, weight, grad, case)
+        return _contender_of(partial(our_filter, kind=case.kind), x, weight, grad, case)
     return _contender_of(_filter(name, case), x, weight, grad, case)
 
 
@@ -91,10 +91,14 @@ def in_our_layout(name: str, case: Case, results: Sequence[Tensor]) -> tuple[Ten
 
 def _filter(name: str, case: Case) -> Filter:
     if name == OURS:
-        return our_filter(case.kind)
+        return partial(our_filter, kind=case.kind)
     if name == MATRICES:
         return MatrixFilter(case.kind, *case.plane)
-    plain = torch_filter(DIMS_FIRST[case.kind] if name in FIRST else DIMS[case.kind])
+    dim = [place + _is_first(name, case.kind) for place in DIMS[case.kind]]
+
+    def plain(x: Tensor, weight: Tensor) -> Tensor:
+        return torch_filter(x, weight, dim)
+
     return torch.compile(plain, dynamic=False) if name == COMPILED else plain
 
 

@@ -18,7 +18,7 @@ from benchmarks.filter.report import draw, make_document, print_tables
 from benchmarks.filter.results import Comparison, bring_together
 from benchmarks.filter.worker import Measurement, Request
 from benchmarks.output import make_progress, print_document
-from ffpose.bench.timing import expect_place
+from ffpose._internal.files import expect_place
 
 
 def run(as_json: bool = False, plot: Path | None = None, quick: bool = False) -> None:

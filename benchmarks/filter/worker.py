@@ -20,7 +20,7 @@ from benchmarks.filter.cases import COPY, HALF, Case
 from benchmarks.filter.rivals import contenders, in_our_layout
 from benchmarks.machine import environment, measure_peak
 from benchmarks.timing import WARM_UP, Contender, Timing, interleave
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 from ffpose.inference.in_torch import torch_threads
 
 APART = 1e-3

@@ -37,7 +37,7 @@ from benchmarks.output import (
 )
 from benchmarks.timing import Timing, interleave
 from ffpose._internal.machine import cores
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 from ffpose.inference.in_torch import torch_threads
 
 MODELS = ("base", "small", "tiny")

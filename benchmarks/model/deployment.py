@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from timeit import Timer
 
 from benchmarks.model.contenders import (
     CUSTOM,
@@ -40,8 +41,9 @@ from benchmarks.model.plan import DeploymentPlan, make_plan
 from benchmarks.model.report import draw, make_document, print_results
 from benchmarks.model.subjects import Subject, subject
 from benchmarks.output import in_threads, make_progress, print_document
+from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
-from ffpose.bench.timing import Latency, expect_place, percentiles, take_turns, timed
+from ffpose.bench.timing import Latency, take_turns
 from ffpose.inference.in_torch import torch_threads
 
 
@@ -179,8 +181,7 @@ def _measure_case(
 ) -> CaseResult:
     calls = contenders(measured, graphs, plan.names, batch, threads)
     apart = differences(calls, plan.names[0])
-    samples = take_turns({name: timed(call) for name, call in calls.items()}, plan.seconds)
-    latencies = {name: percentiles(seconds) for name, seconds in samples.items()}
+    latencies = take_turns({name: Timer(call) for name, call in calls.items()}, plan.seconds)
     return CaseResult(batch, threads, latencies, apart)
 
 

@@ -19,8 +19,7 @@ from torch.nn.functional import linear, scaled_dot_product_attention
 
 from benchmarks.timing import Contender
 from ffpose._internal.choices import FilterKind
-from ffpose.bench.filter import DIMS, torch_filter
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import DIMS, OURS, torch_filter
 from ffpose.models import FilterformerPose
 from ffpose.nn import GlobalFilter, SpectralFilter
 from ffpose.nn.attention import SelfAttention
@@ -134,14 +133,14 @@ class TorchFftFilter(nn.Module):
         else:
             self.weight = filter.weight
         layout = "grid" if isinstance(filter, GlobalFilter) else filter.layout
-        self.compute = torch_filter(DIMS[layout])
+        self.dim = DIMS[layout]
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the filtered ``x``, of its shape and type; bfloat16 torch.fft cannot compute."""
         wide = x.float() if x.dtype == torch.bfloat16 else x
         if self.grid is not None:
             wide = torch.unflatten(wide, 1, self.grid)
-        return self.compute(wide, self.weight).view_as(x).to(x.dtype)
+        return torch_filter(wide, self.weight, self.dim).view_as(x).to(x.dtype)
 
 
 def with_torch_fft(model: Network) -> Network:

@@ -13,13 +13,14 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
+from timeit import Timer
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ffpose.bench.timing import Latency, percentiles, take_turns
+from ffpose.bench.timing import TURN, Latency, percentiles, take_turns
 from ffpose.geometry import poses
 from ffpose.imaging.images import read_rgb
 from ffpose.inference.load import load
@@ -79,8 +80,18 @@ def measure_stages(
     Returns:
         By pipeline, the latencies of `STAGES` and of their `TOTAL`.
     """
-    measures = {name: partial(pipeline.times, path) for name, pipeline in pipelines.items()}
-    return {name: _latencies(times) for name, times in take_turns(measures, seconds).items()}
+    times: dict[str, list[tuple[float, ...]]] = {name: [] for name in pipelines}
+
+    def run(name: str) -> None:
+        times[name].append(pipelines[name].times(path))
+
+    take_turns({name: Timer(partial(run, name)) for name in pipelines}, seconds)
+    return {name: _latencies(_timed(each)) for name, each in times.items()}
+
+
+def _timed(times: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    """Return the calls that `take_turns` times: not its first two, nor the first of each turn."""
+    return [each for place, each in enumerate(times[2:]) if place % (TURN + 1)]
 
 
 def _latencies(times: list[tuple[float, ...]]) -> dict[str, Latency]:

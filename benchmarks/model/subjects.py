@@ -9,15 +9,18 @@ stochastic depth, which cost nothing at inference, are left out.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from ffpose._internal.zoo import resolve
 from ffpose.bench.model import weights_of
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models import open_weights
+from ffpose.models import open_weights, read_metadata
+from ffpose.models.weights import write_weights
 from ffpose.nn import GlobalFilter, PositionCode, SpectralFilter
 from ffpose.nn.attention import SelfAttention
 from ffpose.onnx.metadata import Filter
@@ -86,7 +89,12 @@ def subject(name: str, folder: Path, **fields: int) -> Subject:
         return Subject(
             classifier, Preprocessing(classifier.image_size), None, lambda _: {}, ["logits"]
         )
-    weights = weights_of(name, folder, **fields)
+    weights = weights_of(name, folder)
+    if fields:
+        source = read_metadata(weights)
+        state = load_file(resolve(weights))
+        weights = folder / "changed.safetensors"
+        write_weights(weights, state, replace(source, config=source.config.at_inference(fields)))
     model, source = open_weights(weights)
     return Subject(
         model,

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
+from timeit import Timer
 from typing import Any
 
 import torch
@@ -30,7 +31,7 @@ from benchmarks.model.contenders import COMPILED, COMPILED_ALONE, DFT, MATMUL, W
 from benchmarks.model.subjects import Subject, subject
 from benchmarks.pages.vector_code import vector_code
 from ffpose._internal.files import atomic_write
-from ffpose.bench.timing import percentiles, take_turns, timed
+from ffpose.bench.timing import take_turns
 from ffpose.errors import DataError
 from ffpose.inference.in_torch import torch_threads
 
@@ -231,11 +232,10 @@ def _views(effort: Effort, _: Path) -> Measured:
     for looks, candidates in VIEWS:
         with tempfile.TemporaryDirectory(prefix="ffpose-bench-") as folder:
             measured = subject("soyuz", Path(folder), looks=looks, candidates=candidates)
-        calls[f"{looks} {candidates}"] = timed(partial(_infer, measured.model, measured.images(1)))
+        calls[f"{looks} {candidates}"] = Timer(partial(_infer, measured.model, measured.images(1)))
     with torch_threads(1):
-        samples = take_turns(calls, 0.5 if effort.quick else NETWORK_SECONDS)
-    latencies = {name: asdict(percentiles(seconds)) for name, seconds in samples.items()}
-    return {"latencies": latencies}
+        found = take_turns(calls, 0.5 if effort.quick else NETWORK_SECONDS)
+    return {"latencies": {name: asdict(latency) for name, latency in found.items()}}
 
 
 def _infer(model: nn.Module, images: Tensor) -> None:

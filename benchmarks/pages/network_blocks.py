@@ -19,7 +19,7 @@ from benchmarks.model.pipeline import STAGES, TOTAL
 from benchmarks.output import in_threads
 from benchmarks.pages.documents import Figures
 from benchmarks.pages.markdown import NOTHING, Source, measured_on, milliseconds, table
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 
 NETWORKS = ("soyuz", "base", "small", "gfnet")
 WEIGHTS = ("soyuz", "base")

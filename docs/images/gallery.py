@@ -7,7 +7,7 @@ from tiles import write_sheet
 
 import ffpose
 from ffpose._internal.seeds import CHOICES
-from ffpose.render import get_scene
+from ffpose.render import find_scene
 
 SHOWN_M = 16.0
 """Width of the part of an image that is shown, at the spacecraft."""
@@ -18,7 +18,7 @@ SHOWN = {"soyuz_easy": (0, 1, 2, 3), "soyuz_hard": (4, 5, 6, 7), "dragon_hard": 
 rows = (
     (
         ffpose.load(name.partition("_")[0], backend="onnxruntime"),
-        replace(get_scene(name), attitude_range_deg=(180.0, 90.0, 180.0)),
+        replace(find_scene(name), attitude_range_deg=(180.0, 90.0, 180.0)),
         SHOWN_M,
     )
     for name in SHOWN

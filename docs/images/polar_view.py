@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ffpose.config import PRESETS
 from ffpose._internal.figures import new_figure, save_figure
+from ffpose.config import PRESETS
 from ffpose.models.virtual_camera import look, turn_to
 from ffpose.render import render
 

@@ -820,14 +820,20 @@ def calibrate(options: Namespace) -> None:
 
 def bench_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `bench`."""
+    from jsonargparse.typing import PositiveInt
+
+    from ffpose.config import PRESETS
+
     parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
-    text = "of a model: a preset, such as base or polar, or weights (default: base; quick: tiny)"
+    text = f"of a model: {', '.join(PRESETS)}, or weights (default: base; quick: tiny)"
     parser.add_argument("network", nargs="?", help=text)
     parser.add_argument("--json", action="store_true", help="print every timing as JSON")
     parser.add_argument("--plot", type=Path, help="picture to draw, PNG")
     parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
-    parser.add_argument("--batch", type=int, nargs="+", help="images a batch (default: 1 8)")
-    parser.add_argument("--threads", type=int, nargs="+", help="(default: 1, 2, all cores)")
+    parser.add_argument(
+        "--batch", type=PositiveInt, nargs="+", help="images a batch (default: 1 8)"
+    )
+    parser.add_argument("--threads", type=PositiveInt, nargs="+", help="(default: 1, 2, all cores)")
     text = "graphs that take turns with a model, in ONNX Runtime: an older one, an int8 one"
     parser.add_argument("--compare", type=Path, nargs="+", metavar="GRAPH", help=text)
     inference_arguments(parser)

@@ -7,11 +7,11 @@ import time
 import numpy as np
 import pytest
 
-from ffpose.datasets.scenes import find_scene, open_frames, rendered_patches
+from ffpose.datasets.scenes import open_frames, rendered_patches
 from ffpose.errors import DataError
 from ffpose.imaging.patches import LABELS, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.render import label, patches
+from ffpose.render import find_scene, label, patches
 
 ALL = (180.0, 90.0, 180.0)
 COUNT, SEED = 3, 7

@@ -13,7 +13,7 @@ import pytest
 import ffpose
 from ffpose import cli
 from ffpose.demo import gallery
-from ffpose.render import get_scene, label
+from ffpose.render import find_scene, label
 
 pytest.importorskip("onnxruntime")
 
@@ -33,7 +33,7 @@ def test_images_are_posed_and_shown_without_torch(tmp_path):
     document = json.loads((tmp_path / "report.json").read_text())
     estimate = ffpose.load("soyuz", backend="onnxruntime")
     found = [estimate(tmp_path / f"images/{n}_rgb.png") for n in range(3)]
-    scene = replace(get_scene(gallery.SCENE), attitude_range_deg=gallery.ALL_ATTITUDES)
+    scene = replace(find_scene(gallery.SCENE), attitude_range_deg=gallery.ALL_ATTITUDES)
     truth = [label(scene, gallery.SEED, n) for n in range(3)]
     meters = [np.linalg.norm(a.t - b.t) for a, b in zip(found, truth, strict=True)]
     degrees = [

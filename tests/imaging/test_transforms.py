@@ -24,7 +24,7 @@ from ffpose.imaging.transforms import (
     random_window,
     turn_camera,
 )
-from ffpose.render import get_scene, object_coordinates
+from ffpose.render import find_scene, object_coordinates
 from ffpose.render.shading.sensor import Sensor, expose
 
 STILL = {"brightness": 0, "contrast": 0, "saturation": 0, "noise": 0, "blur": 0}
@@ -271,7 +271,7 @@ def test_a_turn_moves_pixels_and_label_together(angles):
 
 def test_a_turned_mask_is_the_mask_of_the_turned_label():
     """The renderer, asked for the turned pose, draws what the turn makes of its picture."""
-    camera, craft = URSO_CAMERA.resized(256, 192), get_scene("soyuz_easy").build()
+    camera, craft = URSO_CAMERA.resized(256, 192), find_scene("soyuz_easy").build()
     pose = Pose([1.5, -1.0, 9.0], Rotation.from_euler("xyz", [1, 2, 3]).as_quat(scalar_first=True))
     before = torch.from_numpy(object_coordinates(craft, pose, camera)).permute(2, 0, 1) / 255
     image, t, q = turn_camera(before[1:], *tensors(pose), camera, camera_turn(-14, 10, 75))

@@ -14,7 +14,7 @@ from ffpose.cli import build_parser, words_of
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.card.seen import trainings
 from ffpose.models import read_metadata
-from ffpose.render import label
+from ffpose.render import find_scene, label
 from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM
 from ffpose.training.calibration_images import (
     EMPTY_SEEDS,
@@ -23,7 +23,6 @@ from ffpose.training.calibration_images import (
     TRUNCATED_SEEDS,
     TRUNCATED_SHARE,
 )
-from ffpose.training.data import find_scene
 from ffpose.training.options import load_config
 from ffpose.training.provenance import recipe, rendered_sets
 

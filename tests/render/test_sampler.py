@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from ffpose.geometry import rotation_matrix
-from ffpose.render import SCENES, Scene, label
+from ffpose.render import SCENES, Scene, find_scene, label
 from ffpose.render.sampler import meets_earth, sample_surroundings
-from ffpose.render.scene import get_scene
 from ffpose.render.spacecraft.decoys import build_decoy
 
 
@@ -125,7 +124,7 @@ def test_sets_are_eclipsed_and_backlit_as_often_as_an_orbit(name):
 @pytest.mark.parametrize("radius", [0.06, 5.0, 60.0])
 def test_in_the_place_of_a_spacecraft_of_a_file_are_others_of_its_size(radius):
     """As spacecraft of a file may be, from a picosatellite to a station."""
-    soyuz = get_scene("soyuz_easy").build()
+    soyuz = find_scene("soyuz_easy").build()
     craft = soyuz.scaled(radius / soyuz.radius)
     scene = Scene("own", craft, (2.1 * radius, 22.4 * radius), 16 * radius)
     for index in range(10):
@@ -139,7 +138,8 @@ def test_in_the_place_of_a_spacecraft_of_a_file_are_others_of_its_size(radius):
 
 def test_those_that_come_with_ffpose_are_replaced_by_others_as_they_are():
     decoy = build_decoy(0, 3)
-    assert get_scene("soyuz_easy").with_stranger(decoy).build() is decoy
+    assert find_scene("soyuz_easy").with_stranger(decoy).build() is decoy
     assert (
-        get_scene("soyuz_easy").with_stranger("dragon").build() is get_scene("dragon_hard").build()
+        find_scene("soyuz_easy").with_stranger("dragon").build()
+        is find_scene("dragon_hard").build()
     )

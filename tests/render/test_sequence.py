@@ -14,13 +14,13 @@ from ffpose import cli
 from ffpose.datasets import read_records
 from ffpose.geometry import Pose
 from ffpose.geometry.trajectory import Trajectory
-from ffpose.render import get_scene
+from ffpose.render import find_scene
 from ffpose.render.dataset.sequence_writer import write_sequence
 from ffpose.render.motion import sample_motion, sample_orbit
 from ffpose.render.sampler import visible_share
 from ffpose.render.sequence import Sequence, read_trajectory, render_frame
 
-SCENE = replace(get_scene("soyuz_hard"), attitude_range_deg=(180.0, 90.0, 180.0))
+SCENE = replace(find_scene("soyuz_hard"), attitude_range_deg=(180.0, 90.0, 180.0))
 SIZE = (64, 48)
 
 

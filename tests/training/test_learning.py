@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ffpose._internal.seeds import CHOICES
 from ffpose.evaluation.evaluate import evaluate
-from ffpose.render import get_scene
+from ffpose.render import find_scene
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.render.scene import SCENES
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
@@ -74,7 +74,7 @@ def evaluation(tmp_path_factory):
     """Unseen images, posed after some ten thousand samples."""
     root = tmp_path_factory.mktemp("learning")
     with pytest.MonkeyPatch.context() as patch:
-        near = replace(get_scene("soyuz_easy"), name="near", distance_m=(8.0, 12.0))
+        near = replace(find_scene("soyuz_easy"), name="near", distance_m=(8.0, 12.0))
         patch.setitem(SCENES, "near", near)
         trained = train(config(root), quiet=True)
     unseen = replace(near, attitude_range_deg=ATTITUDES)

@@ -9,7 +9,7 @@ import torch
 
 from ffpose.cli import main
 from ffpose.evaluation.evaluate import evaluate
-from ffpose.render import get_scene
+from ffpose.render import find_scene
 from ffpose.render.dataset.writer import write_dataset
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
 from ffpose.training.engine import train
@@ -36,7 +36,7 @@ def config(root, out, **fields):
 
 
 def rendered(folder, count, **changes):
-    scene = replace(get_scene("soyuz_easy"), **changes)
+    scene = replace(find_scene("soyuz_easy"), **changes)
     write_dataset(scene, folder, count, seed=0, size=SIZE)
     return folder
 

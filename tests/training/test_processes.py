@@ -68,6 +68,12 @@ def test_shares_are_all_of_it_and_apart():
     assert [len(share) for share in shares] == [4, 4, 3]
 
 
+def test_a_machines_workers_are_shared_among_its_processes():
+    assert Processes(0, 4, 2).workers(5) == 3  # each has enough
+    assert Processes().workers(5) == 5
+    assert Processes(0, 4, 2).workers(0) == 0
+
+
 def test_one_process_is_alone_and_starts_none(monkeypatch):
     monkeypatch.delenv("WORLD_SIZE", raising=False)
     with started(1, None), joined("cpu") as processes:

@@ -18,7 +18,7 @@ from ffpose.models import (
     load_network,
     read_metadata,
 )
-from ffpose.render import label, patches
+from ffpose.render import find_scene, label, patches
 from ffpose.render.dataset import writer
 from ffpose.render.renderer import situation
 from ffpose.training import DataConfig, data, tasks
@@ -122,7 +122,7 @@ def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path):
     config = scenes_config(root, tmp_path / "run", epochs=1)
     folder = train(config, quiet=True).folder
     metadata = read_metadata(folder.best)
-    assert metadata.config.view_camera == data.find_scene(
+    assert metadata.config.view_camera == find_scene(
         "soyuz_easy", (180.0, 90.0, 180.0)
     ).camera.resized(128, 96)
     assert metadata.preprocessing.mean == (0.0, 0.0, 0.0)
@@ -145,7 +145,7 @@ def test_a_polar_second_look_learns_and_is_calibrated_on_the_same_scenes(root, t
     best = tmp_path / "run" / "best.safetensors"
     model = load_network(best)
     assert isinstance(model, PolarPose)
-    assert model.config.view_camera == data.find_scene(
+    assert model.config.view_camera == find_scene(
         "soyuz_easy", (180.0, 90.0, 180.0)
     ).camera.resized(128, 96)
     assert not torch.equal(model.variance_scales, torch.ones(2))
@@ -157,7 +157,7 @@ def test_a_network_that_looks_once_learns_from_whole_images_of_the_same_scenes(t
     root, fields = tmp_path / "images", {**FIELDS, "orientation_view": "frame"}
     config = scenes_config(root, tmp_path / "run", model_fields=fields, epochs=1)
     seen = build_run(config).task.train_set
-    scene = data.find_scene("soyuz_easy", (180.0, 90.0, 180.0))
+    scene = find_scene("soyuz_easy", (180.0, 90.0, 180.0))
     indices = [int(name.removesuffix("_rgb.png")) for name in seen.names]
     assert sorted(indices) == list(range(12))
     poses = [label(scene, 3, index).vector for index in indices]

@@ -172,6 +172,16 @@ def expect_folder(path: str | Path) -> None:
         raise NotADirectoryError(f"expected a folder, got the file {there}")
 
 
+def expect_place(path: Path | None) -> None:
+    """Check in advance that the folder of an output file exists.
+
+    Raises:
+        FileNotFoundError: It does not.
+    """
+    if path is not None and not path.parent.is_dir():
+        raise FileNotFoundError(f"expected an existing folder for {path}, got {path.parent}")
+
+
 def _nearest(path: str | Path) -> Path:
     """Return ``path`` if it exists, else its nearest existing parent."""
     return next(place for place in (Path(path), *Path(path).absolute().parents) if place.exists())

@@ -1,5 +1,1 @@
-"""``ffpose bench``: the filter and the networks, timed on this machine.
-
-What the documentation prints, against more rivals, is measured by ``benchmarks/`` in the
-repository.
-"""
+"""``ffpose bench``: timings on this machine; the repository's ``benchmarks`` has more rivals."""

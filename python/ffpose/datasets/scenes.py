@@ -9,7 +9,6 @@ copy. Needs the extra `render`.
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,28 +18,11 @@ from numpy.typing import NDArray
 from ffpose._internal.files import atomic_write
 from ffpose.datasets import PoseDataset, open_dataset
 from ffpose.datasets.patches import cached_patches, digest, open_patches
-from ffpose.errors import require
 from ffpose.imaging.patches import Content, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
 
 if TYPE_CHECKING:
     from ffpose.render import Scene
-
-
-def find_scene(name: str, attitude_range_deg: tuple[float, float, float]) -> Scene:
-    """Return a set, with the given range of attitudes.
-
-    Args:
-        name: One of `ffpose.render.SCENES`, or a file (`ffpose.render.scene_file`).
-        attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
-
-    Raises:
-        MissingExtraError: The extra `render` is not installed.
-        ValueError: There is no such set.
-        DataError: The file, or the mesh that it names, cannot be used.
-    """
-    scene: Scene = require("ffpose.render", "render").find_scene(name)
-    return replace(scene, attitude_range_deg=attitude_range_deg)
 
 
 def rendered_patches(

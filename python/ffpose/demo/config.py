@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ffpose._internal.seeds import CHOICES
-from ffpose.datasets.scenes import find_scene
-from ffpose.render import Scene
+from ffpose.render import Scene, find_scene
 from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
 from ffpose.training.config import PatchAugmentation
 

@@ -7,7 +7,6 @@ import io
 import json
 import time
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,10 @@ from ffpose.arrays import rotation_error, translation_error
 from ffpose.geometry import Camera, Pose
 from ffpose.imaging.overlay import TRUTH_COLORS, draw_axes
 from ffpose.inference.load import load
-from ffpose.render import get_scene, label, write_dataset
+from ffpose.render import find_scene, label, write_dataset
+from ffpose.render.variations import ALL_ATTITUDES
 
 SHIPPED, SCENE, SEED, SIZE = "soyuz", "soyuz_easy", CHOICES.start, (512, 384)
-ALL_ATTITUDES = (180.0, 90.0, 180.0)
 
 PAGE = """<!doctype html>
 <html lang="en">
@@ -58,7 +57,7 @@ def run(out: Path, images: int = 60) -> dict[str, Any]:
         MissingExtraError: The extra `onnx` or `render` is not installed.
         ValueError: ``out`` holds other images.
     """
-    scene = replace(get_scene(SCENE), attitude_range_deg=ALL_ATTITUDES)
+    scene = find_scene(SCENE, ALL_ATTITUDES)
     folder = out / "images"
     write_dataset(scene, folder, images, SEED, size=SIZE, workers=2, progress=True)
     paths = [folder / f"{index}_rgb.png" for index in range(images)]

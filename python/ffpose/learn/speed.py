@@ -17,6 +17,7 @@ from ffpose.render.patches import render_all_patches
 from ffpose.training import TrainConfig
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatches
+from ffpose.training.processes import Processes
 
 VIEWS = 24
 """Rendered views, for each process."""
@@ -109,5 +110,5 @@ def _rate(
             stepping += time.perf_counter() - prepared
     if device.type == "cpu":
         return STEPS * size / (preparing + stepping)
-    workers = max(1, config.data.workers // config.processes)  # of each process
+    workers = Processes(here=config.processes).workers(config.data.workers) or 1  # or a thread
     return STEPS * size / max(preparing / workers, stepping)

@@ -13,7 +13,7 @@ from ffpose.render.layers import (
     render_layers,
 )
 from ffpose.render.renderer import Frame, label, render, render_empty
-from ffpose.render.scene import SCENES, Scene, get_scene
+from ffpose.render.scene import SCENES, Scene
 from ffpose.render.scene_file import SceneFile, find_scene, read_scene_file
 from ffpose.render.shading.randomization import Randomization
 from ffpose.render.shading.sensor import Sensor
@@ -32,7 +32,6 @@ __all__ = [
     "Written",
     "coordinates_limit",
     "find_scene",
-    "get_scene",
     "label",
     "load_craft",
     "object_coordinates",

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ffpose._internal.files import atomic_write
 from ffpose.geometry import Camera, Pose
 from ffpose.render.renderer import camera_of, label, prepared
-from ffpose.render.scene import Scene, get_scene
+from ffpose.render.scene import Scene
+from ffpose.render.scene_file import find_scene
 from ffpose.render.shading.rays import View, Window, cast_rays, find_window
 from ffpose.render.shading.vectors import Floats, dot
 from ffpose.render.spacecraft.craft import Craft
@@ -79,7 +80,7 @@ def render_layers(
     Raises:
         ValueError: An argument is invalid, as for `render`.
     """
-    scene = get_scene(scene) if isinstance(scene, str) else scene
+    scene = find_scene(scene)
     camera, pose, craft = camera_of(scene, size), label(scene, seed, index), scene.build()
     seen = _traced(craft, pose, camera)
     depth = _depth(seen, pose, camera)

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from ffpose.geometry import Camera, Pose
 from ffpose.render import mitsuba
 from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
-from ffpose.render.scene import Scene, get_scene
+from ffpose.render.scene import Scene
+from ffpose.render.scene_file import find_scene
+from ffpose.render.shading.alpha_test import AlphaTest
 from ffpose.render.shading.randomization import backdrop, stops
 from ffpose.render.shading.rays import View, Window, cast_rays, find_window, pixel_rays, smoothed
 from ffpose.render.shading.reflection import (
@@ -25,7 +27,6 @@ from ffpose.render.shading.reflection import (
     sun_visible,
 )
 from ffpose.render.shading.sensor import Sensor, choose_gain, expose
-from ffpose.render.shading.sieve import Sieve
 from ffpose.render.shading.sky import Earth, draw_stars, sun_disk
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.vectors import Floats
@@ -69,7 +70,7 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
         ValueError: `scene` is not in `SCENES`, `seed` or `index` is negative, or a side of `size`
             is not within `MIN_SIDE`…`MAX_SIDE`.
     """
-    scene = get_scene(scene) if isinstance(scene, str) else scene
+    scene = find_scene(scene)
     camera = camera_of(scene, size)
     shot = shoot(scene, seed, index, camera, scene.sensor)
     return Frame(shot.image, shot.pose, camera)
@@ -90,7 +91,7 @@ def render_empty(
     Raises:
         ValueError: An argument is invalid, as for `render`.
     """
-    scene = get_scene(scene) if isinstance(scene, str) else scene
+    scene = find_scene(scene)
     camera = camera_of(scene, size)
     return shoot(scene, seed, index, camera, scene.sensor, empty=True).image
 
@@ -175,7 +176,7 @@ def shoot_each(
 
 def label(scene: Scene | str, seed: int, index: int) -> Pose:
     """Return the pose of image `index` without rendering it; equal to that of `render`."""
-    scene = get_scene(scene) if isinstance(scene, str) else scene
+    scene = find_scene(scene)
     return sample_pose(scene, scene.build(), _streams(seed, index)[0])
 
 
@@ -195,7 +196,7 @@ class Situation(NamedTuple):
 
 def situation(scene: Scene | str, seed: int, index: int) -> Situation:
     """Return the arrangement of image `index` without rendering it."""
-    scene = get_scene(scene) if isinstance(scene, str) else scene
+    scene = find_scene(scene)
     pose_rng, light_rng, _, _, _, odd_rng = _streams(seed, index)
     pose = sample_pose(scene, scene.build(), pose_rng)
     around = sample_surroundings(scene, light_rng)
@@ -221,7 +222,7 @@ def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
 def prepared(craft: Craft) -> tuple[Tracer, MaterialTable]:
     """Return ray tracer and material tables of a spacecraft, built once for each."""
     materials = MaterialTable(craft)
-    return Tracer(craft.mesh, Sieve(craft, materials.maps)), materials
+    return Tracer(craft.mesh, AlphaTest(craft, materials.maps)), materials
 
 
 def _streams(seed: int, index: int) -> list[np.random.Generator]:

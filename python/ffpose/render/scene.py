@@ -135,14 +135,3 @@ SCENES = {
     )
 }
 """The sets of the paper's section 4.1."""
-
-
-def get_scene(name: str) -> Scene:
-    """A set of `SCENES` by name.
-
-    Raises:
-        ValueError: the name is not known; the message lists the known ones.
-    """
-    if name not in SCENES:
-        raise ValueError(f"scene: expected one of {', '.join(SCENES)}, got {name!r}")
-    return SCENES[name]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 from ffpose._internal.files import atomic_write, read_json, shortened
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
-from ffpose.render.scene import LAMP, USUAL_RADIUS_M, Scene, get_scene
+from ffpose.render.scene import LAMP, SCENES, USUAL_RADIUS_M, Scene
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.meshfile import Up, load_craft
 
@@ -93,18 +93,30 @@ class SceneFile:
             temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
 
 
-def find_scene(name: str) -> Scene:
+def find_scene(
+    scene: str | Scene, attitude_range_deg: tuple[float, float, float] | None = None
+) -> Scene:
     """Return a set by its name, or by its file, whose name ends with ``.json``.
+
+    Args:
+        scene: One of `ffpose.render.SCENES`, a file, or the set itself.
+        attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees; None for the set's.
 
     Raises:
         ValueError: The name is not known.
         FileNotFoundError: There is no such file.
-        DataError: The file, or the mesh that it names, cannot be used.
+        ffpose.DataError: The file, or the mesh that it names, cannot be used.
     """
-    if name.endswith(SUFFIX):
-        path = Path(name)
-        return _opened(path, path.stat().st_mtime_ns)
-    return get_scene(name)
+    if isinstance(scene, Scene):
+        found = scene
+    elif scene.endswith(SUFFIX):
+        path = Path(scene)
+        found = _opened(path, path.stat().st_mtime_ns)
+    elif scene in SCENES:
+        found = SCENES[scene]
+    else:
+        raise ValueError(f"scene: expected one of {', '.join(SCENES)}, got {scene!r}")
+    return replace(found, attitude_range_deg=attitude_range_deg or found.attitude_range_deg)
 
 
 @lru_cache(maxsize=4)

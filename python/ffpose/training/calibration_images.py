@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 from ffpose._internal.seeds import CALIBRATION, matching
 from ffpose.datasets import Decoding, PoseDataset, find_target, read_records
-from ffpose.datasets.scenes import find_scene, open_empty_images, open_frames
+from ffpose.datasets.scenes import open_empty_images, open_frames
 from ffpose.imaging.patches import Bytes
 from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.render import find_scene
 from ffpose.training.config import CalibrationImages
 
 EMPTY_SEEDS, RANDOMIZED_SEEDS, TRUNCATED_SEEDS = 500_000, 400_000, 300_000

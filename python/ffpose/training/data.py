@@ -21,16 +21,13 @@ from ffpose.datasets import (
 )
 from ffpose.datasets.keypoints import read_keypoints
 from ffpose.datasets.patches import dataset_patches
-from ffpose.datasets.scenes import (
-    find_scene,
-    open_frames,
-    rendered_patches,
-)
+from ffpose.datasets.scenes import open_frames, rendered_patches
 from ffpose.errors import hint
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.imaging.patches import Arrays, Content, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.transforms import Augmentation
+from ffpose.render import find_scene
 from ffpose.training.calibration_images import (
     EMPTY_SEEDS,
     RANDOMIZATION,

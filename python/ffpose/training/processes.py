@@ -53,6 +53,10 @@ class Processes:
         """Return this process's samples out of ``count``, in turns."""
         return range(self.rank, count, self.world)
 
+    def workers(self, count: int) -> int:
+        """Return how many of this machine's workers each of its processes has, rounded up."""
+        return -(-count // self.here)
+
     def wait(self) -> None:
         """Wait until every process is here."""
         if self.world > 1:

@@ -9,13 +9,11 @@ from typing import Any
 
 from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
-from ffpose.datasets.scenes import find_scene
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.models import read_metadata
+from ffpose.render import find_scene
 from ffpose.training.config import DataConfig, TrainConfig
-
-ALL_ATTITUDES = (180.0, 90.0, 180.0)
 
 OF_THIS_MACHINE = ("out", "device", "backbone_weights")
 """Fields specific to this machine, left out; the header records the backbone's initial weights."""
@@ -63,7 +61,7 @@ def set_name(config: DataConfig) -> str:
 
 def scene_name(scene: str) -> str:
     """Return the name of a set, which its file stands for."""
-    return find_scene(scene, ALL_ATTITUDES).name if scene.endswith(".json") else scene
+    return find_scene(scene).name if scene.endswith(".json") else scene
 
 
 def rendered_sets(config: DataConfig) -> dict[str, Any]:

@@ -222,7 +222,7 @@ class ObjectTask:
     ) -> None:
         self.processes = processes
         self.patches, self.val_set, self.loss = patches, val_set, loss
-        self.batch_size, self.workers = batch_size, -(-workers // processes.here)
+        self.batch_size, self.workers = batch_size, processes.workers(workers)
         self.preprocessing = val_set.preprocessing
 
     @property

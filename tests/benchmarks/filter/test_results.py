@@ -16,7 +16,7 @@ from benchmarks.filter.results import (
 from benchmarks.filter.worker import Measurement
 from benchmarks.machine import Peak, environment
 from benchmarks.timing import Timing
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 
 GRID = (14, 14, 256)
 

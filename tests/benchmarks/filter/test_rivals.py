@@ -6,7 +6,7 @@ from scipy import fft
 from benchmarks.filter.cases import CHANNELS_FIRST, HALF, MATRICES, SCIPY, TORCH, Case, sweep
 from benchmarks.filter.rivals import DIMS, Inputs, contenders, in_our_layout
 from benchmarks.filter.worker import measure
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 
 CASES = [
     ("grid", (4, 6, 3)),

@@ -18,7 +18,7 @@ from benchmarks.filter import run as bench
 from benchmarks.filter.cases import MATRICES, SCIPY, TORCH, Case, Plan, overhead_cases
 from benchmarks.filter.worker import Request
 from ffpose.arrays import instruction_set
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 
 
 def tiny_plan():

@@ -27,7 +27,7 @@ from benchmarks.model.networks import (
     with_attention,
 )
 from benchmarks.timing import Timing
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 from ffpose.config import CONFIGS, PRESETS
 from ffpose.nn import SpectralFilter
 from ffpose.nn.attention import SelfAttention

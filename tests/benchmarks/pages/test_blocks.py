@@ -7,7 +7,7 @@ from benchmarks.model.contenders import CUSTOM, INT8, OPENVINO, PLAIN
 from benchmarks.model.networks import BEFORE, FFT, SDPA
 from benchmarks.pages.blocks import BLOCKS
 from benchmarks.pages.documents import Figures
-from ffpose.bench.timing import OURS
+from ffpose.bench.filter import OURS
 
 ABOUT = {
     "ffpose": "1.2.3",

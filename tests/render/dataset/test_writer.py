@@ -21,7 +21,7 @@ from ffpose.render import (
     SCENES,
     Randomization,
     coordinates_limit,
-    get_scene,
+    find_scene,
     label,
     render,
     render_layers,
@@ -397,4 +397,4 @@ def test_unwritable_folder_is_an_os_error(tmp_path):
 
 def test_unknown_set_lists_the_known():
     with pytest.raises(ValueError, match=r"scene: expected one of soyuz_easy, .*, got 'x'"):
-        get_scene("x")
+        find_scene("x")

@@ -38,9 +38,10 @@ from ffpose.inference.load import load
 from ffpose.inference.source import find_source
 from ffpose.models import WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
+from ffpose.render import Scene, find_scene
+from ffpose.render.renderer import camera_of
 
 if TYPE_CHECKING:
-    from ffpose.render import Scene
     from ffpose.render.variations import Variation
 
 BATCH = 16
@@ -165,10 +166,8 @@ def measure(
     seed = FINAL.start if final else seed
     if second_renderer:
         require("mitsuba", "mitsuba")
-    scene = (
-        require("ffpose.render", "render").find_scene(scene) if isinstance(scene, str) else scene
-    )
-    camera = require("ffpose.render.renderer", "render").camera_of(scene, size)
+    scene = find_scene(scene)
+    camera = camera_of(scene, size)
     estimator = load(weights, camera=camera, warm_up=0)
     metadata = estimator.metadata
     recipe = metadata.recipe if isinstance(metadata, WeightsMetadata) else None

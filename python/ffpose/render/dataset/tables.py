@@ -18,7 +18,8 @@ from ffpose._internal.files import atomic_write
 from ffpose.geometry import CAMERA_FILE, Camera, Pose
 from ffpose.render.renderer import situation
 from ffpose.render.sampler import meets_earth, visible_share
-from ffpose.render.scene import Scene, get_scene
+from ffpose.render.scene import Scene
+from ffpose.render.scene_file import find_scene
 
 
 class Conditions(NamedTuple):
@@ -44,7 +45,7 @@ class Conditions(NamedTuple):
 
 def conditions_of(scene: Scene | str, seed: int, index: int) -> Conditions:
     """Return the conditions of the image that `render` makes of these arguments, at any size."""
-    scene = get_scene(scene) if isinstance(scene, str) else scene
+    scene = find_scene(scene)
     pose, around, backdrop = situation(scene, seed, index)
     distance = float(np.linalg.norm(pose.t))
     ray = pose.t / distance

@@ -27,7 +27,8 @@ from ffpose.render.dataset.pool import Job, prepare, render_all
 from ffpose.render.dataset.tables import conditions_of, write_conditions, write_tables
 from ffpose.render.layers import check_labels, label_files
 from ffpose.render.renderer import camera_of, label
-from ffpose.render.scene import Scene, get_scene
+from ffpose.render.scene import Scene
+from ffpose.render.scene_file import find_scene
 
 MAX_COUNT = 10_000_000
 LEAST_BYTES_PER_PIXEL = 0.4
@@ -94,7 +95,7 @@ def write_dataset(
         MissingExtraError: A package of the extra `render`, or `mitsuba`, is not installed.
     """
     begin = time.perf_counter()
-    scene = get_scene(scene) if isinstance(scene, str) else scene
+    scene = find_scene(scene)
     _check_range(count=(count, 1, MAX_COUNT), start=(start, 0, MAX_COUNT))
     _check_range(seed=(seed, 0, 2**63 - 1), workers=(workers, 1, 1024))
     refuse_final(seed)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import require
+from ffpose.render.shading.alpha_test import AlphaTest
 from ffpose.render.shading.maps import Points
-from ffpose.render.shading.sieve import Sieve
 from ffpose.render.shading.vectors import Floats
 from ffpose.render.spacecraft.mesh import Mesh
 
@@ -45,21 +45,21 @@ class Tracer:
 
     Args:
         mesh: The surface, in meters.
-        sieve: What rays pass through; None is nothing.
+        alpha_test: What rays pass through; None is nothing.
 
     Raises:
         MissingExtraError: Embreex is not installed.
     """
 
-    def __init__(self, mesh: Mesh, sieve: Sieve | None = None) -> None:
+    def __init__(self, mesh: Mesh, alpha_test: AlphaTest | None = None) -> None:
         require("embreex", "render")
 
-        self._sieve = sieve if sieve is not None and sieve.needed else None
+        self._alpha_test = alpha_test if alpha_test is not None and alpha_test.needed else None
         self._scene = self._shadows = _scene(mesh.vertices, mesh.faces)
-        if self._sieve is not None:
-            shading = self._sieve.shading
-            if not shading.all():
-                self._shadows = _scene(mesh.vertices, mesh.faces[shading])
+        if self._alpha_test is not None:
+            casters = self._alpha_test.shadow_casters
+            if not casters.all():
+                self._shadows = _scene(mesh.vertices, mesh.faces[casters])
 
     def first_hits(self, origin: Floats, directions: Floats, spread: float = 0.0) -> Hits:
         """Find the first hits of rays from one point.
@@ -71,8 +71,7 @@ class Tracer:
         """
         directions = np.ascontiguousarray(directions)
         hits = self._hits(np.broadcast_to(origin, directions.shape), directions)
-        sieve = self._sieve
-        if sieve is None:
+        if self._alpha_test is None:
             return hits
         kept = []
         for depth in range(DEPTH):
@@ -80,7 +79,7 @@ class Tracer:
             weights = np.stack([1 - second - third, second, third])
             footprint = np.maximum(hits.distance * np.float32(spread), np.float32(1e-9))
             points = Points(hits.face, weights, footprint)
-            through = sieve.passes(hits.ray, directions[hits.ray], points, depth)
+            through = self._alpha_test.passes(hits.ray, directions[hits.ray], points, depth)
             kept.append(_some(hits, ~through))
             hits = _some(hits, through)
             if not hits.ray.size:

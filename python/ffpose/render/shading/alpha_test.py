@@ -21,8 +21,8 @@ OPAQUE = 0.999
 """Alpha from which a surface is opaque, as 16 bits hold it."""
 
 
-class Sieve:
-    """Alpha test: which hits of rays are with an opaque part of a surface.
+class AlphaTest:
+    """Which hits of rays are with an opaque part of a surface.
 
     Args:
         craft: The spacecraft.
@@ -56,7 +56,7 @@ class Sieve:
         return bool(self._clear.any() or self._one_sided.any())
 
     @property
-    def shading(self) -> NDArray[np.bool_]:
+    def shadow_casters(self) -> NDArray[np.bool_]:
         """The faces (F,) that cast a shadow: those of which more than half is there."""
         alpha = self._alpha[self._material]
         if self._mapped:

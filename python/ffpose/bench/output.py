@@ -1,0 +1,27 @@
+"""What both measurements print: a table, or a JSON document."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.table import Column, Table
+
+from ffpose._internal.info import collect
+from ffpose._internal.machine import processor
+
+
+def print_results(title: str, rows: list[dict[str, Any]], as_json: bool, **document: Any) -> None:
+    """Print a table, or in its place a document with what this machine is."""
+    if as_json:
+        facts = {"environment": {**collect(), "torch": torch.__version__}}
+        print(json.dumps({**facts, **document}, indent=2, default=asdict))
+        return
+    columns = (Column(name, justify="right") for name in rows[0])
+    table = Table(*columns, title=f"{title}, {processor()}", title_justify="left")
+    for row in rows:
+        table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()))
+    Console().print(table)
