@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,6 @@ from ffpose.training.checkpoint import FREE_FIELDS
 from ffpose.training.engine import TrainResult, train
 from ffpose.training.options import flatten
 from ffpose.training.run import UNKNOWN_CAMERA, build_run
-from ffpose.training.stages import shortened
 from studies.study import Study, Variant, changed
 from studies.table import RESULTS, read_run, write_tables
 
@@ -209,6 +209,27 @@ def _training(
     elif data.kind == "cambridge":  # nothing that could be rendered
         raise ValueError(f"sets: expected the folder that holds {data.scene}, got none")
     return replace(config, data=data, out=out / f"{variant.name}-seed{seed}", seed=seed)
+
+
+def shortened(stages: Sequence[Stage], epochs: int) -> tuple[Stage, ...]:
+    """Return the stages with another number of epochs in all, in about the same proportions.
+
+    Raises:
+        ValueError: There are fewer epochs than stages.
+
+    Examples:
+        >>> stages = (Stage("joint", 500), Stage("translation", 150), Stage("orientation", 150))
+        >>> [stage.epochs for stage in shortened(stages, 19)]
+        [11, 4, 4]
+    """
+    spare, total = epochs - len(stages), sum(stage.epochs for stage in stages)
+    if spare < 0:
+        raise ValueError(f"epochs: expected at least {len(stages)}, one a stage, got {epochs}")
+    ends = [round(spare * done / total) for done in accumulate(stage.epochs for stage in stages)]
+    return tuple(
+        replace(stage, epochs=1 + end - begin)
+        for stage, (begin, end) in zip(stages, pairwise([0, *ends]), strict=True)
+    )
 
 
 def network(config: TrainConfig) -> NetworkConfig:

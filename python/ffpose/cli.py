@@ -221,13 +221,12 @@ def chosen_scene(options: Namespace, name: str) -> Scene:
     from ffpose.geometry import Camera
     from ffpose.render import Randomization, find_scene
 
-    scene = find_scene(name)
-    sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
     limits = options.attitude_range
+    scene = find_scene(name, tuple(limits) if limits else None)
+    sensor = replace(scene.sensor, motion_px=options.motion, jpeg_quality=options.jpeg)
     return replace(
         scene,
         sensor=sensor,
-        attitude_range_deg=tuple(limits) if limits else scene.attitude_range_deg,
         eclipse_rate=scene.eclipse_rate if options.eclipse_rate is None else options.eclipse_rate,
         randomization=Randomization.of_strength(options.randomize),
         camera=Camera.read(options.camera) if options.camera else scene.camera,

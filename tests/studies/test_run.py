@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import load_file
 
 from cambridge_sets import write_landmarks
-from ffpose.training import Stage
+from ffpose.training import PAPER_STAGES, Stage
 from ffpose.training.checkpoint import read_results
 from ffpose.training.engine import train
 from studies import get_study, run
@@ -254,3 +254,17 @@ def test_a_value_that_cannot_be_is_one_line(tmp_path, capsys):
             main(["filters", "--out", str(tmp_path / "a"), *words])
         assert leaving.value.code == 2
         assert capsys.readouterr().err.endswith(f"error: {expected}")
+
+
+@pytest.mark.parametrize(
+    ("epochs", "expected"), [(3, [1, 1, 1]), (19, [11, 4, 4]), (1603, [1001, 301, 301])]
+)
+def test_shortened_stages_keep_their_proportions(epochs, expected):
+    stages = run.shortened(PAPER_STAGES, epochs)
+    assert [stage.epochs for stage in stages] == expected
+    assert [stage.freeze for stage in stages] == [stage.freeze for stage in PAPER_STAGES]
+
+
+def test_too_few_epochs_for_the_stages_are_refused():
+    with pytest.raises(ValueError, match="expected at least 3, one a stage, got 2"):
+        run.shortened(PAPER_STAGES, 2)

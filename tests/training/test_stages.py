@@ -11,7 +11,6 @@ from ffpose.training.stages import (
     check_stages,
     enter_stage,
     next_epoch,
-    shortened,
 )
 
 
@@ -33,20 +32,6 @@ def test_the_papers_stages():
         ("translation", 150),
         ("orientation", 150),
     ]
-
-
-@pytest.mark.parametrize(
-    ("epochs", "expected"), [(3, [1, 1, 1]), (19, [11, 4, 4]), (1603, [1001, 301, 301])]
-)
-def test_shortened_stages_keep_their_proportions(epochs, expected):
-    stages = shortened(PAPER_STAGES, epochs)
-    assert [stage.epochs for stage in stages] == expected
-    assert [stage.freeze for stage in stages] == [stage.freeze for stage in PAPER_STAGES]
-
-
-def test_too_few_epochs_for_the_stages_are_refused():
-    with pytest.raises(ValueError, match="expected at least 3, one a stage, got 2"):
-        shortened(PAPER_STAGES, 2)
 
 
 def run_through(stages, scores, patience=0):

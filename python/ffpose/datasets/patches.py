@@ -195,7 +195,6 @@ def _store(
 def _fill(
     arrays: Mapping[str, np.memmap[Any, Any]], pieces: Iterator[Patches], begun: Arrays | None
 ) -> None:
-    """Write the patches into the arrays' files."""
     first = 0
     if begun is not None:
         first = len(begun["labels"])

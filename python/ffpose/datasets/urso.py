@@ -108,7 +108,6 @@ def _expect_exists(path: Path) -> None:
 
 
 def _read_names(path: Path) -> list[str]:
-    """Return the file names, line by line."""
     first_line: dict[str, int] = {}
     for line, text in enumerate(read_text(path).splitlines(), start=1):
         name = text.strip()
@@ -123,7 +122,6 @@ def _read_names(path: Path) -> list[str]:
 
 
 def _read_rows(path: Path) -> list[_Row]:
-    """Return the rows of a file of labels."""
     table = read_rows(path)
     _, names = next(table, (1, []))
     header = [name.strip() for name in names]

@@ -85,7 +85,6 @@ def _say(text: str, *, quiet: bool) -> None:
 
 
 def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> None:
-    """Render the missing images, and record the time it took."""
     _say(f"render: {config.images} images of a Soyuz over the Earth", quiet=quiet)
     written = write_dataset(
         config.scene,
@@ -105,7 +104,6 @@ def _render(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -
 
 
 def _train(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) -> Weights:
-    """Train the remaining epochs, on views that are rendered where they are missing."""
     training = config.training(out)
     if record.views_seconds == 0:
         _say(f"views: rendering {config.rendered_views} training views", quiet=quiet)
@@ -120,7 +118,6 @@ def _train(config: DemoConfig, out: Path, record: DemoRecord, *, quiet: bool) ->
 
 
 def _epochs_to_do(training: TrainConfig) -> str:
-    """Describe the remaining epochs of a training."""
     total = sum(stage.epochs for stage in training.resolved_stages)
     folder = RunFolder(training.out)
     done = len(folder.load_state().history) if folder.state.exists() else 0

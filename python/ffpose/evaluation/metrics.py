@@ -137,7 +137,6 @@ def _update(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
 
 
 def _compute(errors: PoseErrors) -> dict[str, Tensor]:
-    """Return the metrics over samples."""
     if len(errors.translation_m) == 0:
         raise ValueError("pose error: expected at least one sample, got none")
     return {

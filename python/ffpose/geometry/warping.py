@@ -34,11 +34,11 @@ def source_planes(homographies: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
     return torch.where(ahead, x / least, far), torch.where(ahead, y / least, far)
 
 
-def sample_planes(image: Tensor, u: Tensor, v: Tensor, mode: str = "bilinear") -> Tensor:
+def sample_planes(image: Tensor, u: Tensor, v: Tensor) -> Tensor:
     """Sample images ``(B, C, H, W)`` at the coordinates ``u`` and ``v``, each ``(B, h, w)``.
 
     They are zero outside.
     """
     rows, columns = image.shape[-2:]
     grid = torch.stack((u * (2 / columns) - 1, v * (2 / rows) - 1), dim=-1)
-    return F.grid_sample(image, grid.to(image.dtype), mode=mode, align_corners=False)
+    return F.grid_sample(image, grid.to(image.dtype), align_corners=False)

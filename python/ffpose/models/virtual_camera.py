@@ -190,10 +190,9 @@ def homography(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
     return source @ view.rotation.transpose(1, 2) * scale[:, None, :]
 
 
-def sample(image: Tensor, pixels: Tensor, mode: str = "bilinear") -> Tensor:
+def sample(image: Tensor, pixels: Tensor) -> Tensor:
     """Sample images ``(B, C, H, W)`` at ``pixels (B, h, w, 2)``; zero outside."""
-    u, v = pixels.unbind(-1)
-    return sample_planes(image, u, v, mode)
+    return sample_planes(image, *pixels.unbind(-1))
 
 
 def pyramid(images: Tensor) -> list[Tensor]:

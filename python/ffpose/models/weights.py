@@ -212,7 +212,6 @@ def _to_header(metadata: WeightsMetadata) -> dict[str, str]:
 
 
 def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
-    """Parse a header of this format."""
     known = [name for name in ORIGIN if name in header or name not in OPTIONAL]
     origin: dict[str, Any] = {name: json.loads(header[name]) for name in known}
     for name in ("backbone_source", "recipe", "data"):

@@ -96,7 +96,6 @@ def _weights(scaled: Tensor, keys: Tensor) -> Tensor:
 
 
 def _blocks(mask: Tensor) -> Iterator[slice]:
-    """Yield slices of whole heads."""
     heads = max(1, BLOCK // max(1, mask.shape[1:].numel()))
     for first in range(0, len(mask), heads):
         yield slice(first, first + heads)

@@ -236,7 +236,6 @@ def _render_group(
 
 
 def _folder(variation: Variation, seed: int, size: tuple[int, int]) -> str:
-    """Return the name of the folder that keeps a variation's pictures."""
     depends = [variation.scene.parameters(), variation.blur_px, variation.empty, seed, size]
     digest = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
     return f"{variation.name.replace(' ', '-')}-{digest[:16]}"

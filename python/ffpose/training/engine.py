@@ -161,7 +161,6 @@ def _cpu_seconds_of(state: TrainState) -> float:
 
 
 def _header(run: Run) -> dict[str, Any]:
-    """Return the metadata for the header of the weights file."""
     return {
         "preprocessing": run.task.preprocessing,
         "backbone_source": run.average.model.backbone.source,
@@ -330,7 +329,6 @@ def _gradients(run: Run, objective: nn.Module, batch: Any, epoch: Epoch, share: 
 
 
 def _step(run: Run, rate: float) -> None:
-    """Take one step of the optimizer."""
     for group in run.optimizer.param_groups:
         group["lr"] = rate
     parameters = trained_together(run.model, run.task.loss)

@@ -129,7 +129,6 @@ def _task(
     processes: Processes,
     symmetry: SymmetryGroup,
 ) -> Task:
-    """Return what the network learns from."""
     if isinstance(model, SecondLookNetwork) and looks_twice(model.config):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
         loss = ObjectObjective(model, config.object_loss, len(keypoints), symmetry).to(device)

@@ -11,8 +11,7 @@ frozen branch's loss is frozen with it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import accumulate, pairwise
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -48,26 +47,6 @@ PAPER_STAGES = (
     Stage("orientation", 150, ("backbone", "translation_branch")),
 )
 """All three stages of the paper."""
-
-
-def shortened(stages: Sequence[Stage], epochs: int) -> tuple[Stage, ...]:
-    """Return the stages with another number of epochs in all, in about the same proportions.
-
-    Raises:
-        ValueError: There are fewer epochs than stages.
-
-    Examples:
-        >>> [stage.epochs for stage in shortened(PAPER_STAGES, 19)]
-        [11, 4, 4]
-    """
-    spare, total = epochs - len(stages), sum(stage.epochs for stage in stages)
-    if spare < 0:
-        raise ValueError(f"epochs: expected at least {len(stages)}, one a stage, got {epochs}")
-    ends = [round(spare * done / total) for done in accumulate(stage.epochs for stage in stages)]
-    return tuple(
-        replace(stage, epochs=1 + end - begin)
-        for stage, (begin, end) in zip(stages, pairwise([0, *ends]), strict=True)
-    )
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,6 @@ def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
 
 
 def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
-    """Return the statistics of the uncertainties."""
     found, truth = _vectors(answers.found), _vectors(answers.truth)
     said = answers.uncertainties
     regions = truth_regions(

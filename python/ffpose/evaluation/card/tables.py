@@ -87,7 +87,6 @@ def _intervals(row: Row) -> list[str]:
 
 
 def _conditions(rows: Sequence[Row]) -> str:
-    """Describe each condition in one sentence."""
     return "; ".join(f"{row['name']}: {row['about']}" for row in rows) + "."
 
 

@@ -40,6 +40,9 @@ from ffpose.evaluation.report.tables import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+GROUP = 8
+"""Images of a gallery."""
+
 DISTRIBUTIONS = (
     (error_cdf, "share of the images below each error, model and mean pose"),
     (error_histograms, "histograms of the errors, model and mean pose"),
@@ -123,13 +126,12 @@ def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:
     return f"<h2>Predicted uncertainty</h2><table>{uncertainty_table(summary)}</table>{diagram}"
 
 
-def _groups(evaluation: Evaluation, size: int = 8) -> list[tuple[str, list[int]]]:
-    """Return headings and images: the best, those around the median, and the worst."""
+def _groups(evaluation: Evaluation) -> list[tuple[str, list[int]]]:
     ranking = evaluation.ranking.tolist()
     return [
-        ("The best", ranking[:size]),
-        ("About the median", evaluation.typical(size)),
-        ("The worst", ranking[::-1][:size]),
+        ("The best", ranking[:GROUP]),
+        ("About the median", evaluation.typical(GROUP)),
+        ("The worst", ranking[::-1][:GROUP]),
     ]
 
 

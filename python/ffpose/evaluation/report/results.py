@@ -74,6 +74,5 @@ def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
 
 
 def _deviations(name: str, covariance: FloatArray) -> dict[str, FloatArray]:
-    """Return the standard deviations along x, y and z."""
     deviations = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
     return {f"sigma_{name.format(axis)}": c for axis, c in zip("xyz", deviations, strict=True)}

@@ -7,7 +7,7 @@ import json
 import multiprocessing
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import NamedTuple
@@ -55,7 +55,6 @@ def write_sequence(
     *,
     drop: float = 0.0,
     workers: int = 1,
-    said: Callable[[int], None] = lambda done: None,
 ) -> WrittenFrames:
     """Render the frames of a sequence into a folder, with ``frames.csv`` and ``camera.json``.
 
@@ -67,7 +66,6 @@ def write_sequence(
         out: Folder to write to; created if it does not exist.
         drop: Share of the frames that are lost, 0 to 1, at random; the first is not.
         workers: Number of processes; 1 renders in the calling process.
-        said: Called with the number of frames that are done.
 
     Raises:
         ValueError: A number is out of range, or the folder holds something else.
@@ -91,9 +89,8 @@ def write_sequence(
     least = LEAST_BYTES_PER_PIXEL * sequence.camera.width * sequence.camera.height * len(missing)
     expect_room(folder, int(least), f"{len(missing)} frames")
     remove_leftovers(folder)
-    said(len(wanted) - len(missing))
-    for done, _ in enumerate(_rendered(sequence, folder, missing, workers), start=1):
-        said(len(wanted) - len(missing) + done)
+    for _ in _rendered(sequence, folder, missing, workers):
+        pass
     sequence.camera.write(folder / CAMERA_FILE)
     with (
         atomic_write(folder / FRAMES) as temporary,

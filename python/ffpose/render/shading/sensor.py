@@ -208,7 +208,6 @@ def _moved(padded: Floats, reach: int, x: float, y: float, shape: tuple[int, ...
 
 
 def _through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    """Compress and decompress an image as JPEG of this quality."""
     pillow = require("PIL.Image", "render")
     file = io.BytesIO()
     pillow.fromarray(image).save(file, "JPEG", quality=quality)

@@ -130,5 +130,4 @@ def _scene(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:
 
 
 def _some(hits: Hits, at: NDArray[np.bool_] | NDArray[np.intp]) -> Hits:
-    """Return some of the hits."""
     return Hits(hits.ray[at], hits.face[at], hits.distance[at], hits.barycentric[:, at])

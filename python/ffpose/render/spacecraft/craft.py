@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -70,25 +69,18 @@ def bounding_sphere(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], f
     return center, float(np.linalg.norm(points - center, axis=1).max())
 
 
-def _soyuz() -> Craft:
-    return Craft("soyuz", soyuz.build(), soyuz.MATERIALS, soyuz.KEYPOINTS)
-
-
-def _dragon() -> Craft:
-    return Craft("dragon", dragon.build(), dragon.MATERIALS, dragon.KEYPOINTS)
-
-
-BUILDERS: dict[str, Callable[[], Craft]] = {"soyuz": _soyuz, "dragon": _dragon}
-"""Builders of the spacecraft that ship with ffpose, by name."""
+SHIPPED = {"soyuz": soyuz, "dragon": dragon}
+"""Modules of the spacecraft that ship with ffpose, by name."""
 
 
 @lru_cache(maxsize=4)
 def build_craft(name: str) -> Craft:
-    """Build a spacecraft of `BUILDERS`; later calls return the same one.
+    """Build a spacecraft of `SHIPPED`; later calls return the same one.
 
     Raises:
-        ValueError: `name` is not in `BUILDERS`; the message lists the valid names.
+        ValueError: `name` is not in `SHIPPED`; the message lists the valid names.
     """
-    if name not in BUILDERS:
-        raise ValueError(f"unknown spacecraft {name!r}; known: {', '.join(sorted(BUILDERS))}")
-    return BUILDERS[name]()
+    if name not in SHIPPED:
+        raise ValueError(f"unknown spacecraft {name!r}; known: {', '.join(sorted(SHIPPED))}")
+    module = SHIPPED[name]
+    return Craft(name, module.build(), module.MATERIALS, module.KEYPOINTS)
