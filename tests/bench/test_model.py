@@ -68,7 +68,6 @@ def test_a_backend_that_computes_other_poses_is_refused(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["speck", "--threads", "0"], 2, "threads"),
         (["speck", "--plot", "absent/a.png"], 1, "expected an existing folder"),
         (["nowhere"], 1, "weights: expected a file or a name"),
     ],
@@ -76,6 +75,13 @@ def test_a_backend_that_computes_other_poses_is_refused(monkeypatch, capsys):
 def test_what_cannot_be_measured_is_refused(words, code, message, capsys):
     assert main(["bench", "model", *words]) == code
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--threads", "--batch"])
+def test_numbers_below_one_are_wrong_usage(option, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["bench", "model", "speck", option, "0"])
+    assert option.strip("-") in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("network", ["compact", "polar", "ursonet"])

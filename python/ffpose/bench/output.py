@@ -21,7 +21,7 @@ def print_results(title: str, rows: list[dict[str, Any]], as_json: bool, **docum
         print(json.dumps({**facts, **document}, indent=2, default=asdict))
         return
     columns = (Column(name, justify="right") for name in rows[0])
-    table = Table(*columns, title=f"{title}, {processor()}", title_justify="left")
+    table = Table(*columns, title=f"{title}, {processor()}", title_justify="left", box=None)
     for row in rows:
         table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()))
-    Console().print(table)
+    Console(width=100).print(table)

@@ -35,6 +35,7 @@ from benchmarks.model.contenders import (
     with_torch_fft,
     write_graphs,
 )
+from benchmarks.model.networks import TorchFftFilter
 from benchmarks.model.operators import shares
 from benchmarks.model.pipeline import (
     STAGES,
@@ -134,7 +135,7 @@ def test_every_graph_computes_what_it_says(tmp_path):
     images = measured.images(3)
     open_gate = with_torch_fft(measured.model)
     for module in open_gate.modules():
-        if hasattr(module, "compute"):
+        if isinstance(module, TorchFftFilter):
             module.weight.data.copy_(torch.tensor([1.0, 0.0]))
     for kind, graph in graphs.items():
         model = open_gate if kind == "without" else with_torch_fft(measured.model)
