@@ -1,10 +1,13 @@
-"""Tests the files of dist: wheels name every crate that they link, and the sdist is all sources.
+"""Tests dist: wheels take their tag's glibc and name every linked crate, the sdist is all sources.
+
+What glibc both libraries of a wheel ask for, auditwheel tells, which must be in PATH.
 
 The names are in the SBOM, CycloneDX in `.dist-info/sboms` (PEP 770), which maturin makes of the
 extension; the library for ONNX Runtime must link no others.
 """
 
 import json
+import re
 import subprocess
 import sys
 import tarfile
@@ -37,6 +40,12 @@ for path in (ROOT / "dist").glob("*.whl"):
         (sbom,) = (name for name in wheel.namelist() if ".dist-info/sboms/" in name)
         components = json.loads(wheel.read(sbom))["components"]
     machine = path.stem.rpartition("manylinux_2_28_")[2]
+    shown = subprocess.run(
+        ["auditwheel", "show", path], check=True, stdout=subprocess.PIPE, text=True
+    ).stdout
+    glibc = re.search(r'platform tag: "manylinux_2_(\d+)_', " ".join(shown.split()))
+    assert glibc is not None, shown
+    assert int(glibc[1]) <= 28, f"{path.name}: expected glibc 2.28 or older: {shown}"
     crates = {(each["name"], each["version"]) for each in linked(f"{machine}-unknown-linux-gnu")}
     missing = crates - {(each["name"], each["version"]) for each in components}
     assert not missing, f"{path.name}: expected every linked crate in {sbom}, misses {missing}"
