@@ -319,6 +319,26 @@ def test_the_uncertainty_grows_with_the_share_that_the_border_cuts_off():
         torch.testing.assert_close(getattr(got, name), factor * getattr(expected, name))
 
 
+def test_the_offset_of_a_look_at_a_point_is_divided_by_its_slopes():
+    """Across and along the ray; attitude and covariances in the view stay."""
+    plain, mended = build(), build(look_slope=(0.5, 0.8))
+    with torch.no_grad():
+        got, expected = (each.predict_near(images(), POINTS) for each in (mended, plain))
+        view = plain.view_at(POINTS)
+        offsets, before = (
+            offset_of((view.rotation @ each.translation[:, :, None])[:, :, 0], view)
+            for each in (got, expected)
+        )
+    torch.testing.assert_close(
+        offsets, before / torch.tensor([0.5, 0.5, 0.8]), rtol=1e-4, atol=1e-4
+    )
+    torch.testing.assert_close(got.orientation, expected.orientation)
+    torch.testing.assert_close(got.rotation_covariance, expected.rotation_covariance)
+    with torch.no_grad():
+        whole, other = (each(images()) for each in (mended, plain))
+    assert torch.equal(whole.translation, other.translation)
+
+
 def test_the_uncertainty_grows_with_the_doubt_of_the_attitude():
     """Variances times (1 + k (1 - p))², p being the probability of the attitude; poses stay."""
     plain, grown = build(), build(doubt_sigma=(6.0, 2.0))

@@ -9,12 +9,18 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from scipy.stats import f, multivariate_t
 
-from ffpose.config import FilterformerPoseConfig
+from ffpose.config import PRESETS, FilterformerPoseConfig
 from ffpose.datasets import Sample
 from ffpose.evaluation.calibration import CURVE, coverage, region_probability
+from ffpose.models import PolarPose
 from ffpose.models.base import UncertainPose
 from ffpose.models.second_look import calibrated
-from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM, calibrate, fit_tails
+from ffpose.training.calibrate import (
+    LEAST_DEGREES_OF_FREEDOM,
+    LEAST_SLOPE,
+    calibrate,
+    fit_tails,
+)
 
 COUNT = 2000
 TRUE_VARIANCES = (0.09, 4e-4)
@@ -233,6 +239,46 @@ def test_hard_images_do_not_count_for_distance_and_threshold():
     assert both.distance_scale == easy.distance_scale
     assert both.in_view_threshold == easy.in_view_threshold
     assert (both.variance_scales > easy.variance_scales).all()
+
+
+class Leaning(PolarPose):
+    """Finds what is ahead, and with a look at a point something nearer to the point.
+
+    The offset that it measures is a share of the true one, other along the viewing ray than across.
+    """
+
+    measured = (0.9, 0.7)
+
+    def forward(self, images):
+        return Drawn().forward(images)
+
+    def predict_near(self, images, points):
+        found = self(images)
+        truth = found.translation  # near which those of `split` lie
+        ray = truth / truth.norm(dim=1, keepdim=True)
+        off = truth - points
+        along = (off * ray).sum(1, keepdim=True) * ray
+        across, beside = (np.divide(self.measured, self.config.look_slope)).tolist()
+        return found._replace(translation=points + across * (off - along) + beside * along)
+
+
+@pytest.mark.parametrize("before", [(1.0, 1.0), (0.9, 0.7), (1.2, 0.6)])
+def test_the_slopes_of_looks_are_found_whatever_they_were_divided_by(before):
+    config = PRESETS["polar"].with_fields({"camera": FAR_WITHIN, "look_slope": before})
+    model = Leaning.build(config, "none")
+    found = calibrate(model, split(0), absent())
+    assert found.look_slope == pytest.approx(Leaning.measured, rel=1e-3)
+
+
+def test_looks_that_do_not_follow_are_not_mended():
+    """Dividing by a slope of nearly nothing would make noise of what they find."""
+    model = Leaning.build(PRESETS["polar"].with_fields({"camera": FAR_WITHIN}), "none")
+    model.measured = (0.01, -0.3)
+    assert calibrate(model, split(0), absent()).look_slope == (LEAST_SLOPE, LEAST_SLOPE)
+
+
+def test_other_networks_have_no_looks_at_points():
+    assert calibrate(Drawn(), split(0), absent()).look_slope is None
 
 
 def test_a_network_that_gives_no_uncertainty_is_refused():

@@ -47,6 +47,9 @@ class PolarPoseConfig(SecondLookConfig):
         directions: Number of viewing directions of the orientation bins.
         bins_width_deg: Standard deviation of the bins' soft labels, degrees.
         looks: Number of second looks; each but the first is pointed by the one before.
+        look_slope: Slopes across and along the viewing ray of the offset that one look at a given
+            point measures on the true offset, by which `ffpose.models.PolarPose.predict_near`
+            divides it; found by calibration.
 
     Raises:
         ValueError: A value is out of range, or sizes are inconsistent.
@@ -56,6 +59,7 @@ class PolarPoseConfig(SecondLookConfig):
     TUPLES: ClassVar[dict[str, int]] = SecondLookConfig.TUPLES | {
         "channels": 3,
         "blocks": 2,
+        "look_slope": 2,
     }
     COUNTS: ClassVar[tuple[str, ...]] = (
         *("first_reduction", "first_channels", "candidates", "object_width"),
@@ -80,6 +84,7 @@ class PolarPoseConfig(SecondLookConfig):
     angles: int = 48
     directions: int = 500
     bins_width_deg: float = 8.0
+    look_slope: tuple[float, float] = (1.0, 1.0)
 
     def _check_values(self) -> None:
         super()._check_values()
@@ -101,6 +106,8 @@ class PolarPoseConfig(SecondLookConfig):
             )
         if not 0 < self.bins_width_deg < math.inf:
             raise ValueError(f"bins_width_deg: expected above 0, got {self.bins_width_deg}")
+        if not all(0 < slope < math.inf for slope in self.look_slope):
+            raise ValueError(f"look_slope: expected above 0 each, got {self.look_slope}")
 
     @property
     def coarsest_reduction(self) -> int:

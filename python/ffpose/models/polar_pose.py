@@ -114,7 +114,9 @@ class PolarPose(BaseNetwork):
     def predict_near(self, images: Tensor, points: Tensor) -> UncertainPose:
         """Predict the poses of objects that are known to be near given points.
 
-        One second look, without a first one and without a correction of where to look.
+        One second look, without a first one and without a correction of where to look. Its offset
+        is zero where the object is, and is divided by its slope there (``config.look_slope``),
+        which is a step of Newton's.
 
         Args:
             images: As in `forward`.
@@ -125,6 +127,9 @@ class PolarPose(BaseNetwork):
         """
         self.check_images(images)
         output, view = self._second_look(pyramid(images), in_front(points))
+        across, along = self.config.look_slope
+        slopes = output.offset.new_tensor([across, across, along])
+        output = output._replace(offset=output.offset / slopes)
         return calibrated(self._pose(output, view), self.config)
 
     def _second_look(

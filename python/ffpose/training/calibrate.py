@@ -1,15 +1,16 @@
 """Calibration of a network's distances and of its uncertainty on held-out images.
 
 Translations are scaled by one factor, such that the median error of the logarithm of the distance
-is zero. The errors of translation, and those of rotation, are taken for multivariate t distributed
-(Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution", JASA 1989): most
-are as small as the network says, and now and then it mistakes one side of the object for another.
-Found by maximum likelihood are the degrees of freedom, a scale of the covariances, and how the
-standard deviations grow with the network's own doubt of the attitude, the probability that its bins
-give to attitudes far from the most likely one, and with the share of the object's view that the
-border of the frame cuts off. This is the analog of temperature scaling for
-probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML 2017). The covariances
-are then those of the t distributions, not their scale matrices.
+is zero. Looks at points about the object tell by how much their offset follows the true one, where
+a network has such looks. The errors of translation, and those of rotation, are taken for
+multivariate t distributed (Lange, Little and Taylor, "Robust Statistical Modeling Using the t
+Distribution", JASA 1989): most are as small as the network says, and now and then it mistakes one
+side of the object for another. Found by maximum likelihood are the degrees of freedom, a scale of
+the covariances, and how the standard deviations grow with the network's own doubt of the attitude,
+the probability that its bins give to attitudes far from the most likely one, and with the share of
+the object's view that the border of the frame cuts off. This is the analog of temperature scaling
+for probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML 2017). The
+covariances are then those of the t distributions, not their scale matrices.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
+from torch.nn import functional as F
 
 from ffpose.config import looks_twice
 from ffpose.config.second_look import MOST_DEGREES_OF_FREEDOM
@@ -29,7 +31,7 @@ from ffpose.datasets import Sample
 from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.calibration import choose_threshold, squared_mahalanobis
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
-from ffpose.models import SecondLookNetwork
+from ffpose.models import PolarPose, SecondLookNetwork
 from ffpose.models.second_look import truncation
 
 FloatArray = NDArray[np.float64]
@@ -45,6 +47,12 @@ LEAST_DISTANCE = 1e-30
 STEPS = 300
 """Largest number of steps of the fit, which ends when the likelihood no longer changes."""
 
+LEAST_SLOPE = 0.5
+"""A look that follows the true offset by less makes its noise more than twice as large to mend."""
+
+DISPLACED = 1.5
+"""Predicted standard deviations by which looks are pointed off to either side."""
+
 
 class Calibration(NamedTuple):
     """Calibration parameters found on held-out images.
@@ -57,6 +65,7 @@ class Calibration(NamedTuple):
         degrees_of_freedom: For the field of the network's config of that name.
         in_view_threshold: Images with a lower probability of the object being in view are flagged;
             None where there were no images without the object.
+        look_slope: For the field of the network's config of that name; None where it has none.
     """
 
     distance_scale: float
@@ -65,6 +74,7 @@ class Calibration(NamedTuple):
     truncation_sigma: tuple[float, float]
     degrees_of_freedom: tuple[float, float]
     in_view_threshold: float | None
+    look_slope: tuple[float, float] | None = None
 
 
 class Tails(NamedTuple):
@@ -114,7 +124,7 @@ def calibrate(
     if not looks_twice(model.config):
         raise ValueError("model: expected one with a second look, got one that sees the frame")
     model.eval()
-    seen = _see_all(model, labeled, symmetry)
+    seen = _see_all(model, labeled, symmetry, pointed_off=True)
     absent = [_see(model, images)["in_view"] for images in empty]
     if not seen:
         raise ValueError("labeled: expected images that show the object, got none")
@@ -132,6 +142,7 @@ def calibrate(
         by_cut,
         degrees,
         choose_threshold(seen["in_view"], np.concatenate(absent)).threshold if absent else None,
+        _look_slope(model, seen["slopes"]) if isinstance(model, PolarPose) else None,
     )
 
 
@@ -212,15 +223,29 @@ def negative_log_likelihood(
     return (far + 1.5 * log_scales).mean() - normalization
 
 
+def _look_slope(model: PolarPose, measured: FloatArray) -> tuple[float, float]:
+    """Return the median slopes across and along the ray, those of the config included."""
+    across, along = np.median(measured[:, :2]), np.median(measured[:, 2])
+    before = model.config.look_slope
+    across, along = np.maximum(np.multiply(before, (across, along)), LEAST_SLOPE).tolist()
+    return across, along
+
+
 def _see_all(
-    model: SecondLookNetwork, labeled: Iterable[Sample], symmetry: SymmetryGroup
+    model: SecondLookNetwork,
+    labeled: Iterable[Sample],
+    symmetry: SymmetryGroup,
+    *,
+    pointed_off: bool = False,
 ) -> dict[str, FloatArray]:
     """Return what the network predicts for all images, and the nearest truth of the same look.
 
-    Empty without images.
+    With ``pointed_off`` the ``slopes`` of its looks at given points too, where it has them. Empty
+    without images.
     """
+    off = pointed_off and isinstance(model, PolarPose)
     seen = [
-        _see(model, batch.image)
+        _see(model, batch.image, batch.translation if off else None)
         | {
             "true_translation": _array(batch.translation),
             "true_orientation": _array(batch.orientation),
@@ -260,11 +285,49 @@ def _distances(
     )
 
 
-def _see(model: SecondLookNetwork, images: Tensor) -> dict[str, FloatArray]:
-    """Return the fields of `ffpose.models.base.UncertainPose` for a batch, in float64."""
+def _see(
+    model: SecondLookNetwork, images: Tensor, about: Tensor | None = None
+) -> dict[str, FloatArray]:
+    """Return the fields of `ffpose.models.base.UncertainPose` for a batch, in float64.
+
+    With the true translations ``about (B, 3)`` the `slopes` of looks about them too.
+    """
     with torch.inference_mode():
-        found = model(images.to(model.variance_scales.device))
-    return {name: _array(values) for name, values in found._asdict().items()}
+        images = images.to(model.variance_scales.device)
+        found = model(images)
+        told = found._asdict()
+        if about is not None:
+            assert isinstance(model, PolarPose)
+            truth = about.to(found.translation)
+            told["slopes"] = slopes(model, images, truth, found.translation_covariance)
+    return {name: _array(values) for name, values in told.items()}
+
+
+def slopes(model: PolarPose, images: Tensor, truth: Tensor, covariance: Tensor) -> Tensor:
+    """Return how looks follow the true offset ``(B, 3)``: twice across the ray, then along it.
+
+    Looks are pointed off the truth by `DISPLACED` standard deviations to either side; where what
+    they find moves by a share of that, the slope is one less this share.
+
+    Args:
+        model: A network that looks at given points.
+        images: ``(B, 3, H, W)``, standardized.
+        truth: Translations of the object ``(B, 3)``, meters.
+        covariance: Of what is found of them ``(B, 3, 3)``, square meters.
+    """
+    along = F.normalize(truth, dim=1)
+    aside = torch.linalg.cross(along, torch.eye(3).to(along)[along.abs().argmin(1)])
+    aside = F.normalize(aside, dim=1)
+    measured = []
+    for axis in (aside, torch.linalg.cross(along, aside), along):
+        variance = (axis[:, None] @ covariance @ axis[:, :, None])[:, 0]
+        moved = DISPLACED * variance.sqrt() * axis
+        back, forth = (
+            model.predict_near(images, truth + side * moved).translation for side in (-1, 1)
+        )
+        leaning = ((forth - back) * axis).sum(1) / (2 * moved.norm(dim=1))
+        measured.append(1 - leaning)
+    return torch.stack(measured, dim=1)
 
 
 def _array(values: Tensor) -> FloatArray:

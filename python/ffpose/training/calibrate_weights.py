@@ -13,9 +13,15 @@ from torch.utils.data import DataLoader
 
 from ffpose import __version__
 from ffpose._internal.zoo import resolve
-from ffpose.config import looks_twice
+from ffpose.config import PolarPoseConfig, looks_twice
 from ffpose.datasets import PoseDataset, Sample
-from ffpose.models import SecondLookNetwork, WeightsMetadata, load_network, read_metadata
+from ffpose.models import (
+    PolarPose,
+    SecondLookNetwork,
+    WeightsMetadata,
+    load_network,
+    read_metadata,
+)
 from ffpose.models.weights import write_weights
 from ffpose.training.calibrate import Calibration, calibrate
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
@@ -90,6 +96,8 @@ def write_calibrated(
     model.config = replace(
         model.config, distance_scale=1.0, doubt_sigma=(0.0, 0.0), truncation_sigma=(0.0, 0.0)
     )
+    if isinstance(model, PolarPose):
+        model.config = replace(model.config, look_slope=(1.0, 1.0))
     preprocessing = images.whole.preprocessing
     empty = [] if images.empty is None else standardized(images.empty, preprocessing)
     hard = chain.from_iterable(map(_batches, images.hard))
@@ -106,6 +114,8 @@ def write_calibrated(
         truncation_sigma=found.truncation_sigma,
         degrees_of_freedom=found.degrees_of_freedom,
     )
+    if isinstance(config, PolarPoseConfig) and found.look_slope is not None:
+        config = replace(config, look_slope=found.look_slope)
     header = replace(
         metadata,
         config=config,
