@@ -142,12 +142,12 @@ class OpenVinoSession:
         precision: Precision = "float32",
         data: bytes | None = None,
     ) -> None:
-        core = openvino_core()
         if filter == "custom":
             raise ValueError(
                 f"backend: OpenVINO expected a graph of standard operators, as `ffpose export MODEL"
                 f" --filter matmul --out X.onnx` writes it, got {model} with a custom operator"
             )
+        core = openvino_core()
         if precision == "bfloat16" and not openvino_takes_bfloat16():
             raise ValueError("precision: expected float32, this CPU has no bfloat16 instructions")
         settings: dict[str, Any] = {
