@@ -116,7 +116,9 @@ def find_scene(
         found = SCENES[scene]
     else:
         raise ValueError(f"scene: expected one of {', '.join(SCENES)}, got {scene!r}")
-    return replace(found, attitude_range_deg=attitude_range_deg or found.attitude_range_deg)
+    if attitude_range_deg is None:
+        return found
+    return replace(found, attitude_range_deg=attitude_range_deg)
 
 
 @lru_cache(maxsize=4)
