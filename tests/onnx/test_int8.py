@@ -157,13 +157,46 @@ def test_what_cannot_be_calibrated_is_refused(graph, images, tmp_path):
         pose_int8.quantize_graph(out, tmp_path / "again.onnx", images[:1])
 
 
+def rewrite(graph, model):
+    checksum = [entry for entry in model.metadata_props if entry.key == "ffpose_sha256"]
+    model.metadata_props.remove(*checksum)
+    graph.write_bytes(sealed(model.SerializeToString()))
+
+
+def test_a_weight_that_two_nodes_share_is_copied(graph, images, tmp_path):
+    """ONNX Runtime cannot load shared ones where the CPU has no VNNI."""
+    model = onnx.load(graph)
+    mixing = np.random.default_rng(2).normal(size=(SIZE[0], SIZE[0])).astype(np.float32)
+    model.graph.initializer.append(onnx.numpy_helper.from_array(mixing, "mixing"))
+    maps, *others = model.graph.node
+    others[0].input[0] = "sum"
+    added = [
+        node("Conv", ["images", "kernel"], "maps_again", ["backbone"], auto_pad="SAME_UPPER"),
+        node("Relu", ["maps_again"], "bright_again", ["backbone"]),
+        node("MatMul", ["mixing", "maps"], "mixed", ["backbone"]),
+        node("MatMul", ["mixing", "bright_again"], "mixed_again", ["backbone"]),
+        onnx.helper.make_node("Add", ["mixed", "mixed_again"], ["sum"]),
+    ]
+    del model.graph.node[:]
+    model.graph.node.extend([maps, *added, *others])
+    rewrite(graph, model)
+    out = tmp_path / "int8.onnx"
+    assert pose_int8.quantize_graph(graph, out, images).nodes == 4
+    weights = {
+        each.name
+        for each in onnx.load(out).graph.initializer
+        if each.data_type == onnx.TensorProto.INT8 and len(each.dims) > 1
+    }
+    read = [name for each in onnx.load(out).graph.node for name in each.input if name in weights]
+    assert sorted(read) == sorted(weights)
+    assert len(weights) == 4
+
+
 def test_a_graph_without_a_backbone_is_refused(graph, images, tmp_path):
     model = onnx.load(graph)
     for each in model.graph.node:
         del each.metadata_props[:]
-    checksum = [entry for entry in model.metadata_props if entry.key == "ffpose_sha256"]
-    model.metadata_props.remove(*checksum)
-    graph.write_bytes(sealed(model.SerializeToString()))
+    rewrite(graph, model)
     with pytest.raises(RuntimeError, match="int8: expected a graph with Conv, Gemm, MatMul"):
         pose_int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
 

@@ -53,6 +53,7 @@ def quantize(
     nodes = [node.name for node in model.graph.node if node.name in wanted]
     if not nodes:
         raise RuntimeError(f"int8: expected a graph with {', '.join(OPERATORS)} in it, got none")
+    _separate_weights(model.graph, wanted)
     quantizer = require("onnxruntime.quantization.qdq_quantizer", "export").QDQQuantizer(
         model,
         per_channel=True,
@@ -95,6 +96,26 @@ def _fold(graph: Path, folded: Path, filter: Filter) -> str:
     session = runtime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
     name: str = session.get_inputs()[0].name
     return name
+
+
+def _separate_weights(graph: Any, names: set[str]) -> None:
+    """Give each of the named nodes of an ONNX graph weights that no other of them reads.
+
+    Where sums of int8 products saturate (x86-64 without VNNI), ONNX Runtime writes the weight of
+    every such node anew, as uint8 under a name made of its own, and fails at the second of a name.
+    """
+    weights = {tensor.name: tensor for tensor in graph.initializer}
+    taken = set()
+    for node in graph.node:
+        if node.name not in names:
+            continue
+        for place, name in enumerate(node.input[:2]):
+            if name in taken:
+                copy = graph.initializer.add()
+                copy.CopyFrom(weights[name])
+                copy.name = node.input[place] = f"{name}_of_{node.name}"
+            elif name in weights:
+                taken.add(name)
 
 
 def _ranges(
