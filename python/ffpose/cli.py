@@ -398,7 +398,6 @@ def learn(options: Namespace) -> None:
         ),
         say,
     )
-    say(str(options.out / "report.html"))
 
 
 def evaluate_arguments(parser: ArgumentParser) -> None:

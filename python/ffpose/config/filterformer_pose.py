@@ -216,6 +216,6 @@ CONFIGS["transformerpose"] = replace(CONFIGS["base"], filter="none")
 ``base`` is the paper's network with 9.3 million parameters (backbone 0.85, translation 3.5,
 orientation 4.9); ``small`` has 2.8 million. ``tiny`` has 0.33 million and trains from random
 weights in minutes on two cores; both of its branches use the coarser feature map. ``compact``, with
-1.8 million, looks twice, in rows and columns. ``transformerpose`` is ``base`` without filters, the
+1.7 million, looks twice, in rows and columns. ``transformerpose`` is ``base`` without filters, the
 network that the paper compares with in its Table 3.
 """

@@ -230,6 +230,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
             temporary.write_text(format_card(card), encoding="utf-8")
     summary = evaluation.summary()
     _report(config, evaluation, final, radius, scene_file)
+    say(str(config.out / "report.html"))
     say(verdict(summary))
     return summary
 
