@@ -162,6 +162,14 @@ def test_checksum_is_that_of_sha256sum(path):
     ]
 
 
+def test_the_same_weights_are_the_same_bytes(model, path):
+    """The checksum of two equal trainings is one; safetensors shuffles the metadata."""
+    before = path.read_bytes()
+    for _ in range(5):
+        model.save_pretrained(path, preprocessing=PREPROCESSING)
+        assert path.read_bytes() == before
+
+
 def test_any_safetensors_reader_reads_it(model, path):
     with safe_open(path, framework="numpy") as file:
         assert set(file.keys()) == set(model.state_dict())

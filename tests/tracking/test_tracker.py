@@ -214,7 +214,7 @@ def walk(rng, settings, frames, dt):
     r, w = Rotation.random(random_state=rng), rng.normal(size=3) * np.radians(s.rate)
     a, b = rng.normal(size=(2, 3))
     ct, cr = np.diag([0.05, 0.05, 0.3]) ** 2, np.diag([0.02, 0.03, 0.015]) ** 2
-    substeps = 20
+    substeps = 10
     for _ in range(frames):
         m = r.as_matrix()
         body = m.T @ cr @ m

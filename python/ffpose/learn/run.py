@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ffpose import __version__
-from ffpose._internal.files import atomic_write, read_json
+from ffpose._internal.files import atomic_write, read_json, sha256
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
 from ffpose._internal.zoo import resolve
@@ -44,6 +44,7 @@ from ffpose.learn.plan import (
 from ffpose.learn.speed import measure_speed
 from ffpose.models import build_network
 from ffpose.models.weights import checksum_path, load_weights
+from ffpose.onnx.metadata import read_model_metadata
 from ffpose.onnx.pose_graph import export_weights
 from ffpose.render import SceneFile, Up
 from ffpose.render.dataset.writer import write_dataset
@@ -221,8 +222,9 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     final = train(configured(second, early.folder.best), resume=True)
     _publish(final.folder.best, config.out)
     evaluation = _tested(config, scene_file, processes, say)
-    say("exporting, and checking the graph against torch")
-    export_weights(config.out / WEIGHTS, config.out / GRAPH)
+    if not _exported(config.out):
+        say("exporting, and checking the graph against torch")
+        export_weights(config.out / WEIGHTS, config.out / GRAPH)
     if config.card_images > 0:
         say(f"card: {config.card_images} images of each condition")
         card = measure(config.out / WEIGHTS, str(path), count=config.card_images, workers=processes)
@@ -344,6 +346,12 @@ def _tested(config: LearnConfig, scene: SceneFile, processes: int, say: Say) -> 
     write_results(evaluation, config.out)
     write_evaluation_figures(evaluation, config.out)
     return evaluation
+
+
+def _exported(out: Path) -> bool:
+    """Return whether the graph in a run's folder is of the weights there."""
+    graph = out / GRAPH
+    return graph.exists() and read_model_metadata(graph).weights_sha256 == sha256(out / WEIGHTS)
 
 
 def verdict(summary: dict[str, Any]) -> str:

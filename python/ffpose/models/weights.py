@@ -149,7 +149,7 @@ def checksum_path(path: str | Path) -> Path:
 
 
 def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: WeightsMetadata) -> None:
-    """Write a state dict and its checksum atomically.
+    """Write a state dict and its checksum atomically; the same ones are the same bytes.
 
     Args:
         path: The weights file; its folder must exist.
@@ -163,12 +163,23 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: Weigh
     header = _to_header(metadata)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
     with atomic_write(path) as temporary:
-        temporary.write_bytes(save(tensors, header))  # save_file would deny others to read it
+        content = _in_order(save(tensors, header))
+        temporary.write_bytes(content)  # safetensors' own file would deny others to read it
         digest = sha256(temporary)
         # Between the two renames a kill leaves weights without a checksum, never with a wrong one.
         checksum_path(path).unlink(missing_ok=True)
     with atomic_write(checksum_path(path)) as temporary:
         temporary.write_text(f"{digest}  {Path(path).name}\n", encoding="utf-8")
+
+
+def _in_order(content: bytes) -> bytes:
+    """Return a safetensors file with its metadata sorted; safetensors writes them in any order."""
+    start = 8 + int.from_bytes(content[:8], "little")
+    header = json.loads(content[8:start])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)  # tensors begin at a multiple of 8 bytes
+    return len(text).to_bytes(8, "little") + text + content[start:]
 
 
 def read_metadata(path: str | Path) -> WeightsMetadata:

@@ -212,6 +212,7 @@ def record(
     `replace_filters` can replace.
     """
     optimizer = require("onnxscript.optimizer", "export")
+    passes = require("onnx_ir.passes.common", "export")
     shapes = tuple({0: torch.export.Dim.DYNAMIC} for _ in args)
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), torch.no_grad():
         warnings.simplefilter("ignore")  # of torch's exporter, about itself
@@ -229,9 +230,13 @@ def record(
         )
         assert program is not None
         limits = {"input_size_limit": FOLDED, "output_size_limit": FOLDED}
-        optimizer.optimize_ir(
-            program.model, num_iterations=1, **limits
-        )  # a second finds next to nothing
+        # Fewer nodes first: the time of the optimizer's rules grows with their number squared.
+        optimizer.fold_constants(program.model, **limits)
+        passes.RemoveUnusedNodesPass()(program.model)
+        passes.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(program.model)
+        passes.CommonSubexpressionEliminationPass()(program.model)
+        # A second iteration finds next to nothing.
+        optimizer.optimize_ir(program.model, num_iterations=1, **limits)
     compact(program.model)
     return program.model
 
