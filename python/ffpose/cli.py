@@ -813,7 +813,8 @@ def calibrate(options: Namespace) -> None:
         show(values)
         return
     for name, value in values.items():
-        print(f"{name}: {value}")
+        if value is not None:  # found none: that of the weights stays
+            print(f"{name}: {value}")
 
 
 def bench_arguments(parser: ArgumentParser) -> None:

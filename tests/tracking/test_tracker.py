@@ -412,6 +412,8 @@ def test_settings_out_of_range_are_refused():
     for inertia in ((1, 1, 3, 0, 0, 0), (1, 1, 1, 2, 0, 0), (0, 0, 0, 0, 0, 0)):
         with pytest.raises(ValueError, match="inertia: expected that of a body"):
             Tracker(Settings(inertia=inertia))
+    with pytest.raises(ValueError, match=r"inertia: expected 6 numbers, got \[1.0, 2.0\]"):
+        Tracker(Settings(inertia=(1, 2)))
     with pytest.raises(ValueError, match="zenith: expected a vector of norm 1, got 2"):
         Tracker(Settings(zenith=(0, 2, 0)))
     with pytest.raises(ValueError, match="orbital_rate: expected a vector across the zenith"):

@@ -16,6 +16,7 @@ from ffpose.training.calibration_images import command_of
 from ffpose.training.config import CalibrationImages
 from ffpose.training.engine import train
 from scene_runs import COUNT, scenes_config
+from tiny_runs import write_set
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +122,14 @@ def test_a_network_that_looks_once_is_refused(tmp_path):
     model.save_pretrained(path)
     with pytest.raises(ValueError, match="expected a network with a second look"):
         calibrate_weights(path, CalibrationImages(root=tmp_path))
+
+
+def test_too_few_labeled_images_are_refused(trained, tmp_path):
+    """One image would make any network look certain."""
+    images = CalibrationImages("urso", write_set(tmp_path / "few"), split="test")
+    with pytest.raises(ValueError, match=r"data: expected at least 10 images in test, .* got 6"):
+        calibrate_weights(trained, images, out=tmp_path / "out.safetensors")
+    assert not (tmp_path / "out.safetensors").exists()
 
 
 def test_weights_by_name_are_not_written_to(tmp_path, capsys):

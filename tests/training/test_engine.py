@@ -407,6 +407,15 @@ def test_a_loss_that_is_no_number_names_the_images(image_set, tmp_path, monkeypa
     assert not (tmp_path / "run/last.safetensors").exists()
 
 
+def test_a_training_that_diverges_is_called_so(image_set, tmp_path):
+    """By the validation, where an epoch has one batch."""
+    rate = OptimizerConfig(learning_rate=1e10)
+    config = train_config(image_set, tmp_path / "run", epochs=1, optimizer=rate)
+    with pytest.raises(NonFiniteLossError, match=r"training diverged: .* than 1e\+10"):
+        run_quietly(replace(config, batch_size=10))
+    assert not (tmp_path / "run/last.safetensors").exists()
+
+
 def test_training_lowers_the_loss(image_set, tmp_path):
     config = train_config(
         image_set,

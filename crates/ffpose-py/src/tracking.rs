@@ -24,7 +24,10 @@ impl PyTracker {
         let mut parameters = Parameters::default();
         for (name, value) in settings {
             let values: Vec<f64> = value.extract()?;
-            parameters.set(name.extract()?, &values).map_err(raised)?;
+            let name: String = name.extract()?;
+            parameters.set(&name, &values).map_err(|error| {
+                PyValueError::new_err(format!("{name}: {error}, got {values:?}"))
+            })?;
         }
         Tracker::new(parameters).map(Self).map_err(raised)
     }

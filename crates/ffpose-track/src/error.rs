@@ -48,8 +48,13 @@ pub enum Error {
         /// The value that was given.
         got: f64,
     },
-    /// A setting that there is not, or of another number of numbers.
+    /// A setting that there is not.
     Setting,
+    /// A setting of another number of numbers.
+    Numbers {
+        /// How many it has.
+        expected: usize,
+    },
     /// A saved state that cannot be taken up.
     State {
         /// Why.
@@ -77,9 +82,9 @@ impl Display for Error {
             Self::Parameter { name, expected, got } => {
                 write!(f, "{name}: expected {expected}, got {got}")
             }
-            Self::Setting => {
-                write!(f, "expected a setting of the tracker: a number, or those of a vector")
-            }
+            Self::Setting => write!(f, "expected a setting of the tracker"),
+            Self::Numbers { expected: 1 } => write!(f, "expected a number"),
+            Self::Numbers { expected } => write!(f, "expected {expected} numbers"),
             Self::State { reason } => write!(f, "state: {reason}"),
         }
     }

@@ -180,7 +180,7 @@ impl Parameters {
             _ => return Err(Error::Setting),
         };
         if place.len() != values.len() {
-            return Err(Error::Setting);
+            return Err(Error::Numbers { expected: place.len() });
         }
         for (place, value) in place.iter_mut().zip(values) {
             *place = value * unit;

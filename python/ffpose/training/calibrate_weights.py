@@ -28,6 +28,9 @@ from ffpose.training.calibration_images import CalibrationSet, command_of, open_
 from ffpose.training.config import CalibrationImages
 from ffpose.training.tasks import VALIDATION_BATCH, standardized
 
+LEAST_IMAGES = 10
+"""Fewest labeled images; two variances and two tails are found of their errors."""
+
 
 def calibrate_weights(
     weights: str | Path,
@@ -47,8 +50,9 @@ def calibrate_weights(
 
     Raises:
         FileNotFoundError: No such file, name or image set.
-        ValueError: The network has no second look, there are no images, neither they nor the
-            weights' header name a set, or ``weights`` is a name and there is no ``out``.
+        ValueError: The network has no second look, there are no images or too few labeled ones,
+            neither they nor the weights' header name a set, or ``weights`` is a name and there is
+            no ``out``.
         ffpose.DataError: The weights or an image cannot be used.
     """
     metadata = read_metadata(weights)
@@ -60,7 +64,13 @@ def calibrate_weights(
         raise ValueError(f"out: expected a file, as {weights} is installed for all; got none")
     if images.kind == "scenes" and images.scene is None:
         images = _as_trained(images, metadata)
-    return write_calibrated(weights, open_calibration(images, metadata.preprocessing), out=out)
+    opened = open_calibration(images, metadata.preprocessing)
+    if images.kind != "scenes" and len(opened.whole) < LEAST_IMAGES:
+        raise ValueError(
+            f"data: expected at least {LEAST_IMAGES} images in {images.split}, as fewer tell"
+            f" nothing of how large errors are, got {len(opened.whole)}"
+        )
+    return write_calibrated(weights, opened, out=out)
 
 
 def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> CalibrationImages:

@@ -46,7 +46,7 @@ distance to its origin means nothing; the scene score divides by the spread of t
 
 
 class NonFiniteLossError(RuntimeError):
-    """The loss is infinite or NaN; the message names the images of the batch."""
+    """The loss, or a pose of a validation image, is infinite or NaN; the message says which."""
 
 
 @dataclass(frozen=True)
@@ -348,15 +348,24 @@ def validate(run: Run) -> Row:
     Where labels locate the camera, ``val_scene_score`` besides: the median position error, relative
     to the spread of the split's positions, plus the median rotation error in radians. Each process
     computes its share; the metric brings them together.
+
+    Raises:
+        NonFiniteLossError: A pose is not finite.
     """
     run.processes.agree(run.average.model)
     model = run.average.model.eval()
     metric = PoseError()
     for batch in run.task.validation():
         pose = model(batch.image.to(run.device))
-        q_hat = pose.orientation.cpu()
+        t_hat, q_hat = pose.translation.cpu(), pose.orientation.cpu()
+        if not bool(t_hat.isfinite().all() and q_hat.isfinite().all()):
+            raise NonFiniteLossError(
+                "training diverged: the poses of validation images are not finite; a lower"
+                f" optimizer.learning_rate than {run.config.optimizer.learning_rate:g}, or a"
+                " clip_norm, may help"
+            )
         truth = run.symmetry.nearest(*(q.double().numpy() for q in (q_hat, batch.orientation)))
-        metric.update(pose.translation.cpu(), q_hat, batch.translation, torch.from_numpy(truth))
+        metric.update(t_hat, q_hat, batch.translation, torch.from_numpy(truth))
     row: Row = {f"val_{name}": float(value) for name, value in metric.compute().items()}
     val_set = run.task.val_set
     if val_set.target == "camera":
