@@ -22,8 +22,8 @@ def test_each_coefficient_bends_as_opencv_documents():
     }
     for place, (x, y) in expected.items():
         lens = tuple(0.1 * (place == index) for index in range(5))
-        camera = DistortedCamera(100, 100, 10.0, 20.0, 50.0, 40.0, lens)
-        pixel = (50 + 10 * x, 40 + 20 * y)
+        camera = DistortedCamera(20, 20, 10.0, 20.0, 10.0, 10.0, lens)
+        pixel = (10 + 10 * x, 10 + 20 * y)
         np.testing.assert_allclose(camera.project([1.0, 2.0, 2.0]), pixel, rtol=1e-14)
 
 
@@ -83,6 +83,15 @@ def test_what_the_image_does_not_show_is_black():
 def test_another_mode_or_size_is_refused(image):
     with pytest.raises(ValueError, match=r"expected mode and size \('RGB', \(320, 200\)\)"):
         undistort(image, CAMERA)
+
+
+def test_a_lens_that_folds_the_image_is_refused():
+    """The radius r (1 + k r²) turns back where 1 + 3 k r² is 0; the corner is at r² = 1 + 0.75²."""
+    square = 1 + 0.75**2
+    lenses = [(share / (3 * square), 0.0, 0.0, 0.0, 0.0) for share in (-0.9, -1.5)]
+    DistortedCamera(400, 300, 200.0, 200.0, 200.0, 150.0, lenses[0])
+    with pytest.raises(ValueError, match=r"distortion: expected different pixels .* folds it"):
+        DistortedCamera(400, 300, 200.0, 200.0, 200.0, 150.0, lenses[1])
 
 
 @pytest.mark.parametrize("lens", [(0.1,), (0.1, 0.0, 0.0, 0.0, float("nan"))])

@@ -130,6 +130,10 @@ class Camera:
         return rays
 
 
+GRID = 33
+"""Points along each side of the image at which a distortion is checked."""
+
+
 @dataclass(frozen=True, slots=True)
 class DistortedCamera(Camera):
     """A camera whose lens distorts, in OpenCV's model of radial and tangential distortion.
@@ -140,6 +144,9 @@ class DistortedCamera(Camera):
 
     Attributes:
         distortion: ``(k1, k2, p1, p2, k3)``, the order of OpenCV.
+
+    Raises:
+        ValueError: Two parts of the undistorted image would be seen at the same pixels.
     """
 
     distortion: tuple[float, float, float, float, float]
@@ -148,6 +155,24 @@ class DistortedCamera(Camera):
         Camera.__post_init__(self)
         values = real_array("distortion", self.distortion, 5).tolist()
         object.__setattr__(self, "distortion", tuple(values))
+        self._check_folds()
+
+    def _check_folds(self) -> None:
+        """Check that no cell of a grid of the pinhole's pixels is turned over into the image."""
+        size = np.array((self.width, self.height))
+        shares = np.linspace(0, 1, GRID)
+        pixels = np.stack(np.meshgrid(shares, shares), axis=-1) * size
+        focal, center = (self.fx, self.fy), (self.cx, self.cy)
+        seen = self.distort((pixels - center) / focal) * focal + center
+        right, down = (np.diff(seen, axis=axis) for axis in (1, 0))
+        turned = np.linalg.det(np.stack([right[:-1], down[:, :-1]], axis=-1)) <= 0
+        corners = seen[:-1, :-1]
+        within = ((corners >= 0) & (corners <= size)).all(axis=-1)
+        if np.any(turned & within):
+            raise ValueError(
+                "distortion: expected different pixels for different rays of the image, got"
+                f" {self.distortion}, which folds it"
+            )
 
     @property
     def pinhole(self) -> Camera:

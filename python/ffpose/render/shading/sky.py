@@ -45,10 +45,13 @@ def draw_stars(
     warmth = rng.normal(0.0, 0.18, total)
     ahead = rays[:, 2] > 0
     pixel = camera.project(rays[ahead])
+    # Through a lens that distorts, rays far outside of the image have numbers beyond any pixel's.
+    near = ((pixel > -1) & (pixel < (camera.width + 1, camera.height + 1))).all(axis=1)
+    pixel = pixel[near]
     flux = STAR_FLUX * 10 ** (-0.4 * magnitude[ahead]) * (camera.fx * side / 640.0) ** 0.5
     flux /= side**2
     tint = np.stack([1 + warmth, np.ones_like(warmth), 1 - warmth], axis=1)[ahead]
-    light = flux[:, None] * np.clip(tint, 0.4, 1.6)
+    light = (flux[:, None] * np.clip(tint, 0.4, 1.6))[near]
     # A star is splatted on four pixels with bilinear weights.
     base = np.floor(pixel - 0.5).astype(np.int64)
     part = pixel - 0.5 - base
