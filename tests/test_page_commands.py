@@ -31,7 +31,7 @@ from studies.__main__ import main as studies
 TRAINING = "--epochs 1 --backbone-weights none"
 VIEWS = (
     "--data.count 8 --data.empty 2 --data.decoys 2 --data.cut 2 --data.randomized 2 "
-    "--data.validation 2 --data.calibration 2 --data.workers 0 --batch-size 4 --epochs 1"
+    "--data.validation 2 --data.calibration 2 --data.workers 0 --batch-size 4 --config stages.yaml"
 )
 URSONET = {"backbone": "resnet18", "image_size": [240, 320]}
 SMALL_URSONET = {**POSENET, "bottleneck": 8, "hidden": 16, "bins_per_dim": 4}
