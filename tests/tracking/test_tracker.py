@@ -1,5 +1,7 @@
 """The tracker against a textbook Kalman filter, its own noise, and malformed poses."""
 
+import copy
+import pickle
 from dataclasses import replace
 from typing import ClassVar
 
@@ -360,6 +362,17 @@ def test_a_second_orientation_is_followed_beside_the_first():
     assert abs(step.estimate.q @ tracker.alternative.q) < 0.1
     first = Rotation.from_quat(step.estimate.q, scalar_first=True)
     assert min((first.inv() * each).magnitude() for each in (turn, turn * half)) < 0.05
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.copy, copy.deepcopy, lambda t: pickle.loads(pickle.dumps(t))]
+)
+def test_a_copy_goes_its_own_way(copied):
+    tracker, _ = steady(20, np.random.default_rng(0))
+    ahead = copied(tracker)
+    assert ahead.step(60, None).estimate is None  # lost
+    assert tracker.time == 19.5
+    assert tracker.step(20, None).estimate is not None
 
 
 def test_a_state_is_that_of_its_model():

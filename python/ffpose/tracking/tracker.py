@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -299,6 +299,10 @@ class Tracker:
         tracker = cls.__new__(cls)
         tracker._tracker = _rust.Tracker.from_state(state, hashlib.sha256(model).digest())
         return tracker
+
+    def __reduce__(self) -> tuple[Callable[[bytes], Tracker], tuple[bytes]]:
+        """Copies and pickles are trackers of their own: a copy can look ahead."""
+        return type(self).from_state, (self.state(),)
 
 
 def _turning(camera_rate: ArrayLike) -> list[float]:
