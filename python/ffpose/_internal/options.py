@@ -122,14 +122,20 @@ def positionals_first(words: Sequence[str], flags: Collection[str]) -> list[str]
     return positionals + options
 
 
+KINDS = {"float": "a finite number", "int": "a whole number", "bool": "true or false"}
+"""What types of values are called; jsonargparse writes the classes."""
+
+
 def advice(message: str, known: Sequence[str]) -> str:
-    """Return a usage error as one line, with the most similar option.
+    r"""Return a usage error as one line, with the most similar option.
 
     Examples:
         >>> advice("unrecognized arguments: --batch-sise 4", ["--out", "--batch-size"])
         'unrecognized arguments: --batch-sise 4 (did you mean --batch-size?)'
         >>> advice("Group 'data' does not accept option 'val_splt'", ["--data.val-split"])
         "Group 'data' does not accept option 'val_splt' (did you mean data.val_split?)"
+        >>> advice("Parser key \"mesh_scale\": Expected a <class 'float'>. Got value: nan", [])
+        '--mesh-scale: expected a finite number, got nan'
     """
     line = " ".join(message.split())
     if unknown := re.search(r"(?i)unrecognized arguments: (--[^\s=]+)", line):
@@ -139,4 +145,15 @@ def advice(message: str, known: Sequence[str]) -> str:
         return line + hint(f"{unknown[1]}.{unknown[2]}", fields)
     if unknown := re.search(r"Option '(.+)' is not accepted", line):
         return line + hint(unknown[1], fields)
-    return line
+    if not (
+        value := re.match(r'Parser key "(.+?)".*?: (.+?)[.:]? (?:Got|Given) value: (.+)', line)
+    ):
+        return line
+    option, told, got = value.groups()
+    expected = [KINDS[name] for name in re.findall(r"<class '(\w+)'>", told) if name in KINDS]
+    expected += [f"one of {names}" for names in re.findall(r"typing\.Literal\[(.+?)\]", told)]
+    if not expected:
+        return line
+    return (
+        f"--{option.replace('_', '-')}: expected {' or '.join(dict.fromkeys(expected))}, got {got}"
+    )
