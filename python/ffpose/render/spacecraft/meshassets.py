@@ -116,7 +116,7 @@ def one_line(error: BaseException) -> str:
 
 
 def as_utf8(content: bytes) -> bytes:
-    """Return a text file in UTF-8, as .obj and .mtl files of old programs are not.
+    """Return a text file in UTF-8 without a mark, as .obj and .mtl files of old programs are not.
 
     UTF-16 has a byte order mark; what is neither that nor UTF-8 is taken for Latin-1.
     """
@@ -126,4 +126,4 @@ def as_utf8(content: bytes) -> bytes:
         content.decode("utf-8")
     except UnicodeDecodeError:
         return content.decode("latin-1").encode()
-    return content
+    return content.removeprefix(codecs.BOM_UTF8)

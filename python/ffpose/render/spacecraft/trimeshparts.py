@@ -19,7 +19,8 @@ from ffpose.render.spacecraft.gltfmaterials import (
     values_of,
 )
 from ffpose.render.spacecraft.materials import Material, Texture
-from ffpose.render.spacecraft.meshassets import Assets, as_utf8, one_line, open_image
+from ffpose.render.spacecraft.meshassets import Assets, one_line, open_image
+from ffpose.render.spacecraft.meshchecks import checked
 from ffpose.render.spacecraft.parts import Part
 from ffpose.render.spacecraft.textures import Convert, Pyramid, build_pyramid, largest_side, linear
 
@@ -44,7 +45,7 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
     trimesh = require("trimesh", "render")
     source = assets.source
     try:
-        file = io.BytesIO(as_utf8(content) if suffix == ".obj" else content)
+        file = io.BytesIO(checked(content, suffix, source))
         scene = trimesh.load(file, suffix[1:], resolver=assets, force="scene", process=False)
         # A .obj, .ply or .stl file has no transforms: every geometry is in its place.
         meshes = [each for each in scene.geometry.values() if isinstance(each, trimesh.Trimesh)]
