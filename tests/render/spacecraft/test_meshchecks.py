@@ -1,9 +1,11 @@
 """Files that trimesh reads as something else are refused, or read as they are meant."""
 
 import codecs
+import struct
 
 import numpy as np
 import pytest
+import trimesh
 
 from ffpose.errors import DataError
 from ffpose.render import load_craft
@@ -96,3 +98,71 @@ def test_unusual_spaces_and_comments_hide_nothing(tmp_path):
         "comment.obj": TETRAHEDRON.replace("f 1 2 4", "f 1 2 \\\n4 # mtllib none.mtl"),
     }.items():
         np.testing.assert_array_equal(shape(tmp_path, name, text), plain)
+
+
+PLY = (
+    "ply\nformat ascii 1.0\ncomment element none\nelement vertex 4\nproperty float x\n"
+    "property float y\nproperty float z\nelement face 4\nproperty uchar mark\n"
+    "property list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n1 0 0\n0 1 0\n0 0 1\n7 3 0 2 1\n7 3 0 1 3\n7 3 0 3 2\n7 3 1 2 3\n"
+)
+
+
+def test_a_ply_text_that_is_cut_short_is_refused(tmp_path):
+    assert len(shape(tmp_path, "whole.ply", PLY)) == 4
+    assert len(shape(tmp_path, "last.ply", PLY.rstrip())) == 4
+    cases = {
+        "7 3 1 2 3\n": "expected 4 rows of face, as stated, got 3: the file is cut short",
+        "7 3 0 1 3\n": "expected 4 rows of face, as stated, got 1: the file is cut short",
+        "0 1 0\n": "expected 4 rows of vertex, as stated, got 2: the file is cut short",
+        "end_header": "expected a head that ends with end_header, got none",
+    }
+    for after, message in cases.items():
+        assert refused(tmp_path, "cut.ply", PLY[: PLY.index(after)])[1] == message
+
+
+def test_a_short_row_of_a_ply_text_is_named(tmp_path):
+    row = PLY.splitlines().index("7 3 0 3 2") + 1
+    line, message = refused(tmp_path, "row.ply", PLY.replace("7 3 0 3 2", "7 3 0"))
+    assert (line, message) == (row, "expected 5 values of face, got 3")
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9, 0.999])
+def test_a_binary_ply_that_is_cut_short_is_refused(tmp_path, share):
+    content = trimesh.creation.icosphere(2).export(file_type="ply")
+    assert refused(tmp_path, "cut.ply", content[: int(share * len(content))])
+
+
+def stl(triangles, stated, head=b""):
+    body = b"".join(
+        struct.pack("<3f", 0, 0, 0) + np.float32(t).tobytes() + b"\0\0" for t in triangles
+    )
+    return head.ljust(80, b"\0") + struct.pack("<I", stated) + body
+
+
+def test_a_binary_stl_of_another_size_is_refused(tmp_path):
+    triangles = shape(tmp_path, "plain.obj", TETRAHEDRON)
+    for head in (b"", b"solid by a careless program"):
+        whole = stl(triangles, 4, head)
+        np.testing.assert_array_equal(shape(tmp_path, "whole.stl", whole), triangles)
+        for content, message in {
+            whole[:-50]: "4 triangles in 284 bytes, as stated, got 3 in 234: the file is cut short",
+            whole[:-1]: "4 triangles in 284 bytes, as stated, got 3 in 283: the file is cut short",
+            whole + b"\n": "4 triangles in 284 bytes, as stated, got 4 in 285",
+            stl(triangles, 3, head): "3 triangles in 234 bytes, as stated, got 4 in 284",
+            whole[:83]: "84 bytes before the triangles, got 83",
+        }.items():
+            assert refused(tmp_path, "other.stl", content) == (None, f"expected {message}")
+
+
+@pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "latin-1"])
+def test_an_stl_text_is_read(tmp_path, code):
+    triangles = shape(tmp_path, "plain.obj", TETRAHEDRON)
+    text = "solid Körper\n"
+    for triangle in triangles:
+        text += "facet normal 0 0 0\nouter loop\n"
+        text += "".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle) + "endloop\nendfacet\n"
+    content = f"{text}endsolid Körper\n".encode(code)
+    np.testing.assert_array_equal(shape(tmp_path, "text.stl", content), triangles)
+    assert "cut short" in refused(tmp_path, "cut.stl", content[:-20])[1]
+    assert "cut short" in refused(tmp_path, "second.stl", content + content[:-20])[1]

@@ -6,6 +6,7 @@ does not understand, and is content with the rows that are left of a file that w
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,6 +33,9 @@ def checked(content: bytes, suffix: str, source: Path) -> bytes:
     """
     if suffix == ".obj":
         return _obj(as_utf8(content), source)
+    if suffix == ".stl":
+        return _stl(content, source)
+    _check_ply(content, source)
     return content
 
 
@@ -98,3 +102,73 @@ def _obj_lines(content: bytes) -> Iterator[tuple[int, bytes, bytes]]:
 def _no_corner(corner: list[bytes], source: Path, line: int) -> DataError:
     got = b"/".join(corner).decode()
     return DataError(f"expected a corner as 1, 1/1, 1//1 or 1/1/1, got {got!r}", source, line)
+
+
+def _stl(content: bytes, source: Path) -> bytes:
+    """Return an STL file: a binary one of the size that its head states, or a text."""
+    stated = int.from_bytes(content[80:STL_HEAD], "little")
+    size = STL_HEAD + STL_TRIANGLE * stated
+    if len(content) == size:
+        return content
+    if content[:3] == codecs.BOM_UTF8 or content.lstrip()[:5].lower() == b"solid":
+        text = as_utf8(content)
+        if b"\0" not in text:
+            if b"outer loop" in text.lower().rpartition(b"endsolid")[2]:
+                raise DataError("expected endsolid, got none: the file is cut short", source)
+            return text
+    if len(content) < STL_HEAD:
+        text = f"expected {STL_HEAD} bytes before the triangles, got {len(content)}"
+        raise DataError(text, source)
+    found = (len(content) - STL_HEAD) // STL_TRIANGLE
+    end = ": the file is cut short" if len(content) < size else ""
+    text = f"expected {stated} triangles in {size} bytes, as stated, got {found} in {len(content)}"
+    raise DataError(text + end, source)
+
+
+def _check_ply(content: bytes, source: Path) -> None:
+    """Raise a DataError unless a text in PLY has as many rows and values as its head states.
+
+    Trimesh compares the size of a binary file with its head.
+    """
+    head, mark, body = content.partition(b"end_header")
+    if not mark:
+        raise DataError("expected a head that ends with end_header, got none", source)
+    lines = [line.split() for line in head.splitlines()]
+    if [b"format", b"ascii"] not in [words[:2] for words in lines]:
+        return
+    rows = [row.split() for row in body.rstrip().split(b"\n")[1:]]
+    start = 0
+    for name, count, lists in _ply_elements(lines):
+        found = rows[start : start + count]
+        if len(found) < count:
+            text = f"expected {count} rows of {name}, as stated, got {len(found)}"
+            raise DataError(f"{text}: the file is cut short", source)
+        for line, row in enumerate(found, len(lines) + 2 + start):
+            expected = _row_length(row, lists)
+            if len(row) < expected:
+                text = f"expected {expected} values of {name}, got {len(row)}"
+                raise DataError(text, source, line)
+        start += count
+
+
+def _ply_elements(lines: list[list[bytes]]) -> list[tuple[str, int, list[bool]]]:
+    """Return name and number of a PLY head's elements, and which of their properties are lists."""
+    elements: list[tuple[str, int, list[bool]]] = []
+    for words in lines:
+        if words[:1] == [b"element"]:
+            elements.append((words[1].decode(), int(words[2]), []))
+            if elements[-1][1] < 0:
+                raise ValueError(f"expected at least 0 rows, got {elements[-1][1]}")
+        elif words[:1] == [b"property"]:
+            elements[-1][2].append(words[1] == b"list")
+    return elements
+
+
+def _row_length(row: list[bytes], lists: list[bool]) -> int:
+    """Return the number of values of a row, in which the length of a list precedes it."""
+    if not any(lists):
+        return len(lists)
+    length = 0
+    for is_list in lists:
+        length += 1 + (int(row[length]) if is_list and length < len(row) else 0)
+    return length
