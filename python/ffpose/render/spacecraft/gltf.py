@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import DataError, MissingExtraError, require
+from ffpose.render.spacecraft.gltfchecks import check_numbers
 from ffpose.render.spacecraft.gltfmaterials import Materials
 from ffpose.render.spacecraft.meshassets import Assets, one_line
 from ffpose.render.spacecraft.parts import Part
@@ -146,6 +147,7 @@ class _Document:
 
     def __init__(self, content: bytes, assets: Assets) -> None:
         self.header, self._chunk = _split(content)
+        check_numbers(self.header, KNOWN_EXTENSIONS, assets.source)
         self._assets = assets
         self._buffers: dict[int, bytes] = {}
         version = str(self.header["asset"].get("version", "2.0"))
