@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ffpose.errors import DataError, MissingExtraError, require
 from ffpose.render.spacecraft.gltfchecks import check_numbers
 from ffpose.render.spacecraft.gltfmaterials import Materials
-from ffpose.render.spacecraft.meshassets import Assets, one_line
+from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
 from ffpose.render.spacecraft.parts import Part
 
 Floats = NDArray[np.float64]
@@ -45,6 +45,9 @@ KNOWN_EXTENSIONS = (
 
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 """Extensions of buffer views by which they are compressed."""
+
+CORNERS = 3
+"""Corners of a triangle."""
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Modes of primitives that have faces (section 3.7.2.1)."""
@@ -70,12 +73,13 @@ def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     Args:
         content: The file.
         assets: The files beside it.
-        most_faces: Largest number of triangles, counted before they are read.
+        most_faces: Largest number of triangles, counted before they are read; each may have
+            vertices of its own.
 
     Raises:
         DataError: The file is no glTF 2.0, is cut short, has a cycle of nodes, too many triangles
-            or numbers that are not finite, needs an extension that is not known, or refers to a
-            file that is missing or cannot be used.
+            or vertices, or numbers that are not allowed, needs an extension that is not known, or
+            refers to a file that is missing or cannot be used.
         MissingExtraError: The file is compressed and the library that reads it is not installed.
     """
     try:
@@ -88,11 +92,16 @@ def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
 
 
 def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
-    document = _Document(content, assets)
+    document = _Document(content, assets, most_faces)
     placed = list(document.placed())
+    if not all(np.isfinite(item.place).all() for item in placed):
+        raise DataError("expected finite places of meshes, got NaN or infinity", assets.source)
     count = sum(document.face_count(item) for item in placed)
     if count > most_faces:
         raise DataError(f"expected at most {most_faces} triangles, got {count}", assets.source)
+    count, most = document.vertex_count(placed), CORNERS * most_faces
+    if count > most:
+        raise DataError(f"expected at most {most} vertices, got {count}", assets.source)
     shapes = document.shapes({(item.mesh, item.primitive) for item in placed})
     materials = Materials(document.header, document.image_bytes, assets.source)
     parts = []
@@ -145,10 +154,12 @@ def _cofactors(matrix: Floats) -> Floats:
 class _Document:
     """A glTF file: its header, and what the header refers to."""
 
-    def __init__(self, content: bytes, assets: Assets) -> None:
+    def __init__(self, content: bytes, assets: Assets, most_faces: int) -> None:
         self.header, self._chunk = _split(content)
         check_numbers(self.header, KNOWN_EXTENSIONS, assets.source)
+        self.source = assets.source
         self._assets = assets
+        self._most_faces = most_faces
         self._buffers: dict[int, bytes] = {}
         version = str(self.header["asset"].get("version", "2.0"))
         if not version.startswith("2."):
@@ -169,14 +180,14 @@ class _Document:
             children = {child for node in nodes for child in node.get("children", [])}
             roots = [number for number in range(len(nodes)) if number not in children]
             if nodes and not roots:
-                raise DataError("expected a tree of nodes, got a cycle", self._assets.source)
+                raise DataError("expected a tree of nodes, got a cycle", self.source)
         stack = [(number, np.eye(4)) for number in reversed(roots)]
         seen: set[int] = set()
         while stack:
             number, above = stack.pop()
             if number in seen:
                 text = f"expected a tree of nodes, got node {number} in a cycle or twice"
-                raise DataError(text, self._assets.source)
+                raise DataError(text, self.source)
             seen.add(number)
             node = nodes[number]
             extensions = node.get("extensions", {})
@@ -206,6 +217,17 @@ class _Document:
         count = int(self.header["accessors"][accessor]["count"])
         return count // 3 if mode == TRIANGLES else max(0, count - 2)
 
+    def vertex_count(self, placed: list[Placed]) -> int:
+        """Return the number of vertices of primitives: values of their longest attributes."""
+        counts: dict[int, int] = {}
+        for item in placed:
+            if self.face_count(item):
+                attributes = self.primitive(item)["attributes"]
+                longest = max(self.header["accessors"][n]["count"] for n in attributes.values())
+                place = attributes["POSITION"]  # primitives may share their vertices
+                counts[place] = max(counts.get(place, 0), longest)
+        return sum(counts.values())
+
     def shapes(self, used: set[tuple[int, int]]) -> dict[tuple[int, int], dict[str, NDArray[Any]]]:
         """Read primitives: faces, and attributes by the names that trimesh keeps."""
         trimesh = require("trimesh.exchange.gltf", "render")
@@ -214,7 +236,7 @@ class _Document:
         for mesh, number in sorted(used):
             primitive = self.primitive(Placed(mesh, number, np.eye(4)))
             if self.face_count(Placed(mesh, number, np.eye(4))):
-                simple = plain.primitive(primitive)
+                simple = plain.primitive(primitive, mesh)
                 meshes.append({"name": f"{mesh}.{number}", "primitives": [simple]})
         header = {"asset": {"version": "2.0"}, "meshes": meshes, **plain.tables()}
         text = io.BytesIO(json.dumps(header).encode())
@@ -236,7 +258,7 @@ class _Document:
         return shapes
 
     def _check(self, shape: dict[str, NDArray[Any]]) -> None:
-        source, points, faces = self._assets.source, shape["POSITION"], shape["faces"]
+        source, points, faces = self.source, shape["POSITION"], shape["faces"]
         if not np.isfinite(points).all():
             raise DataError("expected finite vertices, got NaN or infinity", source)
         if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
@@ -255,7 +277,7 @@ class _Document:
             content = self.resource(entry["uri"]) if "uri" in entry else self._chunk
             if len(content) < entry["byteLength"]:
                 text = f"expected a buffer of {entry['byteLength']} bytes, got {len(content)}"
-                raise DataError(text, self._assets.source)
+                raise DataError(text, self.source)
             self._buffers[number] = content
         return self._buffers[number]
 
@@ -280,7 +302,7 @@ class _Document:
         content = self.buffer(view["buffer"])[start : start + view["byteLength"]]
         if len(content) < view["byteLength"]:
             text = f"expected {view['byteLength']} bytes of a buffer, got {len(content)}"
-            raise DataError(text, self._assets.source)
+            raise DataError(text, self.source)
         return content
 
     def _unpacked(self, packed: Header, length: int) -> bytes:
@@ -289,7 +311,10 @@ class _Document:
         count, stride = packed["count"], packed["byteStride"]
         if count * stride != length:
             text = f"expected {length} bytes in a compressed buffer, got {count} times {stride}"
-            raise DataError(text, self._assets.source)
+            raise DataError(text, self.source)
+        if length > MAX_BYTES:
+            text = f"expected at most {MAX_BYTES} bytes in a compressed buffer, got {length}"
+            raise DataError(text, self.source)
         content, kind = self._slice(packed), packed.get("filter")
         found: bytes = meshopt.decode_gltf_buffer(
             content, count, stride, packed["mode"], kind
@@ -338,11 +363,12 @@ class _Document:
         if extension is None:
             return [np.eye(4)]
         names = {"TRANSLATION": "translation", "ROTATION": "rotation", "SCALE": "scale"}
-        given = {
-            names[key]: self.values(number)
-            for key, number in extension["attributes"].items()
-            if key in names
-        }
+        numbers = {names[key]: n for key, n in extension["attributes"].items() if key in names}
+        most = max(self.header["accessors"][number]["count"] for number in numbers.values())
+        if most > self._most_faces:
+            text = f"expected at most {self._most_faces} copies of a mesh, got {most}"
+            raise DataError(text, self.source)
+        given = {name: self.values(number) for name, number in numbers.items()}
         count = len(next(iter(given.values())))
         return [_local({key: value[n] for key, value in given.items()}) for n in range(count)]
 
@@ -362,31 +388,45 @@ class _Plain:
         sizes = [{"uri": str(n), "byteLength": len(b)} for n, b in enumerate(self.buffers)]
         return {"accessors": self._accessors, "bufferViews": self._views, "buffers": sizes}
 
-    def primitive(self, primitive: Header) -> Header:
-        """Return the header of a primitive with the attributes that are used."""
+    def primitive(self, primitive: Header, mesh: int) -> Header:
+        """Return the header of a primitive of a mesh with the attributes that are used."""
+        packed = self._decoded(primitive, mesh)
         kept = {
-            name if name == "POSITION" else f"_{name}": self._accessor(number)
+            name if name == "POSITION" else f"_{name}": (
+                packed[name] if name in packed else self._accessor(number)
+            )
             for name, number in primitive["attributes"].items()
             if name in ("POSITION", "NORMAL", "COLOR_0") or name.startswith("TEXCOORD_")
         }
         mode = primitive.get("mode", TRIANGLES)
         simple: Header = {"attributes": kept, "mode": mode}
-        draco = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
-        if draco is not None:
-            require("DracoPy", "render")
-            names = {
-                name if name == "POSITION" else f"_{name}": number
-                for name, number in draco["attributes"].items()
-            }
-            view = self._view(self._document.view(draco["bufferView"]))
-            compressed = {"bufferView": view, "attributes": names}
-            simple["extensions"] = {"KHR_draco_mesh_compression": compressed}
-        if mode == FAN:
+        if "faces" in packed:
+            simple |= {"mode": TRIANGLES, "indices": packed["faces"]}
+        elif mode == FAN:
             simple["mode"] = TRIANGLES
             simple["indices"] = self._fan(primitive)
         elif "indices" in primitive:
             simple["indices"] = self._accessor(primitive["indices"])
         return simple
+
+    def _decoded(self, primitive: Header, mesh: int) -> dict[str, int]:
+        """Return accessors of the faces and attributes that Draco compressed."""
+        header = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
+        if header is None:
+            return {}
+        draco = require("DracoPy", "render")
+        content = self._document.view(header["bufferView"])
+        try:
+            found = draco.decode(content)
+            values = {each["unique_id"]: np.asarray(each["data"]) for each in found.attributes}
+            shape = {name: values[number] for name, number in header["attributes"].items()}
+            shape["faces"] = np.asarray(found.faces, np.uint32).reshape(-1, 1)
+        except Exception as error:  # DracoPy has exceptions of its own, and others for what lacks
+            name = self._document.header["meshes"][mesh].get("name", mesh)
+            text = f"expected Draco data of mesh {name!r} that can be decoded"
+            raise DataError(f"{text}, got {one_line(error)}", self._document.source) from error
+        widths = {width: kind for kind, width in WIDTHS.items()}
+        return {name: self._append(each, widths[each.shape[1]]) for name, each in shape.items()}
 
     def _accessor(self, number: int) -> int:
         if number not in self._known:

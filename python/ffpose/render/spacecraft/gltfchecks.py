@@ -11,10 +11,29 @@ from typing import Any
 
 from ffpose.errors import DataError
 
-COUNTS = frozenset(
-    "attributes buffer bufferView byteLength byteOffset byteStride children count index indices "
-    "joints material mesh node nodes sampler scene skeleton skin source texCoord".split()
-)
+COUNTS = {
+    "attributes",
+    "buffer",
+    "bufferView",
+    "byteLength",
+    "byteOffset",
+    "byteStride",
+    "children",
+    "count",
+    "index",
+    "indices",
+    "joints",
+    "material",
+    "mesh",
+    "node",
+    "nodes",
+    "sampler",
+    "scene",
+    "skeleton",
+    "skin",
+    "source",
+    "texCoord",
+}
 """Names of what is an index, a number or a size, or consists of indices."""
 
 FACTORS = {
@@ -32,6 +51,9 @@ FACTORS = {
     "specularColorFactor": math.inf,
 }
 """Largest values of materials' numbers, of which zero is the smallest."""
+
+ROUNDING = 1e-6
+"""What a factor may be out of its range by: exporters compute in float32."""
 
 
 def check_numbers(header: dict[str, Any], known: tuple[str, ...], path: Path) -> None:
@@ -61,6 +83,6 @@ def check_numbers(header: dict[str, Any], known: tuple[str, ...], path: Path) ->
                 raise DataError(f"expected a finite {name}, got {value}", path)
             if value < 0 and name in COUNTS:
                 raise DataError(f"expected {name} of at least 0, got {value}", path)
-            if name in FACTORS and not 0 <= value <= FACTORS[name]:
+            if name in FACTORS and not -ROUNDING <= value <= FACTORS[name] + ROUNDING:
                 bound = "0…1" if FACTORS[name] == 1 else "at least 0"
                 raise DataError(f"expected {name} of {bound}, got {value}", path)

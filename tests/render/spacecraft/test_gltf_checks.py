@@ -1,0 +1,224 @@
+"""What a glTF document may not have is refused by name, before anything is made of it."""
+
+import json
+import struct
+import tracemalloc
+import warnings
+
+import DracoPy
+import numpy as np
+import pytest
+
+from ffpose.errors import DataError
+from ffpose.render import load_craft
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.uint16)
+MIB = 1 << 20
+
+
+def tetrahedron():
+    """Return the header of a file of one mesh, and what its buffer consists of."""
+    header = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [
+            {
+                "name": "bus",
+                "primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}],
+            }
+        ],
+        "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.5, 0.5, 1]}}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+        ],
+        "bufferViews": [],
+    }
+    return header, [POINTS.tobytes(), FACES.tobytes()]
+
+
+def load(folder, header, contents):
+    blob = b""
+    for content in contents:
+        view = {"buffer": 0, "byteOffset": len(blob), "byteLength": len(content)}
+        header["bufferViews"].append(view)
+        blob += content + bytes(-len(content) % 4)
+    header.setdefault("buffers", [{"byteLength": len(blob)}])
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 4)
+    path = folder / "bus.glb"
+    path.write_bytes(
+        struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(blob))
+        + struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(blob), b"BIN\0")
+        + blob
+    )
+    return load_craft(path)
+
+
+def changed(folder, place, value):
+    """Load a file with a value at a place, of which a part may not be there yet."""
+    header, contents = tetrahedron()
+    *above, last = place
+    inner = header
+    for key in above:
+        inner = inner[key] if isinstance(key, int) else inner.setdefault(key, {})
+    inner[last] = value
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return load(folder, header, contents)
+
+
+def refused(folder, *change):
+    with pytest.raises(DataError) as caught:
+        changed(folder, *change)
+    assert caught.value.file == folder / "bus.glb"
+    return caught.value.message
+
+
+PRIMITIVE = ("meshes", 0, "primitives", 0)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        ("scene",),
+        ("nodes", 0, "mesh"),
+        (*PRIMITIVE, "material"),
+        (*PRIMITIVE, "indices"),
+        ("accessors", 0, "bufferView"),
+        ("accessors", 1, "count"),
+        ("accessors", 1, "byteOffset"),
+    ],
+)
+def test_negative_indices_and_counts_are_refused(tmp_path, place):
+    assert refused(tmp_path, place, -1) == f"expected {place[-1]} of at least 0, got -1"
+
+
+def test_negative_indices_in_lists_and_attributes_are_refused(tmp_path):
+    message = "of at least 0, got -1"
+    assert refused(tmp_path, ("scenes", 0, "nodes"), [-1]) == f"expected nodes {message}"
+    assert refused(tmp_path, ("nodes", 0, "children"), [-1]) == f"expected children {message}"
+    place = (*PRIMITIVE, "attributes", "POSITION")
+    assert refused(tmp_path, place, -1) == f"expected attributes {message}"
+
+
+def test_what_is_not_read_may_hold_anything(tmp_path):
+    """VRM has indices of -1 for what a model lacks."""
+    for place in (("extras",), ("nodes", 0, "extras"), ("extensions", "VRM")):
+        craft = changed(tmp_path, place, {"mesh": -1, "roughnessFactor": 7, "far": np.inf})
+        assert len(craft.mesh.faces) == 4
+
+
+MATERIAL = ("materials", 0)
+METALLIC = (*MATERIAL, "pbrMetallicRoughness")
+GLOSSY = (*MATERIAL, "extensions", "KHR_materials_pbrSpecularGlossiness")
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "got"),
+    [
+        ((*METALLIC, "baseColorFactor"), [0.5, 1.5, 0.5, 1], "of 0…1, got 1.5"),
+        ((*METALLIC, "metallicFactor"), -0.5, "of 0…1, got -0.5"),
+        ((*METALLIC, "roughnessFactor"), 2, "of 0…1, got 2"),
+        ((*MATERIAL, "emissiveFactor"), [0, 0, 3], "of 0…1, got 3"),
+        ((*MATERIAL, "alphaCutoff"), -1, "of at least 0, got -1"),
+        ((*GLOSSY, "glossinessFactor"), 1.01, "of 0…1, got 1.01"),
+        (
+            (*MATERIAL, "extensions", "KHR_materials_emissive_strength", "emissiveStrength"),
+            -2,
+            "of at least 0, got -2",
+        ),
+    ],
+)
+def test_factors_out_of_range_are_refused(tmp_path, place, value, got):
+    assert refused(tmp_path, place, value) == f"expected {place[-1]} {got}"
+    unknown = [*value[:-1], np.nan] if isinstance(value, list) else np.nan
+    assert refused(tmp_path, place, unknown) == f"expected a finite {place[-1]}, got nan"
+
+
+def test_factors_at_the_ends_of_their_range_are_read(tmp_path):
+    # Public models of a tool that computes in float32 have this color.
+    changed(tmp_path, (*METALLIC, "baseColorFactor"), [1.0000001192092896, 0, 1, 1])
+    strength = (*MATERIAL, "extensions", "KHR_materials_emissive_strength", "emissiveStrength")
+    changed(tmp_path, strength, 50)
+    changed(tmp_path, (*MATERIAL, "alphaCutoff"), 2)  # section 3.9.4: all of it is transparent
+
+
+@pytest.mark.parametrize("name", ["translation", "rotation", "scale", "matrix"])
+def test_nodes_at_no_place_are_refused(tmp_path, name):
+    values = {"rotation": [0, 0, 0, 1], "matrix": np.eye(4).reshape(-1).tolist()}
+    value = values.get(name, [1, 1, 1])
+    value[1] = np.nan
+    assert refused(tmp_path, ("nodes", 0, name), value) == f"expected a finite {name}, got nan"
+
+
+def test_copies_at_no_place_are_refused(tmp_path):
+    header, contents = tetrahedron()
+    places = np.array([[0, 0, 0], [np.nan, 0, 0]], np.float32)
+    header["accessors"].append({**header["accessors"][0], "bufferView": 2, "count": 2})
+    copies = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}
+    header["nodes"][0]["extensions"] = copies
+    with pytest.raises(DataError, match="expected finite places of meshes"):
+        load(tmp_path, header, [*contents, places.tobytes()])
+
+
+def draco(content):
+    header, _ = tetrahedron()
+    for accessor in header["accessors"]:
+        del accessor["bufferView"]
+    packed = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
+    header["meshes"][0]["primitives"][0]["extensions"] = packed
+    header["extensionsRequired"] = list(packed)
+    return header, [content]
+
+
+def test_draco_is_read_or_refused(tmp_path):
+    content = DracoPy.encode(POINTS, FACES, quantization_bits=20)
+    mesh = load(tmp_path, *draco(content)).mesh
+    found = {tuple(sorted(map(tuple, corners))) for corners in mesh.vertices[mesh.faces].round(4)}
+    assert found == {tuple(sorted(map(tuple, corners))) for corners in POINTS[FACES]}
+    message = "expected Draco data of mesh 'bus' that can be decoded"
+    for broken in (b"no Draco data", content[:20], content[:-8]):
+        with pytest.raises(DataError, match=message):
+            load(tmp_path, *draco(broken))
+    header, contents = draco(content)
+    packed = header["meshes"][0]["primitives"][0]["extensions"]["KHR_draco_mesh_compression"]
+    packed["attributes"]["POSITION"] = 7
+    with pytest.raises(DataError, match=message):
+        load(tmp_path, header, contents)
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+@pytest.mark.parametrize("name", ["POSITION", "NORMAL", "_WEAR"])
+def test_vertices_are_counted_before_they_are_read(tmp_path, sparse, name):
+    header, contents = tetrahedron()
+    huge = {"componentType": 5126, "count": 1_500_000_000, "type": "VEC3"}
+    if sparse:
+        huge["sparse"] = {
+            "count": 1,
+            "indices": {"bufferView": 1, "componentType": 5123},
+            "values": {"bufferView": 0},
+        }
+    header["accessors"].append(huge)
+    header["meshes"][0]["primitives"][0]["attributes"][name] = 2
+    tracemalloc.start()
+    try:
+        with pytest.raises(DataError, match="at most 6000000 vertices, got 1500000000"):
+            load(tmp_path, header, contents)
+        assert tracemalloc.get_traced_memory()[1] < 16 * MIB
+    finally:
+        tracemalloc.stop()
+
+
+def test_copies_are_counted_before_they_are_read(tmp_path):
+    header, contents = tetrahedron()
+    header["accessors"].append({"componentType": 5126, "count": 1_500_000_000, "type": "VEC3"})
+    copies = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": 2}}}
+    header["nodes"][0]["extensions"] = copies
+    with pytest.raises(DataError, match="at most 2000000 copies of a mesh, got 1500000000"):
+        load(tmp_path, header, contents)
