@@ -42,43 +42,50 @@ def checked(content: bytes, suffix: str, source: Path) -> bytes:
 def _obj(content: bytes, source: Path) -> bytes:
     """Return an OBJ file, the faces of which count from its beginning."""
     lines = list(_obj_lines(content))
-    totals = dict.fromkeys(KINDS, 0)
-    before = [0] * len(KINDS)
+    before, totals = dict.fromkeys(KINDS, 0), dict.fromkeys(KINDS, 0)
     for _, key, _ in lines:
         if key in totals:
             totals[key] += 1
-    kinds = [(place, totals[key], name) for place, (key, name) in enumerate(KINDS.items())]
-    order, text = list(KINDS), []
+    text = []
     for line, key, rest in lines:
-        if key == b"f":
-            rest = rest.partition(b"#")[0]
-            corners = [corner.split(b"/") for corner in rest.split()]
-            if len(corners) < 3:
-                raise DataError(f"expected at least 3 corners, got {len(corners)}", source, line)
-            counted = False
-            for corner in corners:
-                if len(corner) > 3 or not corner[0]:
-                    raise _no_corner(corner, source, line)
-                for (place, total, name), word in zip(kinds, corner, strict=False):
-                    if not word:
-                        continue
-                    try:
-                        number = int(word)
-                    except ValueError:
-                        raise _no_corner(corner, source, line) from None
-                    if number < 0:
-                        number += before[place] + 1
-                        corner[place], counted = b"%d" % number, True
-                    if not 0 < number <= total:
-                        got = word.decode()
-                        message = f"expected one of {total} {name}, counted from 1, got {got}"
-                        raise DataError(message, source, line)
-            if counted:
-                rest = b" ".join(b"/".join(corner) for corner in corners)
-        elif key in totals:
-            before[order.index(key)] += 1
+        if key in before:
+            before[key] += 1
+        elif key == b"f":
+            try:
+                rest = _face(rest.partition(b"#")[0], before, totals)
+            except ValueError as error:
+                raise DataError(str(error), source, line) from None
         text.append(key + b" " + rest)
     return b"\n".join(text)
+
+
+def _face(words: bytes, before: dict[bytes, int], totals: dict[bytes, int]) -> bytes:
+    """Return the corners of an OBJ file's face, of which negative numbers count from its line.
+
+    Raises:
+        ValueError: It is no face, or has a corner of what does not exist.
+    """
+    corners = [corner.split(b"/") for corner in words.split()]
+    if len(corners) < 3:
+        raise ValueError(f"expected at least 3 corners, got {len(corners)}")
+    counted = False
+    for corner in corners:
+        if not corner[0] or len(corner) > len(KINDS):
+            raise _no_corner(corner)
+        for place, (word, key) in enumerate(zip(corner, KINDS, strict=False)):
+            if not word:
+                continue  # between slashes: the corner has no texture coordinates
+            try:
+                number = int(word)
+            except ValueError:
+                raise _no_corner(corner) from None
+            if number < 0:
+                number += before[key] + 1
+                corner[place], counted = b"%d" % number, True
+            if not 0 < number <= totals[key]:
+                text = f"expected one of {totals[key]} {KINDS[key]}, counted from 1"
+                raise ValueError(f"{text}, got {word.decode()}")
+    return b" ".join(b"/".join(corner) for corner in corners) if counted else words
 
 
 def _obj_lines(content: bytes) -> Iterator[tuple[int, bytes, bytes]]:
@@ -99,9 +106,9 @@ def _obj_lines(content: bytes) -> Iterator[tuple[int, bytes, bytes]]:
         yield start, key, rest
 
 
-def _no_corner(corner: list[bytes], source: Path, line: int) -> DataError:
+def _no_corner(corner: list[bytes]) -> ValueError:
     got = b"/".join(corner).decode()
-    return DataError(f"expected a corner as 1, 1/1, 1//1 or 1/1/1, got {got!r}", source, line)
+    return ValueError(f"expected a corner as 1, 1/1, 1//1 or 1/1/1, got {got!r}")
 
 
 def _stl(content: bytes, source: Path) -> bytes:
@@ -111,11 +118,11 @@ def _stl(content: bytes, source: Path) -> bytes:
     if len(content) == size:
         return content
     if content[:3] == codecs.BOM_UTF8 or content.lstrip()[:5].lower() == b"solid":
-        text = as_utf8(content)
-        if b"\0" not in text:
-            if b"outer loop" in text.lower().rpartition(b"endsolid")[2]:
+        solid = as_utf8(content)
+        if b"\0" not in solid:
+            if b"outer loop" in solid.lower().rpartition(b"endsolid")[2]:
                 raise DataError("expected endsolid, got none: the file is cut short", source)
-            return text
+            return solid
     if len(content) < STL_HEAD:
         text = f"expected {STL_HEAD} bytes before the triangles, got {len(content)}"
         raise DataError(text, source)
