@@ -318,6 +318,52 @@ def test_failed_work_is_one_line_and_code_1(words, line, tmp_path, monkeypatch, 
     assert line in said.err
 
 
+PLACES = {"file/x": "expected a folder, got the file"}
+if sys.platform == "linux":
+    PLACES["/proc/x"] = "expected a folder that can be written to, got /proc"
+FILES = [
+    (["export", "soyuz", "--out"], ".onnx"),
+    (["calibrate", "soyuz", "--out"], ".safetensors"),
+    (["bench", "filter", "--plot"], ".png"),
+]
+FOLDERS = [
+    ["card", "soyuz", "--scene", "soyuz_easy", "--out"],
+    ["card", "soyuz", "--scene", "soyuz_easy", "--images"],
+    ["render", "soyuz_easy", "--count", "1", "--out"],
+    ["evaluate", "soyuz", "--data.kind", "urso", "--data.root", "s", "--out"],
+    ["learn", "mesh.obj", "--out"],
+    ["track", "soyuz", "frames", "--out"],
+    ["train", "--data.kind", "urso", "--data.root", "s", "--out"],
+    ["inspect", "mesh.obj", "--out"],
+]
+
+
+def expect_refused(words, line, folder, capsys):
+    (folder / "file").write_text("")
+    assert main(words) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"ffpose: {line}")
+    assert [path.name for path in folder.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(("place", "line"), PLACES.items())
+@pytest.mark.parametrize(("words", "suffix"), [*FILES, *((words, "") for words in FOLDERS)])
+def test_a_place_that_cannot_be_written_is_told_before_the_work(
+    words, suffix, place, line, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    expect_refused([*words, place + suffix], line, tmp_path, capsys)
+
+
+@pytest.mark.parametrize(("words", "suffix"), FILES)
+def test_a_folder_that_is_missing_is_told_before_the_work(
+    words, suffix, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    line = f"expected an existing folder for nodir/x{suffix}, got nodir"
+    expect_refused([*words, f"nodir/x{suffix}"], line, tmp_path, capsys)
+
+
 def test_debug_shows_the_traceback(tmp_path):
     with pytest.raises(FileNotFoundError):
         main(["predict", str(tmp_path / "none.safetensors"), "a.png", "--debug"])

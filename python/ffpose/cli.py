@@ -22,7 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from ffpose._internal.files import expect_folder
+from ffpose._internal.files import expect_place, expect_writable
 from ffpose._internal.options import advice, check_spelling, is_usage, positionals_first, restyle
 from ffpose.errors import DataError, MissingExtraError, explain, require
 
@@ -102,7 +102,7 @@ def demo(options: Namespace) -> None:
     from ffpose.demo.run import run
 
     out = options.out or Path("runs/demo-train" if options.train else "runs/demo")
-    expect_folder(out)
+    expect_writable(out)
     config = DemoConfig(images=TRAINED_DEMO, train=True) if options.train else DemoConfig()
     document = run(out, config)
     baseline = document["mean_pose_baseline"]
@@ -115,7 +115,7 @@ def gallery(out: Path) -> None:
     """Predict the poses of unseen images without torch, and write a gallery of them."""
     from ffpose.demo.gallery import run
 
-    expect_folder(out)
+    expect_writable(out)
     document = run(out)
     for name in ("median_translation_error_m", "median_rotation_error_deg"):
         print(f"{name}: {document[name]:.3f}")
@@ -207,7 +207,7 @@ def render_arguments(parser: ArgumentParser) -> None:
 
 def render(options: Namespace) -> None:
     """Render images of a scene, or the frames of a motion, with exact labels."""
-    expect_folder(options.out)
+    expect_writable(options.out)
     from ffpose.render.motion import KINDS
 
     if options.scene in KINDS or options.trajectory is not None:
@@ -294,7 +294,7 @@ def train_arguments(parser: ArgumentParser) -> None:
 
 def train(options: Namespace) -> None:
     """Train a model."""
-    expect_folder(options.out)
+    expect_writable(options.out)
     from ffpose.training.options import to_config
 
     fields = vars(options)
@@ -377,7 +377,7 @@ def learn(options: Namespace) -> None:
     from ffpose.learn.run import LearnConfig
     from ffpose.learn.run import learn as run
 
-    expect_folder(options.out)
+    expect_writable(options.out)
     run(
         LearnConfig(
             options.mesh,
@@ -429,7 +429,7 @@ def evaluate(options: Namespace) -> None:
     from ffpose.evaluation.report.results import format_table, write_results
     from ffpose.geometry.symmetry import SymmetryGroup
 
-    expect_folder(options.out)
+    expect_writable(options.out)
     data = options.data
     evaluation = run(
         options.weights,
@@ -487,7 +487,7 @@ def predict(options: Namespace) -> None:
 
     images = find_images(options.images)
     if options.overlay is not None:
-        expect_folder(options.overlay)
+        expect_writable(options.overlay)
         expect_distinct_overlays(images, options.overlay)
     camera = None if options.camera is None else Camera.read(options.camera)
     estimator = load(
@@ -551,7 +551,7 @@ def track(options: Namespace) -> None:
     from ffpose.tracking.run import run as run_track
     from ffpose.tracking.tracker import read_settings
 
-    expect_folder(options.out)
+    expect_writable(options.out)
     frames = read_frames(options.images, options.times)
     beside = options.images / CAMERA_FILE
     path = options.camera or (beside if beside.is_file() and not options.resize else None)
@@ -621,6 +621,7 @@ def export(options: Namespace) -> None:
         raise ValueError("int8: expected with --calibrate DIR, both or neither, got one")
     if options.int8 and options.track:
         raise ValueError("track: expected without --int8, got both")
+    expect_place(options.out)
     images = image_files(options.calibrate, "calibrate") if options.int8 else []
     with TemporaryDirectory(prefix="ffpose-export-") as folder:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
@@ -667,7 +668,7 @@ def inspect(options: Namespace) -> None:
     from ffpose.datasets import Decoding
     from ffpose.datasets.inspection import inspect_folder
 
-    expect_folder(options.out)
+    expect_writable(options.out)
     data = options.data
     if (options.mesh is None) == (data.kind is None and data.root is None):
         raise ValueError("mesh: expected a mesh file, or --data.kind and --data.root")
@@ -765,8 +766,10 @@ def card(options: Namespace) -> None:
         "second_renderer": options.mitsuba,
     }
     document = None
+    if options.images is not None:
+        expect_writable(options.images)
     if options.out is not None:
-        expect_folder(options.out)
+        expect_writable(options.out)
         document = kept_card(options.out, options.weights, options.scene, **settings)
     if document is None:
         document = measure(

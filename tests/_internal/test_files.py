@@ -7,7 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from ffpose._internal.files import atomic_write, expect_folder, remove_leftovers, sha256
+from ffpose._internal.files import (
+    atomic_write,
+    expect_folder,
+    expect_place,
+    expect_writable,
+    remove_leftovers,
+    sha256,
+)
 
 
 def test_contents_are_on_the_disk_before_the_name_and_the_name_at_the_end(tmp_path, monkeypatch):
@@ -94,6 +101,31 @@ def test_a_file_is_no_folder_to_write_to(tmp_path):
     for bad in (tmp_path / "file", tmp_path / "file" / "set"):
         with pytest.raises(NotADirectoryError, match=r"expected a folder, got the file .*file$"):
             expect_folder(bad)
+
+
+def test_a_place_that_can_be_written_is_left_as_it_was(tmp_path):
+    (tmp_path / "old.png").write_text("old")
+    for path in (None, tmp_path / "new.png", tmp_path / "old.png"):
+        expect_place(path)
+    expect_writable(tmp_path)
+    expect_writable(tmp_path / "new" / "deep")
+    assert [path.name for path in tmp_path.iterdir()] == ["old.png"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there is no /proc")
+def test_what_the_system_refuses_is_no_place_to_write_to():
+    """Root may write to /proc, says `os.access`, and yet no file can be made there."""
+    match = r"expected a folder that can be written to, got /proc: "
+    for check, path in ((expect_writable, "/proc/new"), (expect_place, Path("/proc/new.png"))):
+        with pytest.raises(OSError, match=match):
+            check(path)
+
+
+def test_no_file_is_written_without_a_folder_or_over_one(tmp_path):
+    with pytest.raises(FileNotFoundError, match="expected an existing folder"):
+        expect_place(tmp_path / "absent" / "a.png")
+    with pytest.raises(OSError, match="expected a file to write, got"):
+        expect_place(tmp_path)
 
 
 def test_the_sha256_of_abc(tmp_path):

@@ -172,14 +172,42 @@ def expect_folder(path: str | Path) -> None:
         raise NotADirectoryError(f"expected a folder, got the file {there}")
 
 
-def expect_place(path: Path | None) -> None:
-    """Check in advance that the folder of an output file exists.
+def expect_writable(folder: str | Path) -> None:
+    """Check in advance that ``folder`` can be written to, and created if it does not exist.
+
+    A file without a name is made in it, or in its nearest parent that exists: what may be done in
+    `/proc`, or on a disk without room, is not what permissions say.
 
     Raises:
-        FileNotFoundError: It does not.
+        NotADirectoryError: ``folder``, or one of its parents, is a file.
+        OSError: It cannot be written to.
     """
-    if path is not None and not path.parent.is_dir():
+    expect_folder(folder)
+    there = _nearest(folder)
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        raise OSError(
+            f"expected a folder that can be written to, got {there}: {error.strerror}"
+        ) from error
+
+
+def expect_place(path: Path | None) -> None:
+    """Check in advance that an output file can be written in an existing folder.
+
+    Raises:
+        FileNotFoundError: The folder does not exist.
+        OSError: It is a file or cannot be written to, or what is at ``path`` is not a file.
+    """
+    if path is None:
+        return
+    expect_folder(path.parent)
+    if not path.parent.is_dir():
         raise FileNotFoundError(f"expected an existing folder for {path}, got {path.parent}")
+    if path.exists() and not path.is_file():
+        raise OSError(f"expected a file to write, got {path}, which is none")
+    expect_writable(path.parent)
 
 
 def _nearest(path: str | Path) -> Path:

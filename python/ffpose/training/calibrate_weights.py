@@ -12,6 +12,7 @@ from safetensors.torch import load
 from torch.utils.data import DataLoader
 
 from ffpose import __version__
+from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
 from ffpose.config import PolarPoseConfig, looks_twice
 from ffpose.datasets import PoseDataset, Sample
@@ -50,6 +51,7 @@ def calibrate_weights(
 
     Raises:
         FileNotFoundError: No such file, name or image set.
+        OSError: The file to write cannot be written.
         ValueError: The network has no second look, there are no images or too few labeled ones,
             neither they nor the weights' header name a set, or ``weights`` is a name and there is
             no ``out``.
@@ -62,6 +64,7 @@ def calibrate_weights(
         )
     if out is None and resolve(weights) != Path(weights):
         raise ValueError(f"out: expected a file, as {weights} is installed for all; got none")
+    expect_place(resolve(weights) if out is None else out)
     if images.kind == "scenes" and images.scene is None:
         images = _as_trained(images, metadata)
     opened = open_calibration(images, metadata.preprocessing)
