@@ -255,6 +255,8 @@ def test_turned_attitudes_are_scipys(model):
         ({"angles": 30}, "angles: expected a multiple of 12, .* got 30"),
         ({"bins_width_deg": 0.0}, "bins_width_deg: expected above 0, got 0"),
         ({"candidates": 0}, "candidates: expected a whole number, at least 1, got 0"),
+        ({"candidates": 17}, "candidates: expected at most 16, got 17"),
+        ({"looks": 100000}, "looks: expected at most 16, got 100000"),
         ({"image_size": (12, 16)}, "image_size: expected each at least 16"),
     ],
 )

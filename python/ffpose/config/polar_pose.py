@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from ffpose._internal.choices import PolarMixer
 from ffpose.config.network import is_whole
-from ffpose.config.second_look import SecondLookConfig
+from ffpose.config.second_look import MOST_LOOKS, SecondLookConfig
 
 STEM_STRIDE = (4, 8)
 """Rays of the second look per cell of its first feature map, along the radius and the angle."""
@@ -88,6 +88,8 @@ class PolarPoseConfig(SecondLookConfig):
 
     def _check_values(self) -> None:
         super()._check_values()
+        if self.candidates > MOST_LOOKS:
+            raise ValueError(f"candidates: expected at most {MOST_LOOKS}, got {self.candidates}")
         for name, least in (("channels", 1), ("blocks", 0)):
             values = getattr(self, name)
             if not all(is_whole(value) and value >= least for value in values):

@@ -12,6 +12,9 @@ from ffpose.config.network import NetworkConfig, is_whole
 MOST_DEGREES_OF_FREEDOM = 1000
 """A t distribution of more degrees of freedom is as good as a Gaussian."""
 
+MOST_LOOKS = 16
+"""Most second looks, and most candidates: each takes its time, and a place in a graph."""
+
 
 @dataclass(frozen=True)
 class SecondLookConfig(NetworkConfig):
@@ -87,6 +90,8 @@ class SecondLookConfig(NetworkConfig):
             raise ValueError(
                 f"object_size: expected whole numbers, at least 1, got {self.object_size}"
             )
+        if self.looks > MOST_LOOKS:
+            raise ValueError(f"looks: expected at most {MOST_LOOKS}, got {self.looks}")
         near, far = self.distance_m
         if not 0 < near < far < math.inf:
             raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
