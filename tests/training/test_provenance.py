@@ -5,6 +5,7 @@ import json
 import shutil
 import struct
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,6 +85,23 @@ def test_a_run_begins_from_the_weights_that_it_names(image_set, tmp_path):
     weights.unlink()  # a run that is resumed does not need them
     train(replace(config, epochs=2), resume=True, quiet=True)
     assert read_metadata(folder.last).recipe["init"] == expected
+
+
+def test_a_run_begins_from_shipped_weights_by_name(image_set, tmp_path, monkeypatch):
+    monkeypatch.setattr("ffpose._internal.zoo.FOLDER", tmp_path)
+    named = build_run(train_config(image_set, tmp_path / "a", seed=7)).model
+    named.save_pretrained(tmp_path / "soyuz.safetensors")
+    begun = build_run(train_config(image_set, tmp_path / "b", init=Path("soyuz"))).model
+    assert all(map(torch.equal, begun.state_dict().values(), named.state_dict().values()))
+
+
+@pytest.mark.parametrize(
+    ("init", "words"),
+    [("moon", r"or a name \(one of .*soyuz.*\), got moon"), ("a/b.safetensors", "or a name, got")],
+)
+def test_initial_weights_that_there_are_none_of_are_told_first(init, words, tmp_path):
+    with pytest.raises(FileNotFoundError, match=f"^init: expected a file {words}"):
+        build_run(train_config(tmp_path / "no_set", tmp_path / "run", init=Path(init)))
 
 
 def test_weights_remember_the_whole_chain_that_they_come_from(image_set, tmp_path):

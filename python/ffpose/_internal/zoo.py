@@ -17,13 +17,14 @@ def names() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob(f"*{WEIGHTS}"))
 
 
-def resolve(path_or_name: str | Path, suffix: str = WEIGHTS) -> Path:
+def resolve(path_or_name: str | Path, suffix: str = WEIGHTS, *, argument: str = "weights") -> Path:
     """Return the path of a network's file; an existing file has precedence over a name.
 
     Args:
         path_or_name: A path, which is returned unchanged, or one of `names`, without folder and
             suffix.
         suffix: Of the file that a name stands for, `WEIGHTS` or `GRAPH`.
+        argument: Name of the argument, which the error begins with.
 
     Raises:
         FileNotFoundError: A word without folder and suffix is neither a file nor a name; the
@@ -35,4 +36,4 @@ def resolve(path_or_name: str | Path, suffix: str = WEIGHTS) -> Path:
     if path.name in names():
         return FOLDER / f"{path}{suffix}"
     known = f"one of {', '.join(names())}" if names() else "none is installed by name"
-    raise FileNotFoundError(f"weights: expected a file or a name ({known}), got {path}")
+    raise FileNotFoundError(f"{argument}: expected a file or a name ({known}), got {path}")

@@ -241,7 +241,7 @@ def _initial(init: str) -> Path | None:
     """Return the path of the initial weights, once they are known to fit the network."""
     if init == "none":
         return None
-    path = resolve(init)
+    path = resolve(init, argument="init")
     load_weights(path, build_network(NETWORK, backbone_weights="none"))
     return path
 

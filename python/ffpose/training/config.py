@@ -372,8 +372,9 @@ class TrainConfig:
         ema: Decay of the exponential moving average of the weights, such as 0.998; the average is
             validated and saved. 0 for none.
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions.
-        init: Weights to start from: those of the same architecture, or of one without the extra
-            blocks (`ffpose.models.compact_resnet`), which are initialized to their skip connection.
+        init: Weights to start from, a file or a name such as soyuz: of the same architecture, or of
+            one without the extra blocks (`ffpose.models.compact_resnet`), which are initialized to
+            their skip connection.
         optimizer: Optimizer and learning rate schedule.
         loss: Loss of a network that looks at the frame alone.
         object_loss: Loss of a network with a second look.

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from ffpose._internal.zoo import resolve
 from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
@@ -78,10 +79,16 @@ def build_run(
             pretrained weights nor the initial weights are read then: the checkpoint has all.
 
     Raises:
+        FileNotFoundError: There are no such initial weights.
         ValueError: An unknown kind of image set, or fields that do not go together.
         ffpose.DataError: A label, or a file of weights, cannot be used.
     """
     device = find_device(config.device)
+    initial = None
+    if resumed is None and config.init is not None:
+        initial = resolve(config.init, argument="init")
+        if not initial.is_file():
+            raise FileNotFoundError(f"init: expected a file or a name, got {initial}")
     fields = dict(config.model_fields)
     # What the data decide is not known yet; the structure is.
     model_config = find_config(config.model).with_fields({"camera": UNKNOWN_CAMERA, **fields})
@@ -111,9 +118,9 @@ def build_run(
     if resumed is not None:
         model.backbone.source = resumed.backbone_source
         init = (resumed.recipe or {}).get("init")
-    elif config.init is not None:
-        load_weights(config.init, model)
-        init = origin(config.init)
+    elif initial is not None:
+        load_weights(initial, model)
+        init = origin(initial)
     task = _task(config, model, data, device, processes, symmetry)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
     average = AveragedModel(model, config.ema)
