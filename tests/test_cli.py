@@ -1,5 +1,6 @@
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -255,6 +256,12 @@ def test_inspect(image_set, tmp_path, capsys):
     assert "train: 10 images" in capsys.readouterr().out
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["splits"]["test"]["images"] == 6
+
+
+def test_inspect_mends_no_set(image_set, tmp_path, capsys):
+    words = ["inspect", *data_words(image_set), "--mesh-center", "--out", str(tmp_path)]
+    assert main(words) == 2
+    assert "mesh-center: expected with a mesh, got none" in capsys.readouterr().err
 
 
 def test_render_writes_images(tmp_path):
@@ -558,6 +565,14 @@ def test_an_interrupted_training_says_how_to_continue(image_set, monkeypatch, ca
     assert main(train_words(image_set, tmp_path / "run")) == 130
     said = capsys.readouterr().err
     assert f"finished epochs are saved in {tmp_path / 'run'}; continue with --resume" in said
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="closed by a POSIX shell")
+def test_a_closed_standard_output_is_one_line():
+    call = f"{shlex.quote(sys.executable)} -m ffpose.cli predict soyuz none.png >&-"
+    done = subprocess.run(["sh", "-c", call], capture_output=True, text=True, check=False)
+    expected = "ffpose: expected an open standard output, got a closed one\n"
+    assert (done.returncode, done.stderr) == (1, expected)
 
 
 def test_width_and_height():

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 TRAINED_DEMO = 500
 """Images of a demo that trains: its training takes longer than they do."""
 
+SECONDS, RATE = 120.0, 2.0
+"""Length of a rendered motion, and its frames a second, if nobody says otherwise."""
+
 POSE_PACKAGES = (
     "torch",
     "torchvision",
@@ -70,8 +73,9 @@ def size_type() -> Any:
 
 
 def say(text: str) -> None:
-    """Print a message on standard error."""
-    print(text, file=sys.stderr)
+    """Print a message on standard error, unless it is closed."""
+    if sys.stderr is not None:  # `print` would take standard output
+        print(text, file=sys.stderr)
 
 
 def show(document: dict[str, Any]) -> None:
@@ -135,6 +139,18 @@ def mesh_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--mesh-two-sided", action="store_true", help=text)
 
 
+def expect_no_mesh(options: Namespace) -> None:
+    """Check that nothing is to mend a mesh where there is none.
+
+    Raises:
+        ValueError: An option of `mesh_arguments` is not at its default.
+    """
+    defaults = {"scale": 1.0, "up": "z", "center": False, "two_sided": False}
+    for name, default in defaults.items():
+        if options[f"mesh_{name}"] != default:
+            raise ValueError(f"mesh-{name.replace('_', '-')}: expected with a mesh, got none")
+
+
 def craft_of(options: Namespace) -> Craft:
     """Return the spacecraft of the mesh that a command takes."""
     from ffpose.render import load_craft
@@ -164,9 +180,12 @@ def render_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--scene", dest="within", help="of a motion, as soyuz_hard (the default) or a scene.json"
     )
-    parser.add_argument("--seconds", type=float, default=120.0, help="length of a motion")
-    parser.add_argument("--rate", type=float, default=2.0, help="frames a second of a motion")
-    parser.add_argument("--drop", type=float, default=0.0, help="share of a motion's frames lost")
+    text = f"length of a motion (default: {SECONDS:g})"
+    parser.add_argument("--seconds", type=float, help=text)
+    text = f"frames a second of a motion (default: {RATE:g})"
+    parser.add_argument("--rate", type=float, help=text)
+    text = "share of a motion's frames lost (default: 0)"
+    parser.add_argument("--drop", type=float, help=text)
     parser.add_argument(
         "--trajectory",
         type=Path,
@@ -208,6 +227,8 @@ def render_arguments(parser: ArgumentParser) -> None:
 def render(options: Namespace) -> None:
     """Render images of a scene, or the frames of a motion, with exact labels."""
     expect_writable(options.out)
+    if options.mesh is None:
+        expect_no_mesh(options)
     from ffpose.render.motion import KINDS
 
     if options.scene in KINDS or options.trajectory is not None:
@@ -240,6 +261,14 @@ def render_set(options: Namespace) -> None:
     from ffpose.render.dataset.writer import write_dataset
     from ffpose.render.layers import LAYERS
 
+    for option, value in {
+        "--scene": options.within,
+        "seconds": options.seconds,
+        "rate": options.rate,
+        "drop": options.drop,
+    }.items():
+        if value is not None:
+            raise ValueError(f"{option}: expected for a motion's frames, got it for a scene")
     if options.count is None:
         raise ValueError("count: expected --count N, the number of images of a scene")
     written = write_dataset(
@@ -263,20 +292,24 @@ def render_motion(options: Namespace) -> None:
     from ffpose.render.dataset.sequence_writer import write_sequence
     from ffpose.render.sequence import Sequence, read_trajectory
 
-    for name in ("count", "labels", "layers", "motion"):
+    for name in ("count", "start", "labels", "layers", "motion"):
         if options[name]:
             raise ValueError(f"{name}: expected for a scene's images, got it for a motion's frames")
     size = None if options.size is None else width_and_height(options.size)
     if options.trajectory is not None:
+        for name in ("seconds", "rate"):
+            if options[name] is not None:
+                raise ValueError(f"{name}: expected without --trajectory, whose times it has")
         scene = chosen_scene(options, options.within or options.scene)
         motion = read_trajectory(options.trajectory)
         sequence = Sequence.along(scene, motion, options.seed, size)
     else:
         scene = chosen_scene(options, options.within or "soyuz_hard")
-        sequence = Sequence.of_kind(
-            options.scene, scene, options.seconds, options.rate, options.seed, size
-        )
-    written = write_sequence(sequence, options.out, drop=options.drop, workers=options.workers)
+        seconds = SECONDS if options.seconds is None else options.seconds
+        rate = RATE if options.rate is None else options.rate
+        sequence = Sequence.of_kind(options.scene, scene, seconds, rate, options.seed, size)
+    drop = options.drop or 0.0
+    written = write_sequence(sequence, options.out, drop=drop, workers=options.workers)
     say(f"{written.folder}: {written.rendered} frames in {written.seconds:.1f} s")
 
 
@@ -675,6 +708,7 @@ def inspect(options: Namespace) -> None:
     if options.mesh is not None:
         inspect_mesh(options)
         return
+    expect_no_mesh(options)
     for name in ("kind", "root"):
         if data[name] is None:
             raise ValueError(f"--data.{name}: expected with a set of images")
@@ -946,6 +980,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         the results. Arguments that cannot be parsed raise SystemExit with code 2.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if sys.stdout is None:  # the next file to be opened would have its number, and its text
+        say("ffpose: expected an open standard output, got a closed one")
+        return 1
     if isinstance(sys.stdout, TextIOWrapper):  # of a code page, on Windows: "±" must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
