@@ -106,6 +106,21 @@ def test_an_empty_sky_has_no_track(tmp_path):
     assert [row["tx"] for row in rows(tmp_path / "out")] == [""] * 8
 
 
+def test_fewer_poses_than_must_agree_are_no_track(tmp_path):
+    poses = [pose(step, 1.0 if step else 0.0) for step in range(3)]
+    message = "of 3 frames 1 are flagged, and a track needs 4 poses that agree, got 2$"
+    with pytest.raises(DataError, match=message):
+        run(Estimator(poses), frames(tmp_path / "set", 3), tmp_path / "out")
+    message = "of 1 frames 0 are flagged, and a track needs 3 poses that agree, got 1$"
+    with pytest.raises(DataError, match=message):
+        run(
+            Estimator([pose(0)]),
+            frames(tmp_path / "one", 1),
+            tmp_path / "out",
+            settings=Settings(agreeing=3),
+        )
+
+
 def test_what_was_done_before_an_interruption_is_written(tmp_path):
     def stop(followed):
         if followed.frame.time == 3:

@@ -43,8 +43,8 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     followed: list[Followed] = []
     try:
-        tracker = Tracker(settings or Settings.of(estimator.metadata))
-        for each in follow(estimator, frames, tracker):
+        settings = settings or Settings.of(estimator.metadata)
+        for each in follow(estimator, frames, Tracker(settings)):
             followed.append(each)
             said(each)
     finally:
@@ -58,6 +58,9 @@ def run(
         raise DataError(f"{len(lost)} of {len(followed)} images have no pose; {first}")
     if all(each.step.estimate is None for each in followed):
         flagged = sum(bool(each.alone and each.alone.flagged) for each in followed)
-        rest = "the others' poses do not agree" if flagged < len(followed) else "none has a pose"
+        poses = len(followed) - flagged
+        rest = "the others' poses do not agree" if poses else "none has a pose"
+        if 0 < poses < settings.agreeing:
+            rest = f"a track needs {settings.agreeing} poses that agree, got {poses}"
         raise DataError(f"no track: of {len(followed)} frames {flagged} are flagged, and {rest}")
     return followed
