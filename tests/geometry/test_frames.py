@@ -234,6 +234,15 @@ def test_a_camera_file_holds_the_camera(tmp_path, camera):
     assert Camera.read(tmp_path / "camera.json") == camera
 
 
+def test_a_size_of_a_camera_file_may_be_written_as_a_fraction(tmp_path):
+    camera = Camera(64, 48, 32.0, 33.5, 30.0, 24.25)
+    camera.write(tmp_path / "camera.json")
+    text = (tmp_path / "camera.json").read_text().replace("64,", "64.0,").replace("48,", "4.8e1,")
+    (tmp_path / "camera.json").write_text(text)
+    read = Camera.read(tmp_path / "camera.json")
+    assert (read, type(read.width), type(read.height)) == (camera, int, int)
+
+
 def test_standard_deviations_against_samples():
     generator = np.random.default_rng(0)
     half = generator.standard_normal((2, 3, 3)) * np.array([0.3, 0.01])[:, None, None]

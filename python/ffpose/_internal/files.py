@@ -92,11 +92,20 @@ def read_json(path: Path) -> Any:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DataError: The file is not in UTF-8, or as in `json_errors`.
+        DataError: The file is not in UTF-8, an object has a key twice, or as in `json_errors`.
     """
     text = read_text(path)
+
+    def distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for name, value in pairs:
+            if name in values:
+                raise DataError(f"expected each key once, got {shortened(name)} twice", path)
+            values[name] = value
+        return values
+
     with json_errors(path):
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=distinct)
 
 
 @contextmanager
@@ -117,6 +126,8 @@ def json_errors(path: Path, line: int | None = None) -> Iterator[None]:
         raise DataError(f"not JSON: {error.msg}", path, error.lineno) from error
     except RecursionError as error:
         raise DataError("expected JSON of few levels, got too many", path, line) from error
+    except DataError:
+        raise
     except ValueError as error:
         raise DataError(f"expected numbers of few digits: {error}", path, line) from error
 

@@ -61,20 +61,30 @@ class Camera:
     def read(path: str | Path) -> Camera:
         """Read a camera from a JSON file whose keys are the attributes.
 
-        With a key ``distortion``, five numbers, the camera is a `DistortedCamera`.
+        With a key ``distortion``, five numbers, the camera is a `DistortedCamera`. Width and height
+        may be written with a fraction of zero, as ``640.0``.
 
         Raises:
             FileNotFoundError: The file does not exist.
-            DataError: The file is not JSON, has other keys, or the values are not a valid camera.
+            DataError: The file is not JSON, lacks a key or has another or one twice, or the values
+                are not a valid camera.
         """
         values = read_json(Path(path))
         names = [field.name for field in fields(Camera)]
-        if not isinstance(values, dict) or sorted(set(values) - {"distortion"}) != sorted(names):
-            raise DataError(f"expected the keys {', '.join(names)}, got {shortened(values)}", path)
+        expected = f"expected the keys {', '.join(names)}, and distortion of a lens that has it"
+        if not isinstance(values, dict):
+            raise DataError(f"{expected}; got {shortened(values)}", path)
+        if missing := [name for name in names if name not in values]:
+            raise DataError(f"{expected}; got none of the name {', '.join(missing)}", path)
+        if unknown := [name for name in values if name not in (*names, "distortion")]:
+            raise DataError(f"{expected}; got {', '.join(map(shortened, unknown))} too", path)
         for name in names:
-            kinds = (int,) if name in ("width", "height") else (int, float)
-            if type(values[name]) not in kinds:
-                raise DataError(f"{name}: expected a number, got {shortened(values[name])}", path)
+            value, whole = values[name], name in ("width", "height")
+            if whole and type(value) is float and value.is_integer():
+                value = values[name] = int(value)
+            if type(value) not in ((int,) if whole else (int, float)):
+                kind = "a whole number" if whole else "a number"
+                raise DataError(f"{name}: expected {kind}, got {shortened(value)}", path)
         try:
             return DistortedCamera(**values) if "distortion" in values else Camera(**values)
         except OverflowError as error:  # an integer of hundreds of digits
