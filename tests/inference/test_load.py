@@ -44,6 +44,12 @@ def test_weights_are_opened_by_their_path_and_their_folder(tmp_path):
     assert by_name.metadata == by_path.metadata == by_folder.metadata
 
 
+def test_the_path_of_a_camera_is_none():
+    message = r"^camera: expected a Camera, got str; Camera\.read reads a file$"
+    with pytest.raises(TypeError, match=message):
+        ffpose.load("soyuz", camera="cam.json")
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

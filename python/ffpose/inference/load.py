@@ -63,11 +63,15 @@ def load(
         ValueError: The backend or this CPU cannot do what is asked for, a folder holds several
             networks, or both ``camera`` and ``resize`` are given, or neither for a network that was
             trained on undistorted images.
+        TypeError: ``camera`` is no `Camera`, as the path of its file.
         RuntimeError: The runtime cannot load the graph or the library.
 
     Examples:
         ``ffpose.load("soyuz")("image.png").t``
     """
+    if camera is not None and not isinstance(camera, Camera):
+        got = type(camera).__name__
+        raise TypeError(f"camera: expected a Camera, got {got}; Camera.read reads a file")
     source = find_source(network, backend)
     require("PIL.Image", "onnx")
     from ffpose.inference.estimator import PoseEstimator
