@@ -3,6 +3,7 @@
 import copy
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -164,6 +165,28 @@ def test_copies_are_independent():
 def test_wrong_construction(arguments, text):
     with pytest.raises(ValueError, match=text):
         SpectralFilter(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("build", "text"),
+    [
+        (lambda: SpectralFilter("ab"), "size: expected whole numbers, got 'ab'"),
+        (lambda: SpectralFilter(None), "size: expected whole numbers, got None"),
+        (lambda: SpectralFilter((8, 6.0)), r"size: expected whole numbers, got \(8, 6\.0\)"),
+        (lambda: SequenceFilter("a", 2), r"length, dim: expected whole numbers, got \('a', 2\)"),
+        (lambda: GlobalFilter(3, None), r"dim, h, w: expected whole .* got \(3, None, 8\)"),
+    ],
+)
+def test_sizes_that_are_no_whole_numbers(build, text):
+    with pytest.raises(TypeError, match=text):
+        build()
+
+
+@pytest.mark.parametrize("module", [SpectralFilter((8, 6)), SequenceFilter(8, 6), GlobalFilter(6)])
+@pytest.mark.parametrize("x", [None, "ab", np.zeros((8, 6), np.float32)], ids=["None", "ab", "np"])
+def test_an_input_that_is_no_tensor(module, x):
+    with pytest.raises(TypeError, match=rf"x: expected a torch\.Tensor, got {type(x).__name__}"):
+        module(x)
 
 
 @pytest.mark.parametrize(

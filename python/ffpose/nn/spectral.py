@@ -7,6 +7,7 @@ All compute ``irfft2(rfft2(x) * W)`` with `ffpose.ops.spectral_filter`. GFNet an
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import index
 
 import torch
 from torch import Tensor, nn
@@ -40,7 +41,7 @@ class SpectralFilter(nn.Module):
 
     Raises:
         ValueError: ``layout`` is unknown, or ``size`` has the wrong length or an entry below one.
-        TypeError: ``dtype`` is not one of those above.
+        TypeError: ``dtype`` is not one of those above, or ``size`` holds no whole numbers.
 
     Examples:
         >>> filter = SpectralFilter((14, 14, 256), layout="grid")
@@ -58,6 +59,8 @@ class SpectralFilter(nn.Module):
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
+        if not isinstance(size, int):  # `weight_shape` refuses the one number
+            _expect_whole("size", size)
         shape = weight_shape(size, layout)
         if min(size) < 1:
             raise ValueError(f"size: expected each at least 1, got {tuple(size)}")
@@ -76,11 +79,10 @@ class SpectralFilter(nn.Module):
 
         Raises:
             ValueError: The last dimensions are not ``size``, or the device is not the weight's.
-            TypeError: The dtype of ``x`` does not match the weight's.
+            TypeError: ``x`` is no tensor, or its dtype does not match the weight's.
         """
-        if tuple(x.shape[-len(self.size) :]) != self.size:
-            sizes = ", ".join(map(str, self.size))
-            raise ValueError(f"x: expected shape (..., {sizes}), got {tuple(x.shape)}")
+        if not isinstance(x, Tensor) or tuple(x.shape[-len(self.size) :]) != self.size:
+            raise _wrong(x, f"(..., {', '.join(map(str, self.size))})")
         return spectral_filter(x, self.weight, self.layout)
 
     def resized(self, size: Sequence[int]) -> SpectralFilter:
@@ -129,7 +131,7 @@ class SequenceFilter(nn.Module):
 
     Raises:
         ValueError: ``length`` or ``dim`` is below one.
-        TypeError: ``dtype`` is not one of those above.
+        TypeError: ``dtype`` is not one of those above, or an argument is no whole number.
 
     Examples:
         >>> filter = SequenceFilter(50, 64)
@@ -147,6 +149,7 @@ class SequenceFilter(nn.Module):
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
+        _expect_whole("length, dim", (length, dim))
         if min(length, dim) < 1:
             raise ValueError(f"length, dim: expected each at least 1, got {(length, dim)}")
         self.length, self.dim = length, dim
@@ -164,12 +167,10 @@ class SequenceFilter(nn.Module):
 
         Raises:
             ValueError: The last dimensions are not ``(L, C)``, or the device is not the weight's.
-            TypeError: The dtype of ``x`` does not match the weight's.
+            TypeError: ``x`` is no tensor, or its dtype does not match the weight's.
         """
-        if tuple(x.shape[-2:]) != (self.length, self.dim):
-            raise ValueError(
-                f"x: expected shape (..., {self.length}, {self.dim}), got {tuple(x.shape)}"
-            )
+        if not isinstance(x, Tensor) or tuple(x.shape[-2:]) != (self.length, self.dim):
+            raise _wrong(x, f"(..., {self.length}, {self.dim})")
         return spectral_filter(x.unsqueeze(-3), self.weight.unsqueeze(0), "grid").squeeze(-3)
 
     def resized(self, length: int) -> SequenceFilter:
@@ -211,10 +212,12 @@ class GlobalFilter(nn.Module):
 
     Raises:
         ValueError: An argument is below one.
+        TypeError: An argument is no whole number.
     """
 
     def __init__(self, dim: int, h: int = 14, w: int = 8) -> None:
         super().__init__()
+        _expect_whole("dim, h, w", (dim, h, w))
         if min(dim, h, w) < 1:
             raise ValueError(f"dim, h, w: expected each at least 1, got {(dim, h, w)}")
         self.dim, self.h, self.w = dim, h, w
@@ -237,14 +240,12 @@ class GlobalFilter(nn.Module):
 
         Raises:
             ValueError: The grid does not fit the weight, or ``x`` does not fit the grid.
-            TypeError: The dtype of ``x`` does not match the weight's.
+            TypeError: ``x`` is no tensor, or its dtype does not match the weight's.
         """
         rows, columns = self._grid(spatial_size)
-        if x.dim() != 3 or x.shape[1:] != (rows * columns, self.dim):
-            raise ValueError(
-                f"x: expected shape (B, {rows * columns}, {self.dim}) for a grid of"
-                f" {(rows, columns)}, got {tuple(x.shape)}"
-            )
+        wanted = (rows * columns, self.dim)
+        if not isinstance(x, Tensor) or x.dim() != 3 or x.shape[1:] != wanted:
+            raise _wrong(x, f"(B, {wanted[0]}, {wanted[1]}) for a grid of {(rows, columns)}")
         grid = x.reshape(x.shape[0], rows, columns, self.dim)
         return spectral_filter(grid, self.complex_weight, "grid").reshape(x.shape)
 
@@ -293,6 +294,26 @@ class GlobalFilter(nn.Module):
     def extra_repr(self) -> str:
         """Return the arguments shown in the representation."""
         return f"{self.dim}, h={self.h}, w={self.w}"
+
+
+def _expect_whole(name: str, values: Sequence[int]) -> None:
+    """Check that all values are whole numbers.
+
+    Raises:
+        TypeError: One is not, or there are no values.
+    """
+    try:
+        for value in values:
+            index(value)
+    except TypeError as error:
+        raise TypeError(f"{name}: expected whole numbers, got {values!r}") from error
+
+
+def _wrong(x: object, shape: str) -> Exception:
+    """Return the error of an input that is no tensor, or none of ``shape``."""
+    if not isinstance(x, Tensor):
+        return TypeError(f"x: expected a torch.Tensor, got {type(x).__name__}")
+    return ValueError(f"x: expected shape {shape}, got {tuple(x.shape)}")
 
 
 def _as_tuple(size: Sequence[int] | int) -> tuple[int, ...]:
