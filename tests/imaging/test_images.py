@@ -1,14 +1,16 @@
 """Image files: what becomes RGB, and what is refused."""
 
+import os
 import struct
+import sys
 import zlib
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageOps
 
 from ffpose.errors import DataError
-from ffpose.imaging.images import MAX_PIXELS, open_image, read_rgb, to_rgb
+from ffpose.imaging.images import MAX_PIXELS, find_images, open_image, read_rgb, to_rgb
 
 RAMP = np.arange(12).reshape(3, 4)
 
@@ -139,6 +141,31 @@ def test_an_image_too_large_for_the_memory_is_refused_by_its_header(tmp_path, he
     )
     with pytest.raises(DataError, match=words), open_image(path):
         pytest.fail("opened")
+
+
+def test_pixels_are_as_stored_whatever_a_viewer_is_told(tmp_path):
+    """An EXIF orientation of 6 is shown turned by a quarter; the calibration is of the file's."""
+    told = Image.Exif()
+    told[0x0112] = 6
+    Image.new("RGB", (32, 16), (200, 0, 0)).save(tmp_path / "turned.jpg", exif=told)
+    with Image.open(tmp_path / "turned.jpg") as image:
+        assert ImageOps.exif_transpose(image).size == (16, 32)
+    assert read_rgb(tmp_path / "turned.jpg").size == (32, 16)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no named pipes")
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "folder.png").mkdir()
+    for kind in ("pipe", "folder"):
+        with pytest.raises(DataError, match=rf"{kind}\.png: expected a regular file, got a {kind}"):
+            read_rgb(tmp_path / f"{kind}.png")
+
+
+def test_a_folder_in_a_folder_of_images_is_none_whatever_its_name(tmp_path):
+    (tmp_path / "a.png").mkdir()
+    (tmp_path / "b.png").write_bytes(png(8, 0, 2, 2))
+    assert find_images([tmp_path]) == [tmp_path / "b.png"]
 
 
 def test_the_warning_as_an_error_says_the_same(tmp_path):

@@ -1,4 +1,7 @@
-"""Reading image files as RGB."""
+"""Reading image files as RGB: the pixels as they are stored, which a camera's calibration is of.
+
+An EXIF orientation, by which viewers turn a picture, is not applied.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +78,9 @@ def image_files(folder: Path, name: str) -> list[Path]:
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"{name}: expected a folder of images, got {folder}")
-    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    images = sorted(
+        path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.is_dir()
+    )
     if not images:
         raise FileNotFoundError(f"{name}: expected PNG, JPEG or PGM files in {folder}, got none")
     return images
@@ -116,7 +121,7 @@ def _matches(pattern: Path) -> list[Path]:
 
 
 def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:
-    """Read an image file as RGB; transparency is dropped.
+    """Read an image file as RGB; transparency is dropped, and an EXIF orientation not applied.
 
     Args:
         path: The file.
@@ -139,8 +144,11 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     Raises:
         FileNotFoundError: The file does not exist.
         DataError: The file is not an image, or is damaged, or declares more than `MAX_PIXELS`; also
-            if this shows within the block.
+            if this shows within the block. Or it is a folder, or a pipe, which might never end.
     """
+    if path.exists() and not path.is_file():
+        got = "a folder" if path.is_dir() else "a pipe or a device"
+        raise DataError(f"expected a regular file, got {got}", path)
     try:
         with Image.open(path) as image:
             if image.width * image.height > MAX_PIXELS:
