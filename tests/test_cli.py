@@ -4,6 +4,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import warnings
 from contextlib import redirect_stdout
 from io import StringIO
 
@@ -127,6 +128,17 @@ def test_a_damaged_image_alone_has_its_line_too(trained, tmp_path, capsys):
     assert said.err == f"ffpose: {entry['error']}\n"
     assert entry["image"] == str(broken)
     assert "cannot be read as an image" in entry["error"]
+
+
+def test_too_many_pixels_are_told_once(trained, tmp_path, capsys):
+    """Pillow would warn of what our own limit refuses."""
+    header = b"P5 10000 10000 255\n"
+    (tmp_path / "huge.pgm").write_bytes(header)
+    with warnings.catch_warnings(record=True, action="always") as warned:
+        assert main(["predict", str(trained / "best.safetensors"), f"{tmp_path}/huge.pgm"]) == 1
+    assert not [each for each in warned if "Image size" in str(each.message)]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "expected an image of at most 89,478,485 pixels, got 100,000,000" in line
 
 
 def test_predict_goes_on_after_an_image_that_cannot_be_used(trained, image_set, tmp_path, capsys):
@@ -558,13 +570,21 @@ def test_interruption_is_said_and_code_130(monkeypatch, capsys, tmp_path):
 
 
 def test_an_interrupted_training_says_how_to_continue(image_set, monkeypatch, capsys, tmp_path):
-    def interrupt(*_, **__):
+    def interrupt(config, *, resume):
+        if resume:
+            (config.out / "state.pt").touch()  # what the end of the first epoch leaves
         raise KeyboardInterrupt
 
     monkeypatch.setattr("ffpose.training.engine.train", interrupt)
-    assert main(train_words(image_set, tmp_path / "run")) == 130
+    words = train_words(image_set, tmp_path)
+    assert main(words) == 130
+    assert capsys.readouterr().err == "ffpose: interrupted; files already written are complete\n"
+    assert main([*words, "--resume"]) == 130
     said = capsys.readouterr().err
-    assert f"finished epochs are saved in {tmp_path / 'run'}; continue with --resume" in said
+    assert said.startswith(f"{tmp_path}: no run to resume, a new one begins\n")
+    assert f"finished epochs are saved in {tmp_path}; continue with --resume" in said
+    assert main([*words, "--resume"]) == 130
+    assert "a new one begins" not in capsys.readouterr().err
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="closed by a POSIX shell")

@@ -14,6 +14,7 @@ import json
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -321,7 +322,8 @@ def train_arguments(parser: ArgumentParser) -> None:
     names = ", ".join(configs.names())
     text = f"YAML file, such as config.yaml of a run, or the name of one that comes along: {names}"
     parser.add_argument("--config", action="config", help=text)
-    parser.add_argument("--resume", action="store_true", help="resume the run in --out")
+    text = "resume the run in --out; begin one where there is none"
+    parser.add_argument("--resume", action="store_true", help=text)
     add_fields(parser)
 
 
@@ -336,12 +338,17 @@ def train(options: Namespace) -> None:
     config = to_config(fields)
     from ffpose._internal.figures import save_figure
     from ffpose.evaluation.report.plots import training_curves
+    from ffpose.training.checkpoint import RunFolder
     from ffpose.training.engine import train as run
 
+    saved = RunFolder(config.out).state
+    if resume and not saved.exists():
+        say(f"{config.out}: no run to resume, a new one begins")
     try:
         result = run(config, resume=resume)
     except KeyboardInterrupt:
-        say(f"ffpose: finished epochs are saved in {config.out}; continue with --resume")
+        if saved.exists():
+            say(f"ffpose: finished epochs are saved in {config.out}; continue with --resume")
         raise
     if result.leads:
         save_figure(training_curves(result.history), result.folder.curves)
@@ -983,6 +990,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if sys.stdout is None:  # the next file to be opened would have its number, and its text
         say("ffpose: expected an open standard output, got a closed one")
         return 1
+    # Pillow's limit, of which `ffpose.imaging.images.open_image` makes an error of its own.
+    warnings.filterwarnings("ignore", "Image size .* could be decompression bomb")
     if isinstance(sys.stdout, TextIOWrapper):  # of a code page, on Windows: "±" must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
