@@ -120,23 +120,28 @@ GLOSSY = (*MATERIAL, "extensions", "KHR_materials_pbrSpecularGlossiness")
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "got"),
+    ("place", "value", "nearest", "said"),
     [
-        ((*METALLIC, "baseColorFactor"), [0.5, 1.5, 0.5, 1], "of 0…1, got 1.5"),
-        ((*METALLIC, "metallicFactor"), -0.5, "of 0…1, got -0.5"),
-        ((*METALLIC, "roughnessFactor"), 2, "of 0…1, got 2"),
-        ((*MATERIAL, "emissiveFactor"), [0, 0, 3], "of 0…1, got 3"),
-        ((*MATERIAL, "alphaCutoff"), -1, "of at least 0, got -1"),
-        ((*GLOSSY, "glossinessFactor"), 1.01, "of 0…1, got 1.01"),
+        ((*METALLIC, "baseColorFactor"), [0.5, 1.5, 0.5, 1], [0.5, 1, 0.5, 1], "1.5 is out of 0…1"),
+        ((*METALLIC, "metallicFactor"), -0.5, 0, "-0.5 is out of 0…1: 0"),
+        ((*METALLIC, "roughnessFactor"), 2, 1, "2 is out of 0…1: 1"),
+        ((*MATERIAL, "emissiveFactor"), [0, 0, 3], [0, 0, 1], "3 is out of 0…1: 1"),
+        ((*MATERIAL, "alphaCutoff"), -1, 0, "-1 is out of at least 0: 0"),
+        ((*GLOSSY, "glossinessFactor"), 1.01, 1, "1.01 is out of 0…1: 1"),
         (
             (*MATERIAL, "extensions", "KHR_materials_emissive_strength", "emissiveStrength"),
             -2,
-            "of at least 0, got -2",
+            0,
+            "-2 is out of at least 0: 0",
         ),
     ],
 )
-def test_factors_out_of_range_are_refused(tmp_path, place, value, got):
-    assert refused(tmp_path, place, value) == f"expected {place[-1]} {got}"
+def test_factors_out_of_range_are_told_and_set_to_its_end(
+    tmp_path, caplog, place, value, nearest, said
+):
+    craft = changed(tmp_path, place, value)
+    assert f"{place[-1]} {said}" in caplog.text
+    assert repr(craft.materials) == repr(changed(tmp_path, place, nearest).materials)
     unknown = [*value[:-1], np.nan] if isinstance(value, list) else np.nan
     assert refused(tmp_path, place, unknown) == f"expected a finite {place[-1]}, got nan"
 

@@ -5,11 +5,14 @@ Python takes an index of -1 for the last one, and what is not finite spreads thr
 
 from __future__ import annotations
 
+import logging
 import math
 from pathlib import Path
 from typing import Any
 
 from ffpose.errors import DataError
+
+logger = logging.getLogger(__name__)
 
 COUNTS = {
     "attributes",
@@ -53,36 +56,45 @@ FACTORS = {
 """Largest values of materials' numbers, of which zero is the smallest."""
 
 ROUNDING = 1e-6
-"""What a factor may be out of its range by: exporters compute in float32."""
+"""By how much a factor is out of its range without a word: exporters compute in float32."""
 
 
 def check_numbers(header: dict[str, Any], known: tuple[str, ...], path: Path) -> None:
-    """Check the numbers of a document.
+    """Check the numbers of a document; factors out of their range are told and set to its end.
+
+    Public files have such factors, by a slip of who drew the material; all else of them is right.
 
     Args:
-        header: The document.
+        header: The document, whose factors are changed.
         known: Beginnings of the names of extensions that are read; others may hold anything.
-        path: The file, for errors.
+        path: The file, for messages.
 
     Raises:
-        DataError: A number is not finite, an index, a count or a size is negative, or a factor of
-            a material is not in its range.
+        DataError: A number is not finite, or an index, a count or a size is negative.
     """
-    stack: list[tuple[str, Any]] = [("", header)]
+    stack: list[tuple[str, dict[str, Any] | list[Any]]] = [("", header)]
     while stack:
-        name, value = stack.pop()
-        if isinstance(value, dict):
-            inner = {key: each for key, each in value.items() if key != "extras"}
-            if name == "extensions":
-                inner = {key: each for key, each in inner.items() if key.startswith(known)}
-            stack += [(name if name == "attributes" else key, each) for key, each in inner.items()]
-        elif isinstance(value, list):
-            stack += [(name, each) for each in value]
-        elif isinstance(value, int | float):
-            if not math.isfinite(value):
-                raise DataError(f"expected a finite {name}, got {value}", path)
-            if value < 0 and name in COUNTS:
-                raise DataError(f"expected {name} of at least 0, got {value}", path)
-            if name in FACTORS and not -ROUNDING <= value <= FACTORS[name] + ROUNDING:
-                bound = "0…1" if FACTORS[name] == 1 else "at least 0"
-                raise DataError(f"expected {name} of {bound}, got {value}", path)
+        name, part = stack.pop()
+        for key, value in part.items() if isinstance(part, dict) else enumerate(part):
+            if key == "extras" or (name == "extensions" and not str(key).startswith(known)):
+                continue
+            inner = key if isinstance(key, str) and name != "attributes" else name
+            if isinstance(value, dict | list):
+                stack.append((inner, value))
+            elif isinstance(value, int | float):
+                part[key] = _checked(inner, value, path)  # type: ignore[index]
+
+
+def _checked(name: str, value: float, path: Path) -> float:
+    """Return a number that may stand there."""
+    if not math.isfinite(value):
+        raise DataError(f"expected a finite {name}, got {value}", path)
+    if value < 0 and name in COUNTS:
+        raise DataError(f"expected {name} of at least 0, got {value}", path)
+    if name not in FACTORS or 0 <= value <= FACTORS[name]:
+        return value
+    nearest = min(max(value, 0.0), FACTORS[name])
+    if abs(nearest - value) > ROUNDING:
+        bound = "0…1" if FACTORS[name] == 1 else "at least 0"
+        logger.warning("%s: %s %g is out of %s: %g", path, name, value, bound, nearest)
+    return nearest
