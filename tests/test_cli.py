@@ -393,6 +393,10 @@ def test_debug_shows_the_traceback(tmp_path):
     [
         (["predict", "soyuz", "a.png", "--batch", "0"], "batch: expected at least 1, got 0"),
         (["predict", "soyuz", "a.png", "--device", "abacus"], "device: expected auto, or"),
+        (
+            ["card", "soyuz", "--scene", "soyuz_easy", "--final", "--seed", "1000005"],
+            "seed: expected",
+        ),
         (["card", "soyuz", "--scene", "soyuz_easy", "--count", "0"], "count: expected at"),
         (["render", "soyuz_easy", "--out", "x", "--count", "1", "--size", "9x9"], "16…8192"),
         (["render", "no_such_set", "--out", "x", "--count", "1"], "no_such_set"),

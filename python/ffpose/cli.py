@@ -796,9 +796,12 @@ def card(options: Namespace) -> None:
     Errors, coverage of the uncertainty, and how well images without the object are flagged. An
     image takes a third of a second of one core to render, half of them far less.
     """
+    from ffpose._internal.seeds import CHOICES
     from ffpose.evaluation.card.measurement import kept_card, measure, write_card
     from ffpose.evaluation.card.tables import format_card
 
+    if options.final and options.seed != CHOICES.start:
+        raise ValueError(f"seed: expected none with --final, got {options.seed}")
     settings = {
         "count": options.count,
         "size": width_and_height(options.size),
