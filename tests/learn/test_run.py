@@ -179,6 +179,13 @@ def test_the_reports_command_has_all_options(tmp_path):
     assert run._command(changed) == [*words, *options.split(), "--mesh-center"]
 
 
+def test_a_graph_that_is_missing_or_damaged_is_exported(tmp_path):
+    (tmp_path / "best.safetensors").write_bytes(b"weights")
+    assert not run._exported(tmp_path)
+    (tmp_path / "model.onnx").write_bytes(b"a part of a graph")
+    assert not run._exported(tmp_path)
+
+
 def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
     """In small: what it writes is what `ffpose.load` opens; a second run repeats nothing."""
     out = tmp_path / "out"

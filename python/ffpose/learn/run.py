@@ -350,8 +350,11 @@ def _tested(config: LearnConfig, scene: SceneFile, processes: int, say: Say) -> 
 
 def _exported(out: Path) -> bool:
     """Return whether the graph in a run's folder is of the weights there."""
-    graph = out / GRAPH
-    return graph.exists() and read_model_metadata(graph).weights_sha256 == sha256(out / WEIGHTS)
+    try:
+        metadata = read_model_metadata(out / GRAPH)
+    except (FileNotFoundError, DataError):
+        return False
+    return metadata.weights_sha256 == sha256(out / WEIGHTS)
 
 
 def verdict(summary: dict[str, Any]) -> str:

@@ -1,7 +1,5 @@
 """What a glTF document may not have is refused by name, before anything is made of it."""
 
-import json
-import struct
 import tracemalloc
 import warnings
 
@@ -11,6 +9,7 @@ import pytest
 
 from ffpose.errors import DataError
 from ffpose.render import load_craft
+from glb import write_glb
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.uint16)
@@ -47,17 +46,7 @@ def load(folder, header, contents):
         header["bufferViews"].append(view)
         blob += content + bytes(-len(content) % 4)
     header.setdefault("buffers", [{"byteLength": len(blob)}])
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 4)
-    path = folder / "bus.glb"
-    path.write_bytes(
-        struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(blob))
-        + struct.pack("<I4s", len(text), b"JSON")
-        + text
-        + struct.pack("<I4s", len(blob), b"BIN\0")
-        + blob
-    )
-    return load_craft(path)
+    return load_craft(write_glb(folder / "bus.glb", header, blob))
 
 
 def changed(folder, place, value):

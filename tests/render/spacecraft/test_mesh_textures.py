@@ -3,12 +3,12 @@
 import base64
 import io
 import json
-import struct
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import glb
 from ffpose.datasets.patches import digest
 from ffpose.errors import DataError
 from ffpose.imaging.patches import PatchSpec
@@ -107,17 +107,7 @@ def write_glb(folder, texture=HALVES, **parts):
     chunk = blob + texture
     chunk += bytes(-len(chunk) % 4)
     header["buffers"] = [{"byteLength": len(chunk)}]
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 4)
-    path = folder / "quads.glb"
-    path.write_bytes(
-        struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(chunk))
-        + struct.pack("<I4s", len(text), b"JSON")
-        + text
-        + struct.pack("<I4s", len(chunk), b"BIN\0")
-        + chunk
-    )
-    return path
+    return glb.write_glb(folder / "quads.glb", header, chunk)
 
 
 def write_obj(folder, texture=HALVES, paint="map_Kd -s 1 1 1 two.png"):

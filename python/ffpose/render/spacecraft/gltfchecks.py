@@ -72,7 +72,7 @@ def check_numbers(header: dict[str, Any], known: tuple[str, ...], path: Path) ->
     Raises:
         DataError: A number is not finite, or an index, a count or a size is negative.
     """
-    stack: list[tuple[str, dict[str, Any] | list[Any]]] = [("", header)]
+    stack: list[tuple[str, Any]] = [("", header)]
     while stack:
         name, part = stack.pop()
         for key, value in part.items() if isinstance(part, dict) else enumerate(part):
@@ -82,7 +82,7 @@ def check_numbers(header: dict[str, Any], known: tuple[str, ...], path: Path) ->
             if isinstance(value, dict | list):
                 stack.append((inner, value))
             elif isinstance(value, int | float):
-                part[key] = _checked(inner, value, path)  # type: ignore[index]
+                part[key] = _checked(inner, value, path)
 
 
 def _checked(name: str, value: float, path: Path) -> float:
