@@ -94,7 +94,7 @@ def test_flat_names_reach_into_groups():
         (lambda: DataConfig("scenes", Path(), seed=-1), "data.seed: expected 0 to 999999"),
         (lambda: config(accumulate=0), "accumulate: expected 1 or more, got 0"),
         (lambda: config(ema=1.0), "ema: expected 0 <= ema < 1, got 1.0"),
-        (lambda: config(autocast="float16"), "expected one of none, bfloat16, got 'float16'"),
+        (lambda: config(autocast="float16"), "expected one of none, bfloat16, auto, got 'float16'"),
         (lambda: config(weights_dtype="int8"), "expected one of float32, float16, got 'int8'"),
         (lambda: OptimizerConfig(kind="sgd"), "expected one of adam, adamw, got 'sgd'"),
         (lambda: OptimizerConfig(schedule="linear"), "expected one of step, cosine, got 'linear'"),

@@ -16,8 +16,14 @@ from ffpose.training import DataConfig, OptimizerConfig, Stage
 from ffpose.training.checkpoint import RunFolder, read_results
 from ffpose.training.engine import NonFiniteLossError, cpu_seconds, train, train_epoch
 from ffpose.training.losses import PoseLoss
+from ffpose.training.options import load_config
 from ffpose.training.progress import Reporter
-from ffpose.training.run import build_optimizer, build_run, translation_statistics
+from ffpose.training.run import (
+    build_optimizer,
+    build_run,
+    chosen_autocast,
+    translation_statistics,
+)
 from ffpose.training.stages import Epoch
 from ffpose.training.tasks import trained_together
 from tiny_runs import MODEL_FIELDS, train_config, write_set
@@ -393,6 +399,17 @@ def test_autocast_computes_in_half_and_keeps_whole_weights(image_set, tmp_path):
         }
     assert losses["bfloat16"] != losses["none"]
     assert losses["bfloat16"] == pytest.approx(losses["none"], rel=0.1)
+
+
+def test_auto_is_what_the_processor_has_instructions_for(image_set, tmp_path):
+    cpuinfo = Path("/proc/cpuinfo")
+    if not cpuinfo.is_file() or "flags" not in (text := cpuinfo.read_text()):
+        pytest.skip("nothing else tells the processor's instructions")
+    expected = "bfloat16" if {"avx512_bf16", "amx_bf16"} & set(text.split()) else "none"
+    folder = run_quietly(train_config(image_set, tmp_path, epochs=1, autocast="auto")).folder
+    assert read_metadata(folder.best).recipe["autocast"] == expected
+    assert load_config(folder.config).autocast == "auto"  # another machine may resume the run
+    assert chosen_autocast("auto", torch.device("cuda")) == "bfloat16"
 
 
 def test_a_loss_that_is_no_number_names_the_images(image_set, tmp_path, monkeypatch):

@@ -1,8 +1,9 @@
 """Everything that ffpose asks of torch's private names, which may go without notice.
 
 Each is looked up once. Without it a slower way gives the same numbers: calls go through the
-dispatcher, or weights are averaged one by one. Only two things are lost: `torch.vmap` of the bare
-operators ``torch.ops.ffpose``, and saving an exported program whose result is a named tuple.
+dispatcher, weights are averaged one by one, or a training does without bfloat16. Only two things
+are lost: `torch.vmap` of the bare operators ``torch.ops.ffpose``, and saving an exported program
+whose result is a named tuple.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ def _find(module: str, name: str) -> Any:
         return None
 
 
+_bfloat16_products = (
+    _find("torch.cpu", "_is_avx512_bf16_supported"),
+    _find("torch.cpu", "_is_amx_tile_supported"),
+)
 _below_autograd = _find("torch._C", "_AutoDispatchBelowAutograd")
 _dispatch_keys = _find("torch._C", "_dispatch_keys")
 _dispatch_modes = _find("torch._C", "_len_torch_dispatch_stack")
@@ -109,3 +114,8 @@ def register_named_tuple(kind: type[tuple[Any, ...]], name: str) -> None:
     """Let saved programs (`torch.export.save`) refer to a named tuple by ``name``."""
     if _register_named_tuple is not None:
         _register_named_tuple(kind, serialized_type_name=name)
+
+
+def multiplies_bfloat16() -> bool:
+    """Return whether this processor is known to have instructions for products of bfloat16."""
+    return any(bool(has()) for has in _bfloat16_products if has is not None)

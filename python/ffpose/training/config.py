@@ -371,7 +371,9 @@ class TrainConfig:
             under ``torchrun``, which starts the processes itself.
         ema: Decay of the exponential moving average of the weights, such as 0.998; the average is
             validated and saved. 0 for none.
-        autocast: "none", or "bfloat16" for the network's matrix products and convolutions.
+        autocast: "none", or "bfloat16" for the network's matrix products and convolutions; "auto"
+            is that on a GPU, and on a processor that has instructions for it: on another, which
+            has to convert, steps take several times as long.
         init: Weights to start from, a file or a name such as soyuz: of the same architecture, or of
             one without the extra blocks (`ffpose.models.compact_resnet`), which are initialized to
             their skip connection.
@@ -401,7 +403,7 @@ class TrainConfig:
     accumulate: int = 1
     processes: int = 1
     ema: float = 0.0
-    autocast: Literal["none", "bfloat16"] = "none"
+    autocast: Literal["none", "bfloat16", "auto"] = "none"
     init: Path | None = None
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)

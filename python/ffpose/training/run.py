@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from ffpose._internal.torch_internals import multiplies_bfloat16
 from ffpose._internal.zoo import resolve
 from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
@@ -42,7 +43,7 @@ class Run:
     """State of a training loop.
 
     Attributes:
-        config: What the run is asked to do.
+        config: What the run is asked to do, ``autocast`` as it is on the device.
         model: The network.
         average: Its moving average, which is validated and saved.
         optimizer: Over network and loss; made anew where a stage begins.
@@ -84,6 +85,7 @@ def build_run(
         ffpose.DataError: A label, or a file of weights, cannot be used.
     """
     device = find_device(config.device)
+    config = replace(config, autocast=chosen_autocast(config.autocast, device))
     initial = None
     if resumed is None and config.init is not None:
         initial = resolve(config.init, argument="init")
@@ -126,6 +128,15 @@ def build_run(
     average = AveragedModel(model, config.ema)
     images = data.calibration
     return Run(config, model, average, optimizer, task, device, processes, init, images, symmetry)
+
+
+def chosen_autocast(
+    autocast: Literal["none", "bfloat16", "auto"], device: torch.device
+) -> Literal["none", "bfloat16"]:
+    """Return what "auto" is on a device (`TrainConfig.autocast`), and others as they are."""
+    if autocast != "auto":
+        return autocast
+    return "bfloat16" if device.type != "cpu" or multiplies_bfloat16() else "none"
 
 
 def _task(
