@@ -2,15 +2,22 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from ffpose.config import PRESETS, PolarPoseConfig
-from ffpose.models import PolarPose, build_network, load_network
+from ffpose.models import PolarPose, build_network, load_network, polar_pose
 from ffpose.models.base import UncertainPose
 from ffpose.models.heat_map import Candidates
-from ffpose.models.second_look import covariances, offset_of, points_at, truncation
+from ffpose.models.second_look import (
+    OFFSET_SCALE,
+    covariances,
+    offset_of,
+    points_at,
+    truncation,
+)
 from ffpose.models.virtual_camera import pyramid, render_virtual
 from ffpose.nn.rotations import quaternion_to_matrix
 from ffpose.training.config import ObjectLossConfig
@@ -129,23 +136,48 @@ def test_a_pose_of_each_image_whatever_the_weights(model):
         model(torch.zeros(1, 3, 96, 100))
 
 
-def answers(model, monkeypatch, in_view, log_mass):
-    """Let the looks at two candidates an image say how likely they are, and find no offset."""
-    points = torch.tensor([[[2.0, 0.0, 20.0], [-2.0, 1.0, 15.0]], [[1.0, 1.0, 12.0], [0, 0, 30.0]]])
+CANDIDATES = torch.tensor(
+    [[[2.0, 0.0, 20.0], [-2.0, 1.0, 15.0]], [[1.0, 1.0, 12.0], [0.0, 0.0, 30.0]]]
+)
+
+
+def looked_at(model, monkeypatch, in_view, log_mass, shift=0.0):
+    """Let a look at each of two candidates say how likely it is and where it finds the object.
+
+    Args:
+        model: A network with two candidates.
+        monkeypatch: As it is.
+        in_view: ``(2, 2)``, by image and candidate, logits; of other places 3.
+        log_mass: ``(2, 2)``, of the first look.
+        shift: Offset that looks at the first candidate say, in `OFFSET_SCALE`; others zero.
+
+    Returns:
+        The points of each look ``(B, 3)`` in order, and the poses.
+    """
+    logits, places = torch.tensor(in_view), []
     monkeypatch.setattr(
         model.translation_branch,
         "candidates",
-        lambda *_: Candidates(points, torch.tensor(log_mass)),
+        lambda *_: Candidates(CANDIDATES, torch.tensor(log_mass)),
     )
-    decode = model.decode
+    look, decode = model._second_look, model.decode
+
+    def at(levels, points, **turned):
+        places.append(points)
+        return look(levels, points, **turned)
 
     def said(feature_map):
-        numbers = decode(feature_map)
-        logits = torch.tensor(in_view).flatten() if len(numbers.offset) == 4 else numbers.in_view
-        return numbers._replace(offset=torch.zeros_like(numbers.offset), in_view=logits)
+        numbers, points = decode(feature_map), places[-1]
+        same = (points[:, None] - CANDIDATES).norm(dim=-1) < 1e-3
+        offset = torch.zeros_like(numbers.offset)
+        offset[:, 2] = torch.where(same[:, 0], shift, 0.0)
+        in_view = torch.where(same.any(1), (logits * same).sum(1), 3.0)
+        return numbers._replace(offset=offset, in_view=in_view)
 
+    monkeypatch.setattr(polar_pose, "FARTHER", 1.0)  # or no offset is another place there
+    monkeypatch.setattr(model, "_second_look", at)
     monkeypatch.setattr(model, "decode", said)
-    return points, model(images(2))
+    return places, model(images(2))
 
 
 @pytest.mark.parametrize(
@@ -157,9 +189,65 @@ def answers(model, monkeypatch, in_view, log_mass):
     ],
 )
 def test_the_likelier_candidate_is_kept(model, monkeypatch, in_view, log_mass, kept):
-    points, pose = answers(model, monkeypatch, in_view, log_mass)
-    expected = points[torch.arange(2), torch.tensor(kept)]
+    _, pose = looked_at(model, monkeypatch, in_view, log_mass)
+    expected = CANDIDATES[torch.arange(2), torch.tensor(kept)]
     torch.testing.assert_close(pose.translation, expected, rtol=1e-5, atol=1e-4)
+
+
+def test_a_candidate_that_cannot_be_the_likelier_is_not_looked_at(model, monkeypatch):
+    """The first image's first candidate is seen; the second's is not, and its other one might be.
+
+    Where it is not looked at, the look goes to where the object was found: e^(1/4) times as far.
+    """
+    seen = [[5.0, 5.0], [-6.0, -9.0]]
+    places, pose = looked_at(model, monkeypatch, seen, [[-0.1, -3.0], [-0.1, -3.0]], shift=1.0)
+    farther = CANDIDATES[:, 0] * math.exp(1 / OFFSET_SCALE)
+    assert len(places) == 3
+    torch.testing.assert_close(places[0], CANDIDATES[:, 0])
+    torch.testing.assert_close(places[1], torch.stack([farther[0], CANDIDATES[1, 1]]))
+    # Nor was it at the second one: the first is kept, at which a last look is where it says.
+    torch.testing.assert_close(places[2], farther, rtol=1e-5, atol=1e-4)
+    torch.testing.assert_close(pose.translation, farther, rtol=1e-5, atol=1e-4)
+
+
+def test_the_last_look_is_turned_by_half_a_cell(model, monkeypatch):
+    twists, view_at = [], model.view_at
+    monkeypatch.setattr(
+        model,
+        "view_at",
+        lambda points, twist=None: twists.append(twist) or view_at(points, twist),
+    )
+    model(images(2))
+    assert twists[:2] == [None, None]
+    torch.testing.assert_close(twists[2], torch.full((2,), CELL / 2))
+
+
+def pose_at(rotation, translation):
+    quaternion = torch.from_numpy(np.atleast_2d(rotation.as_quat(scalar_first=True)))
+    zeros, unsure = torch.zeros(1, 3, 3), torch.zeros(1)
+    found = torch.tensor([translation], dtype=torch.float64)
+    return UncertainPose(found, quaternion, zeros, zeros, unsure, quaternion, unsure)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_pose_is_the_mean_of_two_looks_that_agree(sign):
+    ends = Rotation.random(rng=3) * Rotation.from_rotvec([[0, 0, 0], [0, 12, 0]], degrees=True)
+    one = pose_at(ends[0], [1.0, 2.0, 20.0])
+    one = one._replace(orientation=sign * one.orientation)  # stands for the same rotation
+    other = pose_at(ends[1], [1.2, 2.2, 21.0])
+    mean = polar_pose._mean(one, other)
+    middle = Slerp([0, 1], ends)([0.5])
+    error = Rotation.from_quat(mean.orientation.numpy(), scalar_first=True) * middle.inv()
+    assert error.magnitude()[0] < 1e-7
+    torch.testing.assert_close(mean.translation[0].tolist(), [1.1, 2.1, 20.5])
+
+
+def test_of_two_looks_that_do_not_agree_the_last_is_the_pose():
+    ends = Rotation.from_rotvec([[0, 0, 0], [16, 0, 0]], degrees=True)
+    other = pose_at(ends[1], [1.2, 2.2, 21.0])
+    mean = polar_pose._mean(pose_at(ends[0], [1.0, 2.0, 20.0]), other)
+    assert mean.translation.equal(other.translation)
+    assert mean.orientation.equal(other.orientation)
 
 
 def test_one_candidate_and_one_look_are_one_view(tmp_path):
@@ -173,7 +261,7 @@ def test_one_candidate_and_one_look_are_one_view(tmp_path):
     assert views == [2]
     model.object_backbone.register_forward_hook(lambda _, inputs, __: views.append(len(inputs[0])))
     model(images(2))
-    assert views[1:] == [4, 2]
+    assert views[1:] == [2, 2, 2]
 
 
 def test_weights_there_and_back(model, tmp_path):
@@ -353,3 +441,15 @@ def test_the_uncertainty_grows_with_the_doubt_of_the_attitude():
         torch.testing.assert_close(getattr(got, name), factor * getattr(expected, name))
     for name in ("translation", "orientation", "in_view", "alternative", "probabilities"):
         assert torch.equal(getattr(got, name), getattr(expected, name))
+
+
+def test_one_look_is_less_certain_than_the_mean_of_two():
+    """Where two looks make the pose, and calibration has scaled the covariance of their mean."""
+    points = torch.tensor([[0.0, 1.0, 14.0], [2.0, -1.0, 18.0]])
+    once, twice = (build(looks=looks).predict_near(images(2), points) for looks in (1, 2))
+    for one, other in (
+        (once.translation_covariance, twice.translation_covariance),
+        (once.rotation_covariance, twice.rotation_covariance),
+    ):
+        torch.testing.assert_close(other, polar_pose.ONE_LOOK_VARIANCE * one)
+    assert twice.translation.equal(once.translation)

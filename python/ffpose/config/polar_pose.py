@@ -31,8 +31,8 @@ class PolarPoseConfig(SecondLookConfig):
             `ffpose.models.compact_resnet`.
         first_reduction: Stride of the first look's feature map, pixels per cell.
         first_channels: Number of channels between that feature map and the heat map.
-        candidates: Number of peaks of the heat map at which the network looks; the likelier is
-            kept.
+        candidates: Number of peaks of the heat map that may be looked at; the likeliest is kept. A
+            look at one that cannot be is spent where the object was found.
         object_size: ``(radii, angles)`` of the second look's polar image.
         object_width: Diameter of the polar image's outermost ring in pixels of the virtual camera.
         object_radius_m: Distance that the polar image covers, meters at the object.

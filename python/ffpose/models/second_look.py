@@ -23,7 +23,7 @@ from torch.nn import functional as F
 
 from ffpose.config import SecondLookConfig
 from ffpose.models.base import UncertainPose
-from ffpose.models.virtual_camera import VirtualCamera
+from ffpose.models.virtual_camera import VirtualCamera, chosen
 
 OFFSET_SCALE = 4.0
 OFFSET_LIMIT = 4.0
@@ -64,6 +64,14 @@ class SecondLookOutput(NamedTuple):
         """Return the output of some views, ``rows`` being indices or a mask."""
         shear = None if self.shear is None else self.shear[rows]
         orientation, offset, log_sigma, in_view = (part[rows] for part in self[:4])
+        return SecondLookOutput(orientation, offset, log_sigma, in_view, shear)
+
+    def where(self, taken: Tensor, other: SecondLookOutput) -> SecondLookOutput:
+        """Return this output where ``taken (B,)`` is true, and ``other`` where it is not."""
+        one, two = self.shear, other.shear
+        shear = None if one is None or two is None else chosen(taken, one, two)
+        pairs = zip(self[:4], other[:4], strict=True)
+        orientation, offset, log_sigma, in_view = (chosen(taken, a, b) for a, b in pairs)
         return SecondLookOutput(orientation, offset, log_sigma, in_view, shear)
 
     def float(self) -> SecondLookOutput:

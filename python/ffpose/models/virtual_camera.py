@@ -68,6 +68,12 @@ class VirtualCamera(NamedTuple):
         tensors = (self.rotation[rows], self.focal[rows], self.distance[rows])
         return VirtualCamera(*tensors, self.size, self.width, self.polar)
 
+    def where(self, taken: Tensor, other: VirtualCamera) -> VirtualCamera:
+        """Return these cameras where ``taken (B,)`` is true, and ``other`` where it is not."""
+        pairs = zip(self[:3], other[:3], strict=True)
+        rotation, focal, distance = (chosen(taken, a, b) for a, b in pairs)
+        return VirtualCamera(rotation, focal, distance, self.size, self.width, self.polar)
+
     def resized(self, size: tuple[int, int]) -> VirtualCamera:
         """Return the same views in images of another size; rows and columns of another pitch."""
         if self.polar:
@@ -112,6 +118,11 @@ class VirtualCamera(NamedTuple):
     def points_back(self, points: Tensor) -> Tensor:
         """Transform points ``(B, 3)`` from the virtual camera's frame to the camera frame."""
         return (self.rotation.transpose(1, 2) @ points[:, :, None])[..., 0]
+
+
+def chosen(taken: Tensor, these: Tensor, others: Tensor) -> Tensor:
+    """Return the rows of ``these (B, ...)`` where ``taken (B,)`` is true, else of ``others``."""
+    return torch.where(taken.view(-1, *(1,) * (these.ndim - 1)), these, others)
 
 
 def toward(directions: Tensor) -> Tensor:
