@@ -180,6 +180,9 @@ impl Tracker {
         for place in 0..HYPOTHESES {
             self.follow(place, elapsed, measurement, &mut frame);
         }
+        // before a pose is followed in the place of a leader that has ended
+        self.leading = self.leading.filter(|place| self.hypotheses[*place].is_some());
+        let kept = self.leading;
         if let Some(measurement) = measurement {
             for (_, pose) in measurement.modes().filter(|(mode, _)| !frame.explained[*mode]) {
                 self.propose(pose, time);
@@ -187,7 +190,7 @@ impl Tracker {
         }
         self.unite();
         self.choose();
-        Ok(self.told(before, measurement.is_some(), &frame))
+        Ok(self.told([before, kept], measurement.is_some(), &frame))
     }
 
     /// The motion at the time of the last frame; None without a track.
@@ -301,7 +304,6 @@ impl Tracker {
 
     /// Chooses who leads.
     fn choose(&mut self) {
-        self.leading = self.leading.filter(|place| self.hypotheses[*place].is_some());
         let score =
             |place: usize| self.hypotheses[place].map_or(0.0, |hypothesis| hypothesis.score);
         let best = self.best(|_| true);
@@ -327,13 +329,14 @@ impl Tracker {
         best.map(|(place, _)| place)
     }
 
-    fn told(&self, before: Option<usize>, measured: bool, frame: &Frame) -> Step {
+    /// What became of the frame, given who led before it and who of them it has left.
+    fn told(&self, [before, kept]: [Option<usize>; 2], measured: bool, frame: &Frame) -> Step {
         let estimate = self.estimate();
         let outcome = match (before, self.leading) {
             (None, None) => Outcome::Acquiring,
             (Some(_), None) => Outcome::Lost,
             (None, Some(_)) => Outcome::Accepted,
-            (Some(before), Some(now)) if before != now => Outcome::Switched,
+            (Some(_), now) if kept != now => Outcome::Switched,
             _ if frame.of_leader.is_some_and(|(_, _, accepted)| accepted) => Outcome::Accepted,
             _ if measured => Outcome::Gated,
             _ => Outcome::Coasted,

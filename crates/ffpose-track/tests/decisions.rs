@@ -92,6 +92,54 @@ fn what_is_not_seen_for_long_is_lost_and_found_again() {
     assert!(outcomes[43..].iter().all(|outcome| *outcome == Outcome::Accepted));
 }
 
+/// A track of `agreeing` frames or more, and what a frame `pause` seconds later makes of it, which shows another pose.
+fn after_a_pause(agreeing: f64, pause: f64) -> (Tracker, f64, Shown, ffpose_track::Step) {
+    let mut random = Random(7);
+    let mut tracker = Tracker::new(Parameters { agreeing, ..Parameters::default() }).unwrap();
+    for i in 0..8 {
+        let shown = Shown::tumbling(f64::from(i) * 0.5, &mut random).measurement();
+        tracker.step(f64::from(i) * 0.5, Some(&shown), STILL).unwrap();
+    }
+    let time = 3.5 + pause;
+    let mut other = flipped(&Shown::tumbling(time, &mut random));
+    other.position *= 0.5;
+    let step = tracker.step(time, Some(&other.measurement()), STILL).unwrap();
+    (tracker, time, other, step)
+}
+
+#[test]
+fn what_is_seen_elsewhere_after_a_loss_must_be_seen_again() {
+    let (mut tracker, time, other, step) = after_a_pause(4.0, 11.0);
+    assert_eq!((step.outcome, step.estimate, step.nis), (Outcome::Lost, None, None));
+    let outcomes = [0.5, 1.0, 1.5, 2.0].map(|later| {
+        tracker.step(time + later, Some(&other.measurement()), STILL).unwrap().outcome
+    });
+    use Outcome::{Accepted, Acquiring};
+    assert_eq!(outcomes, [Acquiring, Acquiring, Accepted, Accepted]);
+    // where one frame is enough, the track is another one
+    let (_, _, other, step) = after_a_pause(1.0, 11.0);
+    assert_eq!(step.outcome, Outcome::Switched);
+    assert!(away(&step.estimate.unwrap(), &other) < 0.01);
+}
+
+#[test]
+fn frames_that_no_longer_agree_end_a_track() {
+    let mut random = Random(9);
+    let mut tracker = tracker();
+    for i in 0..100 {
+        let t = f64::from(i) * 0.5;
+        let mut shown = Shown::tumbling(t, &mut random);
+        if i >= 10 {
+            shown.orientation = UnitQuaternion::from_scaled_axis(random.vector() * 2.0);
+        }
+        let step = tracker.step(t, Some(&shown.measurement()), STILL).unwrap();
+        match step.estimate {
+            None => assert_ne!(step.outcome, Outcome::Gated),
+            Some(one) => assert!(i < 40 && away(&one, &Shown::tumbling(t, &mut random)) < 0.2),
+        }
+    }
+}
+
 #[test]
 fn five_seconds_without_frames_are_coasted() {
     let mut random = Random(6);
