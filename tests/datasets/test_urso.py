@@ -182,6 +182,12 @@ CAMERA = {"width": 64, "height": 48, "fx": 32.0, "fy": 32.0, "cx": 32.0, "cy": 2
         (json.dumps(CAMERA | {"width": "64"}), "width: expected a whole number, got '64'"),
         (json.dumps(CAMERA | {"width": 64.5}), "width: expected a whole number, got 64.5"),
         (json.dumps(CAMERA | {"height": True}), "height: expected a whole number, got True"),
+        (json.dumps(CAMERA | {"height": 2**53}), "height: expected less than 2⁵³, got 9007"),
+        (json.dumps(CAMERA | {"distortion": 0}), "distortion: expected five numbers, got 0"),
+        (
+            json.dumps(CAMERA | {"distortion": [0.1, False, 0, 0, 0]}),
+            r"distortion: expected five numbers, got \[0\.1, False",
+        ),
         (json.dumps(CAMERA | {"fx": "32"}), "fx: expected a number, got '32'"),
         (json.dumps(CAMERA | {"fx": -1.0}), "expected fx > 0"),
         (json.dumps(CAMERA | {"fx": float("nan")}), "expected finite"),

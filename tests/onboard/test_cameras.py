@@ -4,9 +4,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
+from ffpose.errors import DataError
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
@@ -87,6 +89,93 @@ def test_a_camera_that_cannot_be_used_is_told_in_one_line(run, tmp_path, model):
     code, _, errors = run(model, "--stdin", "--camera", file, "--resize")
     assert (code, len(errors)) == (2, 1)
     assert "expected --camera or --resize, got both" in errors[0]
+
+
+FIELDS = '"width": 128, "height": 96, "fx": 100, "fy": 100, "cx": 64, "cy": 48'
+NO_LENS = '"distortion": [0, 0, 0, 0, 0]'
+ACCEPTED = {
+    "plain": f"{{{FIELDS}}}",
+    "a byte order mark": f"\ufeff{{{FIELDS}}}\n",
+    "white space": f" \t\r\n{{{FIELDS}}}\n",
+    "an escaped name": f"{{{FIELDS}}}".replace('"cy"', r'"c\u0079"'),
+    "fractions of zero": f"{{{FIELDS}}}".replace("128", "1.28e2").replace("96", "96.0"),
+    "a large size": f"{{{FIELDS}}}".replace("128", "9007199254740991"),
+    "a center outside": f"{{{FIELDS}}}".replace("64", "-6.4e300"),
+    "a lens": f'{{{FIELDS}, "distortion": [-0.3, 0.1, 1e-2, -5E-3, 0]}}',
+    "no lens": f"{{{FIELDS}, {NO_LENS}}}",
+    "a long whole number": f"{{{FIELDS}}}".replace('"cx": 64', f'"cx": 1{"0" * 300}'),
+}
+REFUSED = {
+    "empty": "",
+    "no object": "[128, 96, 100, 100, 64, 48]",
+    "null": "null",
+    "two objects": f"{{{FIELDS}}}{{}}",
+    "two byte order marks": f"\ufeff\ufeff{{{FIELDS}}}",
+    "a comment": f"{{{FIELDS}}} // mine",
+    "another white space": f"{{{FIELDS}}}\u00a0",
+    "a trailing comma": f"{{{FIELDS},}}",
+    "a missing key": f"{{{FIELDS}}}".replace(', "cy": 48', ""),
+    "another key": f'{{{FIELDS}, "skew": 0}}',
+    "a key twice": f'{{{FIELDS}, "cy": 48}}',
+    "a key twice, escaped": f'{{{FIELDS}, "c\\u0079": 48}}',
+    "a lens twice": f"{{{FIELDS}, {NO_LENS}, {NO_LENS}}}",
+    "no width": f"{{{FIELDS}}}".replace("128", "0"),
+    "a negative height": f"{{{FIELDS}}}".replace("96", "-96"),
+    "a fraction": f"{{{FIELDS}}}".replace("128", "128.5"),
+    "a size beyond floats": f"{{{FIELDS}}}".replace("128", "9007199254740993"),
+    "a huge size": f"{{{FIELDS}}}".replace("128", "1e300"),
+    "a size of 400 digits": f"{{{FIELDS}}}".replace("128", f"1{'0' * 400}"),
+    "a string": f"{{{FIELDS}}}".replace("128", '"128"'),
+    "true": f"{{{FIELDS}}}".replace("64", "true"),
+    "no number": f"{{{FIELDS}}}".replace("64", "NaN"),
+    "infinity": f"{{{FIELDS}}}".replace("64", "-Infinity"),
+    "beyond floats": f"{{{FIELDS}}}".replace("64", "1e400"),
+    "a focal length of zero": f"{{{FIELDS}}}".replace('"fx": 100', '"fx": 1e-400'),
+    "a negative focal length": f"{{{FIELDS}}}".replace('"fy": 100', '"fy": -100'),
+    "a lens of null": f'{{{FIELDS}, "distortion": null}}',
+    "a lens of four": f'{{{FIELDS}, "distortion": [0, 0, 0, 0]}}',
+    "a lens of six": f'{{{FIELDS}, "distortion": [0, 0, 0, 0, 0, 0]}}',
+    "a lens with false": f'{{{FIELDS}, "distortion": [0.1, false, 0, 0, 0]}}',
+    "a lens of strings": f'{{{FIELDS}, "distortion": ["0", "0", "0", "0", "0"]}}',
+    "a nested lens": f'{{{FIELDS}, "distortion": [[0, 0, 0, 0, 0]]}}',
+    "a lens that folds": f'{{{FIELDS}, "distortion": [-1, 0, 0, 0, 0]}}',
+    "a tangential lens that folds": f'{{{FIELDS}, "distortion": [0, 0, 1.5, 0, 0]}}',
+}
+
+
+def is_read(path):
+    try:
+        Camera.read(path)
+    except DataError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    ("text", "accepted"),
+    [(text, True) for text in ACCEPTED.values()] + [(text, False) for text in REFUSED.values()],
+    ids=[*ACCEPTED, *REFUSED],
+)
+def test_a_camera_file_is_read_or_refused_by_both(run, tmp_path, model, text, accepted):
+    path = tmp_path / "camera.json"
+    path.write_text(text, encoding="utf-8")
+    code, _, errors = run(model, "--stdin", "--camera", path)
+    assert (is_read(path), code == 0) == (accepted, accepted), errors
+    assert accepted or (code, len(errors)) == (1, 1)
+
+
+def test_the_same_lenses_fold_the_image_for_both(run, tmp_path, model):
+    path = tmp_path / "camera.json"
+    generator = np.random.default_rng(0)
+    verdicts = []
+    for strength in np.geomspace(0.1, 1.5, 24):
+        lens = (strength * generator.normal(size=5) * (1, 1, 0.2, 0.2, 1)).tolist()
+        path.write_text(f'{{{FIELDS}, "distortion": {json.dumps(lens)}}}')
+        code, _, errors = run(model, "--stdin", "--camera", path)
+        assert is_read(path) == (code == 0), lens
+        assert code == 0 or "which folds it" in errors[0]
+        verdicts.append(code)
+    assert 5 <= sum(verdicts) <= 19  # of both kinds
 
 
 def test_images_are_undistorted_as_those_trained_on(run, folder, tmp_path):

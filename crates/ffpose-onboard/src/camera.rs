@@ -3,13 +3,17 @@
 use std::fmt;
 use std::path::Path;
 
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use crate::error::{Error, Result};
-use crate::files;
+use crate::json;
+use crate::undistortion::bend;
 
-/// Largest number of bytes of a camera's file.
-const MAX_BYTES: u64 = 1 << 16;
+/// Above any side: from here on not every whole number is a float.
+const SIDE_LIMIT: f64 = 9_007_199_254_740_992.0; // 2^53
+
+/// Parts of each side of the image at whose corners a distortion is checked.
+const PARTS: u32 = 32;
 
 const NAMES: [&str; 6] = ["width", "height", "fx", "fy", "cx", "cy"];
 
@@ -38,36 +42,48 @@ impl Camera {
     /// # Errors
     /// It is no file that can be read, or no camera.
     pub fn read(path: &Path) -> Result<Self> {
-        let data = files::read(path, MAX_BYTES);
-        let value = data.and_then(|data| {
-            serde_json::from_slice(&data).map_err(|error| Error::new(error.to_string()))
-        });
-        value.and_then(|value| Self::from_json(&value)).map_err(|error| error.of(path.display()))
+        let fields = json::read_fields(path);
+        fields.and_then(|fields| Self::of(&fields)).map_err(|error| error.of(path.display()))
     }
 
     /// Reads a camera of the keys width, height, fx, fy, cx, cy and, where there is a lens, distortion.
     ///
     /// # Errors
-    /// A key is missing or another, a number is not finite, or a size or focal length is not above zero.
+    /// As of [`Self::of`], or it is no object.
     pub fn from_json(value: &Value) -> Result<Self> {
-        let expected = |what: &str| Error::new(format!("camera: expected {what}, got {value}"));
-        let fields = value.as_object().ok_or_else(|| expected("an object"))?;
+        let fields = value.as_object();
+        fields.ok_or_else(|| refused("an object", value)).and_then(Self::of)
+    }
+
+    /// Reads a camera of fields; width and height may have a fraction of zero.
+    ///
+    /// # Errors
+    /// A key is missing or another, a number is not finite, a size or focal length is not above zero, or the distortion folds the
+    /// image.
+    fn of(fields: &Map<String, Value>) -> Result<Self> {
+        let keys = format!("the keys {}, and distortion of a lens that has it", NAMES.join(", "));
+        if let Some(missing) = NAMES.iter().find(|name| !fields.contains_key(**name)) {
+            return Err(refused(&keys, format!("none of the name {missing}")));
+        }
         let is_known = |name: &String| NAMES.contains(&name.as_str()) || name == "distortion";
-        if !fields.keys().all(is_known) || NAMES.iter().any(|name| !fields.contains_key(*name)) {
-            return Err(expected(&format!("the keys {}", NAMES.join(", "))));
+        if let Some(other) = fields.keys().find(|name| !is_known(name)) {
+            return Err(refused(&keys, format!("{other} too")));
         }
         let side = |name: &str| {
-            let side = fields[name].as_u64().filter(|&side| side > 0);
-            side.and_then(|side| usize::try_from(side).ok())
-                .ok_or_else(|| expected(&format!("a {name} of at least 1")))
+            let is_side = |side: &f64| (1.0..SIDE_LIMIT).contains(side) && side.fract() == 0.0;
+            let side = fields[name].as_f64().filter(is_side);
+            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+            // a whole number, as it was tested
+            let side = side.and_then(|side| usize::try_from(side as u64).ok());
+            side.ok_or_else(|| refused(&format!("a {name} of 1 pixel or more"), &fields[name]))
         };
         let number = |name: &str| {
             let number = fields[name].as_f64().filter(|number| number.is_finite());
-            number.ok_or_else(|| expected(&format!("a finite {name}")))
+            number.ok_or_else(|| refused(&format!("a finite {name}"), &fields[name]))
         };
         let distortion = fields.get("distortion").map(|value| {
             let numbers = serde_json::from_value::<[f64; 5]>(value.clone()).ok();
-            numbers.ok_or_else(|| expected("a distortion of five numbers"))
+            numbers.ok_or_else(|| refused("a distortion of five numbers", value))
         });
         let camera = Self {
             width: side("width")?,
@@ -78,7 +94,36 @@ impl Camera {
             cy: number("cy")?,
             distortion: distortion.transpose()?,
         };
-        if camera.fx.min(camera.fy) > 0.0 { Ok(camera) } else { Err(expected("fx > 0 and fy > 0")) }
+        let (fx, fy) = (camera.fx, camera.fy);
+        if fx.min(fy) <= 0.0 {
+            return Err(refused("fx > 0 and fy > 0", format!("{fx}, {fy}")));
+        }
+        match camera.distortion {
+            Some(lens) if camera.is_folded(lens) => Err(refused(
+                "different pixels for different rays of the image",
+                format!("a distortion of {lens:?}, which folds it"),
+            )),
+            _ => Ok(camera),
+        }
+    }
+
+    /// Whether a lens turns a cell of a grid of the pinhole's pixels over into the image; the order of operations is that of Python.
+    fn is_folded(&self, lens: [f64; 5]) -> bool {
+        let (width, height) = (self.width as f64, self.height as f64);
+        let share = |place: u32| f64::from(place) / f64::from(PARTS);
+        let seen = |row: u32, column: u32| {
+            let x = (share(column) * width - self.cx) / self.fx;
+            let y = (share(row) * height - self.cy) / self.fy;
+            let [u, v] = bend([x, y], lens);
+            [u * self.fx + self.cx, v * self.fy + self.cy]
+        };
+        let is_turned = |row: u32, column: u32| {
+            let [u, v] = seen(row, column);
+            let ([right, low], [left, down]) = (seen(row, column + 1), seen(row + 1, column));
+            let area = (right - u) * (down - v) - (low - v) * (left - u);
+            area <= 0.0 && (0.0..=width).contains(&u) && (0.0..=height).contains(&v)
+        };
+        (0..PARTS).any(|row| (0..PARTS).any(|column| is_turned(row, column)))
     }
 
     /// Refuses an image of another aspect ratio than this camera's.
@@ -119,6 +164,10 @@ impl Camera {
     }
 }
 
+fn refused(expected: &str, got: impl fmt::Display) -> Error {
+    Error::new(format!("camera: expected {expected}, got {got}"))
+}
+
 impl fmt::Display for Camera {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "{}x{}", self.width, self.height)
@@ -141,6 +190,8 @@ mod tests {
         let camera = Camera::from_json(&fields).unwrap();
         assert_eq!((camera.width, camera.height, camera.fy, camera.cx), (128, 96, 101.5, 64.0));
         assert_eq!((camera.distortion, camera.to_string().as_str()), (None, "128x96"));
+        fields["width"] = json!(128.0);
+        assert_eq!(Camera::from_json(&fields).unwrap(), camera);
         fields["distortion"] = json!([0.1, 0, -0.2, 1e-3, 0]);
         let distortion = Camera::from_json(&fields).unwrap().distortion;
         assert_eq!(distortion, Some([0.1, 0.0, -0.2, 0.001, 0.0]));
@@ -149,23 +200,40 @@ mod tests {
     #[test]
     fn what_is_no_camera_is_refused() {
         for (name, value, message) in [
-            ("width", json!(0), "expected a width of at least 1"),
-            ("height", json!(96.5), "expected a height of at least 1"),
+            ("width", json!(0), "expected a width of 1 pixel or more, got 0"),
+            ("width", json!("128"), "expected a width of 1 pixel or more, got \"128\""),
+            ("width", json!(9_007_199_254_740_992_u64), "expected a width of 1 pixel or more"),
+            ("height", json!(96.5), "expected a height of 1 pixel or more, got 96.5"),
             ("fx", json!("100"), "expected a finite fx"),
             ("fy", json!(0), "expected fx > 0 and fy > 0"),
             ("cx", Value::Null, "expected a finite cx"),
-            ("skew", json!(0), "expected the keys width, height, fx, fy, cx, cy"),
+            ("skew", json!(0), "expected the keys width, height, fx, fy, cx, cy, and distortion"),
+            ("skew", json!(0), "got skew too"),
             ("distortion", json!([0, 0, 0, 0]), "expected a distortion of five numbers"),
             ("distortion", Value::Null, "expected a distortion of five numbers"),
+            ("distortion", json!([-0.9, 0, 0, 0, 0]), "[-0.9, 0.0, 0.0, 0.0, 0.0], which folds it"),
         ] {
             let mut fields = document();
             fields[name] = value;
             let error = Camera::from_json(&fields).unwrap_err().to_string();
             assert!(error.contains(message), "{error}");
         }
-        assert!(Camera::from_json(&json!({"width": 128, "height": 96})).is_err());
-        assert!(Camera::from_json(&json!([128, 96])).is_err());
+        let error = |value| Camera::from_json(&value).unwrap_err().to_string();
+        assert!(error(json!({"width": 128, "height": 96})).contains("got none of the name fx"));
+        assert!(error(json!([128, 96])).contains("expected an object, got [128,96]"));
         assert!(Camera::read(Path::new("/nowhere/at/all")).is_err());
+    }
+
+    #[test]
+    fn a_lens_folds_the_image_where_rays_farther_out_are_seen_nearer() {
+        // x (1 + k1 x²) rises up to x² = -1 / (3 k1): the image reaches to 0.64 across, from a cell that begins at 0.6
+        let mut fields = document();
+        fields["cy"] = json!(0);
+        fields["height"] = json!(1);
+        for (k1, is_folded) in [(-0.8, false), (-0.9, true)] {
+            fields["distortion"] = json!([k1, 0, 0, 0, 0]);
+            assert_eq!(Camera::from_json(&fields).is_err(), is_folded, "{k1}");
+        }
     }
 
     #[test]

@@ -11,6 +11,7 @@ use serde_json::{Map, Value};
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::files;
 use crate::metadata::Metadata;
 use crate::model::Model;
 use crate::options::{Setup, Taken};
@@ -129,7 +130,7 @@ impl Estimator {
 /// Opens the looks beside a model, `X.track.onnx` of `X.onnx`; None where there are none.
 fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
     let path = setup.model.with_extension("track.onnx");
-    if !path.exists() {
+    if !files::exists(&path)? {
         return Ok(None);
     }
     let beside = Model::read(&path, None)?;

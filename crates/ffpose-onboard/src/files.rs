@@ -30,6 +30,15 @@ pub fn read(path: &Path, limit: u64) -> Result<Vec<u8>> {
     Ok(data)
 }
 
+/// Whether there is a file, also one that cannot be read.
+///
+/// # Errors
+/// Its folder does not tell.
+pub fn exists(path: &Path) -> Result<bool> {
+    path.try_exists()
+        .map_err(|error| Error::new(format!("cannot be read: {error}")).of(path.display()))
+}
+
 /// Opens a file for reading, without waiting for the other end of a named pipe.
 fn open(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
@@ -72,6 +81,7 @@ mod tests {
     fn only_regular_files_are_read() {
         assert_eq!(refusal(&temp_dir(), 9), "expected a regular file, got a folder");
         assert!(refusal(Path::new("/nowhere/at/all"), 9).starts_with("cannot be read: "));
+        assert!(exists(&temp_dir()).unwrap() && !exists(Path::new("/nowhere/at/all")).unwrap());
         #[cfg(unix)]
         {
             let zeros = refusal(Path::new("/dev/zero"), 9);

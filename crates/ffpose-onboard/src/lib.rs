@@ -12,6 +12,7 @@ pub mod estimator;
 mod files;
 pub mod frames;
 mod graph;
+mod json;
 mod levels;
 mod metadata;
 mod model;

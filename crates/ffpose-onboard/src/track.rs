@@ -1,6 +1,6 @@
 //! A track of the poses, its state in a file, and its lines.
 
-use std::fs::{File, rename};
+use std::fs::{File, remove_file, rename};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -10,11 +10,9 @@ use serde_json::{Map, Value, json};
 use crate::error::{Error, Result};
 use crate::estimator::Estimator;
 use crate::files;
+use crate::json;
 use crate::options::TrackFiles;
 use crate::pose::{Meaning, Outputs, document};
-
-/// Largest number of bytes of the settings' file.
-const MAX_BYTES: u64 = 1 << 16;
 
 /// A track, and the file of its state.
 pub struct Track {
@@ -36,7 +34,9 @@ impl Track {
             tag: *estimator.digest(),
             state: files.state.clone(),
         };
-        if let Some(path) = files.state.as_deref().filter(|path| path.exists()) {
+        if let Some(path) = &files.state
+            && files::exists(path)?
+        {
             track.restore(path)?;
         }
         Ok(track)
@@ -107,15 +107,18 @@ impl Track {
 
     /// Writes the state, by a file beside that is renamed: after a loss of power there is the old one or the new one.
     pub(crate) fn save(&self, path: &Path) -> Result<()> {
-        let beside = path.with_extension("new");
+        let mut beside = path.as_os_str().to_owned();
+        beside.push(".new"); // a name of its own for each state
         let write = || {
             let mut file = File::create(&beside)?;
             file.write_all(&self.tracker.to_bytes(&self.tag))?;
             file.sync_all()?;
             rename(&beside, path)
         };
-        write()
-            .map_err(|error| Error::new(format!("cannot be written: {error}")).of(path.display()))
+        write().map_err(|error| {
+            let _ = remove_file(&beside); // it may not be there
+            Error::new(format!("cannot be written: {error}")).of(path.display())
+        })
     }
 
     /// Takes up a state.
@@ -146,17 +149,15 @@ fn parameters(estimator: &Estimator, file: Option<&Path>) -> Result<Parameters> 
     }
     set(&mut parameters, estimator.tracking())?;
     if let Some(path) = file {
-        let settings = read_settings(path).map_err(|error| error.of(path.display()))?;
-        set(&mut parameters, &settings).map_err(|error| error.of(path.display()))?;
+        let settings = json::read_fields(path);
+        settings
+            .and_then(|settings| set(&mut parameters, &settings))
+            .map_err(|error| error.of(path.display()))?;
     }
     Ok(parameters)
 }
 
-fn read_settings(path: &Path) -> Result<Map<String, Value>> {
-    serde_json::from_slice(&files::read(path, MAX_BYTES)?)
-        .map_err(|error| Error::new(format!("expected an object: {error}")))
-}
-
+/// Sets what settings name, and checks them all.
 fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()> {
     for (name, value) in settings {
         let values: Option<Vec<f64>> = match value {
@@ -166,7 +167,7 @@ fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()>
         let set = parameters.set(name, &values.unwrap_or_default());
         set.map_err(|error| Error::new(format!("{name}: {error}, got {value}")))?;
     }
-    Ok(())
+    parameters.check().map_err(|error| Error::new(error.to_string()))
 }
 
 /// What a network says of a frame, as a tracker takes it.

@@ -30,7 +30,7 @@ pub fn undistort(picture: &Picture, camera: &Camera, distortion: [f64; 5]) -> Pi
 }
 
 /// Returns where the lens sends a ray `(x/z, y/z)`; the order of operations is that of Python.
-fn bend([x, y]: [f64; 2], [k1, k2, p1, p2, k3]: [f64; 5]) -> [f64; 2] {
+pub fn bend([x, y]: [f64; 2], [k1, k2, p1, p2, k3]: [f64; 5]) -> [f64; 2] {
     let square = x * x + y * y;
     let radial = 1.0 + square * (k1 + square * (k2 + square * k3));
     let u = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x);

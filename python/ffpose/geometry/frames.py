@@ -67,7 +67,7 @@ class Camera:
         Raises:
             FileNotFoundError: The file does not exist.
             DataError: The file is not JSON, lacks a key or has another or one twice, or the values
-                are not a valid camera.
+                are not a valid camera, among them a width or height of 2⁵³ or more.
         """
         values = read_json(Path(path))
         names = [field.name for field in fields(Camera)]
@@ -85,7 +85,14 @@ class Camera:
             if type(value) not in ((int,) if whole else (int, float)):
                 kind = "a whole number" if whole else "a number"
                 raise DataError(f"{name}: expected {kind}, got {shortened(value)}", path)
+            if whole and value >= 2**53:  # above, not every whole number is a float
+                raise DataError(f"{name}: expected less than 2⁵³, got {shortened(value)}", path)
+        lens = values.get("distortion", [])
+        if not isinstance(lens, list) or any(type(part) not in (int, float) for part in lens):
+            raise DataError(f"distortion: expected five numbers, got {shortened(lens)}", path)
         try:
+            if "distortion" in values:
+                values["distortion"] = tuple(map(float, lens))
             return DistortedCamera(**values) if "distortion" in values else Camera(**values)
         except OverflowError as error:  # an integer of hundreds of digits
             raise DataError(f"expected finite numbers: {error}", path) from error
@@ -175,7 +182,8 @@ class DistortedCamera(Camera):
         focal, center = (self.fx, self.fy), (self.cx, self.cy)
         seen = self.distort((pixels - center) / focal) * focal + center
         right, down = (np.diff(seen, axis=axis) for axis in (1, 0))
-        turned = np.linalg.det(np.stack([right[:-1], down[:, :-1]], axis=-1)) <= 0
+        right, down = right[:-1], down[:, :-1]
+        turned = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0] <= 0
         corners = seen[:-1, :-1]
         within = ((corners >= 0) & (corners <= size)).all(axis=-1)
         if np.any(turned & within):

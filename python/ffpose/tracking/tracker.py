@@ -9,7 +9,6 @@ states too: first-order Gauss-Markov processes in the angle turned, not in time.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ffpose import _rust
+from ffpose._internal.files import read_json, shortened
 from ffpose.errors import DataError
 from ffpose.geometry import FloatArray, Pose
 
@@ -118,19 +118,17 @@ def read_settings(path: Path | None, network: Description) -> Settings:
     """
     if path is None:
         return Settings.of(network)
-    try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise DataError(f"expected a JSON object: {error}", path) from error
+    told = read_json(path)
     try:
         if not isinstance(told, dict):
             raise ValueError(f"expected a JSON object, got {type(told).__name__}")
         for name, value in told.items():
-            if not all(isinstance(each, int | float) for each in np.ravel(value).tolist()):
-                raise ValueError(f"{name}: expected numbers, got {value!r}")
+            numbers = value if isinstance(value, list) else [value]
+            if any(type(number) not in (int, float) for number in numbers):
+                raise ValueError(f"{name}: expected numbers, got {shortened(value)}")
         settings = Settings.of(network, told)
         Tracker(settings)
-    except (TypeError, ValueError) as error:
+    except (OverflowError, TypeError, ValueError) as error:
         raise DataError(str(error), path) from error
     return settings
 
