@@ -140,6 +140,9 @@ def test_bad_images_are_told_and_the_loop_goes_on(run, folder, model):
     deep = png(Image.fromarray(np.full((96, 128), 40_000, np.uint16)))
     altered = bytearray(whole)
     altered[len(whole) // 2] ^= 1
+    header = (128).to_bytes(4) + (96).to_bytes(4) + bytes([8, 0, 0, 0, 0])
+    rows = zlib.compress(bytes(129 * 96))
+    rows = rows[:-1] + bytes([rows[-1] ^ 1])  # zlib's own checksum, Adler-32
     files = {
         "a_cut.png": (whole[: len(whole) // 2], "damaged PNG"),
         "b_cut.jpg": (photo[:-30], "damaged JPEG file: it is cut short"),
@@ -149,13 +152,14 @@ def test_bad_images_are_told_and_the_loop_goes_on(run, folder, model):
         "f_print.jpg": (jpeg(picture(mode="CMYK")), "expected gray or color of RGB or YCbCr"),
         "g_altered.png": (bytes(altered), "damaged PNG"),
         "h_good.png": (whole, None),
+        "h_zlib.png": (png_of_chunks(IHDR=header, IDAT=rows, IEND=b""), "damaged PNG"),
     }
     images = folder({name: data for name, (data, _) in files.items()})
     (images / "labels.csv").write_text("not an image, and not meant as one")
     (images / "i_folder.png").mkdir()
     code, documents, errors = run(model, "--images", images)
     assert code == 3
-    assert errors == ["ffpose-onboard: 8 of 9 images have no pose"]
+    assert errors == ["ffpose-onboard: 9 of 10 images have no pose"]
     for document, (name, (_, message)) in zip(documents[:-1], files.items(), strict=True):
         assert document["image"] == str(images / name)
         assert (message is None) == ("error" not in document)

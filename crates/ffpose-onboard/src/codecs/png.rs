@@ -18,6 +18,7 @@ pub const MAGIC: &[u8] = b"\x89PNG\r\n\x1a\n";
 pub fn decode(data: &[u8], white: Option<White>) -> Result<Picture> {
     let failed = |error: DecodingError| Error::new(format!("damaged PNG file: {error}"));
     let mut decoder = Decoder::new(Cursor::new(data));
+    decoder.ignore_checksums(false); // else zlib's own is not computed
     decoder.set_ignore_text_chunk(true); // which may say that they are large
     decoder.set_ignore_iccp_chunk(true);
     decoder.set_transformations(Transformations::EXPAND); // palettes and fewer bits, to 8
