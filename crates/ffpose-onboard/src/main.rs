@@ -1,7 +1,7 @@
 //! Poses from images without Python: a model of `ffpose export` in ONNX Runtime, one JSON line per image.
 
 use std::env;
-use std::io;
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 use ffpose_onboard::answers::Answers;
@@ -19,25 +19,33 @@ fn main() -> ExitCode {
     let options = match Command::parse(env::args_os().skip(1)) {
         Ok(Command::Run(options)) => options,
         Ok(Command::Print(text)) => {
-            println!("{text}");
+            if let Err(error) = writeln!(io::stdout(), "{text}") {
+                say(&format!("standard output cannot be written: {error}"));
+                return FAILED.into();
+            }
             return ExitCode::SUCCESS;
         }
         Err(message) => {
-            eprintln!("ffpose-onboard: {message}; --help tells more");
+            say(&format!("{message}; --help tells more"));
             return WRONG_USAGE.into();
         }
     };
     match run(&options) {
         Ok(Outcome { failed: 0, .. }) => ExitCode::SUCCESS,
         Ok(Outcome { images, failed }) => {
-            eprintln!("ffpose-onboard: {failed} of {images} images have no pose");
+            say(&format!("{failed} of {images} images have no pose"));
             SOME_FAILED.into()
         }
         Err(error) => {
-            eprintln!("ffpose-onboard: {error}");
+            say(&error.to_string());
             FAILED.into()
         }
     }
+}
+
+/// Writes a line to standard error, where there is somebody who reads it.
+fn say(text: &str) {
+    let _ = writeln!(io::stderr(), "ffpose-onboard: {text}");
 }
 
 struct Outcome {
