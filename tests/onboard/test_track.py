@@ -1,15 +1,20 @@
 """Tracks of the program and of its C library: those of Python, kept through a restart, in time."""
 
+import ctypes
 import json
+import re
 import shutil
 import subprocess
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.onnx.metadata import read_model_metadata, sealed
 from ffpose.tracking import Settings, Tracker
+from ffpose.tracking.tracker import read_settings
 from onboard_program import CRATE, steady
 
 pytest.importorskip("onnx")
@@ -119,10 +124,20 @@ def test_what_is_no_track_is_told(run, models, frames, tmp_path):
     errors = [each["error"] for each in documents]
     assert errors[1] == 'time: expected seconds before the path, got "now"'
     assert errors[2] == "time: expected later than 1 s, the frame before, got 1 s"
-    settings = settings_file(tmp_path, speed=1)
-    code, _, (error,) = run(models, "--track", "--settings", settings)
-    assert code == 1
-    assert "speed: expected a setting of the tracker" in error
+    for text, message in [
+        ('{"speed": 1}', "speed: expected a setting of the tracker"),
+        ('{"gate": -1}', "settings.json: gate: expected a number above 0, got -1"),
+        ('{"gate": 20, "gate": 30}', 'settings.json: .* each key once, got "gate" twice'),
+        ('{"gate": true}', "gate: expected a number, got true"),
+        ("[20]", "settings.json: expected a JSON object"),
+    ]:
+        settings = tmp_path / "settings.json"
+        settings.write_text(text)
+        code, _, (error,) = run(models, "--track", "--settings", settings)
+        assert code == 1
+        assert re.search(message, error), error
+        with pytest.raises(DataError):
+            read_settings(settings, read_model_metadata(models))
     code, _, (error,) = run(models.with_suffix(".track.onnx"), "--stdin")
     assert code == 1
     assert "expected a model of whole frames" in error
@@ -188,3 +203,112 @@ def test_errors_for_c_are_codes_and_sentences(call, models, frames, tmp_path):
     assert [row[0] for row in rows] == ["2", "0", "2", "2"]
     assert "96x96" in " ".join(rows[0])
     assert "at most 89478485" in " ".join(rows[2])
+
+
+class Words(ctypes.Structure):
+    """ffpose_settings."""
+
+    _fields_: ClassVar = [
+        *((name, ctypes.c_char_p) for name in ("model", "runtime", "operators", "camera")),
+        *((name, ctypes.c_char_p) for name in ("track", "sha256")),
+        *((name, ctypes.c_uint32) for name in ("threads", "resize")),
+    ]
+
+
+class Pixels(ctypes.Structure):
+    """ffpose_image."""
+
+    _fields_: ClassVar = [
+        ("pixels", ctypes.c_void_p),
+        *((name, ctypes.c_uint32) for name in ("width", "height", "channels")),
+        ("stride", ctypes.c_size_t),
+    ]
+
+
+@pytest.fixture
+def library(program):
+    found = sorted(program.parent.glob("*ffpose_onboard.*"))
+    library = ctypes.CDLL(str(next(path for path in found if path.suffix in {".so", ".dylib"})))
+    library.ffpose_error.restype = ctypes.c_char_p
+    for name, kinds in {
+        "pose": [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p],
+        "save": [ctypes.c_void_p, ctypes.c_char_p],
+        "restore": [ctypes.c_void_p, ctypes.c_char_p],
+        "close": [ctypes.c_void_p],
+    }.items():
+        getattr(library, f"ffpose_{name}").argtypes = kinds
+    return library
+
+
+@pytest.fixture
+def opened(library, runtime, models):
+    """Opens a model for C; returns code and handle."""
+    handles = []
+
+    def opened(**words):
+        given = {"model": bytes(models), "runtime": bytes(runtime), "threads": 1} | words
+        handle = ctypes.c_void_p()
+        code = library.ffpose_open(ctypes.byref(Words(**given)), ctypes.byref(handle))
+        handles.append(handle)
+        return code, handle
+
+    yield opened
+    for handle in handles:
+        library.ffpose_close(handle)
+
+
+def ask(library, handle, levels, seconds=0.0, **fields):
+    """Poses levels of gray ``(h, w)``; returns the code, and the pose's numbers, position first."""
+    height, width = levels.shape
+    image = Pixels(levels.ctypes.data, width, height, 1, 0)
+    for name, value in fields.items():
+        setattr(image, name, value)
+    pose = (ctypes.c_double * 40)()
+    code = library.ffpose_pose(handle, ctypes.byref(image), seconds, ctypes.byref(pose))
+    return code, list(pose)
+
+
+def test_a_limit_for_c_may_be_any_number(library, opened):
+    _, handle = opened()
+    levels = np.full((96, 128), 100, np.uint8)
+    for seconds in (0, -0.0, 60, 1e18, 1e19, 1e300, np.inf):
+        assert ask(library, handle, levels, seconds)[0] == 0, seconds
+    for seconds in (1e-9, -1, -np.inf):
+        assert ask(library, handle, levels, seconds)[0] == 1, seconds
+    assert ask(library, handle, levels, np.nan)[0] == 2
+    assert library.ffpose_error() == b"seconds: expected a number, got NaN"
+
+
+def test_rows_for_c_may_be_apart_but_not_upside_down(library, opened):
+    _, handle = opened()
+    wide = np.random.default_rng(0).integers(0, 100, (96, 200), np.uint8)
+    code, pose = ask(library, handle, np.ascontiguousarray(wide[:, :128]))
+    assert code == 0
+    assert ask(library, handle, wide, width=128, stride=200) == (code, pose)
+    for stride in (127, 2**64 - 128, 2**63 - 1, 2**63 // 96 + 1):
+        assert ask(library, handle, wide, width=128, stride=stride)[0] == 2
+        assert library.ffpose_error().endswith(f"got {stride}".encode())
+    assert ask(library, handle, wide, pixels=None)[0] == 2
+    assert library.ffpose_error() == b"pixels: expected the image's, got null"
+
+
+def test_no_more_threads_than_the_program_takes(library, opened):
+    code, handle = opened(threads=1025)
+    assert (code, handle.value) == (2, None)
+    assert library.ffpose_error() == b"threads: expected at most 1024, got 1025"
+
+
+def test_a_state_of_any_name_is_renamed_from_one_of_its_own(library, opened, tmp_path):
+    _, handle = opened()
+    folder = tmp_path / "states"
+    folder.mkdir()
+    names = ["a.state", "a.1", "a.new", "a"]
+    for name in names:
+        assert library.ffpose_save(handle, bytes(folder / name)) == 0
+        before = (folder / name).stat().st_ino
+        assert library.ffpose_save(handle, bytes(folder / name)) == 0
+        assert (folder / name).stat().st_ino != before  # another file, that was whole before
+    assert {path.name for path in folder.iterdir()} == set(names)
+    assert library.ffpose_save(handle, bytes(folder)) == 2  # no file can take its place
+    assert [path.name for path in tmp_path.glob("states*")] == ["states"]
+    assert library.ffpose_restore(handle, bytes(folder / "a.new")) == 0

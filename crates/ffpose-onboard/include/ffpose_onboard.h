@@ -4,8 +4,8 @@
  * (w, x, y, z) of norm 1. A handle is used by one thread at a time; handles are independent, but the first one opened
  * chooses ONNX Runtime's library for the process.
  *
- * Every function returns one of ffpose_code; ffpose_error() tells the thread's last error in a sentence. Nothing is thrown or
- * printed, and the process is not ended.
+ * Every function returns one of ffpose_code; ffpose_error() tells the thread's last error in a sentence. Nothing is thrown.
+ * Nothing is printed but where a panic was, on standard error. Nothing ends the process but a lack of memory. Paths are UTF-8.
  */
 #ifndef FFPOSE_ONBOARD_H
 #define FFPOSE_ONBOARD_H
@@ -20,7 +20,7 @@ extern "C" {
 typedef enum {
   FFPOSE_OK = 0,
   FFPOSE_LATE = 1,   /* the deadline passed: of a track the motion is there, coasted; of a pose nothing */
-  FFPOSE_FAILED = 2, /* ffpose_error() says why; the track is as it was */
+  FFPOSE_FAILED = 2, /* ffpose_error() says why; the track is as it was, and nothing was written to the caller's memory */
   FFPOSE_NULL = 3,   /* a pointer that must not be null is */
   FFPOSE_PANIC = 4   /* a bug of the library; close the handle */
 } ffpose_code;
@@ -37,7 +37,7 @@ typedef enum {
 
 typedef struct ffpose ffpose;
 
-/* Paths; null where not needed. Zero everything first: struct fields may be added. */
+/* Paths; null where not needed. Zero everything first: a later version, for which programs are compiled anew, may add fields. */
 typedef struct {
   const char *model;     /* X.onnx of `ffpose export`; X.track.onnx beside it is opened too where it is there */
   const char *runtime;   /* ONNX Runtime's library; null: ORT_DYLIB_PATH, else libonnxruntime.so */
@@ -45,11 +45,11 @@ typedef struct {
   const char *camera;    /* JSON of the camera that takes the images, if another than the model's */
   const char *track;     /* JSON of a track's settings */
   const char *sha256;    /* that the model's file must have, 64 hexadecimal digits */
-  uint32_t threads;      /* that an image is computed with; 0: ONNX Runtime's choice */
+  uint32_t threads;      /* that an image is computed with, up to 1,024; 0: ONNX Runtime's choice */
   uint32_t resize;       /* other than 0: images of any aspect ratio, as if the model's camera had taken them */
 } ffpose_settings;
 
-/* The caller's pixels, of which a copy is made: 8 bits a sample, rows from the top. */
+/* The caller's pixels, of which a copy is made: 8 bits a sample, rows from the top, one after the other in memory. */
 typedef struct {
   const uint8_t *pixels;
   uint32_t width, height; /* up to 65,535 a side and 89,478,485 in all */
@@ -81,10 +81,11 @@ typedef struct {
   double nis; /* squared Mahalanobis distance of the frame, six degrees of freedom; NaN without either */
 } ffpose_motion;
 
-/* Opens a model and an empty track; runs the model once, so that later runs allocate little. */
+/* Opens a model of an object's pose and an empty track; runs the model once, so that later runs allocate little. */
 int32_t ffpose_open(const ffpose_settings *settings, ffpose **handle);
 
-/* Poses one image within `seconds`, 0 for no limit. The run is ended between two nodes of the network's graph. */
+/* Poses one image within `seconds`: 0 or infinity for no limit, below 0 is late at once. The run is ended between two nodes of
+ * the network's graph. */
 int32_t ffpose_pose(ffpose *handle, const ffpose_image *image, double seconds, ffpose_pose_result *pose);
 
 /* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected; the

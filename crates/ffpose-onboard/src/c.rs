@@ -14,7 +14,7 @@ use ffpose_track::{Outcome, Step};
 
 use crate::error::{Error, Result};
 use crate::estimator::{Estimator, Look};
-use crate::options::{Setup, Taken, TrackFiles, default_runtime};
+use crate::options::{MAX_THREADS, Setup, Taken, TrackFiles, default_runtime};
 use crate::picture::{Picture, expect_size};
 use crate::pose::Outputs;
 use crate::track::Track;
@@ -157,7 +157,7 @@ pub unsafe extern "C" fn ffpose_pose(
         return NULL;
     }
     guarded(|| {
-        let deadline = deadline(seconds);
+        let deadline = deadline(seconds)?;
         // SAFETY: not null, and valid as the caller says.
         let (handle, picture) = unsafe { (&mut *handle, picture(&*image)?) };
         let Some(outputs) = handle.estimator.look(&picture, Look { at: None, deadline })? else {
@@ -186,7 +186,7 @@ pub unsafe extern "C" fn ffpose_track(
         return NULL;
     }
     guarded(|| {
-        let deadline = deadline(seconds);
+        let deadline = deadline(seconds)?;
         // SAFETY: not null, and valid as the caller says.
         let Ffpose { estimator, track } = unsafe { &mut *handle };
         let outputs = if image.is_null() {
@@ -246,10 +246,14 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles)> {
         (None, true) => Taken::Resized,
         (Some(_), true) => return Err(Error::new("expected camera or resize, got both")),
     };
+    let threads = s.threads as usize;
+    if threads > MAX_THREADS {
+        return Err(Error::new(format!("threads: expected at most {MAX_THREADS}, got {threads}")));
+    }
     let setup = Setup {
         model: model.ok_or_else(|| Error::new("model: expected a path, got null"))?,
         tracks: true,
-        threads: (s.threads > 0).then_some(s.threads as usize),
+        threads: (threads > 0).then_some(threads),
         sha256: sha256.map(|digest| digest.to_string_lossy().to_lowercase()),
         runtime: runtime.unwrap_or_else(default_runtime),
         operators,
@@ -280,27 +284,37 @@ unsafe fn picture(image: &FfposeImage) -> Result<Picture> {
     if channels != 1 && channels != 3 {
         return Err(Error::new(format!("channels: expected 1 or 3, got {channels}")));
     }
+    if image.pixels.is_null() {
+        return Err(Error::new("pixels: expected the image's, got null"));
+    }
     let row = width * channels;
     let stride = if image.stride == 0 { row } else { image.stride };
-    if stride < row || image.pixels.is_null() {
+    if !(row..=isize::MAX as usize / height).contains(&stride) {
         return Err(Error::new(format!(
-            "image: expected pixels in rows of at least {row} bytes, got null or {stride}"
+            "stride: expected at least the {row} bytes of a row, and rows that fit in memory, got {stride}"
         )));
     }
-    let mut samples = Vec::with_capacity(row * height);
+    let mut pixels = Vec::with_capacity(3 * width * height);
     for place in 0..height {
-        // SAFETY: not null, and the rows are there as the caller says.
-        samples.extend_from_slice(unsafe {
-            slice::from_raw_parts(image.pixels.add(place * stride), row)
-        });
+        // SAFETY: not null, the rows are there as the caller says, and the last one's offset does not overflow.
+        let row = unsafe { slice::from_raw_parts(image.pixels.add(place * stride), row) };
+        match channels {
+            3 => pixels.extend_from_slice(row),
+            _ => pixels.extend(row.iter().flat_map(|&level| [level; 3])),
+        }
     }
-    Ok(Picture::from_samples(width, height, samples, channels))
+    Ok(Picture { width, height, pixels })
 }
 
-/// When `seconds` from now are over; None for zero, which is no limit.
-fn deadline(seconds: f64) -> Option<Instant> {
-    let limit = Duration::try_from_secs_f64(seconds).unwrap_or_default();
-    (seconds != 0.0).then(|| Instant::now() + limit)
+/// When `seconds` from now are over, at once where they are negative; None for zero and for more than a clock counts, which is
+/// no limit.
+fn deadline(seconds: f64) -> Result<Option<Instant>> {
+    if seconds.is_nan() {
+        return Err(Error::new("seconds: expected a number, got NaN"));
+    }
+    let limit = Duration::try_from_secs_f64(seconds.max(0.0)).ok();
+    let limit = limit.filter(|_| seconds != 0.0);
+    Ok(limit.and_then(|limit| Instant::now().checked_add(limit)))
 }
 
 fn told(outputs: &Outputs, estimator: &Estimator) -> FfposePose {

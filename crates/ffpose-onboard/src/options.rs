@@ -34,6 +34,9 @@ usage: ffpose-onboard --model FILE (--images DIR | --stdin | --track) [options]
 A line has the fields of `ffpose predict --json`, or image and error. Exit code 0: every image has a
 pose; 1: nothing could be done, standard error says why; 2: wrong usage; 3: some images failed.";
 
+/// The most threads that an image is computed with.
+pub const MAX_THREADS: usize = 1024;
+
 /// What is asked for.
 #[derive(Debug, PartialEq)]
 pub struct Options {
@@ -200,8 +203,9 @@ impl Given {
 
 fn count(value: &OsString) -> Result<usize, String> {
     let text = value.to_string_lossy();
-    let number = text.parse().ok().filter(|number| (1..=1024).contains(number));
-    number.ok_or_else(|| format!("--threads: expected a number from 1 to 1024, got {text}"))
+    let number = text.parse().ok().filter(|number| (1..=MAX_THREADS).contains(number));
+    number
+        .ok_or_else(|| format!("--threads: expected a number from 1 to {MAX_THREADS}, got {text}"))
 }
 
 fn digest(value: &OsString) -> Result<String, String> {
