@@ -4,8 +4,10 @@ import ctypes
 import hashlib
 import os
 import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +17,7 @@ from onboard_program import picture, png, projections
 
 onnx = pytest.importorskip("onnx")
 
+FULL = Path("/dev/full")
 NEWER = {"ffpose_format": "3", "ffpose_version": "9.9"}
 
 
@@ -107,6 +110,39 @@ def test_a_wrong_library_is_told_in_one_line(run, model, tmp_path, runtime, opti
         assert (code, documents, len(errors)) == (1, [], 1)
         assert re.search(f"{re.escape(str(path))}.*{option}|{option}.*cannot", errors[0]), errors
         assert re.search(message, errors[0]), errors
+
+
+def start(folder, *words, **streams):
+    environment = {name: value for name, value in os.environ.items() if name != "ORT_DYLIB_PATH"}
+    streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE} | streams
+    done = subprocess.run(words, cwd=folder, env=environment, stderr=subprocess.PIPE, **streams)
+    return done.returncode, done.stderr.decode()
+
+
+def test_the_usual_library_is_not_that_of_the_working_folder(program, model, tmp_path, runtime):
+    name = "libonnxruntime.dylib" if sys.platform == "darwin" else "libonnxruntime.so"
+    (tmp_path / name).write_text("no library")
+    code, error = start(tmp_path, program, "--model", model, "--stdin")
+    assert (code, str(tmp_path) in error) in {(0, False), (1, False)}  # the system may have one
+    shutil.copy(program, tmp_path / "program")
+    (tmp_path / name).unlink()
+    (tmp_path / name).symlink_to(runtime)
+    assert start(tmp_path.parent, tmp_path / "program", "--model", model, "--stdin")[0] == 0
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="needs a disk that is full")
+def test_output_that_cannot_be_written_has_its_code(program, model, runtime, tmp_path):
+    with FULL.open("w") as full:
+        code, error = start(tmp_path, program, "--help", stdout=full)
+        assert code == 1
+        assert error.startswith("ffpose-onboard: standard output cannot be written: No space left")
+        words = [program, "--model", model, "--runtime", runtime, "--images"]
+        (tmp_path / "a.png").write_bytes(b"no image")
+        assert (
+            subprocess.run([*words, tmp_path], stderr=full, stdout=subprocess.PIPE).returncode == 3
+        )
+        nowhere = tmp_path / "nowhere"
+        assert subprocess.run([*words, nowhere], stderr=full).returncode == 1
 
 
 def test_wrong_usage_and_folders(run, program, model, tmp_path):

@@ -255,7 +255,7 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles)> {
         tracks: true,
         threads: (threads > 0).then_some(threads),
         sha256: sha256.map(|digest| digest.to_string_lossy().to_lowercase()),
-        runtime: runtime.unwrap_or_else(default_runtime),
+        runtime: runtime.or_else(default_runtime),
         operators,
         images,
     };

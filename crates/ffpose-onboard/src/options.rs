@@ -57,8 +57,8 @@ pub struct Setup {
     pub threads: Option<usize>,
     /// The digest that the ONNX file must have, hexadecimal.
     pub sha256: Option<String>,
-    /// ONNX Runtime's library.
-    pub runtime: PathBuf,
+    /// ONNX Runtime's library; `None`: of the system's name, beside this program or among the system's.
+    pub runtime: Option<PathBuf>,
     /// The library of ffpose's operator.
     pub operators: Option<PathBuf>,
     /// What took the images.
@@ -188,7 +188,7 @@ impl Given {
             tracks: self.track,
             threads: self.threads,
             sha256: self.sha256,
-            runtime: self.runtime.unwrap_or_else(default_runtime),
+            runtime: self.runtime.or_else(default_runtime),
             operators: self.operators,
             images: match (self.camera, self.resize) {
                 (None, false) => Taken::ByModelsCamera,
@@ -216,14 +216,10 @@ fn digest(value: &OsString) -> Result<String, String> {
     Err(format!("--sha256: expected 64 hexadecimal digits, got {text}"))
 }
 
-/// Returns ONNX Runtime's library where none is named.
+/// Returns ONNX Runtime's library of the environment, where no other is named.
 #[must_use]
-pub fn default_runtime() -> PathBuf {
-    let name = || format!("{}onnxruntime{}", env::consts::DLL_PREFIX, env::consts::DLL_SUFFIX);
-    env::var_os("ORT_DYLIB_PATH")
-        .filter(|path| !path.is_empty())
-        .unwrap_or_else(|| name().into())
-        .into()
+pub fn default_runtime() -> Option<PathBuf> {
+    env::var_os("ORT_DYLIB_PATH").filter(|path| !path.is_empty()).map(PathBuf::from)
 }
 
 #[cfg(test)]
@@ -245,7 +241,7 @@ mod tests {
             tracks: false,
             threads: Some(2),
             sha256: Some("0a".repeat(32)),
-            runtime: "/r.so".into(),
+            runtime: Some("/r.so".into()),
             operators: Some("o.so".into()),
             images: Taken::ByCamera("c.json".into()),
         };

@@ -1,5 +1,6 @@
 //! ONNX Runtime, whose library and that of ffpose's operator are loaded at run time.
 
+use std::env::consts;
 use std::error::Error as _;
 use std::path::{Path, PathBuf, absolute};
 use std::sync::{Mutex, PoisonError};
@@ -31,7 +32,7 @@ pub fn open_session(options: &Setup, model: &Model) -> Result<Session> {
     let mut loaded = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
     let environment = match &mut *loaded {
         Some(environment) => environment,
-        none => none.insert(load(&options.runtime)?),
+        none => none.insert(load(options.runtime.as_deref())?),
     };
     let mut builder = Session::builder(environment)
         .map_err(|error| refused(&error))?
@@ -55,8 +56,11 @@ pub fn refused<R>(error: &ort::Error<R>) -> Error {
 }
 
 /// Loads ONNX Runtime. Its errors come back as values, so that it logs none itself.
-fn load(library: &Path) -> Result<Environment> {
-    let builder = ort::init_from(located(library)).map_err(|error| {
+fn load(named: Option<&Path>) -> Result<Environment> {
+    // Not of the working folder, which may be anybody's.
+    let usual = || format!("{}onnxruntime{}", consts::DLL_PREFIX, consts::DLL_SUFFIX).into();
+    let library = named.map_or_else(usual, located);
+    let builder = ort::init_from(&library).map_err(|error| {
         let detail = match &error {
             LoadDynamicError::Dlopen { error, .. } => error.source().map(ToString::to_string),
             _ => None,
@@ -72,7 +76,7 @@ fn load(library: &Path) -> Result<Environment> {
 
 fn register(builder: SessionBuilder, library: &Path) -> Result<SessionBuilder> {
     builder.with_operator_library(located(library)).map_err(|error| {
-        let (named, architecture) = (library.display(), std::env::consts::ARCH);
+        let (named, architecture) = (library.display(), consts::ARCH);
         Error::new(format!(
             "the operator's library {named} (--operators), which must be of this architecture ({architecture}), cannot be \
              loaded: {error}"
