@@ -32,7 +32,7 @@ typedef enum {
   FFPOSE_COASTED = 3,  /* there was no frame, or not in time */
   FFPOSE_FLAGGED = 4,  /* it shows no spacecraft */
   FFPOSE_ACQUIRING = 5, /* there is no track yet */
-  FFPOSE_LOST = 6      /* too long without a frame that could be believed */
+  FFPOSE_LOST = 6      /* too long without a frame that could be believed, or too many views against it */
 } ffpose_outcome;
 
 typedef struct ffpose ffpose;

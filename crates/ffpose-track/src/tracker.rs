@@ -39,7 +39,7 @@ pub enum Outcome {
     Coasted,
     /// There is no track yet.
     Acquiring,
-    /// The track has gone too long without a frame that it could believe, and has ended.
+    /// The track has gone too long without a frame that it could believe, or too many views spoke against it, and has ended.
     Lost,
 }
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquiring", "lost"]
 """What became of a frame: it corrected the track; it speaks for another attitude, which leads from
 now on; it is too far from what was expected; it shows no spacecraft; there was no pose; there is no
-track yet; the track went too long without a frame that it could believe."""
+track yet; the track went too long without a frame that it could believe, or too many views spoke
+against it."""
 
 
 @dataclass(frozen=True)
