@@ -114,8 +114,8 @@ fn what_is_seen_elsewhere_after_a_loss_must_be_seen_again() {
     let outcomes = [0.5, 1.0, 1.5, 2.0].map(|later| {
         tracker.step(time + later, Some(&other.measurement()), STILL).unwrap().outcome
     });
-    use Outcome::{Accepted, Acquiring};
-    assert_eq!(outcomes, [Acquiring, Acquiring, Accepted, Accepted]);
+    assert_eq!(outcomes[..2], [Outcome::Acquiring; 2]);
+    assert_eq!(outcomes[2..], [Outcome::Accepted; 2]);
     // where one frame is enough, the track is another one
     let (_, _, other, step) = after_a_pause(1.0, 11.0);
     assert_eq!(step.outcome, Outcome::Switched);
