@@ -23,6 +23,7 @@ NAMES = [
     (torch._C, "_are_functorch_transforms_active"),
     (torch._C, "_get_tracing_state"),
     (forward_ad, "_current_level"),
+    (forward_ad, "_set_fwd_grad_enabled"),
     (torch, "_foreach_lerp_"),
     (_pytree, "_register_namedtuple"),
 ]

@@ -44,6 +44,23 @@ def test_third_order(q):
     torch.testing.assert_close(third(normalize_quaternion), third(by_definition))
 
 
+def test_forward_modes_nest(q):
+    direction = torch.randn_like(q)
+
+    def twice(function):
+        def along(function):
+            return lambda q: torch.func.jvp(function, (q,), (direction,))[1]
+
+        return along(along(function))(q)
+
+    def gradient(function):
+        return torch.func.grad(lambda q: function(q).pow(3).sum())
+
+    torch.testing.assert_close(twice(normalize_quaternion), twice(by_definition))
+    got, expected = twice(gradient(normalize_quaternion)), twice(gradient(by_definition))
+    torch.testing.assert_close(got, expected)
+
+
 # opcheck reads `.grad` of a tensor that is no leaf, and torch warns of that.
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")
 @pytest.mark.parametrize("requires_grad", [True, False])

@@ -509,6 +509,24 @@ def test_hessian_forward_over_reverse():
     torch.testing.assert_close(torch.func.hessian(loss(spectral_filter))(x), expected)
 
 
+def test_forward_modes_nest():
+    """Twice along (a, b) the derivative of a bilinear function is twice its value at (a, b)."""
+    (x, weight), (a, b) = (arguments("tokens", (3, 4)) for _ in range(2))
+
+    def twice(function):
+        def along(function):
+            return lambda *at: torch.func.jvp(function, at, (a, b))[1]
+
+        return along(along(function))(x, weight)
+
+    def gradient(filter):
+        return torch.func.grad(lambda *at: filter(*at, "tokens").pow(3).sum(), (0, 1))
+
+    torch.testing.assert_close(twice(spectral_filter), 2 * by_definition(a, b, "tokens"))
+    got, expected = twice(gradient(spectral_filter)), twice(gradient(by_definition))
+    torch.testing.assert_close(got, expected)
+
+
 # Graphs
 
 

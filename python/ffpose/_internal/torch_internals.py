@@ -1,15 +1,16 @@
 """Everything that ffpose asks of torch's private names, which may go without notice.
 
 Each is looked up once. Without it a slower way gives the same numbers: calls go through the
-dispatcher, weights are averaged one by one, or a training does without bfloat16. Only two things
-are lost: `torch.vmap` of the bare operators ``torch.ops.ffpose``, and saving an exported program
-whose result is a named tuple.
+dispatcher, weights are averaged one by one, or a training does without bfloat16. Only three things
+are lost: `torch.vmap` of the bare operators ``torch.ops.ffpose``, forward-mode derivatives of
+forward-mode derivatives, and saving an exported program whose result is a named tuple.
 """
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, TypeVar, cast
 
 import torch
@@ -36,6 +37,7 @@ _bfloat16_products = (
 _below_autograd = _find("torch._C", "_AutoDispatchBelowAutograd")
 _dispatch_keys = _find("torch._C", "_dispatch_keys")
 _dispatch_modes = _find("torch._C", "_len_torch_dispatch_stack")
+_forward_mode_enabled = _find("torch.autograd.forward_ad", "_set_fwd_grad_enabled")
 _lerp_all = _find("torch", "_foreach_lerp_")
 _register_named_tuple = _find("torch.utils._pytree", "_register_namedtuple")
 _transforms_active = _find("torch._C", "_are_functorch_transforms_active")
@@ -99,6 +101,23 @@ def below_autograd(operator: Callable[..., Result], *args: Any, **kwargs: Any) -
     elif result is not None:
         result = result.clone()
     return cast("Result", result)
+
+
+def outer_tangents() -> AbstractContextManager[None]:
+    """Return a context in which the ``jvp`` of a function follows forward mode of outer levels.
+
+    torch calls ``jvp`` with forward mode off, so that a derivative nested in another one would lose
+    its tangent without a word (https://github.com/pytorch/pytorch/issues/197867). With it on, the
+    saved tensors still carry the tangents of their own level: take their `primals`.
+    """
+    if _forward_mode_enabled is None:
+        return nullcontext()
+    return cast("AbstractContextManager[None]", _forward_mode_enabled(True))
+
+
+def primals(tensors: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Return tensors without their tangents of the present level of forward mode."""
+    return tuple(forward_ad.unpack_dual(tensor).primal for tensor in tensors)
 
 
 def move_toward(averages: Sequence[Tensor], values: Sequence[Tensor], weight: float) -> None:

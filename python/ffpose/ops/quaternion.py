@@ -20,6 +20,8 @@ from ffpose._internal.torch_internals import (
     below_autograd,
     is_plain,
     is_recording,
+    outer_tangents,
+    primals,
     transforms_at_work,
 )
 from ffpose.ops.bridge import arithmetic_dtype, check_alike, check_tensor, to_array, to_tensor
@@ -91,8 +93,9 @@ class _NormalizeQuaternion(Function):
 
     @staticmethod
     def jvp(ctx: Any, of_q: Tensor) -> Tensor:
-        (q,) = ctx.saved_tensors
-        return _gradient(of_q, q)
+        (q,) = primals(ctx.saved_tensors)
+        with outer_tangents():
+            return _gradient(of_q, q)
 
     @staticmethod
     def vmap(info: Any, in_dims: Sequence[int | None], q: Tensor) -> tuple[Tensor, int]:
@@ -131,8 +134,9 @@ class _NormalizeQuaternionBackward(Function):
 
     @staticmethod
     def jvp(ctx: Any, of_grad: Tensor, of_q: Tensor) -> Tensor:
-        grad, q = ctx.saved_tensors
-        return _gradient(of_grad, q) + _second(of_q, grad, q)
+        grad, q = primals(ctx.saved_tensors)
+        with outer_tangents():
+            return _gradient(of_grad, q) + _second(of_q, grad, q)
 
     @staticmethod
     def vmap(

@@ -29,6 +29,8 @@ from ffpose._internal.torch_internals import (
     below_autograd,
     is_plain,
     is_recording,
+    outer_tangents,
+    primals,
     transforms_at_work,
 )
 from ffpose.ops.bridge import add, rebatch, unbatch
@@ -136,11 +138,12 @@ class _SpectralFilter(Function):
 
     @staticmethod
     def jvp(ctx: Any, of_x: Tensor | None, of_weight: Tensor | None, _: None) -> Tensor | None:
-        x, weight = ctx.saved_tensors
-        return add(
-            None if of_x is None else spectral_filter(of_x, weight, ctx.layout),
-            None if of_weight is None else spectral_filter(x, of_weight, ctx.layout),
-        )
+        x, weight = primals(ctx.saved_tensors)
+        with outer_tangents():
+            return add(
+                None if of_x is None else spectral_filter(of_x, weight, ctx.layout),
+                None if of_weight is None else spectral_filter(x, of_weight, ctx.layout),
+            )
 
     @staticmethod
     def vmap(
@@ -213,7 +216,7 @@ class _SpectralFilterBackward(Function):
         ctx: Any, of_grad: Tensor | None, of_x: Tensor | None, of_weight: Tensor | None, *_: None
     ) -> tuple[Tensor, Tensor]:
         """Differentiate along a direction: linear in each argument, so one term for each."""
-        grad, x, weight = ctx.saved_tensors
+        grad, x, weight = primals(ctx.saved_tensors)
         terms = (
             ((of_grad, x, weight), ctx.gave_x, ctx.gave_weight),
             ((grad, of_x, weight), False, ctx.gave_weight),
@@ -221,14 +224,15 @@ class _SpectralFilterBackward(Function):
         )
         for_x = x.new_zeros(x.shape if ctx.gave_x else 0)
         for_weight = weight.new_zeros(weight.shape if ctx.gave_weight else 0)
-        for (g, a, w), need_x, need_weight in terms:
-            if g is None or a is None or w is None:
-                continue
-            term_x, term_weight = _gradients(
-                g, a, w, ctx.layout, need_x=need_x, need_weight=need_weight
-            )
-            for_x = for_x if term_x is None else for_x + term_x
-            for_weight = for_weight if term_weight is None else for_weight + term_weight
+        with outer_tangents():
+            for (g, a, w), need_x, need_weight in terms:
+                if g is None or a is None or w is None:
+                    continue
+                term_x, term_weight = _gradients(
+                    g, a, w, ctx.layout, need_x=need_x, need_weight=need_weight
+                )
+                for_x = for_x if term_x is None else for_x + term_x
+                for_weight = for_weight if term_weight is None else for_weight + term_weight
         return for_x, for_weight
 
     @staticmethod
