@@ -1,7 +1,8 @@
 """Learnable spectral filters: `SpectralFilter`, `SequenceFilter`, and GFNet's `GlobalFilter`.
 
 All compute ``irfft2(rfft2(x) * W)`` with `ffpose.ops.spectral_filter`. GFNet and FMLP-Rec use
-``norm="ortho"``; the norms of the two transforms cancel, so their weights can be used unchanged.
+``norm="ortho"``; the norms of the two transforms cancel, so the values of their weights can be used
+unchanged.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ class SequenceFilter(nn.Module):
 
     This is the filter layer of FMLP-Rec (Zhou et al., "Filter-enhanced MLP is All You Need for
     Sequential Recommendation", 2022) and of many time-series models. It is layout ``"grid"`` with
-    one row.
+    one row. ``complex_weight`` of FMLP-Rec, ``(1, L//2+1, C, 2)``, is ``weight[None]`` here.
 
     Args:
         length: Number of tokens L.
