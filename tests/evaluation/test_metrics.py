@@ -183,3 +183,9 @@ def test_integers_are_no_poses():
     t_hat, q_hat, t, q = batch()
     with pytest.raises(TypeError, match=r"t: expected a floating dtype, got torch\.int64"):
         pose_error(t_hat, q_hat, t.long(), q)
+
+
+def test_arrays_are_no_tensors():
+    t_hat, q_hat, t, q = batch()
+    with pytest.raises(TypeError, match=r"q: expected a torch\.Tensor, got ndarray"):
+        pose_error(t_hat, q_hat, t, q.numpy())

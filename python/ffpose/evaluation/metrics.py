@@ -68,7 +68,7 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
         The errors, computed in float64.
 
     Raises:
-        TypeError: A tensor is not of floating dtype.
+        TypeError: An argument is no tensor, or not of floating dtype.
         ValueError: A shape is wrong, a value is NaN or infinite, a quaternion is zero, or a true
             translation is zero, for which no relative error exists.
     """
@@ -120,6 +120,8 @@ def _update(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
     """Return the errors of the samples of a batch; the Rust core checks shapes and values."""
     named = {"t_hat": t_hat, "q_hat": q_hat, "t": t, "q": q}
     for name, tensor in named.items():
+        if not isinstance(tensor, Tensor):
+            raise TypeError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
         if not tensor.is_floating_point():
             raise TypeError(f"{name}: expected a floating dtype, got {tensor.dtype}")
     pairs = {
