@@ -117,7 +117,8 @@ def outer_tangents() -> AbstractContextManager[None]:
 
 def primals(tensors: Sequence[Tensor]) -> tuple[Tensor, ...]:
     """Return tensors without their tangents of the present level of forward mode."""
-    return tuple(forward_ad.unpack_dual(tensor).primal for tensor in tensors)
+    unpack: Callable[[Tensor], Any] = forward_ad.unpack_dual  # torch annotates nothing of it
+    return tuple(unpack(tensor).primal for tensor in tensors)
 
 
 def move_toward(averages: Sequence[Tensor], values: Sequence[Tensor], weight: float) -> None:
