@@ -194,6 +194,17 @@ def test_predict_refuses_overlays_of_one_name_before_it_computes(trained, image_
     assert "expected images of distinct names, got" in said.err
 
 
+def test_predict_refuses_overlays_over_its_images(trained, image_set, tmp_path, capsys):
+    for name in ("a.png", "a_pose.png"):
+        (tmp_path / name).write_bytes((image_set / "0_rgb.png").read_bytes())
+    words = ["predict", str(trained / "best.safetensors"), str(tmp_path)]
+    assert main([*words, "--overlay", str(tmp_path / ".")]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"expected a folder without the images, got {tmp_path}" in said.err
+    assert (tmp_path / "a_pose.png").read_bytes() == (image_set / "0_rgb.png").read_bytes()
+
+
 @pytest.fixture
 def square(tmp_path):
     """An image and its camera, of another shape than the set's."""

@@ -219,18 +219,25 @@ def expect_axes(estimator: PoseEstimator) -> None:
 
 
 def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
-    """Check in advance that no overlay would overwrite another.
+    """Check in advance that no overlay would overwrite another, or an image.
 
     Raises:
-        ValueError: Two images have the same name; the message says which.
+        ValueError: Two images have the same name, or one has the name of another's overlay; the
+            message says which.
     """
     first: dict[Path, Path] = {}
+    known = {image.resolve() for image in images}
     for image in images:
         path = overlay_path(image, folder)
         if path in first:
             raise ValueError(
                 f"overlay: expected images of distinct names, got {first[path]} and {image}, "
                 f"both for {path}"
+            )
+        if path.resolve() in known:
+            raise ValueError(
+                f"overlay: expected a folder without the images, got {folder}, where that of"
+                f" {image} would overwrite {path}"
             )
         first[path] = image
 
