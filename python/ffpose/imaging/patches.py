@@ -111,9 +111,13 @@ class PatchSpec:
 
 def averaged(image: Bytes, side: int) -> Bytes:
     """Average blocks of ``side`` x ``side`` pixels of an image ``(H, W, 3)``; a rest is dropped."""
+    if side == 1:
+        return image
     height, width = image.shape[0] // side, image.shape[1] // side
     blocks = image[: height * side, : width * side].reshape(height, side, width, side, 3)
-    sums: NDArray[np.uint32] = blocks.sum(axis=(1, 3), dtype=np.uint32)
+    # One slice after another, which NumPy adds several times as fast as it sums over two axes.
+    columns = sum((blocks[:, row] for row in range(1, side)), blocks[:, 0].astype(np.uint32))
+    sums = sum((columns[:, :, column] for column in range(1, side)), columns[:, :, 0])
     area = side * side
     return ((sums + area // 2) // area).astype(np.uint8)
 

@@ -213,7 +213,7 @@ def _inside_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> fl
     back = count = 0
     for name in DIRECTIONS:
         pose, camera = _view(name, center, radius)
-        window = find_window(mesh.vertices, pose, camera)
+        window = find_window(craft.corners, pose, camera)
         if window is None:
             continue
         seen = cast_rays(tracer, window, camera, pose, 1)

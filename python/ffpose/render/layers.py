@@ -177,7 +177,7 @@ def _write_keypoints(path: Path, keypoints: list[Keypoint]) -> None:
 
 def _traced(craft: Craft, pose: Pose, camera: Camera) -> tuple[Window, View] | None:
     """Trace a ray through each pixel's center; None if the spacecraft is out of frame."""
-    window = find_window(craft.mesh.vertices, pose, camera)
+    window = find_window(craft.corners, pose, camera)
     if window is None:
         return None
     return window, cast_rays(prepared(craft)[0], window, camera, pose, 1)

@@ -82,7 +82,7 @@ def draw_craft(
     Raises:
         MissingExtraError: Mitsuba is not installed.
     """
-    window = find_window(craft.mesh.vertices, pose, camera)
+    window = find_window(craft.corners, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
     shown = _shown(camera, pose, craft, light, window, int(rng.integers(2**31)))

@@ -264,10 +264,14 @@ def _draw_background(radiance: Floats, camera: Camera, around: Surroundings, sid
     flat = radiance.reshape(-1, 3)
     for start in range(0, len(flat), BLOCK):
         pixels, through = flat[start : start + BLOCK], rays[:, start : start + BLOCK]
-        pixels += sun_disk(around.sun, through, pixel_angle, side)[:, None]
+        disk = sun_disk(around.sun, through, pixel_angle, side)
+        if disk.any():
+            pixels += disk[:, None]
         glow, behind = earth.shade(through, pixel_angle)
-        pixels *= behind[:, None]
-        pixels += glow.T
+        if (behind < 1).any():
+            pixels *= behind[:, None]
+        if glow.any():
+            pixels += glow.T
 
 
 def draw_craft(
@@ -280,7 +284,7 @@ def draw_craft(
     rng: np.random.Generator,
 ) -> Floats:
     """Composite the spacecraft over `radiance` and return the radiance (3, H) of its samples."""
-    window = find_window(craft.mesh.vertices, pose, camera)
+    window = find_window(craft.corners, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
     tracer, samples = prepared(craft)[0], sample_count(window, camera)

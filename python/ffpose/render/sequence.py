@@ -230,11 +230,11 @@ def _instants(sequence: Sequence, index: int, span: float) -> list[float]:
 
 def _rows(sequence: Sequence, index: int, instant: float) -> Iterator[tuple[Window, Pose]]:
     """Yield the rows that a rolling shutter exposes together, and the pose that they see."""
-    vertices, height = sequence.scene.build().mesh.vertices, sequence.camera.height
+    corners, height = sequence.scene.build().corners, sequence.camera.height
     laters = _instants(sequence, index, sequence.readout_s)
     for part, later in enumerate(laters):
         pose = sequence.trajectory.pose(index, instant + later)
-        window = find_window(vertices, pose, sequence.camera)
+        window = find_window(corners, pose, sequence.camera)
         if window is None:
             continue
         first, last = (height * edge // len(laters) for edge in (part, part + 1))

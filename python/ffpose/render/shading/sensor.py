@@ -221,8 +221,11 @@ def _add_bloom(signal: Floats, share: float, cell: int) -> None:
         return
     height, width = (side // cell for side in signal.shape[:2])
     whole = signal[: height * cell, : width * cell]
-    excess = np.clip(whole - 1, 0, BLOOM_LIMIT)
-    excess = excess.reshape(height, cell, width, cell, 3).mean(axis=(1, 3))
+    beyond = np.clip(whole - 1, 0, BLOOM_LIMIT).reshape(height, cell, width, cell, 3)
+    excess = np.zeros((height, width, 3), dtype=np.float32)
+    for row, column in np.ndindex(cell, cell):  # several times as fast as a mean over two axes
+        excess += beyond[:, row, :, column]
+    excess /= cell * cell
     if not excess.any():
         return
     spectrum = np.fft.rfft2(excess, (2 * height, 2 * width), axes=(0, 1))

@@ -75,13 +75,17 @@ def sun_disk(sun: NDArray[np.float64], rays: Floats, pixel_angle: float, side: i
         pixel_angle: Angle that one pixel covers, radians; the disk is at least as wide.
         side: Pixels of a finer image along each side of one of this, whose disk has as much light.
     """
-    toward = np.asarray(sun, dtype=np.float32)[:, None]
-    offset = np.sqrt(((rays - toward) ** 2).sum(axis=0))
+    toward = np.asarray(sun, dtype=np.float32)
     radius = _disk_radius(pixel_angle)
-    inside = np.clip(0.5 - (offset - radius) / pixel_angle, 0, 1)
-    light = SUN_RADIANCE * _disk_area(pixel_angle / side) / _disk_area(pixel_angle)
-    result: Floats = (inside * np.float32(light)).astype(np.float32)
-    return result
+    disk = np.zeros(rays.shape[1], dtype=np.float32)
+    # Nearly all rays are far from the sun; the cosine has no digits to tell how far the others are.
+    near = np.flatnonzero(toward @ rays > 1 - (radius + pixel_angle) ** 2)
+    if near.size:
+        offset = np.sqrt(((rays[:, near] - toward[:, None]) ** 2).sum(axis=0))
+        inside = np.clip(0.5 - (offset - radius) / pixel_angle, 0, 1)
+        light = SUN_RADIANCE * _disk_area(pixel_angle / side) / _disk_area(pixel_angle)
+        disk[near] = inside * np.float32(light)
+    return disk
 
 
 def _disk_radius(pixel_angle: float) -> float:

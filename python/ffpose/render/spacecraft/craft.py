@@ -33,6 +33,12 @@ class Craft:
     keypoints: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @cached_property
+    def corners(self) -> NDArray[np.float64]:
+        """Vertices (N, 3), each place once: files repeat one for each normal that it has."""
+        places = np.ascontiguousarray(self.mesh.vertices).view("V24")
+        return np.unique(places).view(np.float64).reshape(-1, 3)
+
+    @cached_property
     def outline(self) -> NDArray[np.float64]:
         """Vertices (N, 3), a few hundred at most, that span the spacecraft's extent."""
         vertices = self.mesh.vertices
