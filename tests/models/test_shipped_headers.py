@@ -17,6 +17,7 @@ from ffpose.models import read_metadata
 from ffpose.render import find_scene, label
 from ffpose.training.calibrate import LEAST_DEGREES_OF_FREEDOM
 from ffpose.training.calibration_images import (
+    DUSK_SEEDS,
     EMPTY_SEEDS,
     RANDOMIZATION,
     RANDOMIZED_SEEDS,
@@ -63,6 +64,7 @@ def test_the_sets_in_the_header_have_the_mean_pose_in_the_header(name):
             (lambda scene: scene, 0, None),
             (lambda scene: scene.truncated(*TRUNCATED_SHARE), TRUNCATED_SEEDS, said["cut"]),
             (lambda scene: scene.randomized(RANDOMIZATION), RANDOMIZED_SEEDS, said["randomized"]),
+            (lambda scene: scene.at_dusk(), DUSK_SEEDS, said.get("dusk", 0)),
         )
         for scene, part in zip(map(change, scenes), sets, strict=True)
         for index in range(part["count"] if count is None else count)
@@ -82,7 +84,9 @@ def test_the_trainings_in_the_header_are_those_of_the_configurations(name):
         expected = json.loads(json.dumps(recipe(config, None)))
         assert [got[field] for field in SAME] == [expected[field] for field in SAME]
         # How many images calibrate is another field of the header.
-        assert got["data"] | {"calibration": 0} == expected["data"] | {"calibration": 0}
+        # Trainings from before there were images at dusk had none.
+        here, there = {"dusk": 0} | got["data"], expected["data"]
+        assert here | {"calibration": 0} == there | {"calibration": 0}
     assert configs[-1].init is None
     assert header.data["sets"] == rendered_sets(configs[0].data)["sets"]
     assert all(part["seed"] in TRAINING for part in header.data["sets"])

@@ -66,6 +66,26 @@ def test_eclipse_comes_at_the_stated_rate(rate):
         assert a.eclipsed == meets_earth(a.sun, a.nadir, a.altitude)
 
 
+def test_at_dusk_the_sun_is_seen_from_the_orbit_and_low_for_the_ground_below():
+    scene = SCENES["soyuz_hard"]
+    rng = np.random.default_rng(0)
+    around = [sample_surroundings(scene.at_dusk(), rng) for _ in range(200)]
+    heights = np.degrees([np.arcsin(-a.sun @ a.nadir) for a in around])
+    assert not any(meets_earth(a.sun, a.nadir, a.altitude) for a in around)
+    assert heights.max() <= 3  # the horizon is 20 degrees below that of the ground
+    assert -21 < heights.min() < -18
+    assert heights.max() > 2
+    for index in range(5):
+        one, other = label(scene, 7, index), label(scene.at_dusk(), 7, index)
+        np.testing.assert_array_equal(one.vector, other.vector)
+
+
+def test_sets_keep_their_parameters_but_at_dusk():
+    scene = SCENES["soyuz_hard"]
+    assert "dusk" not in scene.parameters()
+    assert scene.at_dusk().parameters() == scene.parameters() | {"eclipse_rate": 0.0, "dusk": True}
+
+
 def test_shadow_is_a_matter_of_the_horizon():
     nadir = np.array([0.0, 0.0, 1.0])
     altitude = 0.0628  # 400 km: the horizon lies asin(1/1.0628) = 70.2° from nadir

@@ -215,6 +215,7 @@ def test_sets_that_are_joined_show_different_scenes(monkeypatch):
         count=[3, 2, 4],
         cut=1,
         randomized=1,
+        dusk=1,
         seed=101,
     )
     model = CONFIGS["compact"]
@@ -225,7 +226,8 @@ def test_sets_that_are_joined_show_different_scenes(monkeypatch):
         ("soyuz_easy", 102, 2),
         ("soyuz_hard", 103, 4),
     ]
-    assert len(shown) == 9
+    assert len(shown) == 12
+    assert [scene.dusk for scene, *_ in shown] == [False] * 9 + [True] * 3
     for index in range(2):
         seen = [situation(scene, seed, index) for scene, seed, _, _ in shown]
         for one, other in itertools.combinations(seen, 2):

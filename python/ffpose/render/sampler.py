@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,10 @@ Floats = NDArray[np.float64]
 
 EARTH_RADIUS_M = 6_371_000.0
 ALTITUDE_M = (380_000.0, 440_000.0)
+
+DUSK_DEG = 3.0
+"""Height of the sun above which the ground gives the spacecraft light, about."""
+
 DIRECTION_TRIES = 24
 
 LEAST_DEPTH_M = 0.5
@@ -65,7 +70,8 @@ def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
 def sample_surroundings(scene: Scene, rng: np.random.Generator) -> Surroundings:
     """Sun and Earth as a camera of random attitude in a low orbit meets them.
 
-    A share `eclipse_rate` of the images is taken in the Earth's shadow, the others outside it.
+    A share `eclipse_rate` of the images is taken in the Earth's shadow, the others outside it; of
+    a set at dusk where the sun is at most `DUSK_DEG` above the horizon of the ground below.
     """
     eclipsed = bool(rng.random() < scene.eclipse_rate)
     altitude = rng.uniform(*ALTITUDE_M) / EARTH_RADIUS_M
@@ -73,8 +79,14 @@ def sample_surroundings(scene: Scene, rng: np.random.Generator) -> Surroundings:
     ground = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     while True:
         sun = _unit(rng)
-        if meets_earth(sun, nadir, altitude) == eclipsed:
+        wanted = eclipsed or not scene.dusk or is_low(sun, nadir)
+        if wanted and meets_earth(sun, nadir, altitude) == eclipsed:
             return Surroundings(sun, nadir, altitude, ground, eclipsed)
+
+
+def is_low(sun: Floats, nadir: Floats) -> bool:
+    """Whether the sun, seen from the ground below, is at most `DUSK_DEG` above the horizon."""
+    return bool(sun @ nadir >= -math.sin(math.radians(DUSK_DEG)))
 
 
 def meets_earth(ray: Floats, nadir: Floats, altitude: float) -> bool:

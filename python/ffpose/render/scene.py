@@ -49,6 +49,8 @@ class Scene:
         randomization: how far pictures leave what is real; not at all by default.
         renderer: what renders the spacecraft; sky and Earth are always ours.
         lamp: irradiance of the camera's lamp in eclipse, relative to the sun's, at 1 m.
+        dusk: whether outside the Earth's shadow the sun is so low that the ground below is dark:
+            then nothing lights the side of the spacecraft that is turned away from the sun.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Scene:
     randomization: Randomization = field(default_factory=Randomization)
     renderer: Renderer = "ffpose"
     lamp: float = LAMP
+    dusk: bool = False
 
     def __post_init__(self) -> None:
         check_choices(self)
@@ -121,9 +124,17 @@ class Scene:
         """The set with `ffpose.render.shading.randomization.Randomization.of_strength`."""
         return replace(self, randomization=Randomization.of_strength(strength))
 
+    def at_dusk(self) -> Scene:
+        """The set in the light of a low sun, or of one that has just risen, over dark ground."""
+        return replace(self, eclipse_rate=0.0, dusk=True)
+
     def parameters(self) -> dict[str, Any]:
-        """All fields as plain values for a manifest; the spacecraft by its name."""
-        return asdict(replace(self, craft=self.build().name))
+        """All fields as plain values for a manifest; the spacecraft by its name.
+
+        ``dusk`` only where it is true: folders and files of sets from before it stay theirs.
+        """
+        values = asdict(replace(self, craft=self.build().name))
+        return values if self.dusk else {k: v for k, v in values.items() if k != "dusk"}
 
 
 SCENES = {

@@ -13,7 +13,7 @@ from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.render import find_scene
 from ffpose.training.config import CalibrationImages
 
-EMPTY_SEEDS, RANDOMIZED_SEEDS, TRUNCATED_SEEDS = 500_000, 400_000, 300_000
+EMPTY_SEEDS, RANDOMIZED_SEEDS, TRUNCATED_SEEDS, DUSK_SEEDS = 500_000, 400_000, 300_000, 200_000
 """Added, among the seeds of one purpose, to a set's seed: no two kinds of images show one scene."""
 
 TRUNCATED_SHARE = (0.25, 0.9)

@@ -121,6 +121,8 @@ class DataConfig:
         cut: For kind "scenes": number of images of each set whose spacecraft the border cuts.
         randomized: For kind "scenes": number of images of each set with domain randomization of
             light, materials and backgrounds.
+        dusk: For kind "scenes": number of images of each set in the light of a low sun over dark
+            ground, where most large errors are made.
         distance: For kind "scenes": factors on the least and the greatest distance of the sets,
             which training and calibration see beyond; validation does not.
         seed: For kind "scenes": seed of the first set, of `ffpose._internal.seeds.TRAINING`; those
@@ -149,6 +151,7 @@ class DataConfig:
     decoys: int = 1000
     cut: int = 0
     randomized: int = 0
+    dusk: int = 0
     distance: tuple[float, float] = (1.0, 1.0)
     seed: int = 0
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
@@ -164,7 +167,7 @@ class DataConfig:
             sets = len(self.scenes)
             _expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
         _expect_least(self, "data.", validation=1, calibration=2, empty=0, decoys=0)
-        _expect_least(self, "data.", cut=0, randomized=0)
+        _expect_least(self, "data.", cut=0, randomized=0, dusk=0)
         near, far = self.distance
         _expect(0 < near <= 1 <= far, "data.distance", "0 < near <= 1 <= far", self.distance)
         expected = f"0 to {TRAINING.stop - 1}, as later seeds are not for training"

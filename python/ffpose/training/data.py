@@ -29,6 +29,7 @@ from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.transforms import Augmentation
 from ffpose.render import find_scene
 from ffpose.training.calibration_images import (
+    DUSK_SEEDS,
     EMPTY_SEEDS,
     RANDOMIZATION,
     RANDOMIZED_SEEDS,
@@ -170,6 +171,7 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
             (scene.randomized(RANDOMIZATION), seed + RANDOMIZED_SEEDS, config.randomized)
             for scene, seed in seeded
         ),
+        *((scene.at_dusk(), seed + DUSK_SEEDS, config.dusk) for scene, seed in seeded),
     ]
     parts = [(scene, matching(TRAINING, seed), count) for scene, seed, count in kinds if count > 0]
     if not looks_twice(model):

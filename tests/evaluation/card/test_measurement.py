@@ -19,6 +19,7 @@ from ffpose.evaluation.card.tables import format_card
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.models import FilterformerPose
 from ffpose.render.dataset.tables import conditions_of
+from ffpose.render.renderer import situation
 from ffpose.render.variations import variations
 
 COUNT = 5
@@ -70,6 +71,7 @@ def test_each_condition_is_measured_once_and_sunlight_and_eclipse_share_those_as
     rows = {row["name"]: row for row in document["conditions"]}
     light = {"sunlit only", "eclipse only"} & set(rows)
     assert sum(rows.pop(name)["images"] for name in light) == COUNT
+    rows.pop("low sun only", None)
     assert list(rows) == [v.name for v in variations(beacon_scene(), 22.0)]
     assert {row["images"] for row in rows.values()} == {COUNT}
     assert rows["beyond range"]["about"] == "22 to 28.6 m"  # the weights' distances, not the set's
@@ -80,6 +82,9 @@ def test_sunlight_and_eclipse_are_told_apart(document):
     dark = sum(conditions_of(scene, document["seed"], index).eclipsed for index in range(COUNT))
     rows = {row["name"]: row["images"] for row in document["conditions"]}
     assert rows.get("eclipse only", 0) == dark
+    around = [situation(scene, document["seed"], index).around for index in range(COUNT)]
+    heights = np.degrees([np.arcsin(-a.sun @ a.nadir) for a in around if not a.eclipsed])
+    assert rows.get("low sun only", 0) == (heights <= 3).sum()
 
 
 def test_pictures_without_the_object_are_judged_by_the_threshold(document):

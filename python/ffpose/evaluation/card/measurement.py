@@ -293,13 +293,18 @@ def seen_of(plan: Plan, recipe: Mapping[str, Any] | None) -> dict[str, dict[str,
 
 
 def _by_light(plan: Plan, trained: Answers) -> list[tuple[str, str, Answers]]:
-    """Split the scenes as trained into those in sunlight and those in eclipse."""
-    from ffpose.render.dataset.tables import conditions_of
+    """Split the scenes as trained into those in sunlight, also over dark ground, and in eclipse."""
+    from ffpose.render.renderer import situation
+    from ffpose.render.sampler import is_low
 
-    dark = np.array(
-        [conditions_of(plan.trained.scene, plan.seed, i).eclipsed for i in range(plan.count)]
-    )
-    groups = [("sunlit only", "of those as trained", ~dark), ("eclipse only", "the others", dark)]
+    around = [situation(plan.trained.scene, plan.seed, i).around for i in range(plan.count)]
+    dark = np.array([each.eclipsed for each in around])
+    low = np.array([is_low(each.sun, each.nadir) for each in around])
+    groups = [
+        ("sunlit only", "of those as trained", ~dark),
+        ("low sun only", "of the sunlit ones, those over dark ground", ~dark & low),
+        ("eclipse only", "those as trained that are not sunlit", dark),
+    ]
     return [(name, words, trained.of(rows)) for name, words, rows in groups if rows.any()]
 
 
