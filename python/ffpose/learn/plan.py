@@ -60,8 +60,16 @@ LEAST_PIXELS = 5
 FIRST_STRIDES = (8, 4, 2)
 """Factors by which the first look's frame is smaller than the network's input."""
 
-KINDS = {"count": 0.55, "cut": 0.11, "randomized": 0.2, "empty": 0.06, "decoys": 0.08}
-"""Shares of the views: plain, cut by the border, randomized, without it, of other spacecraft."""
+KINDS = {
+    "count": 0.46,
+    "cut": 0.11,
+    "randomized": 0.2,
+    "dusk": 0.09,
+    "empty": 0.06,
+    "decoys": 0.08,
+}
+"""Shares of the views: plain, cut by the border, randomized, in the light of a low sun, without the
+spacecraft, of other spacecraft."""
 
 
 @dataclass(frozen=True)
