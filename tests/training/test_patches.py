@@ -1,5 +1,7 @@
 """Augmented views: wherever the pixels go, the labels go with them."""
 
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +14,7 @@ from ffpose.models import FilterformerPose, build_network
 from ffpose.models.virtual_camera import turn_to
 from ffpose.training.clutter import clutter
 from ffpose.training.config import PatchAugmentation
-from ffpose.training.patches import PatchBatches
+from ffpose.training.patches import PatchBatches, StoredBatch
 
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)  # neither square pixels nor centered
 RADIUS, SIDE, CELLS, STRIDE, STD = 3.0, 64, 16, 4, 0.5
@@ -126,9 +128,20 @@ def origins(poses):
     return stored(poses, lambda pose: dots(CAMERA, np.tile(pose.t, (3, 1)), 6.0))
 
 
+@pytest.fixture(autouse=True, params=[False, True], ids=["apart", "together"])
+def together(request, monkeypatch):
+    """View by view, as a CPU makes them, and all views at once, as a GPU does."""
+    monkeypatch.setattr(sys.modules[__name__], "TOGETHER", request.param)
+
+
+TOGETHER = False
+
+
 def batches(model, arrays, nothing=(), cells=(CELLS, CELLS), symmetry=IDENTITY, **changes):
     augmentation = PatchAugmentation(**(CLEAN | changes))
-    return PatchBatches(model, arrays, nothing, augmentation, (STD,) * 3, cells, DOTS, symmetry)
+    views = PatchBatches(model, arrays, nothing, augmentation, (STD,) * 3, cells, DOTS, symmetry)
+    views.together = TOGETHER
+    return views
 
 
 def all_of(views, seed=0):
@@ -514,3 +527,40 @@ def test_clutter_is_pictures_of_every_kind_drawn_from_the_generator():
     assert one.max() <= 1
     assert (one.std(dim=(1, 2, 3)) > 0).all()
     assert one.amax(dim=(1, 2, 3)).std() > 0.1  # dark and bright ones
+
+
+def test_what_is_read_becomes_the_batch(model, dotted):
+    """Reading draws once, and the rest by a seed of its own: it may be in another process."""
+    views = batches(model, [dotted], [green(3)], empty=0.5, noise=0.1, jpeg=0.5)
+    whole = all_of(views, seed=4)
+    read = views.stored(torch.arange(COUNT), torch.Generator().manual_seed(4))
+    assert all(part.dtype == torch.uint8 for part in read[:4])
+    again = [views.augmented(read) for _ in range(2)]
+    for batch in again:
+        for got, expected in zip(batch, whole, strict=True):
+            assert torch.equal(got, expected)
+
+
+def test_an_epoch_for_another_device_is_read_here_and_made_there(model, dotted):
+    views = batches(model, [dotted])
+    made = list(views.epoch(3, 10))
+    views.device = torch.device("meta")  # any but this
+    read = list(views.epoch(3, 10))
+    views.device = torch.device("cpu")
+    for stored_batch, batch in zip(read, made, strict=True):
+        assert isinstance(stored_batch, StoredBatch)
+        for got, expected in zip(views.augmented(stored_batch), batch, strict=True):
+            assert torch.equal(got, expected)
+
+
+def test_a_share_of_the_windows_is_as_jpeg_has_it(model, dotted):
+    plain, rough = (
+        batches(model, [dotted], jpeg=share).stored(
+            torch.arange(COUNT), torch.Generator().manual_seed(0)
+        )
+        for share in (0.0, 0.5)
+    )
+    changed = (plain.windows != rough.windows).flatten(1).any(1)
+    assert 4 <= changed.sum() <= 20  # of 24
+    away = (plain.windows.int() - rough.windows.int()).abs()
+    assert away.float().mean() < 3

@@ -59,7 +59,14 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
     views = count / (time.perf_counter() - began)
     loss = ObjectObjective(model, config.object_loss).to(device)
     batches = PatchBatches(
-        model, [arrays], [], config.views, (1.0, 1.0, 1.0), loss.cells, np.zeros((0, 3))
+        model,
+        [arrays],
+        [],
+        config.views,
+        (1.0, 1.0, 1.0),
+        loss.cells,
+        np.zeros((0, 3)),
+        device=device,
     )
     threads = torch.get_num_threads()
     alone = processes == 1 and device.type == "cpu"  # workers have one thread each
@@ -86,7 +93,7 @@ def _rate(
 ) -> float:
     """Return training samples per second of one process.
 
-    On a CPU, batches and steps share the cores; for a GPU, workers prepare batches meanwhile.
+    On a CPU, batches and steps share the cores; for a GPU, workers read patches meanwhile.
     """
     size = config.batch_size
     generator = torch.Generator().manual_seed(0)
@@ -97,10 +104,11 @@ def _rate(
     for step in range(-WARM_UP, STEPS):
         began = time.perf_counter()
         index = torch.randint(len(batches), (size,), generator=generator)
-        batch = batches.batch(index, generator)
+        stored = batches.stored(index, generator)
         prepared = time.perf_counter()
+        batch = batches.augmented(stored)
         with torch.autocast(device.type, torch.bfloat16, enabled=config.autocast == "bfloat16"):
-            terms = loss(model, type(batch)(*(part.to(device) for part in batch)))
+            terms = loss(model, batch)
         torch.autograd.backward(terms.total)
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)

@@ -11,13 +11,15 @@ on no prediction, so attitude, object coordinates and keypoints agree. Brightnes
 are varied before, in the stored pixels, as a camera makes them: a polar view has a seam and rings
 of other resolutions, which they do not know.
 
+A CPU makes each view from the part of its patch that it shows. A GPU makes all views of a batch at
+once from whole patches, and processes on the CPU only read those (`PatchBatches.stored`).
+
 Some samples are negatives, so that the network learns whether the object is in view: empty scenes,
 and images that are not scenes at all.
 """
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -25,9 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
-from torch.nn import functional as F
 from torch.utils.data import Dataset
 
 from ffpose.config import looks_twice
@@ -47,13 +47,10 @@ from ffpose.models.virtual_camera import (
 from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.training.clutter import clutter
 from ffpose.training.config import PatchAugmentation
+from ffpose.training.photometry import Photometry, compressed, draw
 from ffpose.training.processes import ALONE, Processes
 
-SUPPLY = 1 << 21
-"""Number of stored normal random numbers, from which noise is taken."""
-
-LEAST_BLUR, LEAST_NOISE = 0.02, 0.001
-"""Blur and noise below these are left out: they change nothing, and cost as much as any."""
+CPU = torch.device("cpu")
 
 OUTLIER = 5.0
 """Errors of a first look that misses relative to those of one that does not."""
@@ -93,6 +90,28 @@ class PatchBatch(NamedTuple):
     index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
 
 
+class StoredBatch(NamedTuple):
+    """What is stored of ``B`` samples, of which the first E show no object.
+
+    Attributes:
+        frames: ``(F, h, w, 3)`` uint8, of the first F samples.
+        windows: ``(B - E, S, S, 3)`` uint8, of the samples after the first E.
+        empty: ``(N, S, S, 3)`` uint8, windows without an object for the first N samples.
+        coordinates: ``(B, S/2, S/2, 4)`` uint8.
+        labels: ``(B, 13)`` float32.
+        index: ``(B,)``, indices of the samples in the set.
+        seed: Of the random numbers of their augmentation.
+    """
+
+    frames: Tensor
+    windows: Tensor
+    empty: Tensor
+    coordinates: Tensor
+    labels: Tensor
+    index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
+    seed: int
+
+
 class PatchBatches:
     """A set of stored patches, and its augmented batches for one network.
 
@@ -106,6 +125,7 @@ class PatchBatches:
         cells: Rows and columns of the coordinate map.
         keypoints: Points of the object ``(K, 3)``, meters; there may be none.
         symmetry: Rotations that leave the object's look unchanged.
+        device: Where the batches are made.
 
     Raises:
         ValueError: The network has no second look.
@@ -121,22 +141,25 @@ class PatchBatches:
         cells: tuple[int, int],
         keypoints: NDArray[np.float64],
         symmetry: SymmetryGroup = IDENTITY,
+        device: torch.device = CPU,
     ) -> None:
         self.model, self.sets, self.empty = model, tuple(arrays), tuple(empty)
-        self.augmentation, self.cells = augmentation, cells
-        self.keypoints = torch.from_numpy(keypoints).float()
-        self.symmetries = torch.from_numpy(rotation_matrix(symmetry.rotations)).float()
-        self.references = torch.from_numpy(symmetry.references).float()
-        self.unit = (1 / torch.tensor(std))[:, None, None]  # white, standardized
-        self.scale = self.unit / 255
+        self.augmentation, self.cells, self.device = augmentation, cells, device
+        self.photometry = Photometry(augmentation, std, device)
+        self.together = device.type != "cpu"
+        self.keypoints = torch.from_numpy(keypoints).float().to(device)
+        rotations = rotation_matrix(symmetry.rotations)
+        self.symmetries = torch.from_numpy(rotations).float().to(device)
+        self.references = torch.from_numpy(symmetry.references).float().to(device)
         self.places = _places(self.sets)
         self.empty_places = _places(self.empty)
         config = model.config
         if not looks_twice(config) or config.camera is None:
             raise ValueError("model: expected one with a second look, got one that sees the frame")
-        self.supply = torch.randn(SUPPLY, generator=torch.Generator().manual_seed(0))
         fx, fy, cx, cy = (value / config.first_stride for value in config.camera)
-        self.frame_matrix = torch.tensor([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        matrix = torch.tensor([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        self.frame_matrix, self.frame_inverse = matrix.to(device), matrix.inverse().to(device)
+        self.frame_pixels = pixel_centers(*self.sets[0]["frames"].shape[1:3]).to(device)
 
     def __len__(self) -> int:
         return len(self.places)
@@ -155,25 +178,53 @@ class PatchBatches:
         return PatchEpoch(self, own, batch_size, (seed, processes.rank))
 
     def batch(self, index: Tensor, generator: torch.Generator) -> PatchBatch:
-        """Return the samples ``index``, augmented with ``generator``."""
+        """Return the samples ``index``, augmented with ``generator``, which is on the CPU."""
+        return self.augmented(self.stored(index, generator))
+
+    def stored(self, index: Tensor, generator: torch.Generator) -> StoredBatch:
+        """Return what is stored of the samples ``index``; a share of the windows as JPEG has it."""
         a, count = self.augmentation, len(index)
-        labels = torch.from_numpy(self._gather("labels", index)).float()
-        t, rotation = labels[:, :3], quaternion_to_matrix(labels[:, 3:7])
         first = max(1, round(a.frames * count))
-        frames, t_frame = self._turned_frames(index[:first], t[:first], generator)
+        lacking = min(round(a.empty * count), count - 1)
+        scenes = lacking - lacking // 2 if self.empty else 0
+        empty = np.zeros((0, *self.sets[0]["windows"].shape[1:]), np.uint8)
+        if scenes:
+            chosen = torch.randint(len(self.empty_places), (scenes,), generator=generator)
+            empty = _rows(self.empty, self.empty_places, "windows", chosen)
+        windows = self._gather("windows", index[lacking:])
+        if a.jpeg > 0:
+            for window in (*empty, *windows):
+                if draw(generator) < a.jpeg:
+                    window[:] = compressed(window, round(30 + 60 * draw(generator)))
+        return StoredBatch(
+            torch.from_numpy(self._gather("frames", index[:first])),
+            torch.from_numpy(windows),
+            torch.from_numpy(empty),
+            torch.from_numpy(self._gather("coordinates", index)),
+            torch.from_numpy(self._gather("labels", index)).float(),
+            index,
+            int(torch.randint(1 << 62, (), generator=generator)),
+        )
+
+    def augmented(self, stored: StoredBatch) -> PatchBatch:
+        """Return what both looks see of stored samples, on the device of this set."""
+        a, device, count = self.augmentation, self.device, len(stored.labels)
+        generator = torch.Generator(device).manual_seed(stored.seed)
+        frames, windows, empty, coordinates, labels = (part.to(device) for part in stored[:5])
+        t, rotation = labels[:, :3], quaternion_to_matrix(labels[:, 3:7])
+        frames, t_frame = self._turned_frames(_images(frames), t[: len(frames)], generator)
         points = self._looked_at(t, generator)
-        twist = math.radians(a.twist_deg) * (2 * torch.rand(count, generator=generator) - 1)
-        view = self.model.view_at(points, twist)
+        shares = torch.rand(count, generator=generator, device=device)
+        view = self.model.view_at(points, math.radians(a.twist_deg) * (2 * shares - 1))
         turn = self._canonical(view.rotation @ rotation)
         rotation = rotation @ turn
         intrinsics = labels[:, 7:11]
-        empty = min(round(a.empty * count), count - 1)
-        shown = view.of(slice(empty, None))
-        windows = [self.sets[n]["windows"][row] for n, row in self.places[index[empty:].numpy()]]
-        crops = self._seen(windows, source_pixels(shown, intrinsics[empty:]), generator)
-        if empty:
-            crops = torch.cat((self._negatives(empty, view, generator), crops))
-        frames = torch.cat([self._varied(frame, generator) for frame in frames[:, None]])
+        lacking = count - len(windows)
+        pixels = source_pixels(view.of(slice(lacking, None)), intrinsics[lacking:])
+        crops = self._seen(windows, pixels, generator)
+        if lacking:
+            crops = torch.cat((self._negatives(lacking, empty, view, generator), crops))
+        frames = self._varied(frames, generator)
         return PatchBatch(
             frames.contiguous(memory_format=torch.channels_last),
             t_frame,
@@ -181,10 +232,10 @@ class PatchBatches:
             view.tan_half_angle,
             matrix_to_quaternion(view.rotation @ rotation),
             offset_of(view.points(t), view),
-            self._coordinates(index, view, intrinsics, turn),
+            self._coordinates(coordinates, view, intrinsics, turn),
             view.places(t[:, None] + self.keypoints @ rotation.mT),
-            torch.arange(count) >= empty,
-            index,
+            torch.arange(count, device=device) >= lacking,
+            stored.index,
         )
 
     def _canonical(self, rotation: Tensor) -> Tensor:
@@ -200,123 +251,107 @@ class PatchBatches:
         return _rows(self.sets, self.places, name, index)
 
     def _turned_frames(
-        self, index: Tensor, t: Tensor, generator: torch.Generator
+        self, frames: Tensor, t: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
         """Mirror every other frame, and rotate it, where the object stays in it.
 
         A mirror image shows no attitude that the object can have, and all that the first look is
         asked for: where the object is.
         """
-        frames = _images(self._gather("frames", index))
         height, width = frames.shape[-2:]
-        limit = math.radians(self.augmentation.roll_deg)
-        angles = limit * (2 * torch.rand(len(t), generator=generator) - 1)
+        limit, device = math.radians(self.augmentation.roll_deg), self.device
+        angles = limit * (2 * torch.rand(len(t), generator=generator, device=device) - 1)
         turn = turned_about_axis(angles)
-        turn[:, :, 0] *= 1 - 2 * torch.randint(2, (len(t), 1), generator=generator)
+        mirrored = torch.randint(2, (len(t), 1), generator=generator, device=device)
+        turn[:, :, 0] *= 1 - 2 * mirrored
         moved = (turn @ t[:, :, None])[..., 0]
         x, y, depth = (moved @ self.frame_matrix.mT).unbind(-1)
         u, v = x / depth, y / depth
         room = FRAME_MARGIN * width
         inside = (u > room) & (u < width - room) & (v > room) & (v < height - room)
-        turn = torch.where(inside[:, None, None], turn, torch.eye(3))
-        homographies = self.frame_matrix @ turn.mT @ self.frame_matrix.inverse()
-        planes = source_planes(homographies, pixel_centers(height, width))
+        turn = torch.where(inside[:, None, None], turn, torch.eye(3, device=device))
+        homographies = self.frame_matrix @ turn.mT @ self.frame_inverse
+        planes = source_planes(homographies, self.frame_pixels)
         return sample_planes(frames, *planes), torch.where(inside[:, None], moved, t)
 
     def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
         """Return positions where a first look might have found objects at ``t (B, 3)``."""
-        a = self.augmentation
-        outlier = torch.rand(len(t), generator=generator) < a.look_outliers
+        a, device = self.augmentation, self.device
+        outlier = torch.rand(len(t), generator=generator, device=device) < a.look_outliers
         scale = 1 + (OUTLIER - 1) * outlier[:, None].float()
-        error = torch.randn(len(t), 3, generator=generator) * scale
+        error = torch.randn(len(t), 3, generator=generator, device=device) * scale
         lateral = a.look_lateral * self.model.config.object_radius_m * error[:, :2]
         distance = t.norm(dim=-1, keepdim=True)
         points = (toward(t) @ torch.cat((lateral, distance), dim=1)[:, :, None])[..., 0]
         return in_front(points * torch.exp(a.look_distance * error[:, 2:]))
 
-    def _seen(
-        self, windows: Sequence[NDArray[np.uint8]], pixels: Tensor, generator: torch.Generator
-    ) -> Tensor:
-        """Return the views ``(B, 3, h, w)`` of windows ``(H, W, 3)`` at ``pixels (B, h, w, 2)``.
+    def _varied(self, images: Tensor, generator: torch.Generator) -> Tensor:
+        """Vary images ``(B, 3, h, w)`` in [0, 255] as a camera does, and standardize them."""
+        if self.together:
+            return self.photometry.together(images, generator)
+        return torch.cat([self.photometry.one(image, generator) for image in images[:, None]])
 
-        Of each window only the part that is seen is varied, which is a third in the mean.
+    def _seen(self, windows: Tensor, pixels: Tensor, generator: torch.Generator) -> Tensor:
+        """Return the views ``(B, 3, h, w)`` of windows ``(B, S, S, 3)`` at ``pixels (B, h, w, 2)``.
+
+        On a CPU only the part of each window that is seen is varied, a third of it in the mean.
         """
+        if self.together:
+            return sample(self._varied(_images(windows), generator), pixels)
         seen = []
         for window, places in zip(windows, pixels, strict=True):
             (left, right), (top, bottom) = (
                 _span(axis, window.shape[0]) for axis in places.unbind(-1)
             )
-            part = np.array(window[top:bottom, left:right])
-            if self.augmentation.jpeg > 0 and _draw(generator) < self.augmentation.jpeg:
-                part = _compressed(part, round(30 + 60 * _draw(generator)))
-            image = self._varied(_images(part[None]), generator)
+            part = _images(window[None, top:bottom, left:right])
+            image = self.photometry.one(part, generator)
             seen.append(sample(image, places[None] - torch.tensor([left, top])))
         return torch.cat(seen)
 
-    def _negatives(self, count: int, view: VirtualCamera, generator: torch.Generator) -> Tensor:
-        """Return views without an object: half empty scenes, half images that are not scenes."""
+    def _negatives(
+        self, count: int, empty: Tensor, view: VirtualCamera, generator: torch.Generator
+    ) -> Tensor:
+        """Return views without an object: of ``empty`` windows, and images that are no scenes."""
+        device, scenes = self.device, len(empty)
         # Places of the view's pixels relative to half its width.
         plane = view.image_plane().permute(1, 2, 0).float() * (2 / view.width)
-        scenes = count - count // 2 if self.empty else 0
         pictures = 255 * clutter(count - scenes, (view.width, view.width), generator)
-        pixels = ((plane + 1) * (view.width / 2))[None]
-        crops = [sample(self._varied(picture, generator), pixels) for picture in pictures[:, None]]
+        pixels = ((plane + 1) * (view.width / 2)).expand(count - scenes, *plane.shape)
+        crops = [sample(self._varied(pictures, generator), pixels)] if count > scenes else []
         if scenes:
-            index = torch.randint(len(self.empty_places), (scenes,), generator=generator)
-            windows = [self.empty[n]["windows"][row] for n, row in self.empty_places[index.numpy()]]
             # A part of the window of about the size that the virtual camera cuts from it.
-            zoom = 0.35 + 0.35 * torch.rand(scenes, generator=generator)
-            shift = (1 - zoom)[:, None] * (2 * torch.rand(scenes, 2, generator=generator) - 1)
+            zoom = 0.35 + 0.35 * torch.rand(scenes, generator=generator, device=device)
+            shift = 2 * torch.rand(scenes, 2, generator=generator, device=device) - 1
+            shift = (1 - zoom)[:, None] * shift
             part = plane * zoom[:, None, None, None] + shift[:, None, None, :]
-            crops.insert(0, self._seen(windows, (part + 1) * windows[0].shape[0] / 2, generator))
+            crops.insert(0, self._seen(empty, (part + 1) * empty.shape[1] / 2, generator))
         return torch.cat(crops)
 
     def _coordinates(
-        self, index: Tensor, view: VirtualCamera, intrinsics: Tensor, turn: Tensor
+        self, stored: Tensor, view: VirtualCamera, intrinsics: Tensor, turn: Tensor
     ) -> Tensor:
         """Look up coordinates and mask ``(B, 4, rows, columns)`` at the cells' centers.
 
         The coordinates are those of an object turned by the inverses of ``turn (B, 3, 3)``.
         """
-        cells = source_pixels(view.resized(self.cells), intrinsics / 2).floor().numpy()
-        values = np.zeros((*cells.shape[:3], 4), np.float32)
-        for value, places, (n, row) in zip(values, cells, self.places[index.numpy()], strict=True):
-            stored = self.sets[n]["coordinates"][row]
-            inside = ((places >= 0) & (places < len(stored))).all(-1)
-            u, v = places[inside].astype(np.intp).T
-            value[inside] = stored[v, u]
-        found = torch.from_numpy(values).permute(0, 3, 1, 2) / 127.5
+        cells = source_pixels(view.resized(self.cells), intrinsics / 2).floor()
+        side = stored.shape[1]
+        inside = ((cells >= 0) & (cells < side)).all(-1)
+        u, v = cells.clamp(0, side - 1).long().unbind(-1)
+        rows = torch.arange(len(stored), device=self.device)[:, None, None]
+        values = stored[rows, v, u] * inside[..., None]
+        found = values.permute(0, 3, 1, 2) / 127.5
         found[:, :3] -= 1
         found[:, 3] /= 2
         if len(self.symmetries) > 1:
             found[:, :3] = torch.einsum("bji,bjhw->bihw", turn, found[:, :3])
         return found
 
-    def _varied(self, image: Tensor, generator: torch.Generator) -> Tensor:
-        """Standardize an image in [0, 255], black being zero; vary brightness, blur and noise."""
-        a = self.augmentation
-        stops = a.brightness * float(torch.randn((), generator=generator))
-        image = image * (self.scale * 2**stops)
-        if a.blur > 0 and (share := a.blur * _draw(generator) ** 2) > LEAST_BLUR:
-            coarse = F.avg_pool2d(image, 2)
-            smooth = F.interpolate(coarse, image.shape[-2:], mode="bilinear")
-            image = torch.lerp(image, smooth, share)
-        if a.noise > 0 and (sigma := a.noise * _draw(generator) ** 2) > LEAST_NOISE:
-            noise = self._normal(image.shape, generator)
-            image = torch.addcmul(image, noise, sigma * self.unit)
-        return image
 
-    def _normal(self, shape: torch.Size, generator: torch.Generator) -> Tensor:
-        """Return a slice of the stored normal random numbers, which is cheaper than drawing."""
-        count = shape.numel()
-        if count > len(self.supply) // 2:
-            return torch.randn(shape, generator=generator)
-        start = int(torch.randint(len(self.supply) - count, (), generator=generator))
-        return self.supply[start : start + count].view(shape)
-
-
-class PatchEpoch(Dataset[PatchBatch]):
+class PatchEpoch(Dataset[PatchBatch | StoredBatch]):
     """The whole batches of one pass over the samples, each made when it is asked for.
+
+    They are made in full on a CPU; for a GPU they are read, and made there.
 
     The random numbers of a batch come from the seed and its number alone, so that it is the same
     whichever thread or process makes it.
@@ -337,18 +372,15 @@ class PatchEpoch(Dataset[PatchBatch]):
     def __len__(self) -> int:
         return len(self.order) // self.batch_size
 
-    def __getitem__(self, number: int) -> PatchBatch:
-        """Make a batch."""
+    def __getitem__(self, number: int) -> PatchBatch | StoredBatch:
+        """Make a batch, or read it."""
         if not 0 <= number < len(self):
             raise IndexError(number)
         (seed,) = np.random.SeedSequence([*self.seed, number]).generate_state(1)
         start = number * self.batch_size
         index = self.order[start : start + self.batch_size]
-        return self.patches.batch(index, torch.Generator().manual_seed(int(seed)))
-
-
-def _draw(generator: torch.Generator) -> float:
-    return float(torch.rand((), generator=generator))
+        stored = self.patches.stored(index, torch.Generator().manual_seed(int(seed)))
+        return self.patches.augmented(stored) if self.patches.device.type == "cpu" else stored
 
 
 def _span(places: Tensor, side: int) -> tuple[int, int]:
@@ -359,13 +391,6 @@ def _span(places: Tensor, side: int) -> tuple[int, int]:
     least, most = (int(edge.floor()) // 2 * 2 for edge in places.aminmax())
     first = min(max(least - 2, 0), side - 2)
     return first, max(min(most + 4, side), first + 2)
-
-
-def _compressed(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    """Return an image ``(H, W, 3)`` as a JPEG file of a quality has it."""
-    file = io.BytesIO()
-    Image.fromarray(image).save(file, "JPEG", quality=quality)
-    return np.array(Image.open(file))
 
 
 def _places(sets: Sequence[Arrays]) -> NDArray[np.intp]:
@@ -387,6 +412,6 @@ def _rows(
     return np.stack([sets[n][name][row] for n, row in places[index.numpy()]])
 
 
-def _images(pixels: NDArray[np.uint8]) -> Tensor:
+def _images(pixels: Tensor) -> Tensor:
     """Convert uint8 pixels ``(B, H, W, 3)`` to float images ``(B, 3, H, W)`` in [0, 255]."""
-    return torch.from_numpy(pixels).permute(0, 3, 1, 2).float()
+    return pixels.permute(0, 3, 1, 2).float()

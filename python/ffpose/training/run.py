@@ -159,6 +159,7 @@ def _task(
             loss.cells,
             keypoints,
             symmetry,
+            device,
         )
         return ObjectTask(
             patches,

@@ -29,7 +29,7 @@ from ffpose.nn.orientation import QuaternionHead
 from ffpose.training.config import DataConfig
 from ffpose.training.losses import JointLoss, LossTerms
 from ffpose.training.object_objective import ObjectObjective
-from ffpose.training.patches import PatchBatch, PatchBatches
+from ffpose.training.patches import PatchBatch, PatchBatches, StoredBatch
 from ffpose.training.processes import ALONE, Processes
 from ffpose.training.provenance import describe_data, rendered_sets, set_name
 
@@ -235,7 +235,7 @@ class ObjectTask:
         """Number of batches per epoch in this process."""
         return len(self.patches) // self.processes.world // self.batch_size
 
-    def batches(self, seed: int) -> Iterator[PatchBatch]:
+    def batches(self, seed: int) -> Iterator[PatchBatch | StoredBatch]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
         epoch = self.patches.epoch(seed, self.batch_size, self.processes)
         workers = min(self.workers, len(epoch) // LEAST_BATCHES)
@@ -244,17 +244,22 @@ class ObjectTask:
         own = torch.Generator()  # or the network's random numbers would depend on the workers
         return iter(_loader(epoch, None, workers, multiprocessing_context="fork", generator=own))
 
-    def terms(self, model: BaseNetwork, batch: PatchBatch, device: torch.device) -> LossTerms:
+    def terms(
+        self, model: BaseNetwork, batch: PatchBatch | StoredBatch, device: torch.device
+    ) -> LossTerms:
         """Return the loss of a batch."""
         assert isinstance(model, SecondLookNetwork)
-        result: LossTerms = self.loss(model, PatchBatch(*(part.to(device) for part in batch)))
+        if isinstance(batch, StoredBatch):
+            with torch.no_grad(), torch.autocast(device.type, enabled=False):
+                batch = self.patches.augmented(batch)
+        result: LossTerms = self.loss(model, batch)
         return result
 
-    def size(self, batch: PatchBatch) -> int:
+    def size(self, batch: PatchBatch | StoredBatch) -> int:
         """Return the number of images in a batch."""
-        return len(batch.crops)
+        return len(batch.index)
 
-    def names(self, batch: PatchBatch) -> str:
+    def names(self, batch: PatchBatch | StoredBatch) -> str:
         """Return the indices of a batch's patches."""
         return ", ".join(map(str, batch.index.tolist()))
 
@@ -291,7 +296,9 @@ def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Ite
         yield torch.stack([preprocessing(Image.fromarray(image)) for image in part])
 
 
-def prefetched(batches: Iterator[PatchBatch]) -> Iterator[PatchBatch]:
+def prefetched(
+    batches: Iterator[PatchBatch | StoredBatch],
+) -> Iterator[PatchBatch | StoredBatch]:
     """Yield batches, and prepare the next one in a thread meanwhile."""
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, batches, None)
