@@ -477,7 +477,7 @@ def evaluate(options: Namespace) -> None:
         data.root,
         data.split,
         reproject=options.reproject,
-        decoding=Decoding(data.undistort, data.white) if data.undistort or data.white else None,
+        decoding=Decoding(data.undistort, data.white),
         device=options.device,
         empty=options.empty,
         symmetry=SymmetryGroup.chosen(options.symmetry),
@@ -533,9 +533,10 @@ def predict(options: Namespace) -> None:
     estimator = load(
         options.weights, camera=camera, resize=options.resize, device=options.device, warm_up=0
     )
+    told = estimator.metadata
     if options.overlay is not None:
         expect_axes(estimator)
-    elif camera is not None and estimator.metadata.camera is None:
+    elif camera is not None and told.camera is None and not told.undistorted:
         raise ValueError("camera: expected with --overlay, for these weights know no camera")
     failures = []
     for answer in run(estimator, images, batch=options.batch):

@@ -44,6 +44,12 @@ def test_labels_are_in_the_conventions_of_the_package(root):
     np.testing.assert_allclose(pixel, [35.5, 35.2], rtol=1e-14)
 
 
+def test_hidden_files_and_folders_are_no_splits(root):
+    (root / "._train.csv").write_text("what macOS leaves")
+    (root / "old.csv").mkdir()
+    assert list_splits("csv", root) == ["train", "flight 7"]
+
+
 def test_any_file_is_a_split_and_labels_may_be_missing(root):
     (root / "conditions.csv").write_text("not a split")
     assert list_splits("csv", root) == ["train", "flight 7"]

@@ -51,6 +51,24 @@ def test_images_become_rgb_and_transparency_is_dropped(tmp_path):
         assert image.getpixel((0, 0)) == (20, 20, 20)
 
 
+def test_a_quaternion_and_its_negative_are_one_label(tmp_path):
+    write_set(tmp_path)
+    lines = (tmp_path / "gt.csv").read_text().splitlines()
+    places = [lines[0].split(",").index(name) for name in lines[0].split(",") if "q" in name]
+    assert len(places) == 4
+
+    def negated(line):
+        fields = line.split(",")
+        for place in places:
+            fields[place] = repr(-float(fields[place]))
+        return ",".join(fields)
+
+    (tmp_path / "gt.csv").write_text("\n".join([lines[0], *map(negated, lines[1:])]) + "\n")
+    dataset = read(tmp_path)
+    expected = [POSES[name] for name in dataset.names]
+    np.testing.assert_allclose(dataset.poses, expected, rtol=0, atol=1e-15)
+
+
 def test_splits_are_those_whose_lists_are_there(tmp_path):
     write_set(tmp_path)
     assert list_splits("urso", tmp_path) == ["train", "val", "test"]

@@ -1,6 +1,7 @@
 import csv
 import json
 import shutil
+from dataclasses import asdict
 from typing import NamedTuple
 
 import numpy as np
@@ -9,14 +10,14 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from ffpose.datasets import Conditions, read_conditions
+from ffpose.datasets import Conditions, Decoding, read_conditions
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.evaluate import Evaluation, evaluate
 from ffpose.evaluation.report.results import format_table, write_results
-from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera
 from ffpose.geometry.symmetry import Axis, SymmetryGroup
 from ffpose.imaging.reprojection import reproject
-from ffpose.models import FilterformerPose, PosePrediction, read_metadata
+from ffpose.models import FilterformerPose, PosePrediction, build_network, read_metadata
 from tiny_runs import SIZE, write_set
 
 
@@ -104,6 +105,70 @@ def test_images_are_decoded_as_in_training(image_set, tmp_path):
         lenses[undistort] = evaluate(path, "urso", root).dataset.records[0].lens
     assert lenses[False] is None
     assert lenses[True].distortion == (0.3, 0, 0, 0, 0)
+
+
+def test_one_part_of_the_decoding_leaves_the_other_as_in_training(image_set, tmp_path):
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", image_size=(48, 64))
+    said = {"data": {"undistort": True, "white": 4095}}
+    model.save_pretrained(tmp_path / "w.safetensors", recipe=said)
+    root = shutil.copytree(image_set, tmp_path / "bent")
+    camera = {"width": SIZE[0], "height": SIZE[1], "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
+    (root / "camera.json").write_text(json.dumps(camera | {"distortion": [0.3, 0, 0, 0, 0]}))
+    for path in root.glob("*.png"):
+        Image.fromarray(np.full((SIZE[1], SIZE[0]), 1000, np.uint16)).save(path)
+    for given, white in ((Decoding(undistort=True), 4095), (Decoding(white=1023), 1023)):
+        found = evaluate(tmp_path / "w.safetensors", "urso", root, decoding=given)
+        assert all(record.lens is not None for record in found.dataset.records)
+        assert {record.white for record in found.dataset.records} == {white}
+
+
+def test_labels_that_locate_the_camera_are_no_objects(tmp_path):
+    pose = np.eye(4)
+    pose[2, 3] = 5
+    for split in ("Train", "Test"):
+        folder = tmp_path / "rooms/seq-01"
+        folder.mkdir(parents=True, exist_ok=True)
+        (tmp_path / f"rooms/{split}Split.txt").write_text("sequence1\n")
+    Image.new("RGB", (64, 48)).save(folder / "frame-000000.color.png")
+    np.savetxt(folder / "frame-000000.pose.txt", pose)
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", image_size=(48, 64))
+    model.save_pretrained(tmp_path / "w.safetensors")
+    with pytest.raises(ValueError, match=r"locate the object, as .*, which locate the camera"):
+        evaluate(tmp_path / "w.safetensors", "sevenscenes", tmp_path / "rooms")
+
+
+def test_a_second_look_refuses_distortion_that_is_not_taken_out(image_set, tmp_path):
+    """The pinhole part of the camera is the weights': the lens bends the images alone."""
+    root = shutil.copytree(image_set, tmp_path / "bent")
+    camera = Camera(*SIZE, 50.0, 50.0, 32.0, 24.0)
+    bent = DistortedCamera(**asdict(camera), distortion=(-0.3, 0.05, 0, 0, 0))
+    (root / "camera.json").write_text(json.dumps(asdict(bent)))
+    fields = {
+        "image_size": (48, 64),
+        "camera": (50.0, 50.0, 32.0, 24.0),
+        "first_stride": 4,
+        "object_size": (16, 32),
+        "object_width": 32,
+    }
+    torch.manual_seed(0)
+    model = build_network("polar", backbone_weights="none", **fields)
+    model.save_pretrained(tmp_path / "w.safetensors")
+    with pytest.raises(ValueError, match=r"without distortion, got .*; --data.undistort takes it"):
+        evaluate(tmp_path / "w.safetensors", "urso", root)
+    taken_out = evaluate(tmp_path / "w.safetensors", "urso", root, decoding=Decoding(True))
+    turned = evaluate(tmp_path / "w.safetensors", "urso", root, reproject=True)
+    straight = evaluate(tmp_path / "w.safetensors", "urso", image_set, reproject=True)
+    np.testing.assert_allclose(turned.predicted, taken_out.predicted, rtol=0, atol=1e-4)
+    assert np.abs(straight.predicted - taken_out.predicted).max() > 1e-3
+
+
+def test_a_network_without_a_mean_pose_says_that_it_wants_a_training_split(image_set, tmp_path):
+    root = shutil.copytree(image_set, tmp_path / "tested")
+    (root / "train_images.csv").unlink()
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", image_size=(48, 64))
+    model.save_pretrained(tmp_path / "w.safetensors")
+    with pytest.raises(ValueError, match="expected a split train, whose mean pose"):
+        evaluate(tmp_path / "w.safetensors", "urso", root)
 
 
 def test_the_baseline_comes_from_the_training_split(evaluation, image_set):

@@ -392,6 +392,17 @@ def test_images_are_undistorted_as_in_training(trained_undistorted, picture):
     assert as_it_is.pose != bent.pose
 
 
+def test_weights_of_several_cameras_undistort_images_of_the_one_that_is_named(tmp_path, picture):
+    path = tmp_path / "several.safetensors"
+    model = FilterformerPose.from_config("tiny", backbone_weights="none", **FIELDS)
+    model.save_pretrained(path, preprocessing=PLAIN, recipe={"data": {"undistort": True}})
+    (bent,) = predict(load(path, camera=LENS), [picture])
+    expected = load(path, camera=LENS.pinhole)(undistort(read_rgb(picture), LENS))
+    np.testing.assert_allclose(bent.pose.vector, expected.vector, atol=2e-3)
+    (as_it_is,) = predict(load(path, resize=True), [picture])
+    assert np.abs(as_it_is.pose.vector - expected.vector).max() > 1e-2
+
+
 def test_levels_are_scaled_as_in_training(tmp_path):
     """Level 1000 of 12 bits, 4095, is gray 62; an image of 8 bits stays as it is."""
     weights = tmp_path / "deep.safetensors"

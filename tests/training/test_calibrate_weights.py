@@ -1,6 +1,8 @@
 """Calibrated weights files: what their header says, done again, gives the same file."""
 
+import json
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from ffpose.training.calibration_images import command_of
 from ffpose.training.config import CalibrationImages
 from ffpose.training.engine import train
 from scene_runs import COUNT, scenes_config
-from tiny_runs import write_set
+from tiny_runs import SIZE, write_set
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +132,24 @@ def test_too_few_labeled_images_are_refused(trained, tmp_path):
     with pytest.raises(ValueError, match=r"data: expected at least 10 images in test, .* got 6"):
         calibrate_weights(trained, images, out=tmp_path / "out.safetensors")
     assert not (tmp_path / "out.safetensors").exists()
+
+
+@pytest.mark.parametrize("field", ["fx", "distortion"])
+def test_images_of_another_camera_are_refused(trained, tmp_path, field):
+    """Their distances would be wrong by the ratio of the focal lengths."""
+    root = write_set(tmp_path / "other", test=10)
+    metadata = read_metadata(trained)
+    view = metadata.preprocessing.image_camera(metadata.config.view_camera, *SIZE)
+    told = asdict(view) | (
+        {"fx": 2 * view.fx} if field == "fx" else {"distortion": [-0.2] + [0] * 4}
+    )
+    (root / "camera.json").write_text(json.dumps(told))
+    images = CalibrationImages("urso", root, split="test")
+    with pytest.raises(ValueError, match="expected images of"):
+        calibrate_weights(trained, images, out=tmp_path / "out.safetensors")
+    assert not (tmp_path / "out.safetensors").exists()
+    (root / "camera.json").write_text(json.dumps(asdict(view)))
+    calibrate_weights(trained, images, out=tmp_path / "out.safetensors")
 
 
 def test_weights_by_name_are_not_written_to(tmp_path, capsys):

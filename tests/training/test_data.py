@@ -113,6 +113,14 @@ def test_bad_options_are_refused(own, options):
         DataConfig("csv", own, **options)
 
 
+def test_images_that_validate_are_of_the_training_images_camera(own):
+    (own / "wide.json").write_text(json.dumps(CAMERA | {"fx": 100.0}))
+    rows = (own / "train.csv").read_text().splitlines()
+    (own / "val.csv").write_text(f"{rows[0]},camera\n{rows[1]},wide.json\n")
+    with pytest.raises(ValueError, match=r"data\.val_split: .*fx=50\.0.*, got .*fx=100\.0"):
+        build_run(train_config(own, own, data=DataConfig("csv", own)))
+
+
 def second_look(config):
     return open_training_data(
         config, CONFIGS["compact"], Preprocessing((64, 64)), coordinates=False
@@ -127,7 +135,7 @@ def test_no_image_of_a_set_trains_selects_and_calibrates(own):
     assert data.val_set.names == ["0.png", "4.png"]
     assert data.calibration.whole.names == ["2.png"]
     assert data.calibration.hard == ()
-    assert data.calibration.empty is None
+    assert data.calibration.strangers is None
     (about,) = data.calibration.about
     assert {name: about[name] for name in ("name", "split", "start", "step", "count")} == {
         "name": "own",

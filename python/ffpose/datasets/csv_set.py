@@ -41,7 +41,8 @@ def splits(root: Path) -> list[str]:
         NotADirectoryError: ``root`` is a file.
     """
     expect_set(root, "CSV")
-    found = sorted(path.stem for path in root.glob("*.csv") if path.name != CONDITIONS)
+    tables = (path for path in root.glob("*.csv") if path.is_file() and path.name != CONDITIONS)
+    found = sorted(path.stem for path in tables if not path.name.startswith("."))
     if not found:
         raise FileNotFoundError(f"CSV set: expected a file such as train.csv in {root}, got none")
     return sorted(found, key=lambda split: FIRST.index(split) if split in FIRST else len(FIRST))

@@ -36,6 +36,10 @@ class Decoding:
         if self.white is not None:
             check_white("white", self.white)
 
+    def completed(self, undistort: bool, white: float | str | None) -> Decoding:
+        """Return this, and what it leaves open from the decoding of a network's training."""
+        return Decoding(self.undistort or undistort, white if self.white is None else self.white)
+
 
 AS_ON_DISK = Decoding()
 

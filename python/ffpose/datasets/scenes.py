@@ -129,28 +129,27 @@ def render_images(
     return folder
 
 
-def open_empty_images(
+def open_strangers(
     root: Path, scene: Scene, seed: int, count: int, preprocessing: Preprocessing
 ) -> NDArray[np.uint8]:
-    """Return whole images without the spacecraft ``(N, H, W, 3)``, of the network's input size.
+    """Return whole images of other spacecraft ``(N, H, W, 3)``, of the network's input size.
 
-    They are of the scenes 0 ... ``count // 2 - 1``: each empty, and with another spacecraft.
+    They are the scenes 0 ... ``count - 1``, each with one of random parts in the object's place.
     """
     from ffpose.render.renderer import camera_of, shoot
     from ffpose.render.spacecraft.decoys import build_decoy
 
     height, width = preprocessing.size
-    described = {"scene": scene.parameters(), "seed": seed, "empty": (width, height, count)}
-    path = root / f"empty-{digest(described)}.npy"
+    described = {"scene": scene.parameters(), "seed": seed, "strangers": (width, height, count)}
+    path = root / f"strangers-{digest(described)}.npy"
     if not path.exists():
         camera = camera_of(scene, (width, height))
-        images = []
-        for index in range(count // 2):
-            decoy = scene.with_stranger(build_decoy(seed, index))
-            images += [
-                shoot(scene, seed, index, camera, scene.sensor, empty=True).image,
-                shoot(decoy, seed, index, camera, scene.sensor).image,
-            ]
+        images = [
+            shoot(
+                scene.with_stranger(build_decoy(seed, index)), seed, index, camera, scene.sensor
+            ).image
+            for index in range(count)
+        ]
         root.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as temporary:
             np.save(temporary, np.stack(images))

@@ -159,7 +159,9 @@ def _check_alignment(names: list[str], rows: list[_Row], path: Path, table: Path
         if number >= len(whole):
             raise DataError(f"expected a row for {name}, got {len(whole)} rows", table)
         expected = whole[number]
-        if not np.allclose(row.values, expected.values, _SAME_LABEL, _SAME_LABEL):
+        # A quaternion and its negative are one attitude.
+        signed = [np.multiply(expected.values, [1, 1, 1, *(sign,) * 4]) for sign in (1, -1)]
+        if not any(np.allclose(row.values, each, _SAME_LABEL, _SAME_LABEL) for each in signed):
             raise DataError(
                 f"expected the label of {name}, {expected.values} as in {table.name} line "
                 f"{expected.line}, got {row.values}: names and labels do not align",

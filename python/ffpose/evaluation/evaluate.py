@@ -28,6 +28,7 @@ from ffpose.datasets import (
     Decoding,
     Part,
     PoseDataset,
+    list_splits,
     open_dataset,
     read_conditions,
 )
@@ -47,6 +48,7 @@ from ffpose.evaluation.significance import circular_correlation, correlation, me
 from ffpose.geometry import Pose
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.images import image_files, read_rgb
+from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
 from ffpose.inference.network import choose_preprocessing
 from ffpose.models import PosePrediction, WeightsMetadata
@@ -276,7 +278,7 @@ def evaluate(
         batch_size: Images per batch.
         reproject: Reproject images of a camera other than the weights' into the network's view
             (`ffpose.imaging.reprojection`).
-        decoding: Conversion from image files to images; None for that of the training.
+        decoding: Conversion from image files to images; what it leaves open is as in training.
         device: "auto" (a GPU if there is one) or a device that torch knows; graphs run on the CPU.
         empty: Folder of images (PNG, JPEG, PGM) that do not show the object, for the miss rate and
             the AUROC of ``in_view``.
@@ -288,19 +290,26 @@ def evaluate(
     Raises:
         FileNotFoundError: The weights or a file of the dataset are missing.
         ValueError: The weights were altered or are of another kind of network, or their camera is
-            not that of the images, or the device cannot be had, or the network does not predict
-            whether the object is in view and ``empty`` is given.
+            not that of the images, or the labels do not locate what they do, or the device cannot
+            be had, or the network does not predict whether the object is in view and ``empty`` is
+            given.
         ffpose.DataError: An image or a label cannot be used.
     """
     empty_images = [] if empty is None else image_files(empty, "empty")
     estimator = load(weights, resize=True, device=device, warm_up=0)
     metadata = estimator.metadata
-    decoding = decoding or Decoding(metadata.undistorted, metadata.white)
+    decoding = (decoding or Decoding()).completed(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
+    if dataset.target != metadata.locates:
+        raise ValueError(
+            f"data: expected labels that locate the {metadata.locates}, as the weights do, got"
+            f" those of {root}, which locate the {dataset.target}"
+        )
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     if baseline is None:
-        baseline = mean_pose(open_dataset(kind, root, "train", metadata.preprocessing).poses)
+        baseline = _mean_pose_of_training(kind, root, metadata.preprocessing)
+    conditions = read_conditions(root, dataset.names)
     loader = DataLoader(dataset, batch_size=batch_size)
     began = time.perf_counter()
     batches = [estimator.run(batch.image.numpy()) for batch in loader]
@@ -310,7 +319,6 @@ def evaluate(
         for name in batches[0]
     }
     predicted = np.concatenate([outputs[name] for name in PosePrediction._fields], axis=1)
-    conditions = read_conditions(root, dataset.names)
     told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
     told["degrees_of_freedom"] = metadata.degrees_of_freedom
     told["symmetry"] = metadata.symmetry if symmetry is None else symmetry
@@ -361,3 +369,17 @@ def _tensors(poses: FloatArray) -> tuple[torch.Tensor, torch.Tensor]:
     """Split poses ``(N, 7)`` into translations ``(N, 3)`` and orientations ``(N, 4)``."""
     tensor = torch.from_numpy(np.array(poses, order="C"))  # torch warns of what is read-only
     return tensor[:, :3], tensor[:, 3:]
+
+
+def _mean_pose_of_training(kind: str, root: Path, preprocessing: Preprocessing) -> FloatArray:
+    """Return the mean pose of a set's training split, for a network that does not tell its own.
+
+    Raises:
+        ValueError: There is no such split.
+    """
+    if "train" not in (splits := list_splits(kind, root)):
+        raise ValueError(
+            "data: expected a split train, whose mean pose is the baseline, as the network's file"
+            f" has none; got {', '.join(splits)}"
+        )
+    return mean_pose(open_dataset(kind, root, "train", preprocessing).poses)

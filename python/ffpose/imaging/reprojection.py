@@ -212,6 +212,9 @@ def for_images(
             "camera: expected one (--camera FILE), whose distortion is taken out of images as in"
             " training, or resize (--resize) for images without distortion, got neither"
         )
+    if view is None and undistorted and isinstance(camera, DistortedCamera):
+        straight = preprocessing.camera(camera.pinhole)
+        return Reprojection.of(preprocessing, camera, straight), None
     if camera is None or view is None:
         return preprocessing, None if resize or camera is not None else expected
     if isinstance(camera, DistortedCamera) or not agree(preprocessing.camera(camera), view):

@@ -15,7 +15,8 @@ from ffpose import __version__
 from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
 from ffpose.config import PolarPoseConfig, looks_twice
-from ffpose.datasets import PoseDataset, Sample
+from ffpose.datasets import Decoding, PoseDataset, Sample
+from ffpose.inference.network import choose_preprocessing
 from ffpose.models import (
     PolarPose,
     SecondLookNetwork,
@@ -53,8 +54,8 @@ def calibrate_weights(
         FileNotFoundError: No such file, name or image set.
         OSError: The file to write cannot be written.
         ValueError: The network has no second look, there are no images or too few labeled ones,
-            neither they nor the weights' header name a set, or ``weights`` is a name and there is
-            no ``out``.
+            they are of another camera than the weights', neither they nor the weights' header name
+            a set, or ``weights`` is a name and there is no ``out``.
         ffpose.DataError: The weights or an image cannot be used.
     """
     metadata = read_metadata(weights)
@@ -67,13 +68,35 @@ def calibrate_weights(
     expect_place(resolve(weights) if out is None else out)
     if images.kind == "scenes" and images.scene is None:
         images = _as_trained(images, metadata)
+    if images.kind == "scenes":
+        opened = open_calibration(images, metadata.preprocessing)
+    else:
+        opened = _labeled(images, metadata)
+    return write_calibrated(weights, opened, out=out)
+
+
+def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> CalibrationSet:
+    """Open images of a set on disk, which are to be such as the weights were trained on.
+
+    Raises:
+        ValueError: They are too few, of another camera, or their labels locate something else.
+    """
+    decoding = Decoding(images.undistort, images.white)
+    decoding = decoding.completed(metadata.undistorted, metadata.white)
+    images = replace(images, undistort=decoding.undistort, white=decoding.white)
     opened = open_calibration(images, metadata.preprocessing)
-    if images.kind != "scenes" and len(opened.whole) < LEAST_IMAGES:
+    if opened.whole.target != metadata.locates:
+        raise ValueError(
+            f"data: expected labels that locate the {metadata.locates}, as the weights do, got"
+            f" those of {images.root}, which locate the {opened.whole.target}"
+        )
+    choose_preprocessing(metadata, opened.whole.camera)
+    if len(opened.whole) < LEAST_IMAGES:
         raise ValueError(
             f"data: expected at least {LEAST_IMAGES} images in {images.split}, as fewer tell"
             f" nothing of how large errors are, got {len(opened.whole)}"
         )
-    return write_calibrated(weights, opened, out=out)
+    return opened
 
 
 def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> CalibrationImages:
@@ -112,14 +135,14 @@ def write_calibrated(
     if isinstance(model, PolarPose):
         model.config = replace(model.config, look_slope=(1.0, 1.0))
     preprocessing = images.whole.preprocessing
-    empty = [] if images.empty is None else standardized(images.empty, preprocessing)
+    others = [] if images.strangers is None else standardized(images.strangers, preprocessing)
     hard = chain.from_iterable(map(_batches, images.hard))
-    found = calibrate(model, _batches(images.whole), empty, hard, metadata.symmetry)
+    found = calibrate(model, _batches(images.whole), others, hard, metadata.symmetry)
     about: dict[str, Any] = {
         "command": command_of(Path(weights).name, images.config),
         "images": images.about,
     }
-    threshold = metadata.in_view_threshold if images.empty is None else found.in_view_threshold
+    threshold = metadata.in_view_threshold if images.strangers is None else found.in_view_threshold
     config = replace(
         model.config,
         distance_scale=found.distance_scale,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from ffpose._internal.seeds import CALIBRATION, matching
 from ffpose.datasets import Decoding, PoseDataset, find_target, read_records
-from ffpose.datasets.scenes import open_empty_images, open_frames
+from ffpose.datasets.scenes import open_frames, open_strangers
 from ffpose.imaging.patches import Bytes
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.render import find_scene
@@ -32,14 +32,15 @@ class CalibrationSet(NamedTuple):
         whole: Whole images of the object.
         hard: Those of objects that the border cuts, and those of randomized scenes; each if it is
             asked for.
-        empty: Whole images without the object ``(N, H, W, 3)``, uint8; None where there are none.
+        strangers: Whole images of other spacecraft ``(N, H, W, 3)``, uint8, for the threshold that
+            flags: of all without the object they are the likest. None where there are none.
     """
 
     config: CalibrationImages
     about: list[dict[str, Any]]
     whole: PoseDataset
     hard: tuple[PoseDataset, ...] = ()
-    empty: Bytes | None = None
+    strangers: Bytes | None = None
 
 
 def open_calibration(config: CalibrationImages, preprocessing: Preprocessing) -> CalibrationSet:
@@ -87,14 +88,13 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
         open_frames(config.root, part, seeds[what], count, preprocessing, workers=config.workers)
         for what, (part, _) in parts.items()
     )
-    seeds["no spacecraft, or another one"] = seed = matching(CALIBRATION, config.seed + EMPTY_SEEDS)
-    empty = open_empty_images(config.root, scene, seed, count, preprocessing)
-    counts = (*[count] * len(parts), len(empty))
+    seeds["another spacecraft"] = seed = matching(CALIBRATION, config.seed + EMPTY_SEEDS)
+    strangers = open_strangers(config.root, scene, seed, count, preprocessing)
     about = [
-        {"shows": what, "scene": scene.name, "seed": seed, "count": number}
-        for (what, seed), number in zip(seeds.items(), counts, strict=True)
+        {"shows": what, "scene": scene.name, "seed": seed, "count": count}
+        for what, seed in seeds.items()
     ]
-    return CalibrationSet(config, about, whole, tuple(hard), empty)
+    return CalibrationSet(config, about, whole, tuple(hard), strangers)
 
 
 def command_of(weights: str, config: CalibrationImages) -> str:

@@ -26,6 +26,7 @@ from ffpose.errors import hint
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.imaging.patches import Arrays, Content, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.reprojection import agree
 from ffpose.imaging.transforms import Augmentation
 from ffpose.render import find_scene
 from ffpose.training.calibration_images import (
@@ -143,10 +144,15 @@ def _open_splits(
         val = val[::2]
     augmentation = _augmentation(config.augmentation) if config.augment else None
     target, cache = find_target(kind), config.cache
-    return (
-        PoseDataset(train, preprocessing, augmentation, cache, target),
-        PoseDataset(val, preprocessing, None, cache, target),
-    )
+    train_set = PoseDataset(train, preprocessing, augmentation, cache, target)
+    val_set = PoseDataset(val, preprocessing, None, cache, target)
+    trained, validated = train_set.camera, val_set.camera
+    if trained is not None and (validated is None or not agree(trained, validated)):
+        of = "several cameras" if validated is None else str(validated)
+        raise ValueError(
+            f"data.val_split: expected images of the training images' camera, {trained}, got {of}"
+        )
+    return train_set, val_set
 
 
 def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessing) -> TrainingData:

@@ -227,7 +227,9 @@ def _gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) -
     for axes, index in zip(grid, indices, strict=False):
         axes.imshow(np.asarray(draw_prediction(evaluation, index)))
         axes.set_title(
-            f"{evaluation.dataset.names[index]}\n{caption(evaluation, index)}", fontsize=8
+            f"{evaluation.dataset.names[index]}\n{caption(evaluation, index)}",
+            fontsize=8,
+            parse_math=False,
         )
     return figure
 
