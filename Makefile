@@ -80,9 +80,13 @@ ort: tools ## build the operator for ONNX Runtime into the package; installing f
 onboard: tools ## build the program that poses images without Python, of Rust 1.92 or newer (docs/onboard.md)
 	cargo build $(ONBOARD)
 
-weights: runs/soyuz-more/.trained runs/dragon/.trained ## train the shipped weights from nothing, hours; an interrupted training goes on
+weights: runs/soyuz-dusk/.trained runs/dragon-dusk/.trained ## train the shipped weights from nothing, hours; an interrupted training goes on
 
 runs/soyuz-more/.trained: runs/soyuz/.trained
+
+runs/soyuz-dusk/.trained: runs/soyuz-more/.trained
+
+runs/dragon-dusk/.trained: runs/dragon/.trained
 
 runs/%/.trained: configs/%.yaml | $(VENV)/.user
 	$(BIN)/ffpose train --config $< --resume

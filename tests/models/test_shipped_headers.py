@@ -29,7 +29,10 @@ from ffpose.training.provenance import recipe, rendered_sets
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 CALIBRATED_ON = {"dragon": "dragon_hard", "soyuz": "soyuz_hard"}
-TRAININGS = {"dragon": ("dragon",), "soyuz": ("soyuz-more", "soyuz")}
+TRAININGS = {
+    "dragon": ("dragon-dusk", "dragon"),
+    "soyuz": ("soyuz-dusk", "soyuz-more", "soyuz"),
+}
 """Configurations of each, the last training first."""
 
 SAME = (
