@@ -82,8 +82,8 @@ class Settings:
     attitude_noise: float = 0.3
     gate: float = 60.0
     tails: float = 3.0
-    said_views: float = 1.0
-    ordinary_nis: float = 1.0
+    said_views: float = 3.0
+    ordinary_nis: float = 2.0
     agreeing: int = 4
     coasting: float = 10.0
     orbital_rate: tuple[float, float, float] = (0.0, 0.0, 0.0)
