@@ -1,6 +1,7 @@
 """The configuration: readings of the paper, checks, JSON."""
 
 from dataclasses import asdict, fields, replace
+from inspect import getdoc
 
 import pytest
 
@@ -79,5 +80,5 @@ def test_refused_json(text, message):
 def test_every_field_is_saved_and_documented():
     names = {field.name for field in fields(FilterformerPoseConfig)}
     assert set(asdict(CONFIGS["base"])) == names
-    text = "".join(each.__doc__ or "" for each in FilterformerPoseConfig.__mro__)
-    assert all(f"        {name}: " in text for name in names)
+    text = "\n".join(getdoc(each) or "" for each in FilterformerPoseConfig.__mro__)
+    assert all(f"\n    {name}: " in text for name in names)

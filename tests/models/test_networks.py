@@ -1,6 +1,7 @@
 """What any network must do: be built by name, saved and loaded, frozen in part, exported."""
 
 from dataclasses import asdict
+from inspect import getdoc
 
 import numpy as np
 import pytest
@@ -123,5 +124,5 @@ def test_refused_values(name, fields, text):
 def test_every_field_is_saved_and_documented(name):
     config = PRESETS[name]
     assert type(config).from_json(config.to_json()) == config
-    documentation = "".join(each.__doc__ or "" for each in type(config).__mro__)
-    assert all(f"        {field}: " in documentation for field in asdict(config))
+    documentation = "\n".join(getdoc(each) or "" for each in type(config).__mro__)
+    assert all(f"\n    {field}: " in documentation for field in asdict(config))
