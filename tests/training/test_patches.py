@@ -145,7 +145,8 @@ def batches(model, arrays, nothing=(), cells=(CELLS, CELLS), symmetry=IDENTITY, 
 
 
 def all_of(views, seed=0):
-    return views.batch(torch.arange(len(views)), torch.Generator().manual_seed(seed))
+    index, generator = torch.arange(len(views)), torch.Generator().manual_seed(seed)
+    return views.augmented(views.stored(index, generator))
 
 
 def centroids(images):
@@ -527,18 +528,6 @@ def test_clutter_is_pictures_of_every_kind_drawn_from_the_generator():
     assert one.max() <= 1
     assert (one.std(dim=(1, 2, 3)) > 0).all()
     assert one.amax(dim=(1, 2, 3)).std() > 0.1  # dark and bright ones
-
-
-def test_what_is_read_becomes_the_batch(model, dotted):
-    """Reading draws once, and the rest by a seed of its own: it may be in another process."""
-    views = batches(model, [dotted], [green(3)], empty=0.5, noise=0.1, jpeg=0.5)
-    whole = all_of(views, seed=4)
-    read = views.stored(torch.arange(COUNT), torch.Generator().manual_seed(4))
-    assert all(part.dtype == torch.uint8 for part in read[:4])
-    again = [views.augmented(read) for _ in range(2)]
-    for batch in again:
-        for got, expected in zip(batch, whole, strict=True):
-            assert torch.equal(got, expected)
 
 
 def test_an_epoch_for_another_device_is_read_here_and_made_there(model, dotted):

@@ -177,12 +177,11 @@ class PatchBatches:
         own = order[processes.share(most * processes.world)]
         return PatchEpoch(self, own, batch_size, (seed, processes.rank))
 
-    def batch(self, index: Tensor, generator: torch.Generator) -> PatchBatch:
-        """Return the samples ``index``, augmented with ``generator``, which is on the CPU."""
-        return self.augmented(self.stored(index, generator))
-
     def stored(self, index: Tensor, generator: torch.Generator) -> StoredBatch:
-        """Return what is stored of the samples ``index``; a share of the windows as JPEG has it."""
+        """Return what is stored of the samples ``index``; a share of the windows as JPEG has it.
+
+        ``generator`` is on the CPU, and draws the seed of the augmentation.
+        """
         a, count = self.augmentation, len(index)
         first = max(1, round(a.frames * count))
         lacking = min(round(a.empty * count), count - 1)
