@@ -29,7 +29,7 @@ ALLOWED = {
         *("models", "datasets", "geometry", "arrays", "imaging", "inference", "config", "render"),
         *("onnx", "ops", "training"),
     },
-    "inference": {"models", "onnx", "geometry", "imaging", "arrays"},
+    "inference": {"models", "onnx", "config", "geometry", "imaging", "arrays"},
     "tracking": {
         *("_rust", "geometry", "imaging", "inference", "datasets", "evaluation", "arrays"),
     },

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def choose_preprocessing(
-    metadata: Description, camera: Camera | None, *, reproject: bool = False
+    metadata: Description, camera: Camera | None, *, reproject: bool
 ) -> Preprocessing:
     """Return the preprocessing from images of a set to the network's input.
 
@@ -50,5 +50,5 @@ def choose_preprocessing(
     expected = plain.image_camera(view, camera.width, camera.height)
     raise ValueError(
         f"expected images of the weights' camera, {expected}, got a set of {camera}; "
-        "evaluate --reproject turns them into the network's view"
+        "--reproject turns them into the network's view"
     )

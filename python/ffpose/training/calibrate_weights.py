@@ -16,7 +16,8 @@ from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
 from ffpose.config import PolarPoseConfig, looks_twice
 from ffpose.datasets import Decoding, PoseDataset, Sample
-from ffpose.inference.network import choose_preprocessing
+from ffpose.geometry import DistortedCamera
+from ffpose.imaging.reprojection import agree
 from ffpose.models import (
     PolarPose,
     SecondLookNetwork,
@@ -90,7 +91,18 @@ def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> Calibratio
             f"data: expected labels that locate the {metadata.locates}, as the weights do, got"
             f" those of {images.root}, which locate the {opened.whole.target}"
         )
-    choose_preprocessing(metadata, opened.whole.camera)
+    camera, view = opened.whole.camera, metadata.config.view_camera
+    bent = isinstance(camera, DistortedCamera) and any(camera.distortion)
+    if (
+        camera is None
+        or view is None
+        or bent
+        or not agree(opened.whole.preprocessing.camera(camera), view)
+    ):
+        raise ValueError(
+            f"data: expected images of the weights' camera, {metadata.camera}, without distortion,"
+            f" got {'those of several' if camera is None else camera}"
+        )
     if len(opened.whole) < LEAST_IMAGES:
         raise ValueError(
             f"data: expected at least {LEAST_IMAGES} images in {images.split}, as fewer tell"
