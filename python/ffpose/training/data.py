@@ -147,7 +147,9 @@ def _open_splits(
     train_set = PoseDataset(train, preprocessing, augmentation, cache, target)
     val_set = PoseDataset(val, preprocessing, None, cache, target)
     trained, validated = train_set.camera, val_set.camera
-    if trained is not None and (validated is None or not agree(trained, validated)):
+    if trained is not None and (
+        validated is None or not agree(*map(preprocessing.camera, (trained, validated)))
+    ):
         of = "several cameras" if validated is None else str(validated)
         raise ValueError(
             f"data.val_split: expected images of the training images' camera, {trained}, got {of}"
