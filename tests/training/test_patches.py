@@ -530,6 +530,15 @@ def test_clutter_is_pictures_of_every_kind_drawn_from_the_generator():
     assert one.amax(dim=(1, 2, 3)).std() > 0.1  # dark and bright ones
 
 
+def test_a_batch_that_is_sent_takes_no_memory_of_the_epoch_along(model, dotted):
+    """Torch moves the memory of what a worker sends, in a thread: the next batch would lose its."""
+    epoch = batches(model, [dotted]).epoch(3, 10)
+    place = epoch.order.data_ptr()
+    for number in range(len(epoch)):
+        epoch[number].index.share_memory_()
+    assert epoch.order.data_ptr() == place
+
+
 def test_an_epoch_for_another_device_is_read_here_and_made_there(model, dotted):
     views = batches(model, [dotted])
     made = list(views.epoch(3, 10))

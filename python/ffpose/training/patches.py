@@ -377,7 +377,9 @@ class PatchEpoch(Dataset[PatchBatch | StoredBatch]):
             raise IndexError(number)
         (seed,) = np.random.SeedSequence([*self.seed, number]).generate_state(1)
         start = number * self.batch_size
-        index = self.order[start : start + self.batch_size]
+        # A copy: a worker's queue moves what it sends to shared memory, in a thread of its own, and
+        # would free the order under the next batch.
+        index = self.order[start : start + self.batch_size].clone()
         stored = self.patches.stored(index, torch.Generator().manual_seed(int(seed)))
         return self.patches.augmented(stored) if self.patches.device.type == "cpu" else stored
 
