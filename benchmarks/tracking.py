@@ -167,7 +167,7 @@ def together(measured: list[TrackErrors]) -> dict[str, object]:
         },
         "attitude_median_deg": [_at(tracked[both, 1], 0.5), _at(alone[both, 1], 0.5)],
         "attitude_99_deg": [_at(tracked[both, 1], 0.99), _at(alone[both, 1], 0.99)],
-        "attitude_largest_deg": _at(tracked[there, 1], 1.0),
+        "attitude_largest_deg": [_at(tracked[there, 1], 1.0), _at(alone[both, 1], 1.0)],
         "position_ratio_median": _ratio(tracked[:, 0], alone[:, 0], both),
         "position_ratio_99": _at(tracked[both, 0], 0.99) / _at(alone[both, 0], 0.99),
         "velocity_median_m_s": _at(np.linalg.norm(errors[settled, 3:6], axis=1), 0.5),

@@ -163,6 +163,18 @@ class PoseDataset(Dataset[Sample]):
         """
         return self.records[index].decode()
 
+    def expect_target(self, target: Target) -> None:
+        """Refuse labels that do not locate what a network does.
+
+        Raises:
+            ValueError: They locate something else than ``target``.
+        """
+        if self.target != target:
+            raise ValueError(
+                f"data: expected labels that locate the {target}, as the weights do, got those in"
+                f" {self.records[0].source}, which locate the {self.target}"
+            )
+
     def _expect_turnable(self) -> None:
         """Check that the images and labels are such that turning the camera keeps them true."""
         if self.target != "object":

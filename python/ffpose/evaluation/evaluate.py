@@ -300,11 +300,7 @@ def evaluate(
     metadata = estimator.metadata
     decoding = (decoding or Decoding()).completed(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
-    if dataset.target != metadata.locates:
-        raise ValueError(
-            f"data: expected labels that locate the {metadata.locates}, as the weights do, got"
-            f" those of {root}, which locate the {dataset.target}"
-        )
+    dataset.expect_target(metadata.locates)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     if baseline is None:

@@ -231,6 +231,11 @@ def agree(camera: Camera, other: Camera) -> bool:
     return all(math.isclose(one, two, rel_tol=TOLERANCE) for one, two in pairs)
 
 
+def bends(camera: Camera) -> bool:
+    """Return whether the images of a camera have distortion, which `agree` does not compare."""
+    return isinstance(camera, DistortedCamera) and any(camera.distortion)
+
+
 def _pinhole(camera: Camera) -> tuple[float, ...]:
     return (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 from ffpose.config import looks_twice
-from ffpose.geometry import Camera, DistortedCamera
+from ffpose.geometry import Camera
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.imaging.reprojection import Reprojection, agree
+from ffpose.imaging.reprojection import Reprojection, agree, bends
 
 if TYPE_CHECKING:
     from ffpose.models import WeightsMetadata
@@ -36,8 +36,7 @@ def choose_preprocessing(
         return plain
     if camera is None:
         raise ValueError("expected images of the weights' camera, got a set of several cameras")
-    bent = isinstance(camera, DistortedCamera) and any(camera.distortion)
-    bent = bent and looks_twice(metadata.config)
+    bent = looks_twice(metadata.config) and bends(camera)
     if agree(plain.camera(camera), view) and not bent:
         return plain
     if reproject:

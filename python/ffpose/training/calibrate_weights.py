@@ -16,8 +16,7 @@ from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
 from ffpose.config import PolarPoseConfig, looks_twice
 from ffpose.datasets import Decoding, PoseDataset, Sample
-from ffpose.geometry import DistortedCamera
-from ffpose.imaging.reprojection import agree
+from ffpose.imaging.reprojection import agree, bends
 from ffpose.models import (
     PolarPose,
     SecondLookNetwork,
@@ -86,19 +85,11 @@ def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> Calibratio
     decoding = decoding.completed(metadata.undistorted, metadata.white)
     images = replace(images, undistort=decoding.undistort, white=decoding.white)
     opened = open_calibration(images, metadata.preprocessing)
-    if opened.whole.target != metadata.locates:
-        raise ValueError(
-            f"data: expected labels that locate the {metadata.locates}, as the weights do, got"
-            f" those of {images.root}, which locate the {opened.whole.target}"
-        )
+    opened.whole.expect_target(metadata.locates)
     camera, view = opened.whole.camera, metadata.config.view_camera
-    bent = isinstance(camera, DistortedCamera) and any(camera.distortion)
-    if (
-        camera is None
-        or view is None
-        or bent
-        or not agree(opened.whole.preprocessing.camera(camera), view)
-    ):
+    assert view is not None  # a second look points a camera
+    seen = None if camera is None or bends(camera) else metadata.preprocessing.camera(camera)
+    if seen is None or not agree(seen, view):
         raise ValueError(
             f"data: expected images of the weights' camera, {metadata.camera}, without distortion,"
             f" got {'those of several' if camera is None else camera}"
