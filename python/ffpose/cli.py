@@ -403,8 +403,8 @@ def learn_arguments(parser: ArgumentParser) -> None:
     )
     text = "fold attitudes of one look: auto (within the sensor's noise), none, or a JSON file"
     parser.add_argument("--symmetry", default="auto", metavar="auto|none|FILE", help=text)
-    text = "weights to start from: a name such as soyuz, a file, or none for random ones"
-    parser.add_argument("--init", default="soyuz", help=text)
+    text = "weights to start from: a name such as generic, a file, or none for random ones"
+    parser.add_argument("--init", default="generic", help=text)
     parser.add_argument("--processes", type=int, default=0, help="0 for one a core")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything")
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda")

@@ -73,3 +73,13 @@ def test_a_file_goes_before_a_name(shelf, tmp_path, monkeypatch):
 @pytest.mark.parametrize("path", ["runs/best", "best.safetensors", "/best"])
 def test_what_is_no_name_is_a_path(shelf, path):
     assert zoo.resolve(path) == Path(path)
+
+
+def test_initial_weights_have_names_where_a_training_starts(shelf):
+    assert zoo.resolve_initial("generic") == zoo.INITIAL / "generic.safetensors"
+    with pytest.raises(FileNotFoundError, match=r"got generic, which poses no spacecraft"):
+        zoo.resolve("generic")
+    (shelf / "soyuz.safetensors").touch()
+    assert zoo.resolve_initial("soyuz") == zoo.resolve("soyuz")
+    with pytest.raises(FileNotFoundError, match=r"^init: .*\(one of generic, soyuz\), got soyouz$"):
+        zoo.resolve_initial("soyouz")

@@ -15,7 +15,7 @@ from safetensors.numpy import save
 import ffpose
 from ffpose._internal import files
 from ffpose._internal.files import sha256
-from ffpose._internal.zoo import resolve
+from ffpose._internal.zoo import resolve_initial
 from ffpose.cli import main
 from ffpose.learn import plan, run
 from ffpose.learn.plan import (
@@ -207,7 +207,7 @@ def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
     assert str(tmp_path) not in json.dumps(header.recipe)
     of_the_first = header.recipe["init"]
     assert of_the_first["sha256"] == sha256(out / "first" / "best.safetensors")
-    assert of_the_first["recipe"]["init"]["sha256"] == sha256(resolve("soyuz"))
+    assert of_the_first["recipe"]["init"]["sha256"] == sha256(resolve_initial("generic"))
     image = next((out / "test-images").glob("*_rgb.png"))
     for backend in ("torch", "onnxruntime"):
         pose = ffpose.load(out, backend=backend)(image)
@@ -319,7 +319,10 @@ def write_gltf(name, **changes):
         (["cycle.gltf"], "cycle.gltf: expected a tree of nodes, got node 0 in a cycle"),
         (["inner/outside.gltf"], "outside.gltf: expected files in its folder, got '../secret.png'"),
         (["craft.stl", "--symmetry", "none.json"], "none.json"),
-        (["craft.stl", "--init", "sojuz"], "expected a file or a name (one of dragon, soyuz), got"),
+        (
+            ["craft.stl", "--init", "sojuz"],
+            "expected a file or a name (one of dragon, generic, soyuz), got",
+        ),
         (["craft.stl", "--init", "other.safetensors"], "other.safetensors"),
         (["craft.stl", "--symmetry", "two.json"], "two.json: axes: expected some that leave"),
     ],

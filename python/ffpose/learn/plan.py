@@ -25,9 +25,10 @@ DEFAULT_CAMERA = Camera(512, 384, 256.0, 256.0, 256.0, 192.0)
 
 NETWORK: Final = "polar"
 
-DEFAULT_INIT = "soyuz"
-"""Shipped weights that a training starts from: what they know of edges, light and perspective holds
-for other spacecraft, and saves a part of the budget."""
+DEFAULT_INIT = "generic"
+"""Shipped weights that a training starts from. They have learned from 64 spacecraft at once, by
+``python -m studies.generic``: what holds for so many holds for another, and saves a part of the
+budget."""
 
 NEAR_DIAMETERS, FAR_DIAMETERS = 1.5, 8.0
 """Default distances, in diameters of the spacecraft's bounding sphere."""

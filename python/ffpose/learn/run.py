@@ -18,7 +18,7 @@ from ffpose import __version__
 from ffpose._internal.files import atomic_write, read_json, sha256
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
-from ffpose._internal.zoo import resolve
+from ffpose._internal.zoo import resolve_initial
 from ffpose.errors import DataError
 from ffpose.evaluation.card.measurement import measure
 from ffpose.evaluation.card.tables import format_card
@@ -241,7 +241,7 @@ def _initial(init: str) -> Path | None:
     """Return the path of the initial weights, once they are known to fit the network."""
     if init == "none":
         return None
-    path = resolve(init, argument="init")
+    path = resolve_initial(init)
     load_weights(path, build_network(NETWORK, backbone_weights="none"))
     return path
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from ffpose._internal.torch_internals import multiplies_bfloat16
-from ffpose._internal.zoo import resolve
+from ffpose._internal.zoo import resolve_initial
 from ffpose.config import looks_twice
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import (
@@ -88,7 +88,7 @@ def build_run(
     config = replace(config, autocast=chosen_autocast(config.autocast, device))
     initial = None
     if resumed is None and config.init is not None:
-        initial = resolve(config.init, argument="init")
+        initial = resolve_initial(config.init)
         if not initial.is_file():
             raise FileNotFoundError(f"init: expected a file or a name, got {initial}")
     fields = dict(config.model_fields)

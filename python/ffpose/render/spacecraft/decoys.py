@@ -26,19 +26,21 @@ def build_decoy(seed: int, index: int) -> Craft:
         raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
     rng = np.random.default_rng([seed, index, 0xDEC0])
     length, width = rng.uniform(1.5, 7.0), rng.uniform(1.0, 3.5)
-    parts = [_bus(length, width, rng)]
+    parts = [bus(length, width, rng)]
     for _ in range(int(rng.integers(0, 3))):
-        parts += _wings(length, width, rng)
+        parts += wings(length, width, rng)
     for _ in range(int(rng.integers(0, 3))):
-        parts.append(_fitting(length, width, rng))
+        parts.append(fitting(length, width, rng))
     mesh = merge(parts)
     axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
-    return Craft(f"decoy-{seed}-{index}", mesh.moved(axes), _materials(rng))
+    return Craft(f"decoy-{seed}-{index}", mesh.moved(axes), paints(rng))
 
 
-def _materials(rng: np.random.Generator) -> tuple[Material, ...]:
+def paints(rng: np.random.Generator) -> tuple[Material, ...]:
+    """Choose the materials that the parts name: metal, cells, white, foil, blanket, black."""
+
     def gray(low: float, high: float) -> tuple[float, float, float]:
         r, g, b = np.clip(rng.uniform(low, high) + rng.uniform(-0.06, 0.06, 3), 0.01, 1)
         return float(r), float(g), float(b)
@@ -53,7 +55,8 @@ def _materials(rng: np.random.Generator) -> tuple[Material, ...]:
     )
 
 
-def _bus(length: float, width: float, rng: np.random.Generator) -> Mesh:
+def bus(length: float, width: float, rng: np.random.Generator) -> Mesh:
+    """Build a body along x, a box or a cylinder with a nose; meters."""
     cover = int(rng.choice(COVERS))
     if rng.random() < 0.5:
         return box((length, width, width * rng.uniform(0.6, 1.0)), cover)
@@ -63,8 +66,8 @@ def _bus(length: float, width: float, rng: np.random.Generator) -> Mesh:
     return lathe([*profile, (-half, radius), (-half, 0.0)], cover, 32)
 
 
-def _wings(length: float, width: float, rng: np.random.Generator) -> list[Mesh]:
-    """Build one wing, or two on opposite sides."""
+def wings(length: float, width: float, rng: np.random.Generator) -> list[Mesh]:
+    """Build one solar wing of a bus of that size, or two on opposite sides."""
     span, chord = rng.uniform(1.0, 5.0), rng.uniform(0.5, 2.0)
     place = rng.uniform(-0.4, 0.4) * length
     roll = rng.uniform(0, 360)
@@ -76,8 +79,8 @@ def _wings(length: float, width: float, rng: np.random.Generator) -> list[Mesh]:
     ]
 
 
-def _fitting(length: float, width: float, rng: np.random.Generator) -> Mesh:
-    """Build a tank, a boom or a thruster on the bus."""
+def fitting(length: float, width: float, rng: np.random.Generator) -> Mesh:
+    """Build a tank, a boom or a thruster on a bus of that size."""
     angle = rng.uniform(0, 360)
     place = (rng.uniform(-0.5, 0.5) * length, 0.0, 0.0)
     match int(rng.integers(3)):
