@@ -20,6 +20,9 @@ OPTIONS = [
     "--locked",
     "--release",
     "--package=ffpose-ort",
+    # The extension's other crate: with it the features of what all depend on are the extension's, and
+    # the tests', so that ffpose-core is compiled once for them.
+    "--package=ffpose-track",
     "--message-format=json-render-diagnostics",
 ]
 
