@@ -59,22 +59,24 @@ def correlation_angles(sequences: Sequence[Sequence[tuple[Pose, Pose]]]) -> dict
     Raises:
         ValueError: No two frames of a sequence are 1 to 60 degrees apart.
     """
-    angles, products = [], []
+    turned, multiplied = [np.empty(0)], [np.empty((0, 4))]
     for pairs in sequences:
-        found = [(truth, _error(truth, pose)) for truth, pose in pairs]
-        kept = [(truth, error) for truth, error in found if error is not None]
-        for place, (first, one) in enumerate(kept):
-            for second, other in kept[place + 1 :]:
-                turn = logarithm(product(conjugate(first.q), second.q))
-                angles.append(np.degrees(np.linalg.norm(turn)))
-                sizes = ((one**2).sum(1) + (other**2).sum(1)) / 2
-                products.append([*(one * other).sum(1), *sizes])
+        found = [(truth.q, _error(truth, pose)) for truth, pose in pairs]
+        kept = [(q, error) for q, error in found if error is not None]
+        q = np.array([q for q, _ in kept]).reshape(-1, 4)
+        errors = np.array([error for _, error in kept]).reshape(-1, 2, 3)
+        one, other = np.triu_indices(len(kept), 1)
+        cosines = np.abs((q[one] * q[other]).sum(1))
+        turned.append(np.degrees(2 * np.arccos(np.minimum(cosines, 1))))
+        sizes = (errors**2).sum(2)
+        pairwise = (errors[one] * errors[other]).sum(2)
+        multiplied.append(np.concatenate([pairwise, (sizes[one] + sizes[other]) / 2], axis=1))
+    angles, table = np.concatenate(turned), np.concatenate(multiplied)
     bins = np.digitize(angles, BINS_DEG) - 1
-    table = np.array(products).reshape(-1, 4)
     places = [place for place in range(1, len(BINS_DEG) - 1) if (bins == place).any()]
     if not places:
         raise ValueError("sequences: expected frames that turn by 1 to 60 degrees, got none")
-    middle = np.array([np.mean(np.array(angles)[bins == place]) for place in places])
+    middle = np.array([angles[bins == place].mean() for place in places])
     count = np.array([(bins == place).sum() for place in places])
     sums = np.array([table[bins == place].sum(0) for place in places])
     return {
