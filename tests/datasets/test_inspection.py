@@ -7,11 +7,17 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from ffpose.datasets import open_dataset
+from ffpose.datasets import inspection, open_dataset
 from ffpose.datasets.inspection import contact_sheet, inspect_dataset, inspect_folder
 from ffpose.errors import DataError
 from ffpose.imaging.preprocessing import Preprocessing
 from urso_sets import LABELS, POSES, SPLITS, table, write_set
+
+
+@pytest.fixture
+def unwritten(monkeypatch):
+    """Histograms are drawn, but not written, which takes longer than all else."""
+    monkeypatch.setattr(inspection, "save_figure", lambda figure, path, **options: None)
 
 
 def read(root, splits=tuple(SPLITS)):
@@ -36,6 +42,7 @@ def test_the_files_are_there_and_open(tmp_path):
             assert min(image.size) > 100
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_counts_and_ranges_are_those_of_the_labels(tmp_path):
     summary = inspect_dataset(read(write_set(tmp_path / "set")), tmp_path / "out")
     assert {name: s["images"] for name, s in summary["splits"].items()} == {
@@ -64,6 +71,7 @@ def test_counts_and_ranges_are_those_of_the_labels(tmp_path):
     }
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_a_target_behind_the_camera_or_outside_the_image_is_found(tmp_path):
     root = write_set(tmp_path / "set")
     relabel(root, "train", **{"0_rgb": {"z": -10}, "2_rgb": {"x": 30}})
@@ -73,6 +81,7 @@ def test_a_target_behind_the_camera_or_outside_the_image_is_found(tmp_path):
     assert train["origin_in_image"] == 0
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_quaternions_are_checked_as_the_file_has_them(tmp_path):
     """Norms: sqrt(0.6003² + 0.8²) = 1.00018, and 1.0000018, which is rounding."""
     root = write_set(tmp_path / "set")
@@ -88,6 +97,7 @@ def test_quaternions_are_checked_as_the_file_has_them(tmp_path):
     assert sorted(failed["scalar_not_negative"]) == ["0_rgb.png", "2_rgb.png"]
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_an_image_in_two_splits_is_found(tmp_path):
     root = write_set(tmp_path / "set")
     for kind in ("images", "poses_gt"):
@@ -137,6 +147,7 @@ def test_bad_arguments_are_refused(tmp_path, splits, images, words):
         inspect_dataset(datasets, tmp_path / "out", images)
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_splits_without_labels_are_counted_and_decoded(tmp_path):
     root = tmp_path / "set"
     root.mkdir()
@@ -155,6 +166,7 @@ def test_splits_without_labels_are_counted_and_decoded(tmp_path):
         inspect_folder("csv", root, tmp_path / "other")
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_labels_that_locate_the_camera_have_no_object_in_view(tmp_path):
     """The camera at (3, 4, -12) is 13 m from the origin; the second norm is 1.04."""
     root = tmp_path / "scene"

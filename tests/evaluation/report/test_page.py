@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from ffpose.datasets import open_dataset
 from ffpose.evaluation.baseline import mean_pose
@@ -22,6 +23,12 @@ HISTORY = [
         "val_median_rotation_error_deg": 1.0,
     }
 ]
+
+
+@pytest.fixture(autouse=True)
+def _unwritten(monkeypatch):
+    """Figures are drawn, but not written, which takes seconds and which `test_plots` does."""
+    monkeypatch.setattr(Figure, "savefig", lambda _, file, **options: file.write(b"<svg/>"))
 
 
 @pytest.fixture(scope="module")
