@@ -12,7 +12,7 @@ ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml -
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint typecheck test-rust test-python test-slow test-arm test-onboard docs bench figures ort onboard weights graphs wheel wheels test-wheel-arm clean tools cards
+.PHONY: help demo test all format lint lint-rust lint-python typecheck typecheck-here typecheck-windows test-rust test-python test-slow test-python-all test-arm test-onboard docs bench figures ort onboard weights graphs wheel wheels test-wheel-arm clean tools cards
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -20,9 +20,11 @@ help: ## list the targets
 demo: $(VENV)/.user ## install, render unseen images, pose them; leaves runs/demo/report.html
 	$(BIN)/ffpose demo --out $(DEMO_OUT)
 
-test: test-rust test-python ## install and run the tests, Rust's and Python's, but for the slow ones
+test: ## install and run the tests, Rust's and Python's, but for the slow ones
+	$(MAKE) --jobs=2 test-rust $(VENV)/.dev # packages are fetched while crates compile
+	$(MAKE) test-python
 
-all: lint typecheck test test-slow test-onboard docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
+all: lint typecheck test-rust test-onboard test-python-all docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
 
 format: $(VENV)/.dev ## rewrite the sources in the house format
 	$(BIN)/ruff format $(PYTHON_SOURCES)
@@ -30,17 +32,25 @@ format: $(VENV)/.dev ## rewrite the sources in the house format
 	cargo fmt --all
 	cargo fmt --manifest-path crates/ffpose-onboard/Cargo.toml
 
-lint: $(VENV)/.dev ## formatters and linters, changing nothing
+lint: lint-rust lint-python ## formatters and linters, changing nothing
+
+lint-python: $(VENV)/.dev
 	$(BIN)/ruff format --check $(PYTHON_SOURCES)
 	$(BIN)/ruff check $(PYTHON_SOURCES)
+
+lint-rust: tools
 	cargo fmt --all --check
 	cargo fmt --manifest-path crates/ffpose-onboard/Cargo.toml --check
 	cargo clippy --locked --workspace --all-targets --release -- -D warnings
 	cargo clippy $(ONBOARD) --all-targets -- -D warnings
 
-typecheck: $(VENV)/.dev ## mypy strict, on Windows too, and the stubs against the built extension
-	$(BIN)/mypy
+typecheck: typecheck-here typecheck-windows ## mypy strict, on Windows too, and the stubs against the built extension
+
+typecheck-windows: $(VENV)/.dev
 	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32 -p ffpose
+
+typecheck-here: $(VENV)/.dev
+	$(BIN)/mypy
 	MYPYPATH=python $(BIN)/stubtest ffpose._rust
 
 test-rust: tools ## the Rust tests, with optimization
@@ -51,6 +61,9 @@ test-python: $(VENV)/.dev ## the Python tests and the examples of the docs
 
 test-slow: $(VENV)/.dev ## trainings, exports of whole networks, and the commands of every page
 	$(BIN)/python -m pytest -q $(PARALLEL) -m slow
+
+test-python-all: $(VENV)/.dev ## both in one run, which imports and collects once, and those of peers that are installed
+	$(BIN)/python -m pytest -q $(PARALLEL)
 
 test-arm: ## the Rust tests for 64-bit ARM under qemu; not needed to use ffpose
 	.ci/test-arm

@@ -20,8 +20,8 @@ OPTIONS = [
     "--locked",
     "--release",
     "--package=ffpose-ort",
-    # The extension's other crate: with it the features of what all depend on are the extension's, and
-    # the tests', so that ffpose-core is compiled once for them.
+    # The extension's too: with it what all depend on has the features that it has in the
+    # extension and in the tests, and ffpose-core is compiled once.
     "--package=ffpose-track",
     "--message-format=json-render-diagnostics",
 ]
