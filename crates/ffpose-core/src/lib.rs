@@ -15,8 +15,7 @@
 //! # Map
 //!
 //! - **[`SpectralFilter`]** (`spectral`): checks shapes, plans once for each (`plans`), cuts a batch into pieces (`tiling`, `batch`),
-//!   lends them to threads, adds gradient sums up in a fixed order; [`Prepared`] weights; `widened` for half precision where a
-//!   kernel takes none.
+//!   lends them to threads, adds gradient sums up in a fixed order; [`Prepared`] weights.
 //! - **Kernels** (`fft`, whose page is their map): what computes one piece, behind the traits of `kernel`.
 //! - **Vectors** (`simd`): the vector trait and its instruction sets, memory as vectors; the only unsafe code.
 //! - **Elements**: `real` is what is computed in, `number` what is stored; `shape` the layouts; `views` parts of images.

@@ -11,13 +11,10 @@ const LANES: Axis = Axis(2);
 
 /// An element of images and weights: `f32`, `f64`, [`Bf16`] or [`F16`]. `Real` is what is computed in.
 pub trait Number: Default + Stored<Real: Planned> + 'static {
-    /// The kernel of a plan if it takes images of this type, else `widened`, which lets it take them.
+    /// The kernel of a plan, for images of this type.
     #[doc(hidden)]
     #[allow(private_interfaces)] // sealed: nobody outside can name the supertrait
-    fn kernel_of<'a>(
-        plan: &'a Plan<Self::Real>,
-        widened: &'a dyn Kernel<Self>,
-    ) -> &'a dyn Kernel<Self>;
+    fn kernel_of(plan: &Plan<Self::Real>) -> &dyn Kernel<Self>;
 
     /// `view` in what is computed in; where that is something else, a copy in `wide`.
     #[doc(hidden)]
@@ -42,10 +39,7 @@ macro_rules! computed_in_itself {
         #[allow(private_interfaces)] // as above
         impl Number for $real {
             #[inline(never)] // or each crate that calls it would compile the kernels
-            fn kernel_of<'a>(
-                plan: &'a Plan<Self>,
-                _: &'a dyn Kernel<Self>,
-            ) -> &'a dyn Kernel<Self> {
+            fn kernel_of(plan: &Plan<Self>) -> &dyn Kernel<Self> {
                 plan.kernel()
             }
 
@@ -77,14 +71,8 @@ macro_rules! computed_in_f32 {
         #[allow(private_interfaces)] // as above
         impl Number for $half {
             #[inline(never)] // as above
-            fn kernel_of<'a>(
-                plan: &'a Plan<f32>,
-                widened: &'a dyn Kernel<Self>,
-            ) -> &'a dyn Kernel<Self> {
-                if !cfg!(feature = "half") {
-                    return widened;
-                }
-                plan.kernel_of_half().unwrap_or(widened)
+            fn kernel_of(plan: &Plan<f32>) -> &dyn Kernel<Self> {
+                plan.kernel()
             }
 
             fn read<'a>(
@@ -94,7 +82,11 @@ macro_rules! computed_in_f32 {
             ) -> ArrayView3<'a, f32> {
                 let dim = view.dim();
                 let wide = &mut wide[..view.len()];
-                isa.run(Widen { from: view, to: wide });
+                if isa.has_vectors::<f32>() {
+                    isa.run(Widen { from: view, to: wide });
+                } else {
+                    wide.iter_mut().zip(view).for_each(|(to, from)| *to = from.widened());
+                }
                 ArrayView3::from_shape(dim, wide).expect("as many numbers")
             }
 
@@ -107,7 +99,11 @@ macro_rules! computed_in_f32 {
                 let wide = &mut wide[..view.len()];
                 let target = ArrayViewMut3::from_shape(view.dim(), &mut *wide);
                 compute(target.expect("as many numbers"));
-                isa.run(Narrow { from: wide, to: view });
+                if isa.has_vectors::<f32>() {
+                    isa.run(Narrow { from: wide, to: view });
+                } else {
+                    view.into_iter().zip(wide).for_each(|(to, from)| *to = Self::nearest_to(*from));
+                }
             }
         }
     };

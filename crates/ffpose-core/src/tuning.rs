@@ -46,7 +46,7 @@ pub(crate) const L1_CACHE: usize = 1 << 15;
 /// Points of an image of few channels that are copied before those of the next: their lines stay in the L1 cache.
 pub(crate) const COPIED_POINTS: usize = 64;
 
-/// The largest prime that is transformed from the definition; beyond it a convolution is faster.
+/// The largest prime that is transformed across vectors, from the definition; beyond it rustfft's convolutions are faster.
 pub(crate) const LARGEST_PRIME: usize = 61;
 
 /// Numbers of a gradient's sum that one member of a team adds up at a time.
@@ -90,10 +90,6 @@ pub(crate) struct Tuning {
     /// The same of sequences and tokens.
     pub(crate) batched_sequence: usize,
 
-    /// Points up to which sequences of one channel are filtered in 8 phases where vectors have room for 16, which leave most of
-    /// their last transform across the phases empty: on Zen 4 one of 512 takes 0.7 of the time, one of 4096 1.06 of it.
-    pub(crate) narrow: usize,
-
     /// Pieces for each thread from which on no narrower ones are worth making.
     pub(crate) pieces_each: usize,
 
@@ -122,7 +118,6 @@ static OF_MACHINE: LazyLock<Tuning> = LazyLock::new(|| Tuning {
     prefetched: 3,
     batched_plane: 1 << 10,
     batched_sequence: 1 << 12,
-    narrow: 1 << 11,
     pieces_each: 8,
     sum_pieces: 64,
     most_sum_parts: 8,

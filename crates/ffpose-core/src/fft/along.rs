@@ -1,9 +1,9 @@
-//! The kernel for few lines: realfft along rows, rustfft along columns, plane by plane.
+//! The kernel along the lines: realfft for rows, plane by plane; columns across vectors, or by rustfft.
 //!
-//! Vectors across lines, as in [`crate::fft`], are mostly empty when an image has one to four channels, or tokens one to
-//! four rows; here vectors lie along the lines. Planes of a grid are gathered and scattered. The spectrum of
-//! a plane is kept by columns, `(columns/2+1, rows)`, and so is the packed weight. After the inverse transform of the
-//! columns those of DC and Nyquist lose their imaginary parts, which is the projection that `irfft2` makes.
+//! Vectors across lines of a grid are mostly empty when an image has one to four channels, and in a plane of tokens rows are
+//! contiguous; besides there are none of double precision, nor without an instruction set for them, and rustfft has more ways for
+//! large primes. Planes of a grid are gathered and scattered. After the inverse transform of the columns those of DC and Nyquist
+//! lose their imaginary parts, which is the projection that `irfft2` makes.
 
 use std::sync::Arc;
 
@@ -14,17 +14,33 @@ use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
 use transpose::transpose;
 
+use super::transform::{Transform, has_transform};
 use crate::kernel::{Backward, Factor, Kernel, Packing};
 use crate::parallel::Team;
+use crate::simd::{
+    Algorithm, Element, Isa, Stored, Tile, TileMut, Vector, aligned, complex_vectors, slack,
+};
 use crate::views::BATCH;
 use crate::{Layout, Real, Shape};
 
 pub(crate) struct AlongLines<T: Real> {
+    isa: Isa,
     shape: Shape,
     rows_forward: Arc<dyn RealToComplex<T>>,
     rows_inverse: Arc<dyn ComplexToReal<T>>,
-    columns_forward: Arc<dyn Fft<T>>,
-    columns_inverse: Arc<dyn Fft<T>>,
+    columns: Columns<T>,
+    /// Complex numbers of a row in a spectrum that is kept by rows: whole vectors.
+    pitch: usize,
+}
+
+/// How columns are transformed, and how a spectrum is kept, and so the packed weight.
+enum Columns<T> {
+    /// There is one row.
+    Alone,
+    /// As many together as a vector has lanes; by rows.
+    Across(Transform<T>),
+    /// One by one, forward and back; by columns.
+    Along(Arc<dyn Fft<T>>, Arc<dyn Fft<T>>),
 }
 
 /// Scratch of a call, cut into its uses.
@@ -42,20 +58,34 @@ struct AlongBuffers<'a, T> {
 
 /// Scratch of one transform.
 struct Work<'a, T> {
+    /// Columns of vectors, and what their transform needs.
+    line: &'a mut [T],
     by_rows: &'a mut [Complex<T>],
     inner: &'a mut [Complex<T>],
 }
 
 impl<T: Real> AlongLines<T> {
     /// Plans a shape without zeros.
-    pub(crate) fn new(shape: Shape) -> Self {
-        let (mut rows, mut columns) = (RealFftPlanner::new(), FftPlanner::new());
+    pub(crate) fn new(isa: Isa, shape: Shape) -> Self {
+        let (mut rows, lanes) = (RealFftPlanner::new(), isa.lanes::<T>());
+        let fills_vectors = isa.has_vectors::<T>() && 2 * shape.half() > lanes;
+        let columns = if shape.rows == 1 {
+            Columns::Alone
+        } else if fills_vectors && has_transform(shape.rows) {
+            Columns::Across(Transform::new(isa, shape.rows))
+        } else {
+            let mut columns = FftPlanner::new();
+            let forward = columns.plan_fft_forward(shape.rows);
+            Columns::Along(forward, columns.plan_fft_inverse(shape.rows))
+        };
+        let across = matches!(columns, Columns::Across(_));
         Self {
+            isa,
             shape,
             rows_forward: rows.plan_fft_forward(shape.columns),
             rows_inverse: rows.plan_fft_inverse(shape.columns),
-            columns_forward: columns.plan_fft_forward(shape.rows),
-            columns_inverse: columns.plan_fft_inverse(shape.rows),
+            columns,
+            pitch: if across { shape.half().next_multiple_of(lanes) } else { shape.half() },
         }
     }
 
@@ -64,7 +94,7 @@ impl<T: Real> AlongLines<T> {
     }
 
     fn spectrum_len(&self) -> usize {
-        self.shape.rows * self.shape.half()
+        self.shape.rows * self.pitch
     }
 
     /// Planes of an image: each lane of a grid is one, all lanes of tokens are one together.
@@ -75,70 +105,126 @@ impl<T: Real> AlongLines<T> {
         }
     }
 
+    /// Numbers of columns of vectors, and of what their transform needs.
+    fn line_len(&self) -> usize {
+        match &self.columns {
+            Columns::Across(transform) => {
+                2 * self.isa.lanes::<T>() * (transform.len() + transform.work_len())
+            }
+            _ => 0,
+        }
+    }
+
     /// Scratch that the libraries ask for.
     fn inner_len(&self) -> usize {
         let rows = self.rows_forward.get_scratch_len().max(self.rows_inverse.get_scratch_len());
-        let forward = self.columns_forward.get_inplace_scratch_len();
-        rows.max(forward).max(self.columns_inverse.get_inplace_scratch_len())
+        match &self.columns {
+            Columns::Along(forward, inverse) => {
+                let columns = forward.get_inplace_scratch_len();
+                rows.max(columns).max(inverse.get_inplace_scratch_len())
+            }
+            _ => rows,
+        }
     }
 
     fn buffers<'a>(&self, scratch: &'a mut [T]) -> AlongBuffers<'a, T> {
+        let (line, rest) = aligned(scratch).split_at_mut(self.line_len());
         let len = self.planes() * self.plane_len();
-        let (planes, rest) = scratch.split_at_mut(len);
+        let (planes, rest) = rest.split_at_mut(len);
         let (inputs, rest) = rest.split_at_mut(len);
+        let rest = &mut rest[..2 * (3 * self.spectrum_len() + self.inner_len())];
         let len = self.spectrum_len();
         let (spectrum, rest) = cast_slice_mut(rest).split_at_mut(len);
         let (input, rest) = rest.split_at_mut(len);
         let (by_rows, inner) = rest.split_at_mut(len);
-        AlongBuffers { planes, inputs, spectrum, input, work: Work { by_rows, inner } }
+        AlongBuffers { planes, inputs, spectrum, input, work: Work { line, by_rows, inner } }
     }
 
     /// Copies an image `(points, lanes)` to planes.
-    fn gather(&self, image: ArrayView2<'_, T>, planes: &mut [T]) {
-        let image = match self.shape.layout {
-            Layout::Tokens => image,
-            Layout::Grid => image.reversed_axes(),
-        };
-        view_mut(planes, image.dim()).assign(&image);
+    fn gather<X: Stored<Real = T>>(&self, image: ArrayView2<'_, X>, planes: &mut [T]) {
+        let image = image.to_slice().expect("an image has no gaps");
+        for (i, plane) in planes.chunks_exact_mut(self.plane_len()).enumerate() {
+            let numbers = image[i..].iter().step_by(self.planes());
+            plane.iter_mut().zip(numbers).for_each(|(to, from)| *to = from.widened());
+        }
     }
 
     /// Copies planes to an image `(points, lanes)`.
-    fn scatter(&self, planes: &mut [T], image: ArrayViewMut2<'_, T>) {
-        let mut image = match self.shape.layout {
-            Layout::Tokens => image,
-            Layout::Grid => image.reversed_axes(),
-        };
-        let planes = view_mut(planes, image.dim());
-        image.assign(&planes);
+    fn scatter<X: Stored<Real = T>>(&self, planes: &[T], image: ArrayViewMut2<'_, X>) {
+        let image = image.into_slice().expect("an image has no gaps");
+        for (i, plane) in planes.chunks_exact(self.plane_len()).enumerate() {
+            let numbers = image[i..].iter_mut().step_by(self.planes());
+            numbers.zip(plane).for_each(|(to, from)| *to = X::nearest_to(*from));
+        }
     }
 
-    /// The spectrum of a plane, by columns; `plane` is lost.
+    /// The spectrum of a plane, which is lost.
     fn transform(&self, plane: &mut [T], spectrum: &mut [Complex<T>], work: &mut Work<'_, T>) {
         let Shape { rows, columns, .. } = self.shape;
         let half = self.shape.half();
-        for (row, to) in plane.chunks_exact_mut(columns).zip(work.by_rows.chunks_exact_mut(half)) {
+        let along = matches!(self.columns, Columns::Along(..));
+        let by_rows = if along { &mut *work.by_rows } else { &mut *spectrum };
+        for (row, to) in plane.chunks_exact_mut(columns).zip(by_rows.chunks_exact_mut(self.pitch)) {
+            let (to, rest) = to.split_at_mut(half);
             self.rows_forward.process_with_scratch(row, to, work.inner).expect("planned lengths");
+            rest.fill(Complex::default());
         }
-        transpose(work.by_rows, spectrum, half, rows);
-        self.columns_forward.process_with_scratch(spectrum, work.inner);
+        match &self.columns {
+            Columns::Alone => {}
+            Columns::Across(transform) => self.across::<false>(transform, spectrum, work.line),
+            Columns::Along(forward, _) => {
+                transpose(work.by_rows, spectrum, half, rows);
+                forward.process_with_scratch(spectrum, work.inner);
+            }
+        }
     }
 
     /// The inverse of [`AlongLines::transform`], times the points of a plane; `spectrum` is lost.
     fn invert(&self, spectrum: &mut [Complex<T>], plane: &mut [T], work: &mut Work<'_, T>) {
         let Shape { rows, columns, .. } = self.shape;
         let half = self.shape.half();
-        self.columns_inverse.process_with_scratch(spectrum, work.inner);
-        for (v, column) in spectrum.chunks_exact_mut(rows).enumerate() {
-            if self.is_real(v) {
-                for value in column {
-                    value.im = T::zero();
-                }
+        let along = matches!(self.columns, Columns::Along(..));
+        match &self.columns {
+            Columns::Alone => {}
+            Columns::Across(transform) => self.across::<true>(transform, spectrum, work.line),
+            Columns::Along(_, inverse) => {
+                inverse.process_with_scratch(spectrum, work.inner);
+                transpose(spectrum, work.by_rows, rows, half);
             }
         }
-        transpose(spectrum, work.by_rows, rows, half);
-        for (from, row) in work.by_rows.chunks_exact_mut(half).zip(plane.chunks_exact_mut(columns))
+        let by_rows = if along { &mut *work.by_rows } else { spectrum };
+        for (from, row) in by_rows.chunks_exact_mut(self.pitch).zip(plane.chunks_exact_mut(columns))
         {
+            let from = &mut from[..half];
+            from[0].im = T::zero();
+            if columns.is_multiple_of(2) {
+                from[half - 1].im = T::zero();
+            }
             self.rows_inverse.process_with_scratch(from, row, work.inner).expect("planned lengths");
+        }
+    }
+
+    /// All columns of a spectrum forward, to natural order, or back.
+    fn across<const INVERSE: bool>(
+        &self,
+        transform: &Transform<T>,
+        spectrum: &mut [Complex<T>],
+        line: &mut [T],
+    ) {
+        let lanes = self.isa.lanes::<T>();
+        let (line, work) = line.split_at_mut(2 * lanes * transform.len());
+        let (from, to) = (transform.inputs(), transform.outputs());
+        let (from, to) = if INVERSE { (to, from) } else { (from, to) };
+        let spectrum = cast_slice_mut(spectrum);
+        for first in (0..self.pitch).step_by(lanes) {
+            let rows = TileMut::dense(spectrum, 2 * self.pitch);
+            self.isa.run(Enter { rows: rows.reader(), first, places: from, line });
+            if INVERSE {
+                transform.inverse(line, work);
+            } else {
+                transform.forward(line, work);
+            }
+            self.isa.run(Leave { rows, first, places: to, line });
         }
     }
 
@@ -147,12 +233,23 @@ impl<T: Real> AlongLines<T> {
         v == 0 || 2 * v == self.shape.columns
     }
 
-    /// Where the numbers of one bin of a weight `(bins, lanes, 2)` stand in its packed form: first and step.
-    fn places(&self, bin: usize) -> (usize, usize) {
-        let (rows, half) = (self.shape.rows, self.shape.half());
+    /// Where a bin stands in a spectrum.
+    fn place(&self, u: usize, v: usize) -> usize {
+        match self.columns {
+            Columns::Along(..) => v * self.shape.rows + u,
+            _ => u * self.pitch + v,
+        }
+    }
+
+    /// Column of a number of a weight `(bins, lanes, 2)`, and its place in the packed form.
+    fn column_and_place(&self, bin: usize, lane: usize) -> (usize, usize) {
+        let half = self.shape.half();
         match self.shape.layout {
-            Layout::Tokens => (bin, rows),
-            Layout::Grid => (bin % half * rows + bin / half, half * rows),
+            Layout::Tokens => (lane, self.place(bin, lane)),
+            Layout::Grid => {
+                let (u, v) = (bin / half, bin % half);
+                (v, self.place(u, v) + lane * self.spectrum_len())
+            }
         }
     }
 
@@ -176,27 +273,29 @@ impl<T: Real> Packing<T> for AlongLines<T> {
     ) {
         let packed: &mut [Complex<T>] = cast_slice_mut(packed);
         let norm = self.norm(1.0);
+        packed.fill(Complex::default());
         for (bin, lanes) in weight.outer_iter().enumerate() {
-            let (first, step) = self.places(bin);
-            let to = packed[first..].iter_mut().step_by(step);
-            for (w, to) in lanes.outer_iter().zip(to) {
+            for (lane, w) in lanes.outer_iter().enumerate() {
                 let w = Complex::new(w[0], w[1]) * norm;
-                *to = if factor == Factor::Conjugate { w.conj() } else { w };
+                let (_, place) = self.column_and_place(bin, lane);
+                packed[place] = if factor == Factor::Conjugate { w.conj() } else { w };
             }
         }
     }
 }
 
-impl<T: Real> Kernel<T> for AlongLines<T> {
+impl<X: Stored<Real: Real>> Kernel<X> for AlongLines<X::Real> {
     fn tile(&self) -> usize {
         self.shape.lanes
     }
 
     fn scratch_len(&self) -> usize {
-        2 * (self.planes() * self.plane_len() + 3 * self.spectrum_len() + self.inner_len())
+        let planes = 2 * self.planes() * self.plane_len();
+        let spectra = 2 * (3 * self.spectrum_len() + self.inner_len());
+        slack::<X::Real>() + self.line_len() + planes + spectra
     }
 
-    fn packing(&self) -> Option<&dyn Packing<T>> {
+    fn packing(&self) -> Option<&dyn Packing<X::Real>> {
         Some(self)
     }
 
@@ -206,10 +305,10 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
 
     fn forward(
         &self,
-        x: ArrayView3<'_, T>,
-        packed: &[T],
-        mut y: ArrayViewMut3<'_, T>,
-        team: &mut Team<'_, T>,
+        x: ArrayView3<'_, X>,
+        packed: &[X::Real],
+        mut y: ArrayViewMut3<'_, X>,
+        team: &mut Team<'_, X::Real>,
     ) {
         let weights = cast_slice(packed).chunks_exact(self.spectrum_len());
         let AlongBuffers { planes, spectrum, mut work, .. } = self.buffers(team.scratch());
@@ -224,7 +323,7 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
         }
     }
 
-    fn backward(&self, pass: Backward<'_, T>, team: &mut Team<'_, T>) {
+    fn backward(&self, pass: Backward<'_, X>, team: &mut Team<'_, X::Real>) {
         let Backward { grad, x, weight: packed, mut grad_x, mut grad_sum, .. } = pass;
         let AlongBuffers { planes, inputs, spectrum, input, mut work } =
             self.buffers(team.scratch());
@@ -255,18 +354,16 @@ impl<T: Real> Kernel<T> for AlongLines<T> {
 
     fn unpack_gradient(
         &self,
-        grad_sum: &[T],
-        mut grad_weight: ArrayViewMut3<'_, T>,
-        _: &mut Team<'_, T>,
+        grad_sum: &[X::Real],
+        mut grad_weight: ArrayViewMut3<'_, X::Real>,
+        _: &mut Team<'_, X::Real>,
     ) {
-        let sums: &[Complex<T>] = cast_slice(grad_sum);
-        let (rows, half) = (self.shape.rows, self.shape.half());
+        let sums: &[Complex<X::Real>] = cast_slice(grad_sum);
         let (once, twice) = (self.norm(1.0), self.norm(2.0));
         for (bin, mut lanes) in grad_weight.outer_iter_mut().enumerate() {
-            let (first, step) = self.places(bin);
             for (lane, mut g) in lanes.outer_iter_mut().enumerate() {
-                let place = first + lane * step;
-                let norm = if self.is_real(place / rows % half) { once } else { twice };
+                let (column, place) = self.column_and_place(bin, lane);
+                let norm = if self.is_real(column) { once } else { twice };
                 let sum = sums[place] * norm;
                 (g[0], g[1]) = (sum.re, sum.im);
             }
@@ -295,7 +392,38 @@ fn nth<T>(all: &mut [T], len: usize, index: usize) -> &mut [T] {
     &mut all[index * len..][..len]
 }
 
-/// A buffer as a matrix.
-fn view_mut<T>(buffer: &mut [T], dim: (usize, usize)) -> ArrayViewMut2<'_, T> {
-    ArrayViewMut2::from_shape(dim, buffer).expect("the length is that of dim")
+/// Columns `first` and following of a spectrum as one complex line.
+struct Enter<'a, T> {
+    rows: Tile<'a, T>,
+    first: usize,
+    places: &'a [usize],
+    line: &'a mut [T],
+}
+
+impl<T: Element> Algorithm<T> for Enter<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(self) {
+        let (rows, line) = (self.rows.skip_lanes(2 * self.first), complex_vectors::<V>(self.line));
+        for (row, &place) in self.places.iter().enumerate() {
+            line[place] = rows.complex(row);
+        }
+    }
+}
+
+/// Undoes [`Enter`].
+struct Leave<'a, T> {
+    rows: TileMut<'a, T>,
+    first: usize,
+    places: &'a [usize],
+    line: &'a mut [T],
+}
+
+impl<T: Element> Algorithm<T> for Leave<'_, T> {
+    #[inline(always)]
+    fn run<V: Vector<Element = T>>(mut self) {
+        let mut rows = self.rows.skip_lanes(2 * self.first);
+        for (row, &place) in self.places.iter().enumerate() {
+            rows.set_complex(row, complex_vectors::<V>(self.line)[place]);
+        }
+    }
 }

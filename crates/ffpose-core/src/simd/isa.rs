@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use super::neon;
 #[cfg(target_arch = "x86_64")]
 use super::x86;
-use super::{Algorithm, Element, Vector, scalar};
+use super::{Algorithm, Element, Vector};
 use crate::Error;
 
 /// The environment variable that forces an instruction set.
@@ -87,15 +87,6 @@ impl Isa {
         Self(Kind::Scalar)
     }
 
-    /// The one with vectors of half the length, if there is one.
-    pub(crate) fn narrower(self) -> Option<Self> {
-        match self.0 {
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx512 if cfg!(feature = "avx2") => Some(Self(Kind::Avx2)),
-            _ => None,
-        }
-    }
-
     /// `scalar`, `avx2`, `avx512` or `neon`.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -116,13 +107,16 @@ impl Isa {
         T::lanes(self)
     }
 
-    /// Whether algorithms that were tuned for one length are compiled for this instruction set and `T`.
-    #[must_use]
-    pub(crate) fn is_tuned<T: Element>(self) -> bool {
-        T::is_tuned(self)
+    /// Whether it has vectors of `T`, of several lanes. Double precision is needed for its digits more than for its speed: it has
+    /// none, and no code to compile.
+    pub(crate) fn has_vectors<T: Element>(self) -> bool {
+        self.lanes::<T>() > 1
     }
 
     /// Runs `algorithm` with the vectors of this instruction set.
+    ///
+    /// # Panics
+    /// Unless it [has any](Self::has_vectors).
     #[inline(always)]
     pub(crate) fn run<T: Element>(self, algorithm: impl Algorithm<T>) {
         T::run(self, algorithm);
@@ -131,16 +125,11 @@ impl Isa {
     /// Runs `loops` as compiled for this instruction set.
     #[inline(always)]
     pub fn run_loops(self, loops: impl Loops) {
-        self.run(Plain(loops));
-    }
-
-    /// As [`run`](Self::run), for an algorithm that was tuned for one length.
-    ///
-    /// # Panics
-    /// Unless [`is_tuned`](Self::is_tuned).
-    #[inline(always)]
-    pub(crate) fn run_tuned<T: Element>(self, algorithm: impl Algorithm<T>) {
-        T::run_tuned(self, algorithm);
+        if self.has_vectors::<f32>() {
+            self.run(Plain(loops));
+        } else {
+            loops.run();
+        }
     }
 }
 
@@ -181,6 +170,7 @@ fn align_stack() {
 /// side by side with those of others, and not one after the other with this one.
 trait Entries<T: Element>: Algorithm<T> + Sized {
     /// With what every machine of the architecture has.
+    #[cfg(target_arch = "aarch64")]
     #[inline(never)]
     fn baseline<V: Vector<Element = T>>(self) {
         self.run::<V>();
@@ -233,19 +223,7 @@ impl Element for f32 {
         }
     }
 
-    fn is_tuned(isa: Isa) -> bool {
-        isa != Isa::scalar()
-    }
-
     fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
-        if Self::is_tuned(isa) {
-            Self::run_tuned(isa, algorithm);
-        } else {
-            algorithm.baseline::<scalar::Scalar<Self>>();
-        }
-    }
-
-    fn run_tuned<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
         match isa.0 {
             // SAFETY: an `Isa` of this kind exists only where `available` found these features.
             #[cfg(target_arch = "x86_64")]
@@ -257,43 +235,20 @@ impl Element for f32 {
             },
             #[cfg(target_arch = "aarch64")]
             Kind::Neon => algorithm.baseline::<neon::F32x4>(),
-            _ => unreachable!("nothing is tuned for {}", isa.name()),
+            _ => unreachable!("no vectors of {}", isa.name()),
         }
     }
 }
 
-/// Double precision is needed for its digits more than for its speed: no algorithm is tuned for it, and AVX-512 takes the vectors of
-/// AVX2, so that the compiler's work is halved.
-#[allow(private_bounds, private_interfaces)] // algorithms are this crate's alone, the trait is sealed
+#[allow(private_bounds, private_interfaces)] // as above
 impl Element for f64 {
     nearest!();
 
-    fn lanes(isa: Isa) -> usize {
-        match isa.0 {
-            Kind::Scalar => 1,
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 | Kind::Avx512 => x86::F64x4::LANES,
-            #[cfg(target_arch = "aarch64")]
-            Kind::Neon => neon::F64x2::LANES,
-        }
+    fn lanes(_: Isa) -> usize {
+        1
     }
 
-    fn is_tuned(_: Isa) -> bool {
-        false
-    }
-
-    fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A) {
-        match isa.0 {
-            Kind::Scalar => algorithm.baseline::<scalar::Scalar<Self>>(),
-            // SAFETY: an `Isa` of either kind exists only where `available` found these features.
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx2 | Kind::Avx512 => unsafe { algorithm.avx2::<x86::F64x4>() },
-            #[cfg(target_arch = "aarch64")]
-            Kind::Neon => algorithm.baseline::<neon::F64x2>(),
-        }
-    }
-
-    fn run_tuned<A: Algorithm<Self>>(_: Isa, _: A) {
-        unreachable!("nothing is tuned for double precision")
+    fn run<A: Algorithm<Self>>(_: Isa, _: A) {
+        unreachable!("no vectors of double precision")
     }
 }

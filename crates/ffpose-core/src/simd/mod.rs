@@ -17,8 +17,8 @@ mod memory;
 #[cfg(target_arch = "aarch64")]
 mod neon;
 mod prefetch;
+mod register;
 mod runs;
-mod scalar;
 mod tile;
 #[cfg(target_arch = "x86_64")]
 mod x86;
@@ -41,7 +41,7 @@ pub(crate) use tile::{Tile, TileMut};
 /// The most lanes that a [`Vector`] of this crate has.
 pub(crate) const MAX_LANES: usize = 16;
 
-/// An element type with vectors on every instruction set.
+/// An element type that is computed in.
 pub trait Element:
     Copy
     + Debug
@@ -61,19 +61,10 @@ pub trait Element:
     #[doc(hidden)]
     fn lanes(isa: Isa) -> usize;
 
-    /// Whether `run_tuned` may be called for `isa`.
-    #[doc(hidden)]
-    fn is_tuned(isa: Isa) -> bool;
-
     /// Runs `algorithm` with the vectors of `isa`.
     #[doc(hidden)]
     #[allow(private_bounds, private_interfaces)] // algorithms are this crate's alone, the trait is sealed
     fn run<A: Algorithm<Self>>(isa: Isa, algorithm: A);
-
-    /// As `run`, for what is compiled where it is tuned alone.
-    #[doc(hidden)]
-    #[allow(private_bounds, private_interfaces)] // as above
-    fn run_tuned<A: Algorithm<Self>>(isa: Isa, algorithm: A);
 }
 
 /// A vector of [`LANES`](Vector::LANES) elements; arithmetic is lane by lane.
@@ -111,53 +102,25 @@ pub(crate) unsafe trait Vector:
     ///
     /// # Safety
     /// `LANES` elements are readable at `from`.
-    #[inline(always)]
-    unsafe fn load_bf16(from: *const Bf16) -> Self
-    where
-        Self: Vector<Element = f32>,
-    {
-        // SAFETY: the caller promises the elements.
-        unsafe { half::load_each(from) }
-    }
+    unsafe fn load_bf16(from: *const Bf16) -> Self;
 
     /// As [`store`](Vector::store), in half precision.
     ///
     /// # Safety
     /// `LANES` elements are writable at `to`.
-    #[inline(always)]
-    unsafe fn store_bf16(self, to: *mut Bf16)
-    where
-        Self: Vector<Element = f32>,
-    {
-        // SAFETY: the caller promises the elements.
-        unsafe { half::store_each(self, to) }
-    }
+    unsafe fn store_bf16(self, to: *mut Bf16);
 
     /// As [`load`](Vector::load), from half precision.
     ///
     /// # Safety
     /// `LANES` elements are readable at `from`.
-    #[inline(always)]
-    unsafe fn load_f16(from: *const F16) -> Self
-    where
-        Self: Vector<Element = f32>,
-    {
-        // SAFETY: the caller promises the elements.
-        unsafe { half::load_each(from) }
-    }
+    unsafe fn load_f16(from: *const F16) -> Self;
 
     /// As [`store`](Vector::store), in half precision.
     ///
     /// # Safety
     /// `LANES` elements are writable at `to`.
-    #[inline(always)]
-    unsafe fn store_f16(self, to: *mut F16)
-    where
-        Self: Vector<Element = f32>,
-    {
-        // SAFETY: the caller promises the elements.
-        unsafe { half::store_each(self, to) }
-    }
+    unsafe fn store_f16(self, to: *mut F16);
 
     /// `(a0 a1 .., b0 b1 ..)` to `(a0 b0 a1 b1 .., .. )`: the first and the second half of the alternating sequence.
     fn interleave(a: Self, b: Self) -> (Self, Self);
@@ -166,11 +129,7 @@ pub(crate) unsafe trait Vector:
     fn deinterleave(low: Self, high: Self) -> (Self, Self);
 
     /// As [`deinterleave`](Vector::deinterleave), with the lanes in reverse.
-    #[inline(always)]
-    fn deinterleave_reversed(low: Self, high: Self) -> (Self, Self) {
-        let (a, b) = Self::deinterleave(low, high);
-        (a.reverse(), b.reverse())
-    }
+    fn deinterleave_reversed(low: Self, high: Self) -> (Self, Self);
 
     /// The lanes in reverse.
     fn reverse(self) -> Self;
@@ -181,19 +140,6 @@ pub(crate) unsafe trait Vector:
     /// Transposes `LANES / 2` vectors inside each half: element `i` of either half of vector `j` becomes element `j` of that half
     /// of vector `i`.
     fn transpose_in_halves(vectors: &mut [Self]);
-
-    /// Transposes a square of `LANES` vectors.
-    #[inline(always)]
-    fn transpose(square: &mut [Self]) {
-        let half = Self::LANES / 2;
-        for i in 0..half {
-            let (first, second) = Self::exchange_halves(square[i], square[i + half]);
-            square[i] = first;
-            square[i + half] = second;
-        }
-        Self::transpose_in_halves(&mut square[..half]);
-        Self::transpose_in_halves(&mut square[half..][..half]);
-    }
 }
 
 /// An algorithm for any vector type of element `T`.

@@ -7,7 +7,7 @@ use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
 
 use super::memory::is_within;
 use super::prefetch::{prefetch, prefetch_lines};
-use super::{Complex, Element, MAX_LANES, Stored, Vector};
+use super::{Complex, Element, Stored, Vector};
 
 /// Points to read, each a run of contiguous elements (its lanes), at a constant distance.
 #[derive(Clone, Copy)]
@@ -195,56 +195,6 @@ impl<'a, T: Element> Tile<'a, T> {
         let [high] = self.skip_lanes(V::LANES).gather(point, 1);
         let (re, im) = V::deinterleave(low, high);
         Complex::new(re, im)
-    }
-}
-
-/// Tiles whose lanes are alternately real and imaginary may end inside a vector.
-impl<T: Element> Tile<'_, T> {
-    /// Complex numbers `first` and following of a point; those beyond its last are zero.
-    #[inline(always)]
-    pub(crate) fn complex_from<V: Vector<Element = T>>(
-        &self,
-        point: usize,
-        first: usize,
-    ) -> Complex<V> {
-        let tile = self.skip_lanes(2 * first);
-        if 2 * V::LANES <= tile.lanes {
-            return tile.complex(point);
-        }
-        assert!(point < tile.points);
-        let mut padded = [T::default(); 2 * MAX_LANES];
-        // SAFETY: the point is one of the view's, which holds `lanes` elements there; `padded` has room for them.
-        unsafe {
-            let from = tile.start.add(point * tile.stride);
-            std::ptr::copy_nonoverlapping(from, padded.as_mut_ptr(), tile.lanes);
-        }
-        Tile::dense(&padded, 2 * MAX_LANES).complex(0)
-    }
-}
-
-/// As above, to write.
-impl<T: Element> TileMut<'_, T> {
-    /// Writes complex numbers `first` and following of a point, as far as it has them.
-    #[inline(always)]
-    pub(crate) fn set_complex_from<V: Vector<Element = T>>(
-        &mut self,
-        point: usize,
-        first: usize,
-        z: Complex<V>,
-    ) {
-        let mut tile = self.skip_lanes(2 * first);
-        if 2 * V::LANES <= tile.lanes {
-            tile.set_complex(point, z);
-            return;
-        }
-        assert!(point < tile.points);
-        let mut padded = [T::default(); 2 * MAX_LANES];
-        TileMut::dense(&mut padded, 2 * MAX_LANES).set_complex(0, z);
-        // SAFETY: the point is one of the view's, which has room for `lanes` elements there; `padded` has more.
-        unsafe {
-            let to = tile.start.add(point * tile.stride);
-            std::ptr::copy_nonoverlapping(padded.as_ptr(), to, tile.lanes);
-        }
     }
 }
 

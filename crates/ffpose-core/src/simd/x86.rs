@@ -4,172 +4,29 @@
 use std::arch::x86_64::*;
 use std::ops::{Add, Mul, Neg, Sub};
 
+use super::register::{of_registers, vector};
 use super::{Bf16, F16, Vector};
 
-/// A vector type from the names of its intrinsics.
-///
-/// The operations are safe although the intrinsics need their instruction set: see the module's documentation.
-macro_rules! vector {
-    ($name:ident($raw:ty), $element:ty; $splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident
-     $mul_add:ident $neg_mul_add:ident $mul_sub:ident $xor:ident $interleave:ident $deinterleave:ident $deinterleave_reversed:ident $reverse:ident
-     $exchange_halves:ident $transpose_in_halves:ident
-     $(; $load_bf16:ident $store_bf16:ident $load_f16:ident $store_f16:ident)?) => {
-        #[derive(Clone, Copy)]
-        #[repr(transparent)]
-        pub(crate) struct $name($raw);
+vector!(F32x8(__m256); _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
+    neg_f32x8 _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_fmsub_ps interleave_f32x8 deinterleave_f32x8 deinterleave_reversed_f32x8
+    reverse_f32x8 exchange_halves_f32x8 transpose_in_halves_f32x8
+    load_bf16x8 store_bf16x8 load_f16x8 store_f16x8);
+vector!(F32x16(__m512); _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
+    neg_f32x16 _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_fmsub_ps interleave_f32x16 deinterleave_f32x16 deinterleave_reversed_f32x16 reverse_f32x16
+    exchange_halves_f32x16 transpose_in_halves_f32x16
+    load_bf16x16 store_bf16x16 load_f16x16 store_f16x16);
 
-        vector!(@operator $name, Add, add, $add);
-        vector!(@operator $name, Sub, sub, $sub);
-        vector!(@operator $name, Mul, mul, $mul);
-
-        impl Neg for $name {
-            type Output = Self;
-            #[inline(always)]
-            fn neg(self) -> Self {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                Self(unsafe { $xor(self.0, $splat(-0.0)) })
-            }
-        }
-
-        // SAFETY: a register is its floats without padding; loads and stores move a whole one.
-        unsafe impl Vector for $name {
-            type Element = $element;
-            const LANES: usize = size_of::<$raw>() / size_of::<$element>();
-
-            #[inline(always)]
-            fn splat(x: $element) -> Self {
-                // SAFETY: this type is named only below `Isa::run`, which found its instruction set.
-                Self(unsafe { $splat(x) })
-            }
-
-            #[inline(always)]
-            fn mul_add(self, b: Self, c: Self) -> Self {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                Self(unsafe { $mul_add(self.0, b.0, c.0) })
-            }
-
-            #[inline(always)]
-            fn neg_mul_add(self, b: Self, c: Self) -> Self {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                Self(unsafe { $neg_mul_add(self.0, b.0, c.0) })
-            }
-
-            #[inline(always)]
-            fn mul_sub(self, b: Self, c: Self) -> Self {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                Self(unsafe { $mul_sub(self.0, b.0, c.0) })
-            }
-
-            #[inline(always)]
-            unsafe fn load(from: *const $element) -> Self {
-                // SAFETY: the caller promises the elements; the instruction needs no alignment.
-                Self(unsafe { $load(from) })
-            }
-
-            #[inline(always)]
-            unsafe fn store(self, to: *mut $element) {
-                // SAFETY: the caller promises the elements; the instruction needs no alignment.
-                unsafe { $store(to, self.0) }
-            }
-
-            $(
-                #[inline(always)]
-                unsafe fn load_bf16(from: *const Bf16) -> Self {
-                    // SAFETY: the caller promises the elements; the instruction needs no alignment.
-                    Self(unsafe { $load_bf16(from) })
-                }
-
-                #[inline(always)]
-                unsafe fn store_bf16(self, to: *mut Bf16) {
-                    // SAFETY: the caller promises the elements; the instruction needs no alignment.
-                    unsafe { $store_bf16(self.0, to) }
-                }
-
-                #[inline(always)]
-                unsafe fn load_f16(from: *const F16) -> Self {
-                    // SAFETY: the caller promises the elements; the instruction needs no alignment.
-                    Self(unsafe { $load_f16(from) })
-                }
-
-                #[inline(always)]
-                unsafe fn store_f16(self, to: *mut F16) {
-                    // SAFETY: the caller promises the elements; the instruction needs no alignment.
-                    unsafe { $store_f16(self.0, to) }
-                }
-            )?
-
-            #[inline(always)]
-            fn interleave(a: Self, b: Self) -> (Self, Self) {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                let (low, high) = unsafe { $interleave(a.0, b.0) };
-                (Self(low), Self(high))
-            }
-
-            #[inline(always)]
-            fn deinterleave(low: Self, high: Self) -> (Self, Self) {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                let (a, b) = unsafe { $deinterleave(low.0, high.0) };
-                (Self(a), Self(b))
-            }
-
-            #[inline(always)]
-            fn deinterleave_reversed(low: Self, high: Self) -> (Self, Self) {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                let (a, b) = unsafe { $deinterleave_reversed(low.0, high.0) };
-                (Self(a), Self(b))
-            }
-
-            #[inline(always)]
-            fn reverse(self) -> Self {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                Self(unsafe { $reverse(self.0) })
-            }
-
-            #[inline(always)]
-            fn exchange_halves(a: Self, b: Self) -> (Self, Self) {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                let (first, second) = unsafe { $exchange_halves(a.0, b.0) };
-                (Self(first), Self(second))
-            }
-
-            #[inline(always)]
-            fn transpose_in_halves(vectors: &mut [Self]) {
-                // loops: `map` would not be inlined
-                let mut raw = [vectors[0].0; Self::LANES / 2];
-                for i in 0..Self::LANES / 2 {
-                    raw[i] = vectors[i].0;
-                }
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                raw = unsafe { $transpose_in_halves(raw) };
-                for i in 0..Self::LANES / 2 {
-                    vectors[i] = Self(raw[i]);
-                }
-            }
-        }
-    };
-    (@operator $name:ident, $trait:ident, $method:ident, $intrinsic:ident) => {
-        impl $trait for $name {
-            type Output = Self;
-            #[inline(always)]
-            fn $method(self, other: Self) -> Self {
-                // SAFETY: a vector of this type exists only below `Isa::run`, which found its instruction set.
-                Self(unsafe { $intrinsic(self.0, other.0) })
-            }
-        }
-    };
+#[inline]
+#[target_feature(enable = "avx2")]
+fn neg_f32x8(a: __m256) -> __m256 {
+    _mm256_xor_ps(a, _mm256_set1_ps(-0.0))
 }
 
-vector!(F32x8(__m256), f32; _mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
-    _mm256_fmadd_ps _mm256_fnmadd_ps _mm256_fmsub_ps _mm256_xor_ps interleave_f32x8 deinterleave_f32x8 deinterleave_reversed_f32x8
-    reverse_f32x8 exchange_halves_f32x8 transpose_in_halves_f32x8;
-    load_bf16x8 store_bf16x8 load_f16x8 store_f16x8);
-vector!(F64x4(__m256d), f64; _mm256_set1_pd _mm256_loadu_pd _mm256_storeu_pd _mm256_add_pd _mm256_sub_pd _mm256_mul_pd
-    _mm256_fmadd_pd _mm256_fnmadd_pd _mm256_fmsub_pd _mm256_xor_pd interleave_f64x4 deinterleave_f64x4 deinterleave_reversed_f64x4
-    reverse_f64x4 exchange_halves_f64x4 transpose_in_halves_f64x4);
-vector!(F32x16(__m512), f32; _mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
-    _mm512_fmadd_ps _mm512_fnmadd_ps _mm512_fmsub_ps _mm512_xor_ps interleave_f32x16 deinterleave_f32x16 deinterleave_reversed_f32x16 reverse_f32x16
-    exchange_halves_f32x16 transpose_in_halves_f32x16;
-    load_bf16x16 store_bf16x16 load_f16x16 store_f16x16);
+#[inline]
+#[target_feature(enable = "avx512f,avx512dq")]
+fn neg_f32x16(a: __m512) -> __m512 {
+    _mm512_xor_ps(a, _mm512_set1_ps(-0.0))
+}
 
 #[inline]
 #[target_feature(enable = "avx2")]
@@ -193,27 +50,6 @@ fn deinterleave_reversed_f32x8(low: __m256, high: __m256) -> (__m256, __m256) {
     let order = _mm256_setr_epi32(7, 6, 3, 2, 5, 4, 1, 0);
     let reversed = |halves| _mm256_permutevar8x32_ps(halves, order);
     (reversed(_mm256_shuffle_ps::<0x88>(low, high)), reversed(_mm256_shuffle_ps::<0xdd>(low, high)))
-}
-
-#[inline]
-#[target_feature(enable = "avx2")]
-fn deinterleave_reversed_f64x4(low: __m256d, high: __m256d) -> (__m256d, __m256d) {
-    let (p, q) = (_mm256_unpacklo_pd(low, high), _mm256_unpackhi_pd(low, high));
-    (_mm256_permute4x64_pd::<0x27>(p), _mm256_permute4x64_pd::<0x27>(q))
-}
-
-#[inline]
-#[target_feature(enable = "avx2")]
-fn interleave_f64x4(a: __m256d, b: __m256d) -> (__m256d, __m256d) {
-    let (p, q) = (_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b)); // quarters 0 and 2, quarters 1 and 3
-    (_mm256_permute2f128_pd::<0x20>(p, q), _mm256_permute2f128_pd::<0x31>(p, q))
-}
-
-#[inline]
-#[target_feature(enable = "avx2")]
-fn deinterleave_f64x4(low: __m256d, high: __m256d) -> (__m256d, __m256d) {
-    let (p, q) = (_mm256_unpacklo_pd(low, high), _mm256_unpackhi_pd(low, high));
-    (_mm256_permute4x64_pd::<0xd8>(p), _mm256_permute4x64_pd::<0xd8>(q))
 }
 
 #[inline]
@@ -247,12 +83,6 @@ fn reverse_f32x8(a: __m256) -> __m256 {
 }
 
 #[inline]
-#[target_feature(enable = "avx2")]
-fn reverse_f64x4(a: __m256d) -> __m256d {
-    _mm256_permute4x64_pd::<0x1b>(a)
-}
-
-#[inline]
 #[target_feature(enable = "avx512f")]
 fn reverse_f32x16(a: __m512) -> __m512 {
     let order = _mm512_setr_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
@@ -263,12 +93,6 @@ fn reverse_f32x16(a: __m512) -> __m512 {
 #[target_feature(enable = "avx2")]
 fn exchange_halves_f32x8(a: __m256, b: __m256) -> (__m256, __m256) {
     (_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b))
-}
-
-#[inline]
-#[target_feature(enable = "avx2")]
-fn exchange_halves_f64x4(a: __m256d, b: __m256d) -> (__m256d, __m256d) {
-    (_mm256_permute2f128_pd::<0x20>(a, b), _mm256_permute2f128_pd::<0x31>(a, b))
 }
 
 #[inline]
@@ -288,12 +112,6 @@ fn transpose_in_halves_f32x8([a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
         _mm256_shuffle_ps::<0x44>(q, s),
         _mm256_shuffle_ps::<0xee>(q, s),
     ]
-}
-
-#[inline]
-#[target_feature(enable = "avx2")]
-fn transpose_in_halves_f64x4([a, b]: [__m256d; 2]) -> [__m256d; 2] {
-    [_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b)]
 }
 
 /// Transposes inside blocks of 128 bits, then the blocks of each half.

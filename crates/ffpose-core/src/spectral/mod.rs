@@ -10,7 +10,6 @@ mod batch;
 mod plans;
 mod prepared;
 mod tiling;
-mod widened;
 
 use std::sync::Arc;
 
@@ -27,7 +26,6 @@ use crate::views::{BATCH, in_order};
 use crate::{Error, Isa, Real, Shape};
 
 pub use self::prepared::Prepared;
-use self::widened::Widened;
 
 /// More bytes than a plan takes for each number of a plane's half spectrum, and for each of the lengths that are transformed; for
 /// large primes these are tables of convolutions, made by libraries that cannot fail.
@@ -140,8 +138,7 @@ impl<T: Planned> SpectralFilter<T> {
             return Ok(());
         };
         let granule = T::kernel(plan).narrowest_tile();
-        let widened = Widened::new(self.isa, self.shape, T::kernel(plan));
-        let kernel = X::kernel_of(plan, &widened);
+        let kernel = X::kernel_of(plan);
         let single = kernel.single().filter(|_| y.dim().0 == 1);
         let batch = Batch::new(self.shape, kernel, granule, (y.dim().0, false), pool, self.tuning);
         let packed_len = if single.is_some() { 0 } else { batch.packed_len() };
@@ -197,8 +194,7 @@ impl<T: Planned> SpectralFilter<T> {
             return Ok(());
         }
         let granule = T::kernel(plan).narrowest_tile();
-        let widened = Widened::new(self.isa, self.shape, T::kernel(plan));
-        let kernel = X::kernel_of(plan, &widened);
+        let kernel = X::kernel_of(plan);
         let images = pass.x.dim().0;
         let single = kernel.single().filter(|_| images == 1);
         let summed = single.is_none() && pass.grad_weight.is_some();

@@ -4,7 +4,6 @@ use ndarray::{ArrayViewD, ArrayViewMutD};
 
 use super::batch::{Batch, Weight};
 use super::tiling::Tiling;
-use super::widened::Widened;
 use super::{SpectralFilter, widened_len};
 use crate::fft::Planned;
 use crate::kernel::Factor;
@@ -82,8 +81,7 @@ impl<T: Planned> Prepared<T> {
             return Ok(());
         };
         let granule = T::kernel(plan).narrowest_tile();
-        let widened = Widened::new(filter.isa, filter.shape, T::kernel(plan));
-        let kernel = X::kernel_of(plan, &widened);
+        let kernel = X::kernel_of(plan);
         let batch = Batch::new(filter.shape, kernel, granule, (count, false), pool, filter.tuning);
         let (mut workers, _) = scratch.lend(pool, batch.needs(0))?;
         batch.forward(

@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 
-use crate::simd::{Algorithm, Element, MAX_LANES, Stored, Tile, TileMut, Vector};
+use crate::simd::Element;
 
 /// Runs `$run` with the constant `$c` equal to `$channels`, fewer than a vector has lanes: a copy of so many is few instructions.
 macro_rules! with_channels {
@@ -21,7 +21,7 @@ macro_rules! with_channels {
 }
 
 /// Copies `image` `(points, channels)` to `stage` `(points, lanes)`, from lane `first` on.
-pub(in crate::fft) fn spread<E: Copy>(
+pub(super) fn spread<E: Copy>(
     channels: usize,
     image: &[E],
     stage: &mut [E],
@@ -37,7 +37,7 @@ pub(in crate::fft) fn spread<E: Copy>(
 }
 
 /// Undoes [`spread`].
-pub(in crate::fft) fn collect<E: Copy>(
+pub(super) fn collect<E: Copy>(
     channels: usize,
     stage: &[E],
     lanes: usize,
@@ -81,56 +81,4 @@ pub(super) fn fold<T: Element>(
             }
         }
     });
-}
-
-/// Line `i` of `lines` to lane `i` of `stage`, as far as whole squares go; lanes without a line become zero.
-pub(super) struct Transpose<'a, X> {
-    pub(super) lines: Tile<'a, X>,
-    pub(super) stage: TileMut<'a, X>,
-}
-
-impl<X: Stored> Algorithm<X::Real> for Transpose<'_, X> {
-    #[inline(always)]
-    fn run<V: Vector<Element = X::Real>>(mut self) {
-        let count = self.lines.points();
-        for first in (0..=self.lines.lanes() - V::LANES).step_by(V::LANES) {
-            let mut square = [V::splat(X::Real::default()); MAX_LANES];
-            let lines = self.lines.skip_lanes(first);
-            for i in 0..V::LANES {
-                if i < count {
-                    [square[i]] = lines.gather(i, 1);
-                }
-            }
-            V::transpose(&mut square[..V::LANES]);
-            for i in 0..V::LANES {
-                self.stage.scatter(first + i, 1, [square[i]]);
-            }
-        }
-    }
-}
-
-/// Undoes [`Transpose`].
-pub(super) struct TransposeBack<'a, X> {
-    pub(super) stage: Tile<'a, X>,
-    pub(super) lines: TileMut<'a, X>,
-}
-
-impl<X: Stored> Algorithm<X::Real> for TransposeBack<'_, X> {
-    #[inline(always)]
-    fn run<V: Vector<Element = X::Real>>(mut self) {
-        let (count, len) = (self.lines.reader().points(), self.lines.reader().lanes());
-        for first in (0..=len - V::LANES).step_by(V::LANES) {
-            let mut square = [V::splat(X::Real::default()); MAX_LANES];
-            for i in 0..V::LANES {
-                [square[i]] = self.stage.gather(first + i, 1);
-            }
-            V::transpose(&mut square[..V::LANES]);
-            let mut lines = self.lines.skip_lanes(first);
-            for i in 0..V::LANES {
-                if i < count {
-                    lines.scatter(i, 1, [square[i]]);
-                }
-            }
-        }
-    }
 }

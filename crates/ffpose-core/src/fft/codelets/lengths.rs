@@ -8,17 +8,11 @@ macro_rules! with_codelet {
     (radix $length:expr, $r:ident => $run:expr, _ => $otherwise:expr) => {
         $crate::fft::codelets::with_codelet!(@one $length, $r, $run, $otherwise, 2 3 4 5 7 8 11 13 16)
     };
-    // phases of a sequence of few channels: `Dft<L>`
-    (phases $length:expr, $l:ident => $run:expr, _ => $otherwise:expr) => {
-        $crate::fft::codelets::with_codelet!(@one $length, $l, $run, $otherwise, 2 4 8 16)
-    };
-    // a row of a grid: `RealDft<N, S>`, or `RealDft<P, ROWS>` across and then `Dft<Q>`
-    (row $length:expr, ($n:ident, $s:ident) => $short:expr,
-     ($p:ident, $q:ident, $rows:ident) => $composite:expr, _ => $otherwise:expr) => {
-        $crate::fft::codelets::with_codelet!(@two $length, $n, $s, $short,
-            $crate::fft::codelets::with_codelet!(@three $length, $p, $q, $rows, $composite, $otherwise,
-                14 => 2 7 1, 16 => 2 8 1, 28 => 4 7 2, 32 => 4 8 2, 56 => 8 7 4, 64 => 8 8 4),
-            2 => 2 1, 4 => 4 2, 7 => 7 4, 8 => 8 4)
+    // a row of a grid: `RealDft<P, ROWS>` across, then `Dft<Q>`
+    (row $length:expr, ($p:ident, $q:ident, $rows:ident) => $run:expr, _ => $otherwise:expr) => {
+        $crate::fft::codelets::with_codelet!(@three $length, $p, $q, $rows, $run, $otherwise,
+            2 => 2 1 1, 4 => 4 1 2, 7 => 7 1 4, 8 => 8 1 4, 14 => 2 7 1, 16 => 2 8 1, 28 => 4 7 2,
+            32 => 4 8 2, 56 => 8 7 4, 64 => 8 8 4)
     };
     // a column of a grid, by its radices: `Dft<P>`, then `Dft<Q>` beside the product
     (column $radices:expr, ($p:ident, $q:ident) => $run:expr, _ => $otherwise:expr) => {
@@ -35,7 +29,7 @@ macro_rules! with_codelet {
     // a factor of the rows of tokens: `Dft<P>`, then `Dft<Q>`, coprime
     (factor $length:expr, ($p:ident, $q:ident) => $run:expr, _ => $otherwise:expr) => {
         $crate::fft::codelets::with_codelet!(@two $length, $p, $q, $run, $otherwise,
-            7 => 1 7, 8 => 1 8, 14 => 7 2, 16 => 1 16, 28 => 7 4)
+            7 => 1 7, 8 => 1 8, 12 => 3 4, 14 => 7 2, 16 => 1 16, 28 => 7 4, 48 => 3 16)
     };
 
     (@one $length:expr, $a:ident, $run:expr, $otherwise:expr, $($a_of:literal)*) => {
@@ -79,7 +73,7 @@ macro_rules! has_codelet {
         $crate::fft::codelets::with_codelet!(radix $length, R => R > 0, _ => false)
     };
     (row $length:expr) => {
-        $crate::fft::codelets::with_codelet!(row $length, (N, S) => N > S, (P, Q, ROWS) => P * Q > ROWS, _ => false)
+        $crate::fft::codelets::with_codelet!(row $length, (P, Q, ROWS) => P * Q > ROWS, _ => false)
     };
     (column $radices:expr) => {
         $crate::fft::codelets::with_codelet!(column $radices, (P, Q) => P * Q > 0, _ => false)

@@ -4,13 +4,16 @@ mod dft;
 mod lengths;
 pub(crate) mod pair;
 mod real_dft;
+mod real_line;
 mod roots;
 mod turned_dft;
 mod unroll;
 
-pub(crate) use dft::{Codelet, Dft, times_root};
+use dft::times_root;
+pub(crate) use dft::{Codelet, Dft};
 pub(crate) use lengths::{has_codelet, with_codelet};
 pub(crate) use real_dft::{RealDft, TwoReal};
+pub(crate) use real_line::RealLine;
 pub(crate) use roots::root;
 pub(crate) use turned_dft::TurnedDft;
 pub(crate) use unroll::unroll;

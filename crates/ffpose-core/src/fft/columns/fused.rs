@@ -14,11 +14,8 @@ pub(crate) struct Fused {
 }
 
 impl Fused {
-    /// How `transform` is fused, if it is short and `isa` has codelets for that.
-    pub(crate) fn of<T: Element>(isa: Isa, transform: &Transform<T>) -> Option<Self> {
-        if !isa.is_tuned::<T>() {
-            return None;
-        }
+    /// How `transform` is fused, if it is short.
+    pub(crate) fn of<T: Element>(transform: &Transform<T>) -> Option<Self> {
         let radices = match transform.passes() {
             [last] => (1, last.radix()),
             [first, last] => (first.radix(), last.radix()),
@@ -35,7 +32,7 @@ impl Fused {
         columns: Through<'_, T, M>,
     ) {
         with_codelet!(column self.radices, (P, Q) => {
-            isa.run_tuned(RunFused::<T, M, INVERSE, P, Q> { passes, columns });
+            isa.run(RunFused::<T, M, INVERSE, P, Q> { passes, columns });
         }, _ => unreachable!("planned radices"));
     }
 }

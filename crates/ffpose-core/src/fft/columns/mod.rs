@@ -38,7 +38,7 @@ pub(crate) enum First {
 impl<T: Element> Columns<T> {
     pub(crate) fn new(isa: Isa, length: usize, count: usize, first: First) -> Self {
         let transform = Transform::new(isa, length);
-        Self { isa, fused: Fused::of(isa, &transform), transform, count, first }
+        Self { isa, fused: Fused::of(&transform), transform, count, first }
     }
 
     pub(crate) fn transform(&self) -> &Transform<T> {

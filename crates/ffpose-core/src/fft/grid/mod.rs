@@ -4,7 +4,6 @@
 //! back. Transforms do not put anything in order; the weight is brought to their order, or read bin by bin for a single image
 //! ([`crate::fft::columns::order`]).
 
-mod composite;
 mod packing;
 pub(crate) mod row_codelets;
 mod row_pairs;

@@ -1,9 +1,12 @@
 //! Rows of lengths with a codelet: all of a tile, one after the other.
 
-use super::composite::CompositeRow;
-use crate::fft::codelets::{Codelet, Dft, RealDft, TwoReal};
-use crate::simd::{Algorithm, Stored, Tile, TileMut, Vector, complex_vectors, gather, scatter};
+use crate::fft::codelets::{Codelet, Dft, RealDft, RealLine, TwoReal};
+use crate::simd::{Algorithm, Stored, Tile, TileMut, Vector, complex_vectors};
 use crate::tuning::GRID_AHEAD;
+
+/// A row, whose frequencies stay where the codelets leave them.
+pub(super) type Row<const P: usize, const Q: usize, const ROWS: usize> =
+    RealLine<P, Q, ROWS, false>;
 
 /// Where columns are.
 #[derive(Clone, Copy)]
@@ -16,67 +19,8 @@ pub(crate) struct Place<'a> {
     pub(crate) far: bool,
 }
 
-/// Rows by one codelet, forward.
-pub(super) struct ShortForward<'a, X: Stored, const N: usize, const S: usize> {
-    pub(super) image: Tile<'a, X>,
-    pub(super) place: Place<'a>,
-    pub(super) spectrum: &'a mut [X::Real],
-}
-
-impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for ShortForward<'_, X, N, S>
-where
-    Codelet: RealDft<N, S>,
-{
-    #[inline(always)]
-    fn run<V: Vector<Element = X::Real>>(self) {
-        let Place { positions, pitch, set, far } = self.place;
-        let spectrum = complex_vectors::<V>(self.spectrum);
-        let vectors = spectrum.len() / set;
-        for (row, &position) in positions.iter().enumerate() {
-            for (i, spectrum) in spectrum.chunks_exact_mut(set).enumerate() {
-                if far {
-                    self.image.prefetch_share(row * N + GRID_AHEAD.max(N), N, i, vectors);
-                }
-                let image = self.image.skip_lanes(i * V::LANES);
-                let line = image.gather::<V, N>(row * N, 1);
-                scatter(spectrum, position, pitch, <Codelet as RealDft<N, S>>::real_dft(line));
-            }
-        }
-    }
-}
-
-/// Rows by one codelet, inverse.
-pub(super) struct ShortInverse<'a, X: Stored, const N: usize, const S: usize> {
-    pub(super) image: TileMut<'a, X>,
-    pub(super) place: Place<'a>,
-    pub(super) spectrum: &'a mut [X::Real],
-}
-
-impl<X: Stored, const N: usize, const S: usize> Algorithm<X::Real> for ShortInverse<'_, X, N, S>
-where
-    Codelet: RealDft<N, S>,
-{
-    #[inline(always)]
-    fn run<V: Vector<Element = X::Real>>(mut self) {
-        let Place { positions, pitch, set, far } = self.place;
-        let spectrum = complex_vectors::<V>(self.spectrum);
-        let vectors = spectrum.len() / set;
-        for (row, &position) in positions.iter().enumerate() {
-            for (i, spectrum) in spectrum.chunks_exact(set).enumerate() {
-                if far {
-                    self.image.reader().prefetch_share(row * N + GRID_AHEAD.max(N), N, i, vectors);
-                }
-                let image = &mut self.image.skip_lanes(i * V::LANES);
-                let line = <Codelet as RealDft<N, S>>::real_idft(gather(spectrum, position, pitch));
-                image.scatter::<V, N>(row * N, 1, line);
-            }
-        }
-    }
-}
-
-/// Rows by two codelets, forward.
-pub(super) struct CompositeForward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize>
-{
+/// Rows to columns.
+pub(super) struct RowsForward<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     pub(super) image: Tile<'a, X>,
     pub(super) place: Place<'a>,
     pub(super) spectrum: &'a mut [X::Real],
@@ -84,7 +28,7 @@ pub(super) struct CompositeForward<'a, X: Stored, const P: usize, const Q: usize
 }
 
 impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
-    for CompositeForward<'_, X, P, Q, ROWS>
+    for RowsForward<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
@@ -101,15 +45,14 @@ where
                     prefetch::<_, P, Q>(self.image, first, i, vectors);
                 }
                 let image = self.image.skip_lanes(i * V::LANES);
-                CompositeRow::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
+                Row::<P, Q, ROWS>::forward(image, first, spectrum, position, pitch, work);
             }
         }
     }
 }
 
-/// Rows by two codelets, inverse.
-pub(super) struct CompositeInverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize>
-{
+/// Columns to rows.
+pub(super) struct RowsInverse<'a, X: Stored, const P: usize, const Q: usize, const ROWS: usize> {
     pub(super) image: TileMut<'a, X>,
     pub(super) place: Place<'a>,
     pub(super) spectrum: &'a mut [X::Real],
@@ -117,7 +60,7 @@ pub(super) struct CompositeInverse<'a, X: Stored, const P: usize, const Q: usize
 }
 
 impl<X: Stored, const P: usize, const Q: usize, const ROWS: usize> Algorithm<X::Real>
-    for CompositeInverse<'_, X, P, Q, ROWS>
+    for RowsInverse<'_, X, P, Q, ROWS>
 where
     Codelet: RealDft<P, ROWS> + TwoReal<Q> + Dft<Q>,
 {
@@ -134,7 +77,7 @@ where
                     prefetch::<_, P, Q>(self.image.reader(), first, i, vectors);
                 }
                 let image = &mut self.image.skip_lanes(i * V::LANES);
-                CompositeRow::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
+                Row::<P, Q, ROWS>::inverse(spectrum, position, pitch, image, first, work);
             }
         }
     }

@@ -3,10 +3,9 @@
 //! Row `h` becomes place `positions[h]` of each column, column `s` starts at `s * pitch`, and `frequencies[s]` is what column
 //! `s` holds. Column 0 of an even length packs the real frequencies 0 and `W / 2` as real and imaginary part.
 
-use super::composite::CompositeRow;
-use super::row_codelets::{CompositeForward, CompositeInverse, Place, ShortForward, ShortInverse};
+use super::row_codelets::{Place, Row, RowsForward, RowsInverse};
 use super::row_pairs::{EnterPair, JoinPair, LeavePair, SplitPair};
-use crate::fft::codelets::{Codelet, RealDft, has_codelet, with_codelet};
+use crate::fft::codelets::{has_codelet, with_codelet};
 use crate::fft::transform::Transform;
 use crate::simd::{Element, Isa, Stored, Tile, TileMut};
 use crate::tuning::GRID_AHEAD;
@@ -21,7 +20,7 @@ pub(crate) enum Rows<T> {
 
 impl<T: Element> Rows<T> {
     pub(crate) fn new(isa: Isa, length: usize) -> Self {
-        if isa.is_tuned::<T>() && has_codelet!(row length) {
+        if has_codelet!(row length) {
             Self::Codelet(length)
         } else {
             Self::Pairs(Transform::new(isa, length))
@@ -33,8 +32,7 @@ impl<T: Element> Rows<T> {
         match self {
             Self::Codelet(length) => {
                 with_codelet!(row *length,
-                    (N, S) => <Codelet as RealDft<N, S>>::FREQUENCIES.to_vec(),
-                    (P, Q, ROWS) => CompositeRow::<P, Q, ROWS>::frequencies(),
+                    (P, Q, ROWS) => Row::<P, Q, ROWS>::FREQUENCIES.as_flattened().to_vec(),
                     _ => unreachable!("planned lengths"))
             }
             Self::Pairs(transform) => (0..transform.len().div_ceil(2)).collect(),
@@ -60,7 +58,7 @@ impl<T: Element> Rows<T> {
     /// Complex vectors of scratch that a run needs.
     pub(crate) fn work_len(&self) -> usize {
         match self {
-            Self::Codelet(length) => length / 2,
+            Self::Codelet(length) => length.div_ceil(2),
             Self::Pairs(transform) => transform.len() + transform.work_len(),
         }
     }
@@ -76,8 +74,7 @@ impl<T: Element> Rows<T> {
     ) {
         match self {
             Self::Codelet(length) => with_codelet!(row *length,
-                (N, S) => isa.run_tuned(ShortForward::<X, N, S> { image, place, spectrum }),
-                (P, Q, ROWS) => isa.run_tuned(CompositeForward::<X, P, Q, ROWS> { image, place, spectrum, work }),
+                (P, Q, ROWS) => isa.run(RowsForward::<X, P, Q, ROWS> { image, place, spectrum, work }),
                 _ => unreachable!("planned lengths")),
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =
@@ -121,8 +118,7 @@ impl<T: Element> Rows<T> {
     ) {
         match self {
             Self::Codelet(length) => with_codelet!(row *length,
-                (N, S) => isa.run_tuned(ShortInverse::<X, N, S> { image, place, spectrum }),
-                (P, Q, ROWS) => isa.run_tuned(CompositeInverse::<X, P, Q, ROWS> { image, place, spectrum, work }),
+                (P, Q, ROWS) => isa.run(RowsInverse::<X, P, Q, ROWS> { image, place, spectrum, work }),
                 _ => unreachable!("planned lengths")),
             Self::Pairs(transform) => {
                 let (outputs, width, lanes) =

@@ -33,7 +33,7 @@ pub(super) fn image_to_block<T: Element, const INVERSE: bool>(
     work: &mut [T],
 ) {
     with_codelet!(factor image.points(), (P, Q) => {
-        isa.run_tuned(ImageToBlock::<T, P, Q, INVERSE> { image, twiddles, block, work });
+        isa.run(ImageToBlock::<T, P, Q, INVERSE> { image, twiddles, block, work });
     }, _ => unreachable!("planned lengths"));
 }
 
@@ -49,7 +49,7 @@ pub(super) fn block_to_image<T: Element, const INVERSE: bool>(
     work: &mut [T],
 ) {
     with_codelet!(factor image.reader().points(), (P, Q) => {
-        isa.run_tuned(BlockToImage::<T, P, Q, INVERSE> { block, twiddles, image, work });
+        isa.run(BlockToImage::<T, P, Q, INVERSE> { block, twiddles, image, work });
     }, _ => unreachable!("planned lengths"));
 }
 

@@ -205,7 +205,7 @@ impl<T: Element> Tokens<T> {
 
     pub(super) fn unpack(&self, step: &Step, sum: &[T], gradient: &mut GradientRows<'_, T>) {
         let shape = self.shape;
-        with_run!(self.run, RUN => self.isa.run_tuned(UnpackGroups::<T, RUN> { shape, step, sum, gradient }));
+        with_run!(self.run, RUN => self.isa.run(UnpackGroups::<T, RUN> { shape, step, sum, gradient }));
     }
 
     /// The rows of a weight's gradient that belong to each step.

@@ -79,8 +79,7 @@ impl<T: Element> Tokens<T> {
         tuning: &'static Tuning,
     ) -> Option<Self> {
         let lanes = isa.lanes::<T>();
-        if !isa.is_tuned::<T>() || !width.is_multiple_of(lanes) || !has_codelet!(line width / lanes)
-        {
+        if !width.is_multiple_of(lanes) || !has_codelet!(line width / lanes) {
             return None;
         }
         let factors = factors(points)?;

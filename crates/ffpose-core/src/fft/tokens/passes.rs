@@ -187,6 +187,6 @@ impl<T: Element> Tokens<T> {
             twiddles: self.turns.numbers(),
         };
         let block = Block { vectors: block, pitch: self.shape.pitch() };
-        with_run!(self.run, RUN => self.isa.run_tuned(Filter::<T, _, RUN> { block, turns, pointwise }));
+        with_run!(self.run, RUN => self.isa.run(Filter::<T, _, RUN> { block, turns, pointwise }));
     }
 }

@@ -1,6 +1,7 @@
 //! Lengths as prime powers, and the order of what they leave behind.
 
 use crate::fft::codelets::has_codelet;
+use crate::tuning::LARGEST_PRIME;
 
 /// `f(a, b)` for every `a`, and for each every `b`.
 pub(super) fn product<R>(a: &[usize], b: &[usize], f: impl Fn(&usize, &usize) -> R) -> Vec<R> {
@@ -17,12 +18,17 @@ pub(crate) fn inverted(permutation: &[usize]) -> Vec<usize> {
 }
 
 /// For coprime `m` and `n` the function that gives the number below `m n` which is `a` modulo `m` and `b` modulo `n`.
-pub(crate) fn remainders(m: usize, n: usize) -> impl Fn(usize, usize) -> usize {
+pub(super) fn remainders(m: usize, n: usize) -> impl Fn(usize, usize) -> usize {
     let inverse = (0..n).find(|i| i * m % n == 1 % n).expect("coprime moduli");
     move |a, b| {
         let a = a % m;
         a + (b % n + n - a % n) * inverse % n * m
     }
+}
+
+/// Whether lines of this length are transformed across vectors; rustfft has more ways for large primes.
+pub(crate) fn has_transform(length: usize) -> bool {
+    groups(length).iter().flatten().all(|&radix| radix <= LARGEST_PRIME)
 }
 
 /// The radices of each prime power of `length`; primes without a codelet first, so that the last pass has one if any has, and

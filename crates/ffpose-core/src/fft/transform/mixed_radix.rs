@@ -2,16 +2,15 @@
 //!
 //! The length is split into coprime prime powers, which need no twiddles between them (Good–Thomas); a prime power is split into
 //! radices with twiddles (Cooley–Tukey, decimation in frequency forward and in time back). Nothing is put in order:
-//! [`MixedRadix::inputs`] says where the input goes, [`MixedRadix::outputs`] where the output is.
+//! [`Transform::inputs`] says where the input goes, [`Transform::outputs`] where the output is.
 
 use super::factors::{groups, inverted, product, remainders};
 use super::prime::{self, PrimeRoots};
 use crate::fft::codelets::{Codelet, Dft, has_codelet, root, with_codelet};
 use crate::simd::{Algorithm, Complex, Element, Isa, Vector, complex_vectors, gather, scatter};
-use crate::tuning::LARGEST_PRIME;
 
-/// A planned DFT of a length without primes above [`LARGEST_PRIME`].
-pub(crate) struct MixedRadix<T> {
+/// A planned DFT of one length.
+pub(crate) struct Transform<T> {
     isa: Isa,
     inputs: Vec<usize>,
     outputs: Vec<usize>,
@@ -36,13 +35,10 @@ pub(crate) struct Digits {
     pub(crate) inner: usize,
 }
 
-impl<T: Element> MixedRadix<T> {
-    /// The plan for `length`, or nothing if it has too large a prime.
-    pub(crate) fn new(isa: Isa, length: usize) -> Option<Self> {
+impl<T: Element> Transform<T> {
+    /// The plan for a length that [has a transform](super::has_transform).
+    pub(crate) fn new(isa: Isa, length: usize) -> Self {
         let groups = groups(length);
-        if groups.iter().flatten().any(|&radix| radix > LARGEST_PRIME) {
-            return None;
-        }
         let (mut inputs, mut frequencies) = (vec![0], vec![0]);
         let mut passes = Vec::new();
         let mut outer = 1;
@@ -55,7 +51,7 @@ impl<T: Element> MixedRadix<T> {
             frequencies = product(&frequencies, &group_frequencies, |&k, &l| join(k, l));
             outer *= size;
         }
-        Some(Self { isa, inputs: inverted(&inputs), outputs: inverted(&frequencies), list: passes })
+        Self { isa, inputs: inverted(&inputs), outputs: inverted(&frequencies), list: passes }
     }
 
     pub(crate) fn len(&self) -> usize {

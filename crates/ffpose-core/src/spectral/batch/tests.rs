@@ -144,6 +144,21 @@ fn small_batches_occupy_many_threads() {
     }
 }
 
+#[test]
+fn tiles_are_whole_cache_lines_of_half_precision() {
+    for isa in Isa::available().into_iter().filter(|isa| isa.has_vectors::<f32>()) {
+        for (side, lanes) in [(7, 9), (7, 512), (7, 5000), (14, 129), (14, 384), (28, 600)] {
+            let shape = Shape { layout: Layout::Grid, rows: side, columns: side, lanes };
+            let plan = crate::fft::Plan::new(isa, shape, Tuning::of_machine());
+            let (tile, narrowest) =
+                (plan.kernel::<f32>().tile(), plan.kernel::<crate::Bf16>().narrowest_tile());
+            for tile in [tile, narrowest] {
+                assert_eq!(tile * size_of::<crate::Bf16>() % LINE_BYTES, 0, "{tile} of {lanes}");
+            }
+        }
+    }
+}
+
 /// A kernel that counts the lanes whose weight it packs.
 struct Counting<'a>(&'a dyn Kernel<f32>, AtomicUsize);
 
