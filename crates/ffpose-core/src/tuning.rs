@@ -46,6 +46,9 @@ pub(crate) const L1_CACHE: usize = 1 << 15;
 /// Points of an image of few channels that are copied before those of the next: their lines stay in the L1 cache.
 pub(crate) const COPIED_POINTS: usize = 64;
 
+/// Points of an image of many channels that are copied to planes together: their lines meet in the same few sets of the cache.
+pub(crate) const GATHERED_POINTS: usize = 8;
+
 /// The largest prime that is transformed across vectors, from the definition; beyond it rustfft's convolutions are faster.
 pub(crate) const LARGEST_PRIME: usize = 61;
 

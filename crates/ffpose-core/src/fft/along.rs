@@ -5,10 +5,11 @@
 //! large primes. Planes of a grid are gathered and scattered. After the inverse transform of the columns those of DC and Nyquist
 //! lose their imaginary parts, which is the projection that `irfft2` makes.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use bytemuck::{cast_slice, cast_slice_mut};
-use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3};
+use ndarray::{ArrayView2, ArrayView3, ArrayViewMut2, ArrayViewMut3, Axis};
 use num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
@@ -20,6 +21,7 @@ use crate::parallel::Team;
 use crate::simd::{
     Algorithm, Element, Isa, Stored, Tile, TileMut, Vector, aligned, complex_vectors, slack,
 };
+use crate::tuning::GATHERED_POINTS;
 use crate::views::BATCH;
 use crate::{Layout, Real, Shape};
 
@@ -143,19 +145,31 @@ impl<T: Real> AlongLines<T> {
     /// Copies an image `(points, lanes)` to planes.
     fn gather<X: Stored<Real = T>>(&self, image: ArrayView2<'_, X>, planes: &mut [T]) {
         let image = image.to_slice().expect("an image has no gaps");
-        for (i, plane) in planes.chunks_exact_mut(self.plane_len()).enumerate() {
-            let numbers = image[i..].iter().step_by(self.planes());
-            plane.iter_mut().zip(numbers).for_each(|(to, from)| *to = from.widened());
+        for points in self.blocks() {
+            for (i, plane) in planes.chunks_exact_mut(self.plane_len()).enumerate() {
+                let numbers = image[points.start * self.planes() + i..].iter();
+                let numbers = numbers.step_by(self.planes());
+                plane[points.clone()].iter_mut().zip(numbers).for_each(|(to, x)| *to = x.widened());
+            }
         }
     }
 
     /// Copies planes to an image `(points, lanes)`.
     fn scatter<X: Stored<Real = T>>(&self, planes: &[T], image: ArrayViewMut2<'_, X>) {
         let image = image.into_slice().expect("an image has no gaps");
-        for (i, plane) in planes.chunks_exact(self.plane_len()).enumerate() {
-            let numbers = image[i..].iter_mut().step_by(self.planes());
-            numbers.zip(plane).for_each(|(to, from)| *to = X::nearest_to(*from));
+        for points in self.blocks() {
+            for (i, plane) in planes.chunks_exact(self.plane_len()).enumerate() {
+                let numbers = image[points.start * self.planes() + i..].iter_mut();
+                let numbers = numbers.step_by(self.planes());
+                numbers.zip(&plane[points.clone()]).for_each(|(to, x)| *to = X::nearest_to(*x));
+            }
         }
+    }
+
+    /// Few points at a time, whose lanes stay in cache for all planes.
+    fn blocks(&self) -> impl Iterator<Item = Range<usize>> {
+        let points = self.plane_len();
+        (0..points).step_by(GATHERED_POINTS).map(move |p| p..points.min(p + GATHERED_POINTS))
     }
 
     /// The spectrum of a plane, which is lost.
@@ -241,16 +255,14 @@ impl<T: Real> AlongLines<T> {
         }
     }
 
-    /// Column of a number of a weight `(bins, lanes, 2)`, and its place in the packed form.
-    fn column_and_place(&self, bin: usize, lane: usize) -> (usize, usize) {
+    /// Where the numbers of one bin of a weight `(bins, lanes, 2)` stand in its packed form.
+    fn places(&self, bin: usize) -> impl Iterator<Item = usize> + use<T> {
         let half = self.shape.half();
-        match self.shape.layout {
-            Layout::Tokens => (lane, self.place(bin, lane)),
-            Layout::Grid => {
-                let (u, v) = (bin / half, bin % half);
-                (v, self.place(u, v) + lane * self.spectrum_len())
-            }
-        }
+        let (first, step) = match self.shape.layout {
+            Layout::Tokens => (self.place(bin, 0), self.place(0, 1)),
+            Layout::Grid => (self.place(bin / half, bin % half), self.spectrum_len()),
+        };
+        (first..).step_by(step)
     }
 
     /// One over the points of a plane, times `copies`.
@@ -274,10 +286,11 @@ impl<T: Real> Packing<T> for AlongLines<T> {
         let packed: &mut [Complex<T>] = cast_slice_mut(packed);
         let norm = self.norm(1.0);
         packed.fill(Complex::default());
-        for (bin, lanes) in weight.outer_iter().enumerate() {
-            for (lane, w) in lanes.outer_iter().enumerate() {
-                let w = Complex::new(w[0], w[1]) * norm;
-                let (_, place) = self.column_and_place(bin, lane);
+        let lanes = 2 * weight.len_of(Axis(1));
+        let weight = weight.to_slice().expect("a weight has no gaps");
+        for (bin, lanes) in weight.chunks_exact(lanes).enumerate() {
+            for (&[re, im], place) in lanes.as_chunks().0.iter().zip(self.places(bin)) {
+                let w = Complex::new(re, im) * norm;
                 packed[place] = if factor == Factor::Conjugate { w.conj() } else { w };
             }
         }
@@ -360,12 +373,14 @@ impl<X: Stored<Real: Real>> Kernel<X> for AlongLines<X::Real> {
     ) {
         let sums: &[Complex<X::Real>] = cast_slice(grad_sum);
         let (once, twice) = (self.norm(1.0), self.norm(2.0));
-        for (bin, mut lanes) in grad_weight.outer_iter_mut().enumerate() {
-            for (lane, mut g) in lanes.outer_iter_mut().enumerate() {
-                let (column, place) = self.column_and_place(bin, lane);
-                let norm = if self.is_real(column) { once } else { twice };
-                let sum = sums[place] * norm;
-                (g[0], g[1]) = (sum.re, sum.im);
+        let (half, lanes) = (self.shape.half(), 2 * grad_weight.len_of(Axis(1)));
+        let grad_weight = grad_weight.as_slice_mut().expect("a weight has no gaps");
+        for (bin, lanes) in grad_weight.chunks_exact_mut(lanes).enumerate() {
+            let numbers = lanes.as_chunks_mut().0.iter_mut().zip(self.places(bin));
+            for (lane, (g, place)) in numbers.enumerate() {
+                let column = if self.shape.layout == Layout::Tokens { lane } else { bin % half };
+                let sum = sums[place] * if self.is_real(column) { once } else { twice };
+                *g = [sum.re, sum.im];
             }
         }
     }
