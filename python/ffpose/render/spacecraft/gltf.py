@@ -1,16 +1,15 @@
 """Reading glTF 2.0: scenes, meshes and physically based materials.
 
-Trimesh reads vertices and faces out of the buffers, Pillow the images; what they do not know of is
-done here: which nodes are drawn and where, several sets of texture coordinates, whole numbers that
-stand for fractions, sparse values, and the materials. Sections are those of the specification
-(Khronos Group, "glTF 2.0 Specification", 2021). Skins are drawn in their pose of rest, animations
-and morph targets as they are at the start; occlusion textures are left out, as light is traced.
+Of all sets of texture coordinates, sparse values, fractions as whole numbers, transformed textures
+and copies of nodes trimesh reads some at most, so it is not used here. Sections are those of the
+specification (Khronos Group, "glTF 2.0 Specification", 2021). Skins are drawn in their pose of
+rest, animations and morph targets as they are at the start; occlusion textures are left out, as
+light is traced.
 """
 
 from __future__ import annotations
 
 import base64
-import io
 import json
 import struct
 from collections.abc import Iterator
@@ -27,6 +26,8 @@ from ffpose.render.spacecraft.parts import Part
 
 Floats = NDArray[np.float64]
 Header = dict[str, Any]
+Key = tuple[int, int]
+Shape = dict[str, NDArray[Any]]
 
 KNOWN_EXTENSIONS = (
     "KHR_draco_mesh_compression",
@@ -52,18 +53,14 @@ CORNERS = 3
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Modes of primitives that have faces (section 3.7.2.1)."""
 
-LAYER = "_TEXCOORD_{}"
-"""Names by which trimesh keeps attributes as they are begin with an underscore."""
-
 CODES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 class Placed(NamedTuple):
-    """A primitive in the scene: numbers of mesh and primitive, and its place (4, 4)."""
+    """A primitive in the scene: its key, the numbers of mesh and primitive, and place (4, 4)."""
 
-    mesh: int
-    primitive: int
+    key: Key
     place: Floats
 
 
@@ -96,31 +93,28 @@ def _read(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
     placed = list(document.placed())
     if not all(np.isfinite(item.place).all() for item in placed):
         raise DataError("expected finite places of meshes, got NaN or infinity", assets.source)
-    count = sum(document.face_count(item) for item in placed)
+    count = sum(document.face_count(item.key) for item in placed)
     if count > most_faces:
         raise DataError(f"expected at most {most_faces} triangles, got {count}", assets.source)
-    count, most = document.vertex_count(placed), CORNERS * most_faces
+    drawn = sorted({item.key for item in placed if document.face_count(item.key)})
+    count, most = document.vertex_count(drawn), CORNERS * most_faces
     if count > most:
         raise DataError(f"expected at most {most} vertices, got {count}", assets.source)
-    shapes = document.shapes({(item.mesh, item.primitive) for item in placed})
+    shapes = {key: document.shape(key) for key in drawn}
     materials = Materials(document.header, document.image_bytes, assets.source)
-    parts = []
-    for item in placed:
-        shape = shapes.get((item.mesh, item.primitive))
-        if shape is not None:
-            primitive = document.primitive(item)
-            parts.append(_part(shape, materials, primitive.get("material"), item.place))
-    return parts
+    return [
+        _part(shapes[item.key], materials, document.primitive(item.key).get("material"), item.place)
+        for item in placed
+        if item.key in shapes
+    ]
 
 
-def _part(
-    shape: dict[str, NDArray[Any]], materials: Materials, number: int | None, place: Floats
-) -> Part:
+def _part(shape: Shape, materials: Materials, number: int | None, place: Floats) -> Part:
     """Return a primitive in its place, with its material and the coordinates of its textures."""
     material, sources = materials.get(number)
     layers = []
     for source in sources:
-        coordinates = shape.get(LAYER.format(source.set))
+        coordinates = shape.get(f"TEXCOORD_{source.set}")
         if coordinates is None:
             coordinates = np.zeros((len(shape["POSITION"]), 2), np.float32)
         if not np.isfinite(coordinates).all():
@@ -130,13 +124,13 @@ def _part(
     if np.linalg.det(turn) < 0:
         faces = faces[:, ::-1]
     vertices = shape["POSITION"] @ turn.T + place[:3, 3]
-    normals = shape.get("_NORMAL")
+    normals = shape.get("NORMAL")
     if normals is not None:
         normals = normals.astype(np.float64) @ _cofactors(turn).T
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = np.where(length > 0, normals / np.where(length > 0, length, 1), np.nan)
         normals = normals.astype(np.float32)
-    colors = shape.get("_COLOR_0")
+    colors = shape.get("COLOR_0")
     if colors is not None:
         colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
         if materials.opaque(number):
@@ -161,6 +155,7 @@ class _Document:
         self._assets = assets
         self._most_faces = most_faces
         self._buffers: dict[int, bytes] = {}
+        self._views: dict[int, bytes] = {}
         version = str(self.header["asset"].get("version", "2.0"))
         if not version.startswith("2."):
             raise DataError(f"expected glTF 2.0, got {version}", assets.source)
@@ -200,16 +195,16 @@ class _Document:
             copies = self._instances(extensions.get("EXT_mesh_gpu_instancing"))
             for primitive in range(len(self.header["meshes"][node["mesh"]]["primitives"])):
                 for copy in copies:
-                    yield Placed(node["mesh"], primitive, place @ copy)
+                    yield Placed((node["mesh"], primitive), place @ copy)
 
-    def primitive(self, item: Placed) -> Header:
+    def primitive(self, key: Key) -> Header:
         """Return the header of a primitive."""
-        found: Header = self.header["meshes"][item.mesh]["primitives"][item.primitive]
+        found: Header = self.header["meshes"][key[0]]["primitives"][key[1]]
         return found
 
-    def face_count(self, item: Placed) -> int:
+    def face_count(self, key: Key) -> int:
         """Return the number of triangles of a primitive."""
-        primitive = self.primitive(item)
+        primitive = self.primitive(key)
         mode = primitive.get("mode", TRIANGLES)
         if "POSITION" not in primitive["attributes"] or mode not in (TRIANGLES, STRIP, FAN):
             return 0
@@ -217,58 +212,63 @@ class _Document:
         count = int(self.header["accessors"][accessor]["count"])
         return count // 3 if mode == TRIANGLES else max(0, count - 2)
 
-    def vertex_count(self, placed: list[Placed]) -> int:
+    def vertex_count(self, keys: list[Key]) -> int:
         """Return the number of vertices of primitives: values of their longest attributes."""
         counts: dict[int, int] = {}
-        for item in placed:
-            if self.face_count(item):
-                attributes = self.primitive(item)["attributes"]
-                longest = max(self.header["accessors"][n]["count"] for n in attributes.values())
-                place = attributes["POSITION"]  # primitives may share their vertices
-                counts[place] = max(counts.get(place, 0), longest)
+        for key in keys:
+            attributes = self.primitive(key)["attributes"]
+            longest = max(self.header["accessors"][n]["count"] for n in attributes.values())
+            place = attributes["POSITION"]  # primitives may share their vertices
+            counts[place] = max(counts.get(place, 0), longest)
         return sum(counts.values())
 
-    def shapes(self, used: set[tuple[int, int]]) -> dict[tuple[int, int], dict[str, NDArray[Any]]]:
-        """Read primitives: faces, and attributes by the names that trimesh keeps."""
-        trimesh = require("trimesh.exchange.gltf", "render")
-        plain = _Plain(self)
-        meshes = []
-        for mesh, number in sorted(used):
-            primitive = self.primitive(Placed(mesh, number, np.eye(4)))
-            if self.face_count(Placed(mesh, number, np.eye(4))):
-                simple = plain.primitive(primitive, mesh)
-                meshes.append({"name": f"{mesh}.{number}", "primitives": [simple]})
-        header = {"asset": {"version": "2.0"}, "meshes": meshes, **plain.tables()}
-        text = io.BytesIO(json.dumps(header).encode())
-        resolver = {str(number): buffer for number, buffer in enumerate(plain.buffers)}
-        read = trimesh.load_gltf(text, resolver, skip_materials=True)["geometry"]
-        shapes = {}
-        for name, found in read.items():
-            mesh, number = map(int, name.split("."))
-            attributes = self.primitive(Placed(mesh, number, np.eye(4)))["attributes"]
-            shape = {"faces": np.asarray(found["faces"]), "POSITION": np.asarray(found["vertices"])}
-            shape |= {key: np.asarray(v) for key, v in found.get("vertex_attributes", {}).items()}
-            for key in list(shape):
-                if key != "faces":
-                    accessor = self.header["accessors"][attributes[key.removeprefix("_")]]
-                    shape[key] = _fractions(shape[key], bool(accessor.get("normalized")))
-            shape["POSITION"] = shape["POSITION"].astype(np.float64)
-            self._check(shape)
-            shapes[mesh, number] = shape
-        return shapes
-
-    def _check(self, shape: dict[str, NDArray[Any]]) -> None:
-        source, points, faces = self.source, shape["POSITION"], shape["faces"]
+    def shape(self, key: Key) -> Shape:
+        """Read a primitive: its faces (F, 3), and its attributes by name."""
+        primitive = self.primitive(key)
+        packed = self._decoded(primitive, key[0])
+        shape = {}
+        for name, number in primitive["attributes"].items():
+            if name in ("POSITION", "NORMAL", "COLOR_0") or name.startswith("TEXCOORD_"):
+                normalized = bool(self.header["accessors"][number].get("normalized"))
+                shape[name] = (
+                    _fractions(packed[name], normalized) if name in packed else self.values(number)
+                )
+        points = shape["POSITION"] = shape["POSITION"].astype(np.float64)
         if not np.isfinite(points).all():
-            raise DataError("expected finite vertices, got NaN or infinity", source)
+            raise DataError("expected finite vertices, got NaN or infinity", self.source)
+        for name, values in shape.items():
+            if len(values) != len(points):
+                text = f"expected {len(points)} values of {name}, got {len(values)}"
+                raise DataError(text, self.source)
+        if "faces" in packed:
+            faces = packed["faces"]
+        else:
+            order = np.arange(len(points))
+            if "indices" in primitive:
+                order = self.values(primitive["indices"])[:, 0]
+            faces = _triangles(order, primitive.get("mode", TRIANGLES))
         if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
             got = f"{faces.min()}…{faces.max()}"
             text = f"expected faces that name vertices 0…{len(points) - 1}, got {got}"
-            raise DataError(text, source)
-        for name, values in shape.items():
-            if name != "faces" and len(values) != len(points):
-                text = f"expected {len(points)} values of {name.strip('_')}, got {len(values)}"
-                raise DataError(text, source)
+            raise DataError(text, self.source)
+        return shape | {"faces": faces}
+
+    def _decoded(self, primitive: Header, mesh: int) -> Shape:
+        """Return the faces and attributes that Draco compressed."""
+        header = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
+        if header is None:
+            return {}
+        draco = require("DracoPy", "render")
+        content = self.view(header["bufferView"])
+        try:
+            found = draco.decode(content)
+            values = {each["unique_id"]: np.asarray(each["data"]) for each in found.attributes}
+            shape = {name: values[number] for name, number in header["attributes"].items()}
+            return shape | {"faces": np.asarray(found.faces).reshape(-1, 3)}
+        except Exception as error:  # DracoPy has exceptions of its own, and others for what lacks
+            name = self.header["meshes"][mesh].get("name", mesh)
+            text = f"expected Draco data of mesh {name!r} that can be decoded"
+            raise DataError(f"{text}, got {one_line(error)}", self.source) from error
 
     def buffer(self, number: int) -> bytes:
         """Return a buffer: in the file, or beside it."""
@@ -289,12 +289,14 @@ class _Document:
 
     def view(self, number: int) -> bytes:
         """Return the bytes of a buffer view, decompressed where the file requires that."""
-        view = self.header["bufferViews"][number]
-        for name in set(MESHOPT).intersection(self.header.get("extensionsRequired", [])):
-            packed = view.get("extensions", {}).get(name)
-            if packed is not None:
-                return self._unpacked(packed, view["byteLength"])
-        return self._slice(view)
+        if number not in self._views:
+            view = self.header["bufferViews"][number]
+            required = set(MESHOPT).intersection(self.header.get("extensionsRequired", []))
+            packed = [view["extensions"][n] for n in required if n in view.get("extensions", {})]
+            self._views[number] = (
+                self._unpacked(packed[0], view["byteLength"]) if packed else self._slice(view)
+            )
+        return self._views[number]
 
     def _slice(self, view: Header) -> bytes:
         """Return the part of a buffer that a buffer view or its compression names."""
@@ -332,31 +334,24 @@ class _Document:
     def values(self, number: int) -> NDArray[Any]:
         """Return the values (N, K) of an accessor, of which sparse ones replace some (3.6.2)."""
         accessor = self.header["accessors"][number]
-        code, width = np.dtype(CODES[accessor["componentType"]]), WIDTHS[accessor["type"]]
-        count = accessor["count"]
-        values = np.zeros((count, width), code)
+        count, width, code = accessor["count"], WIDTHS[accessor["type"]], accessor["componentType"]
+        values = np.zeros((count, width), CODES[code])
         if "bufferView" in accessor:
-            content = self.view(accessor["bufferView"])
-            stride = self.header["bufferViews"][accessor["bufferView"]].get("byteStride", 0)
-            values = _strided(content, accessor.get("byteOffset", 0), count, width, code, stride)
+            values = self._elements(accessor, count, width, code)
         if "sparse" in accessor:
             sparse, values = accessor["sparse"], values.copy()
-            where, what = sparse["indices"], sparse["values"]
-            places = _strided(
-                self.view(where["bufferView"]),
-                where.get("byteOffset", 0),
-                sparse["count"],
-                1,
-                np.dtype(CODES[where["componentType"]]),
-            )
-            values[places[:, 0]] = _strided(
-                self.view(what["bufferView"]),
-                what.get("byteOffset", 0),
-                sparse["count"],
-                width,
-                code,
-            )
+            where, count = sparse["indices"], sparse["count"]
+            places = self._elements(where, count, 1, where["componentType"])
+            values[places[:, 0]] = self._elements(sparse["values"], count, width, code)
         return _fractions(values, bool(accessor.get("normalized")))
+
+    def _elements(self, at: Header, count: int, width: int, code: int) -> NDArray[Any]:
+        """Return values (count, width) that stand in a buffer view."""
+        kind, view = np.dtype(CODES[code]), self.header["bufferViews"][at["bufferView"]]
+        steps = view.get("byteStride") or width * kind.itemsize, kind.itemsize
+        content, start = self.view(at["bufferView"]), at.get("byteOffset", 0)
+        values: NDArray[Any] = np.ndarray((count, width), kind, content, start, steps)
+        return values
 
     def _instances(self, extension: Header | None) -> list[Floats]:
         """Return the places (4, 4) of a node's mesh, which an extension repeats."""
@@ -373,100 +368,15 @@ class _Document:
         return [_local({key: value[n] for key, value in given.items()}) for n in range(count)]
 
 
-class _Plain:
-    """What trimesh is to read: primitives of accessors that are neither sparse nor renamed."""
-
-    def __init__(self, document: _Document) -> None:
-        self.buffers: list[bytes] = []
-        self._document = document
-        self._accessors: list[Header] = []
-        self._views: list[Header] = []
-        self._known: dict[int, int] = {}
-
-    def tables(self) -> Header:
-        """Return accessors, buffer views and buffers of a header."""
-        sizes = [{"uri": str(n), "byteLength": len(b)} for n, b in enumerate(self.buffers)]
-        return {"accessors": self._accessors, "bufferViews": self._views, "buffers": sizes}
-
-    def primitive(self, primitive: Header, mesh: int) -> Header:
-        """Return the header of a primitive of a mesh with the attributes that are used."""
-        packed = self._decoded(primitive, mesh)
-        kept = {
-            name if name == "POSITION" else f"_{name}": (
-                packed[name] if name in packed else self._accessor(number)
-            )
-            for name, number in primitive["attributes"].items()
-            if name in ("POSITION", "NORMAL", "COLOR_0") or name.startswith("TEXCOORD_")
-        }
-        mode = primitive.get("mode", TRIANGLES)
-        simple: Header = {"attributes": kept, "mode": mode}
-        if "faces" in packed:
-            simple |= {"mode": TRIANGLES, "indices": packed["faces"]}
-        elif mode == FAN:
-            simple["mode"] = TRIANGLES
-            simple["indices"] = self._fan(primitive)
-        elif "indices" in primitive:
-            simple["indices"] = self._accessor(primitive["indices"])
-        return simple
-
-    def _decoded(self, primitive: Header, mesh: int) -> dict[str, int]:
-        """Return accessors of the faces and attributes that Draco compressed."""
-        header = primitive.get("extensions", {}).get("KHR_draco_mesh_compression")
-        if header is None:
-            return {}
-        draco = require("DracoPy", "render")
-        content = self._document.view(header["bufferView"])
-        try:
-            found = draco.decode(content)
-            values = {each["unique_id"]: np.asarray(each["data"]) for each in found.attributes}
-            shape = {name: values[number] for name, number in header["attributes"].items()}
-            shape["faces"] = np.asarray(found.faces, np.uint32).reshape(-1, 1)
-        except Exception as error:  # DracoPy has exceptions of its own, and others for what lacks
-            name = self._document.header["meshes"][mesh].get("name", mesh)
-            text = f"expected Draco data of mesh {name!r} that can be decoded"
-            raise DataError(f"{text}, got {one_line(error)}", self._document.source) from error
-        widths = {width: kind for kind, width in WIDTHS.items()}
-        return {name: self._append(each, widths[each.shape[1]]) for name, each in shape.items()}
-
-    def _accessor(self, number: int) -> int:
-        if number not in self._known:
-            accessor = dict(self._document.header["accessors"][number])
-            if "sparse" in accessor:
-                values = self._document.values(number)
-                self._known[number] = self._append(values, accessor["type"])
-                return self._known[number]
-            if "bufferView" in accessor:
-                view = self._document.header["bufferViews"][accessor["bufferView"]]
-                again = self._view(self._document.view(accessor["bufferView"]))
-                if "byteStride" in view:
-                    self._views[again]["byteStride"] = view["byteStride"]
-                accessor["bufferView"] = again
-            self._known[number] = len(self._accessors)
-            self._accessors.append(accessor)
-        return self._known[number]
-
-    def _fan(self, primitive: Header) -> int:
-        """Return the triangles of a fan, all of which begin at its first vertex."""
-        count = self._document.header["accessors"][primitive["attributes"]["POSITION"]]["count"]
-        order = np.arange(count)
-        if "indices" in primitive:
-            order = self._document.values(primitive["indices"])[:, 0]
-        faces = np.stack([order[1:-1], order[2:], np.full(len(order) - 2, order[0])], axis=1)
-        return self._append(faces.reshape(-1, 1).astype(np.uint32), "SCALAR")
-
-    def _append(self, values: NDArray[Any], kind: str) -> int:
-        values = values.astype(np.float32) if values.dtype.kind == "f" else values
-        code = next(code for code, name in CODES.items() if np.dtype(name) == values.dtype)
-        view = self._view(values.tobytes())
-        self._accessors.append(
-            {"bufferView": view, "componentType": code, "count": len(values), "type": kind}
-        )
-        return len(self._accessors) - 1
-
-    def _view(self, content: bytes) -> int:
-        self._views.append({"buffer": len(self.buffers), "byteLength": len(content)})
-        self.buffers.append(content)
-        return len(self._views) - 1
+def _triangles(order: NDArray[Any], mode: int) -> NDArray[Any]:
+    """Return the triangles (F, 3) of a primitive's vertices in order (section 3.7.2.1)."""
+    if mode == TRIANGLES:
+        return order.reshape(-1, 3)
+    if mode == FAN:  # all begin at its first vertex
+        return np.stack([order[1:-1], order[2:], np.full(len(order) - 2, order[0])], axis=1)
+    faces = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
+    faces[1::2] = faces[1::2, ::-1]
+    return faces
 
 
 def _split(content: bytes) -> tuple[Header, bytes]:
@@ -499,15 +409,6 @@ def _local(node: Header) -> Floats:
     matrix[:3, :3] = turn * np.asarray(node.get("scale", (1, 1, 1)), dtype=np.float64)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
     return matrix
-
-
-def _strided(
-    content: bytes, start: int, count: int, width: int, code: np.dtype[Any], stride: int = 0
-) -> NDArray[Any]:
-    """Return values (count, width) that stand ``stride`` bytes apart."""
-    stride = stride or width * code.itemsize
-    values: NDArray[Any] = np.ndarray((count, width), code, content, start, (stride, code.itemsize))
-    return values
 
 
 def _fractions(values: NDArray[Any], normalized: bool) -> NDArray[Any]:
