@@ -21,7 +21,7 @@ from safetensors.torch import load_file
 from benchmarks.tracking import predicted
 from ffpose._internal.zoo import resolve
 from ffpose.geometry import FloatArray, Pose
-from ffpose.geometry.trajectory import conjugate, logarithm, product
+from ffpose.geometry.rotations import conjugate, multiply, rotation_vector
 from ffpose.models import read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.tracking.frames import read_frames
@@ -91,7 +91,7 @@ def _error(truth: Pose, pose: Pose) -> FloatArray | None:
     Those of the position are along the camera's axes, those of the attitude along the object's.
     """
     said = pose.uncertainty
-    turn = logarithm(product(conjugate(truth.q), pose.q))
+    turn = rotation_vector(multiply(conjugate(truth.q), pose.q))
     if said is None or pose.flagged or np.linalg.norm(turn) > np.radians(FLIP_DEG):
         return None
     deviations = [

@@ -290,8 +290,9 @@ def render_set(options: Namespace) -> None:
 
 def render_motion(options: Namespace) -> None:
     """Render the frames of a motion, as a csv set with times."""
+    from ffpose.datasets.csv_set import read_trajectory
     from ffpose.render.dataset.sequence_writer import write_sequence
-    from ffpose.render.sequence import Sequence, read_trajectory
+    from ffpose.render.sequence import Sequence
 
     for name in ("count", "start", "labels", "layers", "motion"):
         if options[name]:

@@ -117,6 +117,23 @@ def require(module: str, extra: str) -> ModuleType:
         raise MissingExtraError.of(module.partition(".")[0], extra) from error
 
 
+def expect(holds: bool, name: str, expected: str, got: object) -> None:
+    """Check a condition on a value.
+
+    Raises:
+        ValueError: It does not hold; the message says what ``name`` is expected to be, and is.
+    """
+    if not holds:
+        raise ValueError(f"{name}: expected {expected}, got {got!r}")
+
+
+def expect_least(values: object, prefix: str = "", **least: float) -> None:
+    """Check that each field named is at least so large; raises as `expect`."""
+    for name, bound in least.items():
+        value = getattr(values, name)
+        expect(value >= bound, prefix + name, f"{bound} or more", value)
+
+
 def check_choices(values: object, prefix: str = "") -> None:
     """Check the fields of a dataclass whose type is a `Literal`.
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ffpose import DataError
-from ffpose.datasets.keypoints import read_keypoints
+from ffpose.datasets.csv_set import read_keypoints
 
 
 def written(folder, *lines):

@@ -18,6 +18,7 @@ from ffpose.geometry import (
     rotation_matrix,
     standard_deviations,
 )
+from ffpose.geometry.rotations import from_matrix
 
 ROW = {"x": 2.0, "y": 1.0, "z": 10.0, "q1": 0.0, "q2": 0.0, "q3": 0.0, "q4": 1.0}
 
@@ -315,3 +316,12 @@ def test_a_batch_has_a_second_mode_each():
     assert [each.alternative.tolist() for each in said] == [second[0], [0.0, 0.0, 0.0, 1.0]]
     assert [each.probabilities for each in said] == [(0.75, 0.25), (0.5, 0.125)]
     assert [each.degrees_of_freedom for each in said] == [(5.0, 3.0)] * 2
+
+
+def test_quaternions_of_rotations():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        q = rng.standard_normal(4)
+        q /= np.linalg.norm(q)
+        matrix = rotation_matrix(q)
+        assert abs(from_matrix(matrix) @ q) == pytest.approx(1)

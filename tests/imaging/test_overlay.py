@@ -43,5 +43,5 @@ def test_what_is_behind_the_camera_is_left_out():
 
 
 def test_only_rgb_is_taken():
-    with pytest.raises(ValueError, match="expected mode RGB, got L"):
+    with pytest.raises(ValueError, match="expected mode RGB, got 'L'"):
         draw_axes(Image.new("L", (64, 48)), Pose([0, 0, 5], [1, 0, 0, 0]), URSO_CAMERA)

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
+from ffpose.datasets.patches import open_patches
 from ffpose.geometry import Camera, Pose
 from ffpose.imaging.patches import (
     LABELS,
     PatchSpec,
     averaged,
-    crop,
     extract_patches,
     nearest_pixels,
-    open_arrays,
 )
 
 CAMERA = Camera(256, 192, 200.0, 190.0, 120.0, 100.0)
@@ -54,7 +53,8 @@ def test_a_window_is_black_outside_the_image(generator, corner):
     around = 500
     padded = np.pad(image, ((around, around), (around, around), (0, 0)))
     expected = padded[around + top :, around + left :][:48, :48]
-    np.testing.assert_array_equal(crop(image, left, top, 48), expected)
+    window = CAMERA.cropped(left, top, 48, 48)
+    np.testing.assert_array_equal(nearest_pixels(image, CAMERA, window), expected)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_arrays_on_disk(generator, tmp_path):
     extract_patches(pixels(generator, 192, 256), Pose((1, 2, 20), UNTURNED), SPEC).store(arrays, 1)
     for name, array in arrays.items():
         np.save(tmp_path / f"{name}.npy", array)
-    opened = open_arrays(tmp_path)
+    opened = open_patches(tmp_path)
     assert opened.keys() == arrays.keys()
     for name, array in arrays.items():
         np.testing.assert_array_equal(opened[name], array)

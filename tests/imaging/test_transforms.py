@@ -138,7 +138,7 @@ def test_bad_preprocessing_is_refused(change, words):
 
 
 def test_only_rgb_is_taken():
-    with pytest.raises(ValueError, match="expected mode RGB, got L"):
+    with pytest.raises(ValueError, match="expected mode RGB, got 'L'"):
         Preprocessing()(Image.new("L", (8, 8)))
 
 

@@ -9,9 +9,8 @@ import trimesh
 from PIL import Image
 
 from ffpose.cli import main
-from ffpose.geometry import rotation_matrix
 from ffpose.render import load_craft
-from ffpose.render.inspection import DIRECTIONS, TILE, _quaternion, _view, inspect_mesh, studio_view
+from ffpose.render.inspection import DIRECTIONS, TILE, _view, inspect_mesh, studio_view
 from ffpose.render.spacecraft.craft import bounding_sphere
 
 
@@ -69,15 +68,6 @@ def test_the_bounding_sphere_holds_all_and_is_the_least():
         center, radius = bounding_sphere(np.concatenate([inner, ends]))
         np.testing.assert_allclose(center, (1, 2, 3), atol=2e-3 * np.linalg.norm(axis))
         assert radius == pytest.approx(np.linalg.norm(axis), rel=2e-3)
-
-
-def test_quaternions_of_rotations():
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        q = rng.standard_normal(4)
-        q /= np.linalg.norm(q)
-        matrix = rotation_matrix(q)
-        assert abs(_quaternion(matrix) @ q) == pytest.approx(1)
 
 
 def test_a_view_shows_the_side_that_its_name_says(tmp_path):

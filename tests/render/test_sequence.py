@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from ffpose import cli
 from ffpose.datasets import read_records
+from ffpose.datasets.csv_set import read_trajectory
 from ffpose.geometry import Pose
 from ffpose.geometry.trajectory import Trajectory
 from ffpose.render import find_scene
 from ffpose.render.dataset.sequence_writer import write_sequence
 from ffpose.render.motion import sample_motion, sample_orbit
 from ffpose.render.sampler import visible_share
-from ffpose.render.sequence import Sequence, read_trajectory, render_frame
+from ffpose.render.sequence import Sequence, render_frame
 
 SCENE = replace(find_scene("soyuz_hard"), attitude_range_deg=(180.0, 90.0, 180.0))
 SIZE = (64, 48)
@@ -155,9 +156,9 @@ def test_fast_motion_blurs_and_a_rolling_shutter_shears():
         ("time,tx\n1,2\n", r"motion\.csv:1: expected the columns time, tx.*ty is missing"),
         ("time,tx,ty,tz,qw,qx,qy,qz\n", "expected at least one row"),
         ("time,tx,ty,tz,qw,qx,qy,qz\n0,0,0,9,1,0,0,0\n0,0,0,9,1,0,0,0\n", r":3: time: expected"),
-        ("time,tx,ty,tz,qw,qx,qy,qz\nnan,0,0,9,1,0,0,0\n", r":2: time: expected seconds"),
+        ("time,tx,ty,tz,qw,qx,qy,qz\nnan,0,0,9,1,0,0,0\n", r":2: time: expected a finite"),
         ("time,tx,ty,tz,qw,qx,qy,qz\n0,0,0,9,0,0,0,0\n", r":2: .*norm"),
-        ("time,tx,ty,tz,qw,qx,qy,qz\n0,0,0,,1,0,0,0\n", r":2: could not convert"),
+        ("time,tx,ty,tz,qw,qx,qy,qz\n0,0,0,,1,0,0,0\n", r":2: tz: expected a finite"),
     ],
 )
 def test_files_that_are_no_motion(tmp_path, capsys, text, message):

@@ -1,19 +1,21 @@
 """Sets that differ from one in a single thing, held against single renderings and arithmetic."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from multiprocessing.pool import ThreadPool
 
 import numpy as np
 import pytest
 
 from beacons import beacon_scene
-from ffpose.render import SCENES, render, render_empty, variations
+from ffpose.render import SCENES, render, render_empty
+from ffpose.render.processes import ahead
 from ffpose.render.shading.sensor import Sensor, expose
 from ffpose.render.variations import (
     Variation,
     blurred,
     noisier,
     render_variations,
+    variations,
     without_object,
 )
 
@@ -31,7 +33,7 @@ def rendered(chosen, count=2, workers=1):
 
 @pytest.fixture(scope="module")
 def tried():
-    chosen = variations.variations(beacon_scene(), 16.0)
+    chosen = variations(beacon_scene(), 16.0)
     return {v.name: v for v in chosen}, rendered(chosen)
 
 
@@ -133,10 +135,10 @@ def test_any_number_of_processes_makes_the_same_pictures():
 def test_no_more_is_rendered_ahead_than_stated():
     """Results wait in memory until they are taken, and a picture is a megabyte."""
     started = []
-    with ThreadPool(2) as pool:
-        results = variations._map_ahead(pool, 3, lambda n: started.append(n) or [n], range(20))
+    with ThreadPoolExecutor(2) as pool:
+        results = ahead(lambda n: pool.submit(lambda: started.append(n) or [n]), range(20), 3)
         for taken in range(1, 6):
             assert next(results) == [taken - 1]
-            pool.apply(lambda: None)
+            pool.submit(lambda: None).result()
             assert len(started) <= taken + 2
         assert list(results) == [[n] for n in range(5, 20)]

@@ -44,18 +44,18 @@ def root(tmp_path_factory):
 @pytest.fixture
 def rendered(monkeypatch):
     """Views and whole images that were rendered since."""
-    made, view, images = [], patches.render_patches, writer.render_all
+    made, view, image = [], patches.render_patches, writer.render_one
 
     def counted(scene, seed, index, spec, content="object"):
         made.append((seed, index, content))
         return view(scene, seed, index, spec, content)
 
-    def all_counted(job, indices, *rest):
-        made.extend((job.seed, index, "object") for index in indices)
-        return images(job, indices, *rest)
+    def image_counted(job, index):
+        made.append((job.seed, index, "object"))
+        return image(job, index)
 
     monkeypatch.setattr(patches, "render_patches", counted)
-    monkeypatch.setattr(writer, "render_all", all_counted)
+    monkeypatch.setattr(writer, "render_one", image_counted)
     return made
 
 

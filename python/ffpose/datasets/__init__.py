@@ -8,7 +8,8 @@ from ffpose.datasets import cambridge, csv_set, sevenscenes, speed, speedplus, u
 from ffpose.datasets.base import Part, PoseDataset, Reader, Sample
 from ffpose.datasets.conditions import Conditions, read_conditions
 from ffpose.datasets.records import AS_ON_DISK, Decoding, Record
-from ffpose.datasets.targets import Target
+from ffpose.errors import expect
+from ffpose.geometry import Target
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.transforms import Augmentation
 
@@ -41,8 +42,7 @@ KINDS: dict[str, Reader] = {
 
 
 def _reader(kind: str) -> Reader:
-    if kind not in KINDS:
-        raise ValueError(f"dataset kind: expected one of {sorted(KINDS)}, got {kind!r}")
+    expect(kind in KINDS, "dataset kind", f"one of {sorted(KINDS)}", kind)
     return KINDS[kind]
 
 

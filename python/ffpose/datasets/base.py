@@ -15,8 +15,7 @@ from torch.utils.data import Dataset
 
 from ffpose.datasets.cache import cached_frames
 from ffpose.datasets.records import Record
-from ffpose.datasets.targets import Target, to_pose, to_vector
-from ffpose.geometry import Camera, DistortedCamera, Pose
+from ffpose.geometry import Camera, DistortedCamera, FloatArray, Pose, Target, camera_pose
 from ffpose.imaging.preprocessing import Preprocessing, planes
 from ffpose.imaging.transforms import (
     Augmentation,
@@ -40,10 +39,23 @@ class Reader(Protocol):
     TARGET: Target
 
     def splits(self, root: Path) -> list[str]:
-        """Return the splits that the folder contains."""
+        """Return the splits that the folder contains.
+
+        Raises:
+            FileNotFoundError: The folder does not exist, or lists no split.
+            NotADirectoryError: ``root`` is a file.
+        """
 
     def read(self, root: Path, split: str) -> list[Record]:
-        """Return the images of a split, with converted labels and their cameras."""
+        """Return the images of a split, with converted labels and their cameras.
+
+        Raises:
+            ValueError: ``split`` is not in such sets.
+            FileNotFoundError: The folder, or a file that lists the split, does not exist.
+            NotADirectoryError: The folder is a file.
+            DataError: A name, label or camera is invalid, or an image is missing or listed twice;
+                the error names file and line.
+        """
 
 
 class Sample(NamedTuple):
@@ -52,7 +64,7 @@ class Sample(NamedTuple):
     Attributes:
         image: Standardized image ``(3, h, w)``, float32.
         translation: Translation ``(3,)`` in meters, float32, or what the set locates in its place
-            (`ffpose.datasets.targets`).
+            (`PoseDataset`).
         orientation: Unit quaternion ``(w, x, y, z)``, ``w >= 0``, float32 ``(4,)``.
         index: Index of the sample in the dataset.
         intrinsics: ``(fx, fy, cx, cy)`` of the camera that sees ``image``, in its pixels; float64
@@ -68,6 +80,13 @@ class Sample(NamedTuple):
 
 class PoseDataset(Dataset[Sample]):
     """Labeled images, preprocessed and augmented.
+
+    Sets of spacecraft locate an object in the camera frame, and a network learns ``[t, q]``. Sets
+    of places (Cambridge Landmarks, 7Scenes) locate the camera in the world, and a network learns
+    ``[c, q]``: the camera's center in the world, and the rotation from the world to the camera
+    frame, as PoseNet (Kendall et al., ICCV 2015) and Table 5 of Ye et al. (Sensors 2023, 23, 8633)
+    do. The same pose as ``[t, q]`` has ``t = -R(q) c``, whose errors grow with those of ``q`` and
+    the distance to the world's arbitrary origin.
 
     Args:
         records: The labeled images.
@@ -120,7 +139,7 @@ class PoseDataset(Dataset[Sample]):
         self.preprocessing = preprocessing
         self.augmentation = augmentation
         self.names = [record.name for record in records]
-        self.poses = np.stack([to_vector(record.label, target) for record in records])
+        self.poses = np.stack([self._to_vector(record.label) for record in records])
         self._frames = cached_frames(self.records, preprocessing) if cache else None
 
     def __len__(self) -> int:
@@ -133,8 +152,28 @@ class PoseDataset(Dataset[Sample]):
         return sizes.pop() if len(sizes) == 1 else None
 
     def to_pose(self, vector: ArrayLike) -> Pose:
-        """Return the pose of a vector like those of ``poses``: a label or a prediction."""
-        return to_pose(vector, self.target)
+        """Return the pose of a vector ``(7,)`` like those of ``poses``: a label or a prediction.
+
+        Raises:
+            TypeError: The values are not real numbers.
+            ValueError: As `Pose`.
+        """
+        if self.target == "object":
+            return Pose.from_vector(vector)
+        values = np.asarray(vector, np.float64)
+        return camera_pose(values[..., :3], values[..., 3:])
+
+    def _to_vector(self, pose: Pose) -> FloatArray:
+        """Return a pose as the vector ``(7,)`` that a network learns: the inverse of `to_pose`."""
+        if self.target == "object":
+            return pose.vector
+        return np.concatenate([-pose.rotation.T @ pose.t, pose.q])
+
+    @property
+    def spread(self) -> float:
+        """RMS distance of the positions from their mean; one where they do not vary."""
+        deviation = self.poses[:, :3] - self.poses[:, :3].mean(axis=0)
+        return float(np.sqrt(np.square(deviation).sum(axis=1).mean())) or 1.0
 
     def __getitem__(self, index: int) -> Sample:
         """Return sample ``index``, with new random augmentation.
@@ -144,7 +183,12 @@ class PoseDataset(Dataset[Sample]):
             DataError: The image cannot be used, as in `load_image`.
         """
         index = range(len(self))[index]
-        frame = self._frame(index) if self._frames is None else self._frames[index]
+        preprocessing = self.preprocessing
+        frame = (
+            preprocessing.frame(self.load_image(index))
+            if self._frames is None
+            else self._frames[index]
+        )
         pose = torch.from_numpy(self.poses[index]).float()
         view, camera = self._view(frame, (pose[:3], pose[3:]), self.records[index].camera)
         image, translation, orientation = (
@@ -187,9 +231,6 @@ class PoseDataset(Dataset[Sample]):
                 "augmentation: pan, tilt, roll and turned_crop expect cameras without distortion; "
                 "--data.undistort undistorts the images"
             )
-
-    def _frame(self, index: int) -> NDArray[np.uint8]:
-        return self.preprocessing.frame(self.load_image(index))
 
     def _view(
         self, frame: NDArray[np.uint8], label: tuple[Tensor, Tensor], camera: Camera

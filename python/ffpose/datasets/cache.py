@@ -37,12 +37,9 @@ BUILD_LIMIT_S = 86_400.0
 
 
 class MappedFrames:
-    """Frames in a memory-mapped file; pickled as the file's path.
+    """Frames in a memory-mapped file, as `cached_frames` writes it; pickled as the file's path.
 
     Processes that map the same file share its pages, whether forked or spawned.
-
-    Args:
-        path: The file, as `cached_frames` writes it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,10 +63,6 @@ def cached_frames(records: Sequence[Record], preprocessing: Preprocessing) -> Ma
 
     An incomplete file is rewritten. Two processes that build a cache at the same time both do the
     work, and one file remains.
-
-    Args:
-        records: Images of the dataset.
-        preprocessing: Preprocessing, whose `Preprocessing.frame` makes the frames.
 
     Raises:
         ValueError: The frames of images of several sizes are not of one size.

@@ -20,11 +20,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from ffpose._internal.files import read_text
-from ffpose.datasets.parsing import Entry, Names, expect_set, find_image, read_table
+from ffpose.datasets.parsing import Entry, Names, expect_set, expect_split, find_image, read_table
 from ffpose.datasets.records import Record, read_camera
-from ffpose.datasets.targets import Target, camera_pose
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, Pose
+from ffpose.geometry import Camera, Target, camera_pose
 
 TARGET: Target = "camera"
 
@@ -43,13 +42,7 @@ _HEADER = "ImageFile, Camera Position [X Y Z W P Q R]"
 
 
 def splits(root: Path) -> list[str]:
-    """Return the splits of the set, train first.
-
-    Raises:
-        FileNotFoundError: The folder does not exist, or contains no list.
-        NotADirectoryError: ``root`` is a file.
-        DataError: A CSV file is invalid.
-    """
+    """Return the splits of the set, train first."""
     expect_set(root, "Cambridge Landmarks")
     found = [split for split, file in TEXT_FILES.items() if (root / file).is_file()]
     if found:
@@ -59,18 +52,8 @@ def splits(root: Path) -> list[str]:
 
 
 def read(root: Path, split: str) -> list[Record]:
-    """Read the labeled images of a split.
-
-    Raises:
-        ValueError: ``split`` is not in the set.
-        FileNotFoundError: The folder does not exist, or contains no list.
-        NotADirectoryError: ``root`` is a file.
-        DataError: A name or label is invalid, or an image is missing or listed twice; the error
-            names file and line.
-    """
-    known = splits(root)
-    if split not in known:
-        raise ValueError(f"split: expected one of {(*known, 'all')}, got {split!r}")
+    """Read the labeled images of a split."""
+    expect_split(split, splits(root))
     path = root / TEXT_FILES.get(split, "")
     if path.is_file():
         rows = [(e, e.text("image"), e.parsed(POSE)) for e in _text_entries(path)]
@@ -112,14 +95,10 @@ def _csv_entries(root: Path) -> Iterator[Entry]:
 
 
 def _record(root: Path, names: Names, entry: Entry, name: str, values: tuple[float, ...]) -> Record:
-    name = names.add(entry, name)
-    pose, (w, x, y, z) = _pose(entry, values), values[3:]
-    image = find_image(root, name, entry)
-    return Record(image, name, CAMERA, pose, entry.file, entry.line, (w, x, y, z))
-
-
-def _pose(entry: Entry, values: tuple[float, ...]) -> Pose:
-    norm = math.hypot(*values[3:])
+    name, (w, x, y, z) = names.add(entry, name), values[3:]
+    norm = math.hypot(w, x, y, z)
     if abs(norm - 1) > NORM_TOLERANCE:
         raise entry.error(f"quaternion: expected norm 1 within {NORM_TOLERANCE}, got {norm:.6g}")
-    return camera_pose(values[:3], [value / norm for value in values[3:]])
+    pose = camera_pose(values[:3], [value / norm for value in values[3:]])
+    image = find_image(root, name, entry)
+    return Record(image, name, CAMERA, pose, entry.file, entry.line, (w, x, y, z))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,9 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose._internal.files import shortened
 from ffpose._internal.urso import CONDITIONS
-from ffpose.datasets.parsing import Entry, read_table
+from ffpose.datasets.parsing import Names, read_table
 from ffpose.errors import DataError
 
 LIMITS = {
@@ -58,7 +56,18 @@ def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None
     path = Path(root) / CONDITIONS
     if not path.exists():
         return None
-    rows = _read_rows(path)
+    header, entries = read_table(path)
+    if not {"image", *LIMITS} <= set(header):
+        raise DataError(f"expected the columns image, {', '.join(LIMITS)} once, got {header}", path)
+    known, rows = Names(), dict[str, tuple[float, ...]]()
+    for entry in entries:
+        name = known.once(entry, entry.values["image"])
+        rows[name] = entry.parsed(tuple(LIMITS))
+        for (column, most), value in zip(LIMITS.items(), rows[name], strict=True):
+            flag = column in FLAGS
+            if not (value in (0, 1) if flag else 0 <= value <= most):
+                expected = "0 or 1" if flag else f"0…{most:g}"
+                raise entry.error(f"{column}: expected {expected}, got {entry.values[column]!r}")
     for name in names:
         if name not in rows:
             raise DataError(f"expected a row for {name}, got none", path)
@@ -67,30 +76,3 @@ def read_conditions(root: str | Path, names: Sequence[str]) -> Conditions | None
         for place, column in enumerate(LIMITS)
     }
     return Conditions(**{k: v.astype(bool) if k in FLAGS else v for k, v in columns.items()})
-
-
-def _read_rows(path: Path) -> dict[str, list[float]]:
-    """Return the values of the columns in `LIMITS` by image name."""
-    header, entries = read_table(path)
-    if not {"image", *LIMITS} <= set(header):
-        raise DataError(f"expected the columns image, {', '.join(LIMITS)} once, got {header}", path)
-    rows: dict[str, list[float]] = {}
-    for entry in entries:
-        name = entry.values["image"]
-        if name in rows:
-            raise entry.error(f"{name} has a row already")
-        rows[name] = [_value(entry, column) for column in LIMITS]
-    return rows
-
-
-def _value(entry: Entry, column: str) -> float:
-    text = entry.values[column]
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    usable = value in (0.0, 1.0) if column in FLAGS else 0.0 <= value <= LIMITS[column]
-    if not usable:
-        expected = "0 or 1" if column in FLAGS else f"0…{LIMITS[column]:g}"
-        raise entry.error(f"{column}: expected {expected}, got {shortened(text)}")
-    return value

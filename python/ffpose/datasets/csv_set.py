@@ -11,20 +11,23 @@ split. Columns, in any order:
   is optional.
 * ``time``, optional: time of the middle of the exposure, seconds; `ffpose track` needs it.
 
-``docs/datasets.md`` has an example.
+``docs/datasets.md`` has an example. Motions and keypoints of an object are CSV files too.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from ffpose._internal.urso import CONDITIONS
-from ffpose.datasets.parsing import Entry, Names, expect_set, find_image, read_table
+from ffpose.datasets.parsing import Entry, Names, expect_set, expect_split, find_image, read_table
 from ffpose.datasets.records import Record
-from ffpose.datasets.targets import Target
 from ffpose.errors import DataError
-from ffpose.geometry import CAMERA_FILE, Camera
+from ffpose.geometry import CAMERA_FILE, Camera, FloatArray, Pose, Target
+from ffpose.geometry.trajectory import Trajectory
 
 TARGET: Target = "object"
 
@@ -34,12 +37,7 @@ FIRST = ("train", "val", "test")
 
 
 def splits(root: Path) -> list[str]:
-    """Return the splits of the set: train, val, test, then others by name.
-
-    Raises:
-        FileNotFoundError: The folder does not exist, or contains no CSV file.
-        NotADirectoryError: ``root`` is a file.
-    """
+    """Return the splits of the set: train, val, test, then others by name."""
     expect_set(root, "CSV")
     tables = (path for path in root.glob("*.csv") if path.is_file() and path.name != CONDITIONS)
     found = sorted(path.stem for path in tables if not path.name.startswith("."))
@@ -49,18 +47,8 @@ def splits(root: Path) -> list[str]:
 
 
 def read(root: Path, split: str) -> list[Record]:
-    """Read the images of a split, with labels where it has them.
-
-    Raises:
-        ValueError: ``split`` is not in the set.
-        FileNotFoundError: The folder does not exist, or contains no CSV file.
-        NotADirectoryError: ``root`` is a file.
-        DataError: A column is unknown or missing, a name, label or camera is invalid, or an image
-            is missing or listed twice; the error names file and line.
-    """
-    known = splits(root)
-    if split not in known:
-        raise ValueError(f"split: expected one of {(*known, 'all')}, got {split!r}")
+    """Read the images of a split, with labels where it has them."""
+    expect_split(split, splits(root))
     path = root / f"{split}.csv"
     header, entries = read_table(path)
     labeled = _has_labels(header, path)
@@ -71,13 +59,12 @@ def read(root: Path, split: str) -> list[Record]:
         image = find_image(root, name, entry)
         seen_by = camera(_camera_file(root, entry))
         time = entry.parsed(("time",))[0] if "time" in header else None
-        if not labeled:
-            records.append(Record(image, name, seen_by, None, path, entry.line, time=time))
-            continue
-        tx, ty, tz, w, x, y, z = entry.parsed(POSE)
-        pose = entry.pose((tx, ty, tz), (w, x, y, z))
-        raw = (w, x, y, z)
-        records.append(Record(image, name, seen_by, pose, path, entry.line, raw, time=time))
+        record = Record(image, name, seen_by, None, path, entry.line, time=time)
+        if labeled:
+            *t, w, x, y, z = entry.parsed(POSE)
+            raw = (w, x, y, z)
+            record = replace(record, pose=entry.made(Pose, t, raw), raw_quaternion=raw)
+        records.append(record)
     return records
 
 
@@ -98,3 +85,54 @@ def _camera_file(root: Path, entry: Entry) -> Path:
         hint = "" if named else ", the camera of all images where there is no column camera"
         raise entry.error(f"expected {path}{hint}, got no such file")
     return path
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read poses over time from a CSV file of ``time,tx,ty,tz,qw,qx,qy,qz``, in any order.
+
+    Other columns are left out, so that ``trajectory.csv`` of ``ffpose track`` is one too.
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        DataError: A column is missing, a number is none, a quaternion is not of norm one, or a time
+            is not later than the one before; the error names file and line.
+    """
+    header, entries = read_table(path)
+    if missing := [name for name in ("time", *POSE) if name not in header]:
+        expected = f"expected the columns time, {', '.join(POSE)}"
+        raise DataError(f"{expected}; {missing[0]} is missing", path, 1)
+    times: list[float] = []
+    poses = []
+    for entry in entries:
+        time, *values = entry.parsed(("time", *POSE))
+        poses.append(entry.made(Pose.from_vector, values))
+        if times and time <= times[-1]:
+            raise entry.error(
+                f"time: expected later than {times[-1]} s, the row before, got {time}"
+            )
+        times.append(time)
+    return Trajectory.through(np.array(times), poses)
+
+
+def read_keypoints(path: Path) -> FloatArray:
+    """Read named points ``(K, 3)`` of the object's frame, meters, from a CSV file.
+
+    Its columns, in any order, are ``name``, ``x``, ``y`` and ``z``. Projected through an image's
+    pose the points are labels of it, for dense supervision: SPEED+ as it is published has neither
+    keypoints nor masks, but Tango's points can be reconstructed from its images (Park et al.,
+    "Towards Robust Learning-Based Pose Estimation of Noncooperative Spacecraft", 2019).
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        DataError: The columns are others, a number is not finite, or a name is there twice; the
+            error names file and line.
+    """
+    header, entries = read_table(path)
+    columns = ("name", "x", "y", "z")
+    if set(header) != set(columns):
+        expected = f"expected the columns {', '.join(columns)}"
+        raise DataError(f"{expected}, got {', '.join(header)}", path, 1)
+    names = Names()
+    for entry in entries:
+        names.once(entry, entry.text("name"))
+    return np.array([entry.parsed(columns[1:]) for entry in entries])

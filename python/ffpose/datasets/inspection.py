@@ -7,8 +7,7 @@ labeled axes, where a wrong convention is visible at once.
 
 from __future__ import annotations
 
-import json
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -20,7 +19,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ffpose import arrays
 from ffpose._internal.figures import new_figure, save_figure, style_axes
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import atomic_write, write_json
 from ffpose.datasets import (
     AS_ON_DISK,
     Decoding,
@@ -30,9 +29,10 @@ from ffpose.datasets import (
     list_splits,
     read_records,
 )
+from ffpose.errors import expect
 from ffpose.geometry import FloatArray
 from ffpose.imaging.images import decode_all
-from ffpose.imaging.overlay import draw_axes
+from ffpose.imaging.overlay import draw_axes, tiled
 from ffpose.imaging.preprocessing import Preprocessing
 
 _TILE_WIDTH = 320
@@ -73,12 +73,6 @@ def inspect_folder(
     kind: str, root: str | Path, out: str | Path, decoding: Decoding = AS_ON_DISK
 ) -> dict[str, Any]:
     """Check all splits of a dataset on disk, as `inspect_dataset`.
-
-    Args:
-        kind: One of `ffpose.datasets.KINDS`.
-        root: The dataset's folder.
-        out: The folder to write; created if missing.
-        decoding: Conversion from image files to images.
 
     Raises:
         ValueError: ``kind`` is unknown, or the set has no labels at all, or more than seven splits.
@@ -128,11 +122,10 @@ def inspect_dataset(
     """
     if not 1 <= len(datasets) <= len(_COLORS):
         raise ValueError(f"datasets: expected 1 to {len(_COLORS)} splits, got {len(datasets)}")
-    if sheet_images < 1:
-        raise ValueError(f"sheet_images: expected at least 1, got {sheet_images}")
+    expect(sheet_images >= 1, "sheet_images", "at least 1", sheet_images)
     splits = {name: dataset.records for name, dataset in datasets.items()} | {**unlabeled}
     for records in splits.values():
-        _decode_all(records)
+        deque(decode_all(Record.decode, records), maxlen=0)  # a header reveals no truncated file
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     sheets = {f"samples_{split}.png": dataset for split, dataset in datasets.items()}
@@ -149,8 +142,7 @@ def inspect_dataset(
     for name, dataset in sheets.items():
         with atomic_write(folder / name) as path:
             contact_sheet(dataset, sheet_images).save(path)
-    with atomic_write(folder / "summary.json") as path:
-        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / "summary.json", summary)
     return summary
 
 
@@ -160,23 +152,10 @@ def _position(datasets: Mapping[str, PoseDataset]) -> tuple[_Quantity, ...]:
     return _TRANSLATION if targets == {"object"} else _CENTER
 
 
-def _decode_all(records: Sequence[Record]) -> None:
-    """Decode every image, as a header does not reveal a truncated file."""
-    for _ in decode_all(Record.decode, records):
-        pass
-
-
 def contact_sheet(dataset: PoseDataset, count: int) -> Image.Image:
     """Return up to ``count`` images, spread evenly over a dataset, with their labeled axes."""
     indices = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(int)).tolist()
-    tiles = [_tile(dataset, index) for index in indices]
-    width, height = tiles[0].width + _GAP, max(tile.height for tile in tiles) + _GAP
-    rows = -(-len(tiles) // _COLUMNS)
-    sheet = Image.new("RGB", (_COLUMNS * width + _GAP, rows * height + _GAP), "white")
-    for place, tile in enumerate(tiles):
-        row, column = divmod(place, _COLUMNS)
-        sheet.paste(tile, (column * width + _GAP, row * height + _GAP))
-    return sheet
+    return tiled([_tile(dataset, index) for index in indices], _COLUMNS, _GAP)
 
 
 def _tile(dataset: PoseDataset, index: int) -> Image.Image:
@@ -203,19 +182,12 @@ def _orientation(poses: FloatArray) -> FloatArray:
     return np.asarray(arrays.quaternion_to_euler(np.ascontiguousarray(poses[:, 3:])))
 
 
-def _raw_quaternions(dataset: PoseDataset) -> FloatArray:
-    """Return the quaternions (N, 4) as in the files; those of a `Pose` are already normalized."""
-    return np.array(
-        [
-            record.label.q if record.raw_quaternion is None else record.raw_quaternion
-            for record in dataset.records
-        ]
-    )
-
-
 def _summarize(dataset: PoseDataset) -> dict[str, Any]:
     """Return the statistics and checks of one split."""
-    poses, camera, raw = dataset.poses, dataset.camera, _raw_quaternions(dataset)
+    poses, camera, records = dataset.poses, dataset.camera, dataset.records
+    # As in the files: those of a `Pose` are already normalized.
+    stated = [each.raw_quaternion for each in records]
+    raw = np.array([pose[3:] if q is None else q for pose, q in zip(poses, stated, strict=True)])
     locates_object = dataset.target == "object"
     quantities = (*_position({"": dataset}), *_ORIENTATION)
     values = np.column_stack([_translation(poses), _orientation(poses)])

@@ -6,14 +6,15 @@ import csv
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from ffpose._internal.files import expect_folder, json_errors, read_json, read_text, shortened
-from ffpose.errors import DataError
-from ffpose.geometry import Pose
+from ffpose.errors import DataError, expect
+
+Made = TypeVar("Made")
 
 BETWEEN = re.compile(r"[\s,]*")
 """What stands between the members of a list in JSON."""
@@ -78,42 +79,37 @@ class Entry(NamedTuple):
                     return number
         raise self.error(f"{key}: expected a finite number, got {shortened(value)}")
 
-    def pose(self, t: Sequence[float], q: Sequence[float]) -> Pose:
-        """Return the pose of a label; what is wrong with it becomes an error of this entry."""
+    def made(self, kind: Callable[..., Made], *values: object) -> Made:
+        """Return what values make; what is wrong with them becomes an error of this entry."""
         try:
-            return Pose(t, q)
+            return kind(*values)
         except ValueError as error:
             raise self.error(str(error)) from error
 
 
 class Names:
-    """Names of images, each a path within a folder, and unique."""
+    """Names of images or points, each there once."""
 
     def __init__(self) -> None:
         self._first_line: dict[str, int] = {}
 
-    def add(self, entry: Entry, name: str) -> str:
-        """Return ``name`` in a normal form, with slashes.
+    def once(self, entry: Entry, name: str) -> str:
+        """Return a name, or raise a DataError if it was there before."""
+        if name in self._first_line:
+            raise entry.error(f"{name} is on line {self._first_line[name]} already")
+        self._first_line[name] = entry.line
+        return name
 
-        Raises:
-            DataError: It leaves the folder, or was added before.
-        """
+    def add(self, entry: Entry, name: str) -> str:
+        """Return the path of an image with slashes, which must not leave the folder, `once`."""
         path = PurePosixPath(name.replace("\\", "/"))
         if path.is_absolute() or ".." in path.parts or not path.parts:
             raise entry.error(f"expected the path of an image within its folder, got {name!r}")
-        normal = str(path)
-        if normal in self._first_line:
-            raise entry.error(f"{normal} is on line {self._first_line[normal]} already")
-        self._first_line[normal] = entry.line
-        return normal
+        return self.once(entry, str(path))
 
 
 def find_image(folder: Path, name: str, entry: Entry) -> Path:
-    """Return the path of an image.
-
-    Raises:
-        DataError: There is no such file.
-    """
+    """Return the path of an image, or raise a DataError if there is no such file."""
     path = folder / name
     if not path.is_file():
         raise entry.error(f"expected the image {path}, got no such file")
@@ -121,24 +117,14 @@ def find_image(folder: Path, name: str, entry: Entry) -> Path:
 
 
 def expect_set(root: Path, kind: str) -> None:
-    """Check that ``root`` is a folder.
-
-    Raises:
-        FileNotFoundError: It does not exist.
-        NotADirectoryError: It is a file.
-    """
+    """Check that ``root`` is a folder; errors as in `existing_splits`."""
     if not root.exists():
         raise FileNotFoundError(f"{kind} set: expected {root}, got no such file or folder")
     expect_folder(root)
 
 
 def existing_splits(root: Path, kind: str, files: Mapping[str, str]) -> list[str]:
-    """Return the splits whose files exist.
-
-    Args:
-        root: The dataset's folder.
-        kind: Name of the kind, for the error message.
-        files: For each split, the file that lists it, relative to the folder.
+    """Return the splits whose files exist, of those that list each, relative to the folder.
 
     Raises:
         FileNotFoundError: The folder does not exist, or contains no such file.
@@ -152,16 +138,14 @@ def existing_splits(root: Path, kind: str, files: Mapping[str, str]) -> list[str
     return found
 
 
-def split_file(root: Path, kind: str, files: Mapping[str, str], split: str) -> Path:
-    """Return the file that lists a split.
+def expect_split(split: str, known: Iterable[str]) -> None:
+    """Check the name of a split, or raise a ValueError."""
+    expect(split in known, "split", f"one of {(*known, 'all')}", split)
 
-    Raises:
-        ValueError: There is no split of that name in such sets.
-        FileNotFoundError: The file does not exist.
-        NotADirectoryError: ``root`` is a file.
-    """
-    if split not in files:
-        raise ValueError(f"split: expected one of {(*files, 'all')}, got {split!r}")
+
+def split_file(root: Path, kind: str, files: Mapping[str, str], split: str) -> Path:
+    """Return the file that lists a split; errors as in `Reader.read`."""
+    expect_split(split, files)
     expect_set(root, kind)
     path = root / files[split]
     if not path.is_file():
@@ -170,14 +154,10 @@ def split_file(root: Path, kind: str, files: Mapping[str, str], split: str) -> P
 
 
 def read_table(path: Path) -> tuple[list[str], list[Entry]]:
-    """Read a CSV file with a header; lines may end as on Windows.
+    """Read a CSV file with a header, and rows of as many fields; lines may end as on Windows.
 
-    Returns:
-        The header and the rows, of as many fields.
-
-    Raises:
-        DataError: It is empty, a column is there twice, a row is short or long, or there are none;
-            or as in `read_rows`.
+    A DataError if it is empty, a column is there twice, a row is short or long, or there are none;
+    or as in `read_rows`.
     """
     table = read_rows(path)
     _, names = next(table, (1, []))
@@ -198,9 +178,8 @@ def read_table(path: Path) -> tuple[list[str], list[Entry]]:
 def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a CSV file, each one line, with its number.
 
-    Raises:
-        DataError: A line is not CSV: a quote stays open, or closes within a field, or a field is
-            longer than `csv.field_size_limit`.
+    A DataError if a line is not CSV: a quote stays open, or closes within a field, or a field is
+    longer than `csv.field_size_limit`.
     """
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         try:  # Line by line: an open quote must not take the next lines for its field.
@@ -211,11 +190,7 @@ def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def read_list(path: Path) -> list[Entry]:
-    """Read a JSON file that holds a list of objects.
-
-    Raises:
-        DataError: It is not JSON, or not such a list, or the list is empty.
-    """
+    """Read a JSON file that holds a list of objects, at least one, or raise a DataError."""
     text = read_text(path)
     if not text.lstrip().startswith("["):
         raise DataError("expected a list of objects in JSON", path, 1)
@@ -244,12 +219,7 @@ def _next_member(text: str, place: int) -> int:
 
 
 def read_object(path: Path) -> Entry:
-    """Read a JSON file that holds one object.
-
-    Raises:
-        FileNotFoundError: The file does not exist.
-        DataError: It is not JSON, or no object.
-    """
+    """Read a JSON file that holds one object, or raise a DataError."""
     values = read_json(path)
     if not isinstance(values, dict):
         raise DataError(f"expected an object, got {shortened(values)}", path, 1)

@@ -35,10 +35,10 @@ from ffpose.imaging.patches import (
     Patches,
     PatchSpec,
     extract_patches,
-    make_arrays,
     nearest_pixels,
-    open_arrays,
 )
+
+ARRAYS = ("frames", "windows", "coordinates", "labels")
 
 BUILD_LIMIT_S = 86_400.0
 """Age in seconds beyond which unfinished patches are taken to be left by a killed process."""
@@ -47,14 +47,11 @@ BUILD_LIMIT_S = 86_400.0
 def dataset_patches(
     dataset: PoseDataset, spec: PatchSpec, *, coordinates: bool, cache: bool = False
 ) -> Arrays:
-    """Extract the patches of the images of a set on disk.
+    """Extract the patches of the images of a set on disk, of which each network look reads one.
 
-    Args:
-        dataset: The images.
-        spec: How the network looks.
-        coordinates: Read the object's coordinates too, ``N_coordinates.png`` beside ``N_rgb.png``.
-        cache: Store the patches in the cache folder (`ffpose.datasets.cache`), which later runs and
-            other processes share, instead of in memory.
+    With ``coordinates`` the object's coordinates are read too, ``N_coordinates.png`` beside
+    ``N_rgb.png``. With ``cache`` the patches are stored in the cache folder
+    (`ffpose.datasets.cache`), which later runs and other processes share, instead of in memory.
 
     Raises:
         ffpose.DataError: An image cannot be used, or has no coordinates.
@@ -89,11 +86,7 @@ def dataset_patches(
 
 
 def coordinates_file(record: Record) -> Path:
-    """Return the file of an image's object coordinates.
-
-    Raises:
-        ffpose.DataError: There is no such file.
-    """
+    """Return the file of an image's object coordinates, or raise a DataError if there is none."""
     path = record.image.with_name(record.image.name.replace("_rgb.", "_coordinates."))
     if path == record.image or not path.is_file():
         raise record.error(
@@ -113,8 +106,7 @@ def _written(path: Path) -> tuple[int, int]:
 def read_coordinates(record: Record, camera: Camera) -> Callable[[Pose, Camera], Bytes]:
     """Return the object's coordinates of an image as any camera of the same view sees them.
 
-    Raises:
-        ffpose.DataError: There is no such file, or it is another picture.
+    A DataError if there is no such file, or it is another picture.
     """
     path = coordinates_file(record)
     with open_image(path) as image:
@@ -140,10 +132,6 @@ def cached_patches(
         spec: Geometry of the two patches.
         pieces: Function that yields the patches in order.
         begun: Patches of the first images, which are copied; ``pieces`` yields those of the others.
-
-    Raises:
-        ffpose.DataError: The folder is damaged, or an image of ``pieces`` cannot be used.
-        OSError: The disk is full.
     """
     if not folder.exists():
         _store(folder, count, spec, pieces(), begun)
@@ -151,13 +139,9 @@ def cached_patches(
 
 
 def open_patches(folder: Path) -> dict[str, NDArray[Any]]:
-    """Return the patches in a folder, for reading.
-
-    Raises:
-        ffpose.DataError: The folder is damaged.
-    """
+    """Return the patches in a folder, for reading, or raise a DataError if it is damaged."""
     try:
-        return open_arrays(folder)
+        return {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in ARRAYS}
     except (OSError, ValueError, EOFError) as error:
         text = f"expected patches, remove the folder to make them anew: {error}"
         raise DataError(text, folder) from error
@@ -184,7 +168,12 @@ def _store(
         unfinished = Path(place) / folder.name
         unfinished.mkdir()
         # Its arrays are closed before the folder is renamed, as Windows renames no mapped files.
-        _fill(make_arrays(unfinished, count, spec), pieces, begun)
+        arrays = {
+            name: np.lib.format.open_memmap(unfinished / f"{name}.npy", "w+", dtype, shape)
+            for name, (shape, dtype) in spec.shapes(count).items()
+        }
+        _fill(arrays, pieces, begun)
+        del arrays
         try:
             unfinished.rename(folder)
         except OSError:

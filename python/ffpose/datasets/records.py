@@ -131,21 +131,15 @@ class Record:
         """
         with self._open() as image:
             # Before decoding: a small file can declare an image that exhausts the memory.
-            self._expect_size(image)
+            size = (self.camera.width, self.camera.height)
+            if image.size != size:
+                text = "expected {}x{} pixels, as the dataset's camera has them, got {}x{}"
+                raise DataError(text.format(*size, *image.size), self.image)
             if self.white is None and image.mode in DEEP_MODES:
                 expected = f"pixels of mode {', '.join(MODES)} where no white level is stated"
                 raise DataError(f"expected {expected} (--data.white), got {image.mode}", self.image)
             pixels = to_rgb(image, self.image, self.white)
         return pixels if self.lens is None else undistort(pixels, self.lens)
-
-    def _expect_size(self, image: Image.Image) -> None:
-        width, height = image.size
-        if (width, height) != (self.camera.width, self.camera.height):
-            raise DataError(
-                f"expected {self.camera.width}x{self.camera.height} pixels, as the dataset's "
-                f"camera has them, got {width}x{height}",
-                self.image,
-            )
 
     @contextmanager
     def _open(self) -> Iterator[Image.Image]:
@@ -162,15 +156,8 @@ class Record:
 def read_camera(root: Path, first: Record, published: Camera) -> Camera:
     """Return the camera of ``camera.json``, else the published one at the size of the first image.
 
-    Args:
-        root: The dataset's folder.
-        first: The first image.
-        published: Camera of the images as published; smaller ones of its shape are taken as
-            resized.
-
-    Raises:
-        DataError: The camera is invalid, or the images are larger than the published ones or of
-            another shape.
+    Smaller images of the published ones' shape are taken as resized. A DataError if the camera is
+    invalid, or the images are larger than the published ones or of another shape.
     """
     path = root / CAMERA_FILE
     if path.exists():

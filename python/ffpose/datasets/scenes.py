@@ -37,16 +37,8 @@ def rendered_patches(
 ) -> dict[str, NDArray[Any]]:
     """Return the patches of the scenes 0 ... ``count - 1``; render those that are not cached.
 
-    A folder of more scenes has those of fewer, and one of fewer is where one of more begins.
-
-    Args:
-        root: The cache folder.
-        scene: The set.
-        seed: Seed of the set.
-        count: Number of scenes.
-        spec: Geometry of the two patches.
-        content: What is in view, as for `ffpose.render.patches.render_patches`.
-        workers: Number of processes that render.
+    A folder of more scenes has those of fewer, and one of fewer is where one of more begins. What
+    is in view is as for `ffpose.render.patches.render_patches`.
 
     Raises:
         ffpose.DataError: A folder of patches is damaged.
@@ -100,17 +92,9 @@ def render_images(
 ) -> Path:
     """Render whole images of a network's input size where they are not there yet.
 
-    Args:
-        root: The folder that keeps them.
-        name: What the folder's name begins with; images of other indices have another.
-        scene: The set.
-        seed: Of the set.
-        indices: The scenes, one after the other.
-        preprocessing: From an image to the network's input; says the size.
-        workers: Processes that render.
-
     Returns:
-        The folder, a set in URSO's layout.
+        The folder within ``root``, a set in URSO's layout. Its name begins with ``name``; images of
+        other indices have another.
     """
     from ffpose.render.dataset.writer import write_dataset
 

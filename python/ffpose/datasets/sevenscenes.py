@@ -15,15 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import roma
-import torch
 
 from ffpose._internal.files import read_text
-from ffpose.datasets.parsing import existing_splits, split_file
+from ffpose.datasets.parsing import Entry, Names, existing_splits, split_file
 from ffpose.datasets.records import Record, read_camera
-from ffpose.datasets.targets import Target, camera_pose
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, FloatArray, Pose
+from ffpose.geometry import Camera, Pose, Target, camera_pose
+from ffpose.geometry.rotations import from_matrix
 
 TARGET: Target = "camera"
 
@@ -37,41 +35,22 @@ ROTATION_TOLERANCE = 5e-3
 
 
 def splits(root: Path) -> list[str]:
-    """Return the splits of the set, in the order train, test.
-
-    Raises:
-        FileNotFoundError: The folder does not exist, or lists no split.
-        NotADirectoryError: ``root`` is a file.
-    """
+    """Return the splits of the set, in the order train, test."""
     return existing_splits(root, "7Scenes", FILES)
 
 
 def read(root: Path, split: str) -> list[Record]:
-    """Read the labeled images of a split, sequence by sequence.
-
-    Raises:
-        ValueError: ``split`` is unknown.
-        FileNotFoundError: The folder, or the file that lists the split, does not exist.
-        NotADirectoryError: ``root`` is a file.
-        DataError: A sequence, image or matrix is missing or invalid; the error names file and line.
-    """
+    """Read the labeled images of a split, sequence by sequence."""
     path = split_file(root, "7Scenes", FILES, split)
-    sequences: dict[str, int] = {}
+    records, names = [], Names()
     for line, text in enumerate(read_text(path).splitlines(), start=1):
         match = re.fullmatch(r"sequence(\d+)", text.strip())
         if match is None:
             raise DataError(f"expected a line such as sequence1, got {text!r}", path, line)
-        name = f"seq-{int(match[1]):02d}"
-        if name in sequences:
-            raise DataError(f"{name} is on line {sequences[name]} already", path, line)
-        sequences[name] = line
-    if not sequences:
+        name = names.once(Entry({}, path, line), f"seq-{int(match[1]):02d}")
+        records += _read_sequence(root / name, path, line)
+    if not records:
         raise DataError("expected at least one sequence, got none", path)
-    records = [
-        record
-        for name, line in sequences.items()
-        for record in _read_sequence(root / name, path, line)
-    ]
     camera = read_camera(root, records[0], CAMERA)
     return [replace(record, camera=camera) for record in records]
 
@@ -93,11 +72,7 @@ def _read_sequence(folder: Path, source: Path, line: int) -> list[Record]:
 
 
 def read_pose(path: Path) -> Pose:
-    """Read the matrix of an image, from the camera to the world, as the world in the camera frame.
-
-    Raises:
-        DataError: It is not four rows of four finite numbers, or no rigid transformation.
-    """
+    """Read the matrix from an image's camera to the world, as the world in the camera frame."""
     lines = read_text(path).split("\n")
     while lines and not lines[-1].strip():
         lines.pop()
@@ -110,7 +85,7 @@ def read_pose(path: Path) -> Pose:
         raise DataError(f"expected a rotation in the first three columns, got {rotation}", path)
     if matrix[3].tolist() != [0, 0, 0, 1]:
         raise DataError(f"expected 0 0 0 1, got {lines[3]!r}", path, 4)
-    return camera_pose(matrix[:3, 3], _quaternion(rotation.T))
+    return camera_pose(matrix[:3, 3], from_matrix(rotation.T))
 
 
 def _row(text: str, path: Path, line: int) -> list[float]:
@@ -121,10 +96,3 @@ def _row(text: str, path: Path, line: int) -> list[float]:
     if len(row) != 4 or not np.isfinite(row).all():
         raise DataError(f"expected four finite numbers, got {text!r}", path, line)
     return row
-
-
-def _quaternion(rotation: FloatArray) -> FloatArray:
-    """Return ``(w, x, y, z)`` of the rotation nearest to a matrix ``(3, 3)``."""
-    nearest = roma.special_procrustes(torch.from_numpy(np.ascontiguousarray(rotation)))
-    xyzw: FloatArray = roma.rotmat_to_unitquat(nearest).numpy()
-    return np.roll(xyzw, 1)

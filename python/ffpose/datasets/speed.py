@@ -12,8 +12,7 @@ from pathlib import Path
 
 from ffpose.datasets.parsing import Entry, Names, existing_splits, find_image, read_list, split_file
 from ffpose.datasets.records import Record
-from ffpose.datasets.targets import Target
-from ffpose.geometry import Camera
+from ffpose.geometry import Camera, Pose, Target
 
 TARGET: Target = "object"
 CAMERA = Camera(width=1920, height=1200, fx=3003.413, fy=3003.413, cx=960.0, cy=600.0)
@@ -27,41 +26,18 @@ POSITION_KEY = "r_Vo2To_vbs_true"
 
 
 def splits(root: Path) -> list[str]:
-    """Return the splits of the set, in the order of `FILES`.
-
-    Raises:
-        FileNotFoundError: The folder does not exist, or lists no split.
-        NotADirectoryError: ``root`` is a file.
-    """
+    """Return the splits of the set, in the order of `FILES`."""
     return existing_splits(root, "SPEED", FILES)
 
 
 def read(root: Path, split: str) -> list[Record]:
-    """Read the images of a split, with labels where it has them.
-
-    Raises:
-        ValueError: ``split`` is unknown.
-        FileNotFoundError: The folder, or the split's file, does not exist.
-        NotADirectoryError: The folder is a file.
-        DataError: A name or label is invalid, or an image is missing or listed twice; the error
-            names file and line.
-    """
+    """Read the images of a split, with labels where it has them."""
     path = split_file(root, "SPEED", FILES, split)
     return read_images(path, root / "images", split, CAMERA)
 
 
 def read_images(path: Path, folder: Path, prefix: str, camera: Camera) -> list[Record]:
-    """Read a list of images, labeled all or none.
-
-    Args:
-        path: The list.
-        folder: What the names of the images are relative to.
-        prefix: Folder of the list's images, within ``folder``.
-        camera: Camera of the images.
-
-    Raises:
-        DataError: As for `read`.
-    """
+    """Read a list of images in a folder, labeled all or none, whose names begin with ``prefix``."""
     entries, names = read_list(path), Names()
     labeled = _has_label(entries[0])
     records = []
@@ -84,5 +60,5 @@ def _record(entry: Entry, image: Path, name: str, camera: Camera, *, labeled: bo
         return Record(image, name, camera, None, entry.file, entry.line)
     key = ORIENTATION_KEYS[ORIENTATION_KEYS[1] in entry.values]
     w, x, y, z = entry.numbers(key, 4)
-    pose = entry.pose(entry.numbers(POSITION_KEY, 3), (w, x, y, z))
+    pose = entry.made(Pose, entry.numbers(POSITION_KEY, 3), (w, x, y, z))
     return Record(image, name, camera, pose, entry.file, entry.line, (w, x, y, z))

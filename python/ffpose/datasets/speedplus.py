@@ -19,8 +19,7 @@ from ffpose._internal.files import shortened
 from ffpose.datasets.parsing import Entry, existing_splits, read_object, split_file
 from ffpose.datasets.records import Record
 from ffpose.datasets.speed import read_images
-from ffpose.datasets.targets import Target
-from ffpose.geometry import DistortedCamera
+from ffpose.geometry import DistortedCamera, Target
 
 TARGET: Target = "object"
 FILES = {
@@ -34,25 +33,12 @@ _AGREEMENT = 1e-3
 
 
 def splits(root: Path) -> list[str]:
-    """Return the splits of the set, in the order of `FILES`.
-
-    Raises:
-        FileNotFoundError: The folder does not exist, or lists no split.
-        NotADirectoryError: ``root`` is a file.
-    """
+    """Return the splits of the set, in the order of `FILES`."""
     return existing_splits(root, "SPEED+", FILES)
 
 
 def read(root: Path, split: str) -> list[Record]:
-    """Read the images of a split, with labels where it has them.
-
-    Raises:
-        ValueError: ``split`` is unknown.
-        FileNotFoundError: The folder, the split's file or ``camera.json`` does not exist.
-        NotADirectoryError: The folder is a file.
-        DataError: A name, label or intrinsic is invalid, or an image is missing or listed twice;
-            the error names file and line.
-    """
+    """Read the images of a split, with labels where it has them."""
     path = split_file(root, "SPEED+", FILES, split)
     return read_images(path, root, f"{path.parent.name}/images", read_camera(root / "camera.json"))
 
@@ -68,7 +54,7 @@ def read_camera(path: Path) -> DistortedCamera:
         DataError: A key is missing or invalid, or the matrix contradicts the other keys.
     """
     entry = read_object(path)
-    (fx, _, cx), (_, fy, cy) = _matrix(entry)
+    fx, fy, cx, cy = _matrix(entry)
     others = {
         "fx / ppx": (entry.number("fx") / _positive(entry, "ppx"), fx),
         "fy / ppy": (entry.number("fy") / _positive(entry, "ppy"), fy),
@@ -78,16 +64,13 @@ def read_camera(path: Path) -> DistortedCamera:
     for name, (value, expected) in others.items():
         if not math.isclose(value, expected, rel_tol=_AGREEMENT):
             raise entry.error(f"{name}: expected {expected} as in cameraMatrix, got {value}")
-    k1, k2, p1, p2, k3 = entry.numbers("distCoeffs", 5)
     width, height = (_whole(entry, key) for key in ("Nu", "Nv"))
-    try:
-        return DistortedCamera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
-    except ValueError as error:
-        raise entry.error(str(error)) from error
+    lens = entry.numbers("distCoeffs", 5)
+    return entry.made(DistortedCamera, width, height, fx, fy, cx, cy, lens)
 
 
-def _matrix(entry: Entry) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return the first two rows of ``cameraMatrix``, whose third is ``0 0 1``, without skew."""
+def _matrix(entry: Entry) -> tuple[float, float, float, float]:
+    """Return ``fx, fy, cx, cy`` of ``cameraMatrix``, three rows without skew."""
     rows = entry.values.get("cameraMatrix")
     if not isinstance(rows, list) or len(rows) != 3:
         raise entry.error(f"cameraMatrix: expected three rows, got {shortened(rows)}")
@@ -97,7 +80,7 @@ def _matrix(entry: Entry) -> tuple[tuple[float, float, float], tuple[float, floa
         raise entry.error(
             f"cameraMatrix: expected [fx 0 cx], [0 fy cy], [0 0 1], got {shortened(rows)}"
         )
-    return (first[0], 0.0, first[2]), (0.0, second[1], second[2])
+    return first[0], second[1], first[2], second[2]
 
 
 def _positive(entry: Entry, key: str) -> float:

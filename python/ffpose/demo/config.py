@@ -64,12 +64,9 @@ class DemoConfig:
         return self.views + 2 * self.negatives
 
     def training(self, out: Path) -> TrainConfig:
-        """Return a training configuration that learns from 96,000 samples.
+        """Return a training that learns from 96,000 samples, in folders of the demo's.
 
         Its views vary less than those of the shipped weights: a short training learns sooner.
-
-        Args:
-            out: The demo's folder; the training writes to its ``views/`` and ``training/``.
         """
         return TrainConfig(
             data=DataConfig(

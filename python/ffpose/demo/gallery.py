@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import atomic_write, write_json
 from ffpose._internal.seeds import CHOICES
 from ffpose.arrays import rotation_error, translation_error
 from ffpose.geometry import Camera, Pose
@@ -46,9 +45,7 @@ PAGE = """<!doctype html>
 def run(out: Path, images: int = 60) -> dict[str, Any]:
     """Render unseen images, predict their poses, and write ``report.html`` and ``report.json``.
 
-    Args:
-        out: The folder to write; images that are there, in ``images/``, are not rendered again.
-        images: Number of images.
+    Images that are there, in ``images/``, are not rendered again.
 
     Returns:
         The contents of ``report.json``.
@@ -83,8 +80,7 @@ def run(out: Path, images: int = 60) -> dict[str, Any]:
     ]
     with atomic_write(out / "report.html") as path:
         path.write_text(_page(document, figures), encoding="utf-8")
-    with atomic_write(out / "report.json") as path:
-        path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    write_json(out / "report.json", document)
     return document
 
 

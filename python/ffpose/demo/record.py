@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import write_json
 from ffpose.errors import DataError
 
 FILE_NAME = "demo.json"
@@ -36,10 +36,6 @@ class DemoRecord:
     @classmethod
     def open(cls, out: Path, settings: Mapping[str, Any]) -> DemoRecord:
         """Read the record of a folder, or make a new one for a new folder.
-
-        Args:
-            out: The demo's folder.
-            settings: Settings of the demo, as a JSON document.
 
         Raises:
             ValueError: The folder holds a demo with other settings, so its weights cannot be used.
@@ -71,5 +67,4 @@ class DemoRecord:
 
     def write(self, out: Path) -> None:
         """Write the record into the folder ``out``."""
-        with atomic_write(out / FILE_NAME) as path:
-            path.write_text(json.dumps(asdict(self), indent=2) + "\n", encoding="utf-8")
+        write_json(out / FILE_NAME, asdict(self))

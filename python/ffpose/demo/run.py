@@ -8,7 +8,6 @@ achieves and checks that every part of the network learns.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from dataclasses import asdict
@@ -17,7 +16,7 @@ from typing import Any
 
 import ffpose
 from ffpose._internal.figures import save_figure
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import write_json
 from ffpose._internal.zoo import resolve
 from ffpose.demo.config import DemoConfig
 from ffpose.demo.record import DemoRecord
@@ -74,8 +73,7 @@ def run(out: Path, config: DemoConfig | None = None, *, quiet: bool = False) -> 
     write_evaluation_figures(evaluation, out / "evaluation")
     write_report(page(outcome), out / "report.html")
     result = document(outcome)
-    with atomic_write(out / "report.json") as path:
-        path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_json(out / "report.json", result)
     return result
 
 

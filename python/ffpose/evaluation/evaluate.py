@@ -32,7 +32,6 @@ from ffpose.datasets import (
     open_dataset,
     read_conditions,
 )
-from ffpose.datasets.targets import spread
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
@@ -157,7 +156,7 @@ class Evaluation:
         """
         score = self.errors.esa_score.numpy()
         if self.dataset.target == "camera":
-            position = self.errors.translation_m.numpy() / spread(self.dataset.poses)
+            position = self.errors.translation_m.numpy() / self.dataset.spread
             score = position + np.radians(self.errors.rotation_deg.numpy())
         return np.argsort(score, kind="stable")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -12,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ffpose._internal import urso
-from ffpose._internal.files import atomic_write, read_json, shortened
+from ffpose._internal.files import read_json, shortened, write_json
 from ffpose.arrays import canonical_quaternion
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 from ffpose.geometry.rotations import (
     FloatArray,
     real_array,
@@ -101,8 +100,7 @@ class Camera:
 
     def write(self, path: str | Path) -> None:
         """Write the camera as `read` takes it."""
-        with atomic_write(path) as temporary:
-            temporary.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+        write_json(path, asdict(self), 1)
 
     @property
     def matrix(self) -> FloatArray:
@@ -249,12 +247,10 @@ class PoseUncertainty:
     def __post_init__(self) -> None:
         for name in ("translation_covariance", "rotation_covariance"):
             matrix = real_array(name, getattr(self, name), 3)
-            if matrix.shape != (3, 3):
-                raise ValueError(f"{name}: expected shape (3, 3), got {matrix.shape}")
+            expect(matrix.shape == (3, 3), name, "shape (3, 3)", matrix.shape)
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
-        if not 0 <= self.in_view <= 1:
-            raise ValueError(f"in_view: expected a probability, got {self.in_view}")
+        expect(0 <= self.in_view <= 1, "in_view", "a probability", self.in_view)
         if self.in_view_threshold is not None and not 0 <= self.in_view_threshold <= 1:
             got = self.in_view_threshold
             raise ValueError(f"in_view_threshold: expected a probability, got {got}")
@@ -266,8 +262,7 @@ class PoseUncertainty:
             raise ValueError(f"probabilities: expected in 0…1, got {self.probabilities}")
         if self.alternative is not None:
             q = canonical_quaternion(unit_quaternion(self.alternative))
-            if q.shape != (4,):
-                raise ValueError(f"alternative: expected shape (4,), got {q.shape}")
+            expect(q.shape == (4,), "alternative", "shape (4,)", q.shape)
             q.setflags(write=False)
             object.__setattr__(self, "alternative", q)
 

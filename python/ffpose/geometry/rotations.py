@@ -6,6 +6,8 @@ tensors.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -78,9 +80,14 @@ def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
         >>> multiply(np.array([0.0, 1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0, 0.0])).tolist()
         [0.0, 0.0, 0.0, 1.0]
     """
-    scalar = p[..., :1] * q[..., :1] - (p[..., 1:] * q[..., 1:]).sum(axis=-1, keepdims=True)
-    vector = p[..., :1] * q[..., 1:] + q[..., :1] * p[..., 1:] + np.cross(p[..., 1:], q[..., 1:])
-    return np.concatenate([scalar, vector], axis=-1)
+    (w, x, y, z), (i, j, k, m) = (np.moveaxis(each, -1, 0) for each in (p, q))
+    parts = [
+        w * i - x * j - y * k - z * m,
+        w * j + x * i + y * m - z * k,
+        w * k - x * m + y * i + z * j,
+        w * m + x * k - y * j + z * i,
+    ]
+    return np.stack(parts, axis=-1)
 
 
 def rotation_vector(q: FloatArray) -> FloatArray:
@@ -95,3 +102,29 @@ def rotation_vector(q: FloatArray) -> FloatArray:
     angle = 2 * np.arctan2(length, np.abs(w))
     scale = np.divide(angle, length, out=np.full_like(length, 2.0), where=length > 0)
     return np.asarray(v * np.copysign(scale, w))
+
+
+def from_rotation_vector(v: FloatArray) -> FloatArray:
+    """Return the unit quaternion ``(4,)`` of a rotation vector ``(3,)``, radians."""
+    half = np.linalg.norm(v) / 2
+    return np.array([math.cos(half), *(np.sinc(half / math.pi) / 2 * v)])
+
+
+def from_matrix(matrix: FloatArray) -> FloatArray:
+    """Return the quaternion ``(4,)`` of the rotation nearest to a matrix (Bar-Itzhack 2000)."""
+    sums = np.zeros((4, 4))
+    sums[0, 1:] = sums[1:, 0] = [
+        matrix[2, 1] - matrix[1, 2],
+        matrix[0, 2] - matrix[2, 0],
+        matrix[1, 0] - matrix[0, 1],
+    ]
+    sums[0, 0] = np.trace(matrix)
+    sums[1:, 1:] = matrix + matrix.T - np.trace(matrix) * np.eye(3)
+    return np.asarray(np.linalg.eigh(sums)[1][:, -1])
+
+
+def shortest_turn(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the least rotation ``(3, 3)`` from a unit vector to one that is not its opposite."""
+    skew = np.cross(np.eye(3), np.cross(a, b))
+    # Rodrigues' formula.
+    return np.asarray(np.eye(3) + skew + skew @ skew / (1 + a @ b))

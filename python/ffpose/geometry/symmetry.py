@@ -7,7 +7,6 @@ BOP's MSSD takes the least distance (Hodan et al., "BOP Challenge 2020", ECCVW 2
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose._internal.files import atomic_write, read_json, shortened
-from ffpose.errors import DataError
+from ffpose._internal.files import read_json, shortened, write_json
+from ffpose.errors import DataError, expect
 from ffpose.geometry.rotations import FloatArray, conjugate, multiply, rotation_matrix
 
 STEPS = 360
@@ -81,8 +80,7 @@ class SymmetryGroup:
         for axis in self.axes:
             if len(axis.direction) != 3 or not 0 < np.linalg.norm(axis.direction) < np.inf:
                 raise ValueError(f"axis: expected a direction of 3 numbers, got {axis.direction}")
-            if not 0 <= axis.fold <= MOST_FOLD:
-                raise ValueError(f"fold: expected 0 to {MOST_FOLD}, 0 for any, got {axis.fold}")
+            expect(0 <= axis.fold <= MOST_FOLD, "fold", f"0 to {MOST_FOLD}, 0 for any", axis.fold)
         _ = self.rotations
 
     @cached_property
@@ -96,8 +94,7 @@ class SymmetryGroup:
             for turn in turns:
                 new = multiply(found, turn)
                 found = np.concatenate([found, new[~_among(new, found)]])
-                if len(found) > MOST:
-                    raise ValueError(f"axes: expected those of a finite group, got {self}")
+                expect(len(found) <= MOST, "axes", "those of a finite group", self)
             grown = len(found) > before
         free = [axis for axis in self.axes if axis.fold == 0]
         if not free:
@@ -117,14 +114,9 @@ class SymmetryGroup:
         return "; ".join(map(str, self.axes)) or "none"
 
     def nearest(self, q_hat: FloatArray, q: FloatArray) -> FloatArray:
-        """Return the attitudes of the same looks as ``q (N, 4)`` that are nearest to ``q_hat``.
+        """Return the attitudes ``q g`` of the looks of ``q (N, 4)`` that are nearest to ``q_hat``.
 
-        Args:
-            q_hat: Quaternions ``(N, 4)`` of any nonzero norm.
-            q: Unit quaternions ``(N, 4)``.
-
-        Returns:
-            ``q g``, ``(N, 4)``; ``q`` itself where the group is the identity.
+        ``q_hat`` are quaternions ``(N, 4)`` of any nonzero norm, ``q`` unit ones.
         """
         if len(self) == 1:
             return q
@@ -163,11 +155,7 @@ class SymmetryGroup:
 
     @classmethod
     def from_json(cls, axes: Any) -> SymmetryGroup:
-        """Return the group of a list of ``{"axis": [x, y, z], "fold": 4}``, or ``"fold": "any"``.
-
-        Raises:
-            ValueError: It is no such list, or as the class says.
-        """
+        """Return the group of a list of ``{"axis": [x, y, z], "fold": 4}``, or fold "any"."""
         if not isinstance(axes, list):
             raise ValueError(f"axes: expected a list, got {shortened(axes)}")
         return cls(tuple(_axis(each) for each in axes))
@@ -190,21 +178,14 @@ class SymmetryGroup:
 
     @classmethod
     def chosen(cls, name: str) -> SymmetryGroup | None:
-        """Return what a user's ``auto`` (None), ``none`` or name of a file stands for.
-
-        Raises:
-            FileNotFoundError: There is no such file.
-            DataError: It is not JSON, or not the document that `read` expects.
-        """
+        """Return what a user's ``auto`` (None), ``none`` or file stands for; errors as `read`."""
         if name == "auto":
             return None
         return cls() if name == "none" else cls.read(Path(name))
 
     def write(self, path: Path, **notes: Any) -> None:
         """Write the file, with ``notes`` beside the axes."""
-        with atomic_write(path) as temporary:
-            text = json.dumps({"axes": self.to_json(), **notes}, indent=1)
-            temporary.write_text(text + "\n", encoding="utf-8")
+        write_json(path, {"axes": self.to_json(), **notes}, 1)
 
 
 def _axis(value: Any) -> Axis:

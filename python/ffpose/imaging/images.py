@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from PIL import Image, ImageFile
 
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 
 Item = TypeVar("Item")
 Decoded = TypeVar("Decoded")
@@ -24,22 +24,17 @@ Decoded = TypeVar("Decoded")
 MODES = ("L", "LA", "P", "RGB", "RGBA")
 """Pillow's modes with 8 bits per channel, which convert to RGB without loss of range."""
 
-
 DEEP_MODES = ("I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of monochrome images with more than 8 bits, whose white level a user states."""
-
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".pgm")
 """Suffixes of the image files of a folder."""
 
-
 PATTERN = re.compile(r"[*?[]")
 """What makes a path a pattern of paths."""
 
-
 MAX_PIXELS = 2**28 // 3
 """Most pixels of an image file: 256 MiB as RGB, where Pillow begins to warn of hostile files."""
-
 
 WAITING = 256
 """Most decoded images that `decode_all` holds at a time."""
@@ -57,25 +52,16 @@ WHITE = "a positive level, or a percentile such as 'p99.5'"
 
 
 def check_white(name: str, white: float | str) -> None:
-    """Check a white level or percentile.
-
-    Raises:
-        ValueError: It is not `WHITE`; the message begins with ``name``.
-    """
+    """Check a white level or percentile; a ValueError begins with ``name``."""
     if isinstance(white, str):
         usable = bool(re.fullmatch(r"p\d+(\.\d+)?", white)) and 0 < float(white[1:]) <= 100
     else:
         usable = 0 < white < math.inf
-    if not usable:
-        raise ValueError(f"{name}: expected {WHITE}, got {white!r}")
+    expect(usable, name, WHITE, white)
 
 
 def image_files(folder: Path, name: str) -> list[Path]:
-    """Return the PNG, JPEG and PGM files of a folder, sorted by name; errors begin with ``name``.
-
-    Raises:
-        FileNotFoundError: The folder does not exist, or has no such file.
-    """
+    """Return the PNG, JPEG and PGM files of a folder, at least one, sorted by name."""
     if not folder.is_dir():
         raise FileNotFoundError(f"{name}: expected a folder of images, got {folder}")
     images = sorted(
@@ -123,10 +109,8 @@ def _matches(pattern: Path) -> list[Path]:
 def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:
     """Read an image file as RGB; transparency is dropped, and an EXIF orientation not applied.
 
-    Args:
-        path: The file.
-        white: Level of a monochrome image of more than 8 bits that becomes 255, as for `to_rgb`;
-            images of 8 bits stay as they are.
+    Of monochrome images of more than 8 bits the level ``white`` becomes 255, as for `to_rgb`;
+    images of 8 bits stay as they are.
 
     Raises:
         FileNotFoundError: The file does not exist.
@@ -220,8 +204,7 @@ def _is_deep(image: Image.Image) -> bool:
 def _maxval(image: Image.Image) -> int | None:
     """Return the level of a PGM or PPM file that Pillow stretches to its own white; None for none.
 
-    Pillow stretches a monochrome image of more than 8 bits to 65535, and rounds. As 65535 is at
-    least as large, rounding back is exact.
+    Pillow stretches more than 8 bits to 65535, and rounds: rounding back is exact.
     """
     if image.format != "PPM":
         return None

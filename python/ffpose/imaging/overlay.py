@@ -1,4 +1,4 @@
-"""Drawing a pose on its image."""
+"""Drawing a pose on its image, and images on a sheet."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
+from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 
 AXIS_COLORS = ("#ff4b4b", "#4bff6a", "#5b9dff")
@@ -40,8 +41,7 @@ def draw_axes(
     Raises:
         ValueError: The image is not RGB, or there are not three colors.
     """
-    if image.mode != "RGB":
-        raise ValueError(f"image: expected mode RGB, got {image.mode}")
+    expect(image.mode == "RGB", "image", "mode RGB", image.mode)
     drawn = image.copy()
     tips = length * np.eye(3)
     view = camera.resized(*image.size)
@@ -54,3 +54,14 @@ def draw_axes(
         if np.isfinite([origin, end]).all():
             canvas.line([*origin, *end], fill=color, width=thickness)
     return drawn
+
+
+def tiled(tiles: Sequence[Image.Image], columns: int, gap: int = 0) -> Image.Image:
+    """Return images of one width, row by row on white, with so many pixels between and around."""
+    width, height = tiles[0].width + gap, max(tile.height for tile in tiles) + gap
+    rows = -(-len(tiles) // columns)
+    sheet = Image.new("RGB", (columns * width + gap, rows * height + gap), "white")
+    for place, tile in enumerate(tiles):
+        row, column = divmod(place, columns)
+        sheet.paste(tile, (column * width + gap, row * height + gap))
+    return sheet

@@ -18,12 +18,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 
 Bytes = NDArray[np.uint8]
@@ -83,13 +83,8 @@ class PatchSpec:
         }
 
     def level(self, translation: NDArray[np.float64]) -> int:
-        """Return the pyramid level for an object at ``translation (3,)``, meters.
-
-        Raises:
-            ValueError: The object is not in front of the camera.
-        """
-        if not translation[2] > 0:
-            raise ValueError(f"translation: expected z > 0, got {translation}")
+        """Return the pyramid level for an object at ``translation (3,)``, meters, z > 0."""
+        expect(translation[2] > 0, "translation", "z > 0", translation)
         distance = float(np.linalg.norm(translation))
         focal = self.object_width / 2 * distance / self.object_radius_m
         ratio = self.camera.fx / focal * distance / float(translation[2])
@@ -122,48 +117,33 @@ def averaged(image: Bytes, side: int) -> Bytes:
     return ((sums + area // 2) // area).astype(np.uint8)
 
 
-def crop(image: Bytes, left: int, top: int, side: int) -> Bytes:
-    """Crop the window with corner (left, top) from an image ``(H, W, 3)``, black outside."""
-    window = np.zeros((side, side, 3), np.uint8)
-    height, width = image.shape[:2]
-    rows = slice(max(0, top), min(height, top + side))
-    columns = slice(max(0, left), min(width, left + side))
-    if rows.start < rows.stop and columns.start < columns.stop:
-        part = image[rows, columns]
-        y, x = rows.start - top, columns.start - left
-        window[y : y + part.shape[0], x : x + part.shape[1]] = part
-    return window
-
-
 def in_frame(window: Camera, whole: Camera) -> NDArray[np.bool_]:
     """Return which pixels of a window from `PatchSpec.window_camera` lie in the image."""
-    left, top = round(whole.cx - window.cx), round(whole.cy - window.cy)
-    columns, rows = np.arange(window.width) + left, np.arange(window.height) + top
-    inside_columns = (columns >= 0) & (columns < whole.width)
-    inside_rows = (rows >= 0) & (rows < whole.height)
-    return np.asarray(inside_rows[:, None] & inside_columns)
+    _, _, columns, rows = _places(whole, window)
+    return np.asarray(rows[:, None] & columns)
 
 
 def nearest_pixels(picture: Bytes, camera: Camera, other: Camera) -> Bytes:
-    """Resample an image for another camera with the same orientation, by nearest neighbor.
-
-    Args:
-        picture: Image ``(H, W, C)``, uint8.
-        camera: Camera of the image.
-        other: Any camera with the same position and orientation.
+    """Resample an image ``(H, W, C)`` for another camera of the same pose, by nearest neighbor.
 
     Returns:
         Image ``(other.height, other.width, C)``; zero outside the given one.
     """
+    column, row, columns, rows = _places(camera, other)
+    seen = np.zeros((other.height, other.width, picture.shape[2]), np.uint8)
+    seen[np.ix_(rows, columns)] = picture[np.ix_(row[rows], column[columns])]
+    return seen
+
+
+def _places(
+    camera: Camera, other: Camera
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return column and row of a camera's image that another shows, and which lie in it."""
     columns = (np.arange(other.width) + 0.5 - other.cx) / other.fx * camera.fx + camera.cx
     rows = (np.arange(other.height) + 0.5 - other.cy) / other.fy * camera.fy + camera.cy
     column, row = np.floor(columns).astype(np.intp), np.floor(rows).astype(np.intp)
-    inside_columns = (column >= 0) & (column < camera.width)
-    inside_rows = (row >= 0) & (row < camera.height)
-    seen = np.zeros((other.height, other.width, picture.shape[2]), np.uint8)
-    found = picture[np.ix_(row[inside_rows], column[inside_columns])]
-    seen[np.ix_(inside_rows, inside_columns)] = found
-    return seen
+    inside = (column >= 0) & (column < camera.width), (row >= 0) & (row < camera.height)
+    return column, row, *inside
 
 
 class Patches(NamedTuple):
@@ -221,16 +201,13 @@ def extract_patches(
     """
     given = spec.level_camera(halved)
     expected = (given.height, given.width, 3)
-    if image.shape != expected:
-        raise ValueError(f"image: expected shape {expected}, got {image.shape}")
+    expect(image.shape == expected, "image", f"shape {expected}", image.shape)
     level = spec.level(pose.t)
     camera = spec.window_camera(pose.t, level)
-    whole = spec.level_camera(level)
-    left, top = round(whole.cx - camera.cx), round(whole.cy - camera.cy)
     half = spec.window // 2
     return Patches(
         averaged(image, spec.first_stride >> halved),
-        crop(averaged(image, 1 << (level - halved)), left, top, spec.window),
+        nearest_pixels(averaged(image, 1 << (level - halved)), spec.level_camera(level), camera),
         np.zeros((half, half, 4), np.uint8)
         if coordinates is None
         else coordinates(pose, camera.resized(half, half)),
@@ -239,17 +216,3 @@ def extract_patches(
         level,
         True,
     )
-
-
-def make_arrays(folder: Path, count: int, spec: PatchSpec) -> dict[str, np.memmap[Any, Any]]:
-    """Create the memory-mapped arrays of a folder of patches."""
-    return {
-        name: np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, shape)
-        for name, (shape, dtype) in spec.shapes(count).items()
-    }
-
-
-def open_arrays(folder: Path) -> dict[str, NDArray[Any]]:
-    """Open the memory-mapped arrays of a folder of patches for reading."""
-    names = ("frames", "windows", "coordinates", "labels")
-    return {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names}

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from ffpose.errors import expect
 from ffpose.geometry import Camera
 
 if TYPE_CHECKING:
@@ -77,8 +78,7 @@ class Preprocessing:
     def __post_init__(self) -> None:
         if len(self.size) != 2 or min(self.size) < 1:
             raise ValueError(f"size: expected (height, width), each at least 1, got {self.size}")
-        if self.mode not in get_args(Mode):
-            raise ValueError(f"mode: expected one of {get_args(Mode)}, got {self.mode!r}")
+        expect(self.mode in get_args(Mode), "mode", f"one of {get_args(Mode)}", self.mode)
         if self.interpolation not in get_args(Interpolation):
             known = get_args(Interpolation)
             raise ValueError(f"interpolation: expected one of {known}, got {self.interpolation!r}")
@@ -119,8 +119,7 @@ class Preprocessing:
         Raises:
             ValueError: The image is not RGB.
         """
-        if image.mode != "RGB":
-            raise ValueError(f"image: expected mode RGB, got {image.mode}")
+        expect(image.mode == "RGB", "image", "mode RGB", image.mode)
         frame = self.frame(image)
         standardized = self.crop(frame, self.center_window(frame.shape[:2]))
         for plane, mean, std in zip(standardized, self.mean, self.std, strict=True):
@@ -165,13 +164,7 @@ class Preprocessing:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON can hold them; `from_dict` reads them back."""
-        return {
-            "size": list(self.size),
-            "mode": self.mode,
-            "mean": list(self.mean),
-            "std": list(self.std),
-            "interpolation": self.interpolation,
-        }
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> Preprocessing:

@@ -7,8 +7,8 @@ each axis: an antialiased resize of a crop. The pose in the camera frame does no
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -171,11 +171,6 @@ class Reprojection(Preprocessing):
     def image_camera(self, view: Camera, width: int, height: int) -> Camera:
         """Return the source camera, resized to an image of ``width`` x ``height``."""
         return self.source.resized(width, height)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as a JSON document."""
-        cameras = {"source": asdict(self.source), "view": asdict(self.view)}
-        return super().to_dict() | cameras
 
 
 def for_images(

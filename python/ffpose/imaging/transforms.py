@@ -22,6 +22,7 @@ from torchvision.transforms import v2
 
 from ffpose.arrays import canonical_quaternion
 from ffpose.geometry import Camera, FloatArray
+from ffpose.geometry.rotations import shortest_turn
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.preprocessing import Preprocessing, Window
 
@@ -85,12 +86,7 @@ def crop_turn(camera: Camera, crop: Camera, view: Camera) -> FloatArray:
     wanted = np.array([view.width / 2 - view.cx, view.height / 2 - view.cy])
     rays = [np.append(p / f, 1.0) for p, f in ((seen, _focal(camera)), (wanted, _focal(view)))]
     a, b = (ray / np.linalg.norm(ray) for ray in rays)
-    axis = np.cross(a, b)
-    x, y, z = axis
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # Rodrigues' formula; both rays point ahead, so that 1 + a·b is not zero.
-    turn: FloatArray = np.eye(3) + skew + skew @ skew / (1 + a @ b)
-    return turn
+    return shortest_turn(a, b)
 
 
 def _focal(camera: Camera) -> FloatArray:

@@ -12,17 +12,9 @@ from ffpose.geometry import DistortedCamera
 
 
 def undistort(image: Image.Image, camera: DistortedCamera) -> Image.Image:
-    """Return an image as ``camera.pinhole`` sees it, interpolated bilinearly.
+    """Return an RGB image as ``camera.pinhole`` sees it, interpolated bilinearly.
 
-    Args:
-        image: RGB image of the camera's size.
-        camera: The camera that took it.
-
-    Returns:
-        An image of the same size, black where the original shows nothing.
-
-    Raises:
-        ValueError: The image is not RGB, or of another size.
+    It has the size of the camera's images, and is black where the original shows nothing.
     """
     expected = ("RGB", (camera.width, camera.height))
     if (image.mode, image.size) != expected:

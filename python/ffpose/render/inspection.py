@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import atomic_write, write_json
 from ffpose.geometry import Camera, Pose
-from ffpose.imaging.overlay import draw_axes
-from ffpose.render.renderer import draw_craft, prepared
+from ffpose.geometry.rotations import from_matrix
+from ffpose.imaging.overlay import draw_axes, tiled
+from ffpose.render.renderer import draw_alone
 from ffpose.render.shading.rays import cast_rays, find_window
 from ffpose.render.shading.reflection import Light
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.spacecraft.craft import Craft, bounding_sphere
+from ffpose.render.spacecraft.materials import SLOTS
 from ffpose.render.symmetry import find_symmetries
 
 TILE, COLUMNS, CAPTION = 320, 4, 22
@@ -89,17 +90,12 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / "views.png") as path:
         view_sheet(craft).save(path, "PNG")
-    with atomic_write(folder / "summary.json") as path:
-        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / "summary.json", summary)
     return summary
 
 
 def find_doubts(craft: Craft) -> list[str]:
-    """Return what may be wrong with a mesh, each with the option that mends it.
-
-    Args:
-        craft: The spacecraft.
-    """
+    """Return what may be wrong with a mesh, each with the option that mends it."""
     return _doubts(craft, _measured(craft))
 
 
@@ -121,13 +117,7 @@ def _measured(craft: Craft) -> dict[str, Any]:
 def view_sheet(craft: Craft) -> Image.Image:
     """Draw a spacecraft from twelve sides, with its axes and a meter bar."""
     center, radius = bounding_sphere(craft.mesh.vertices[np.unique(craft.mesh.faces)])
-    rows = -(-len(DIRECTIONS) // COLUMNS)
-    sheet = Image.new("RGB", (COLUMNS * TILE, rows * (TILE + CAPTION)), "white")
-    for place, name in enumerate(DIRECTIONS):
-        row, column = divmod(place, COLUMNS)
-        tile = _tile(craft, name, center, radius)
-        sheet.paste(tile, (column * TILE, row * (TILE + CAPTION)))
-    return sheet
+    return tiled([_tile(craft, name, center, radius) for name in DIRECTIONS], COLUMNS)
 
 
 def studio_view(craft: Craft, pose: Pose, camera: Camera) -> NDArray[np.uint8]:
@@ -136,20 +126,14 @@ def studio_view(craft: Craft, pose: Pose, camera: Camera) -> NDArray[np.uint8]:
     Returns:
         (H, W, 3) uint8, RGB.
     """
-    radiance = np.full((camera.height, camera.width, 3), GRAY, np.float32)
     back = pose.rotation.T
     sun, below = np.array([-0.45, -0.5, -0.74]), np.array([0.3, 0.8, -0.52])
     light = Light(
-        sun=(back @ sun / np.linalg.norm(sun)).astype(np.float32),
-        nadir=(back @ below / np.linalg.norm(below)).astype(np.float32),
+        (back @ sun / np.linalg.norm(sun)).astype(np.float32),
+        (back @ below / np.linalg.norm(below)).astype(np.float32),
         earth=0.8,
-        horizon=0.0,
-        sunlight=1.0,
-        lamp=0.0,
-        tint=np.ones((3, 1), np.float32),
     )
-    rng = np.random.default_rng(0)
-    draw_craft(radiance, camera, pose, craft, prepared(craft)[1], light, rng)
+    radiance = draw_alone(craft, pose, camera, light, GRAY)
     level = np.clip(radiance / WHITE, 0, 1) ** (1 / 2.2)
     return np.asarray(np.round(level * 255), np.uint8)
 
@@ -166,21 +150,7 @@ def _view(name: str, center: NDArray[np.float64], radius: float) -> tuple[Pose, 
     eye = center + toward * AWAY * radius
     focal = 0.46 * TILE * math.sqrt(AWAY**2 - 1)
     camera = Camera(TILE, TILE, focal, focal, TILE / 2, TILE / 2)
-    return Pose(-rotation @ eye, _quaternion(rotation)), camera
-
-
-def _quaternion(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the quaternion (4,), scalar first, of a rotation (Bar-Itzhack 2000)."""
-    sums = np.zeros((4, 4))
-    sums[0, 1:] = sums[1:, 0] = [
-        matrix[2, 1] - matrix[1, 2],
-        matrix[0, 2] - matrix[2, 0],
-        matrix[1, 0] - matrix[0, 1],
-    ]
-    sums[0, 0] = np.trace(matrix)
-    sums[1:, 1:] = matrix + matrix.T - np.trace(matrix) * np.eye(3)
-    result: NDArray[np.float64] = np.linalg.eigh(sums)[1][:, -1]
-    return result
+    return Pose(-rotation @ eye, from_matrix(rotation)), camera
 
 
 def _tile(craft: Craft, name: str, center: NDArray[np.float64], radius: float) -> Image.Image:
@@ -207,9 +177,7 @@ def _round_length(length: float) -> float:
 
 def _inside_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> float:
     """Return the share of hits, from all views, that are on the back of a face."""
-    tracer, mesh = Tracer(craft.mesh), craft.mesh
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
+    tracer, normals = Tracer(craft.mesh), craft.mesh.face_normals
     back = count = 0
     for name in DIRECTIONS:
         pose, camera = _view(name, center, radius)
@@ -224,7 +192,6 @@ def _inside_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> fl
 
 def _material(craft: Craft, number: int) -> dict[str, Any]:
     material = craft.materials[number]
-    slots = ("color_map", "roughness_map", "normal_map", "emission_map")
     return {
         "triangles": int((craft.mesh.material == number).sum()),
         "color": list(material.color),
@@ -234,14 +201,13 @@ def _material(craft: Craft, number: int) -> dict[str, Any]:
         "two_sided": material.two_sided,
         "textures": {
             slot.removesuffix("_map"): [texture.image.width, texture.image.height]
-            for slot in slots
+            for slot in SLOTS
             if (texture := getattr(material, slot)) is not None
         },
     }
 
 
 def _doubts(craft: Craft, summary: dict[str, Any]) -> list[str]:
-    """Return what may be wrong with a mesh, each with the option that mends it."""
     doubts = []
     across = 2 * summary["radius_m"]
     if not SMALLEST_M <= across <= LARGEST_M:

@@ -115,11 +115,7 @@ def coordinates_limit(craft: Craft) -> float:
 
 
 def check_labels(labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names without repetition, in the order of `LABELS`.
-
-    Raises:
-        ValueError: A name is not in `LABELS`; the message lists the valid names.
-    """
+    """Return the names once each, in the order of `LABELS`; a ValueError for another name."""
     unknown = [name for name in labels if name not in LABELS]
     if unknown:
         raise ValueError(f"labels: expected some of {', '.join(LABELS)}, got {unknown[0]!r}")
@@ -135,13 +131,9 @@ def write_layers(folder: Path, index: int, layers: Layers, labels: Sequence[str]
     """Write the layers of image `index` that `labels` names.
 
     ``N_mask.png`` is 255 on the spacecraft and 0 elsewhere; ``N_depth.png`` holds millimeters in 16
-    bits, 0 off the spacecraft; ``N_keypoints.csv`` has a row for each named point;
-    ``N_coordinates.png`` is what `object_coordinates` gives. Its alpha holds the mask, because any
-    color, black too, may be a place on the spacecraft: one file cannot lose what tells them apart,
-    and readers that weigh by alpha when they resize (Pillow does) blend nothing across the outline.
-
-    Raises:
-        ValueError: A depth is beyond the 65.535 m of 16 bits.
+    bits, 0 off the spacecraft, or a ValueError beyond 65.535 m; ``N_keypoints.csv`` has a row for
+    each named point; ``N_coordinates.png`` is what `object_coordinates` gives. Its alpha holds the
+    mask: any color, black too, may be a place on the spacecraft.
     """
     writers = {
         "mask": lambda path: _write_image(path, layers.mask.astype(np.uint8) * 255),

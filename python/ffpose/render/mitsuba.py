@@ -78,9 +78,6 @@ def draw_craft(
 
     Returns:
         ``(3, N)``, for each pixel of which the spacecraft covers more than a half.
-
-    Raises:
-        MissingExtraError: Mitsuba is not installed.
     """
     window = find_window(craft.corners, pose, camera)
     if window is None:
@@ -261,13 +258,7 @@ def _shape(
 
 
 def _bsdf(mi: Any, material: Material, tinted: bool) -> Any:
-    """Return a material as Mitsuba's principled BSDF, which reflects on both sides.
-
-    Args:
-        mi: Mitsuba.
-        material: The material.
-        tinted: Whether the mesh has colors of its corners.
-    """
+    """Return a material as Mitsuba's principled BSDF, ``tinted`` by the colors of corners."""
     inner: dict[str, Any] = {
         "type": "principled",
         "base_color": {"type": "rgb", "value": list(material.color)},

@@ -14,13 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.arrays import quaternion_to_euler
-from ffpose.geometry import rotation_matrix
-from ffpose.geometry.trajectory import Trajectory, exponential, product
+from ffpose.errors import expect
+from ffpose.geometry.rotations import from_rotation_vector, multiply, rotation_matrix
+from ffpose.geometry.trajectory import Trajectory
 from ffpose.render.sampler import (
     EARTH_RADIUS_M,
     Surroundings,
+    direction,
     meets_earth,
     sample_surroundings,
+    unit_vector,
     visible_share,
 )
 from ffpose.render.scene import Scene
@@ -63,7 +66,7 @@ class Orbit(NamedTuple):
 
     def turn(self, time: float) -> Floats:
         """Return the rotation (3, 3) of the stars in the camera frame since time zero."""
-        return rotation_matrix(exponential(-self.rate * time * self.normal))
+        return rotation_matrix(from_rotation_vector(-self.rate * time * self.normal))
 
     def at(self, time: float) -> Surroundings:
         """Return the directions at a time, seconds."""
@@ -105,20 +108,13 @@ def sample_motion(
     """Sample a motion that stays within the scene's ranges of distance, attitude and view.
 
     An approach comes nearer along the line of sight, a tumble stays where it is and turns as a free
-    rigid body does, a flyby crosses the line of sight.
-
-    Raises:
-        ValueError: `kind` is unknown, or no such motion was found.
+    rigid body does, a flyby crosses the line of sight. A ValueError where no such motion was found.
     """
-    if kind not in KINDS:
-        raise ValueError(f"motion: expected one of {', '.join(KINDS)}, got {kind!r}")
+    expect(kind in KINDS, "motion", f"one of {', '.join(KINDS)}", kind)
     middle = (times[0] + times[-1]) / 2
     for _ in range(TRIES):
         distance = rng.uniform(*scene.distance_m)
-        u, v = rng.uniform(0, scene.camera.width), rng.uniform(0, scene.camera.height)
-        camera = scene.camera
-        ray = np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])
-        ray /= np.linalg.norm(ray)
+        ray = direction(scene, rng)
         way = {"approach": -ray, "tumble": rng.standard_normal(3)}.get(
             kind, np.cross(ray, rng.standard_normal(3))
         )
@@ -126,8 +122,7 @@ def sample_motion(
         t = distance * ray + velocity * (times - middle)[:, None]
         if not _in_place(t, scene):
             continue
-        axis = rng.standard_normal(3)
-        spin = axis / np.linalg.norm(axis) * math.radians(rng.uniform(*RATE_DEG_S[kind]))
+        spin = unit_vector(rng) * math.radians(rng.uniform(*RATE_DEG_S[kind]))
         start = rng.standard_normal(4)
         q, w = _tumble(start / np.linalg.norm(start), spin, inertia(craft), times)
         if _in_view(t, q, scene, craft):
@@ -171,7 +166,7 @@ def _tumble(q: Floats, w: Floats, moments: Floats, times: Floats) -> tuple[Float
     def change(state: Floats) -> Floats:
         q, w = state[:4], state[4:]
         return np.concatenate(
-            [0.5 * product(q, np.array([0.0, *w])), inverse @ np.cross(moments @ w, w)]
+            [0.5 * multiply(q, np.array([0.0, *w])), inverse @ np.cross(moments @ w, w)]
         )
 
     state = np.concatenate([q, w])

@@ -10,23 +10,20 @@ differs is what a pixel of twice the width does to edges and highlights.
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from typing import get_args
 
-from ffpose._internal.machine import worker_processes
+from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.imaging.patches import Bytes, Content, Patches, PatchSpec, extract_patches, in_frame
 from ffpose.render.layers import object_coordinates
+from ffpose.render.processes import in_processes
 from ffpose.render.renderer import label, prepared, shoot
 from ffpose.render.scene import Scene
 from ffpose.render.spacecraft.decoys import build_decoy
-
-CHUNK = 8
-"""Images per task of a worker process."""
 
 RENDERING = 2
 """Version of how patches are rendered; those that were rendered otherwise are rendered again."""
@@ -44,12 +41,8 @@ def render_patches(
         spec: Geometry of the two patches.
         content: "object": the set's spacecraft; "empty": no spacecraft, the window where it would
             be; "decoy": another spacecraft in its place (`ffpose.render.spacecraft.decoys`).
-
-    Raises:
-        ValueError: `content` is none of these.
     """
-    if content not in get_args(Content):
-        raise ValueError(f"content: expected one of {get_args(Content)}, got {content!r}")
+    expect(content in get_args(Content), "content", f"one of {get_args(Content)}", content)
     if content == "decoy":
         scene = scene.with_stranger(build_decoy(seed, index))
     empty = content == "empty"
@@ -85,28 +78,8 @@ def render_all_patches(
     scene: Scene, seed: int, indices: range, spec: PatchSpec, content: Content, workers: int
 ) -> Iterator[Patches]:
     """Render the patches of images in order with several processes."""
-    make = partial(_render_one, scene, seed, spec, content)
-    if workers <= 1 or len(indices) < 2 * CHUNK:
-        yield from map(make, indices)
-        return
+    make = partial(render_patches, scene, seed, spec=spec, content=content)
+    if sys.platform != "linux":
+        return in_processes(make, indices, workers)
     prepared(scene.build())  # forked workers share the BVH
-    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
-    processes = worker_processes(workers, len(indices))
-    with context.Pool(processes, _start_worker, (make,)) as pool:
-        yield from pool.imap(_render_next, indices, CHUNK)
-
-
-def _render_one(scene: Scene, seed: int, spec: PatchSpec, content: Content, index: int) -> Patches:
-    return render_patches(scene, seed, index, spec, content)
-
-
-_worker_make: list[Callable[[int], Patches]] = []
-"""What this worker process renders by; sent once, because a spacecraft may be a large mesh."""
-
-
-def _start_worker(make: Callable[[int], Patches]) -> None:
-    _worker_make[:] = [make]
-
-
-def _render_next(index: int) -> Patches:
-    return _worker_make[0](index)
+    return in_processes(make, indices, workers, "fork")

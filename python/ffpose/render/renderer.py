@@ -71,9 +71,7 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
             is not within `MIN_SIDE`…`MAX_SIDE`.
     """
     scene = find_scene(scene)
-    camera = camera_of(scene, size)
-    shot = shoot(scene, seed, index, camera, scene.sensor)
-    return Frame(shot.image, shot.pose, camera)
+    return shoot(scene, seed, index, camera_of(scene, size), scene.sensor)
 
 
 def render_empty(
@@ -92,20 +90,7 @@ def render_empty(
         ValueError: An argument is invalid, as for `render`.
     """
     scene = find_scene(scene)
-    camera = camera_of(scene, size)
-    return shoot(scene, seed, index, camera, scene.sensor, empty=True).image
-
-
-class Shot(NamedTuple):
-    """An image that a camera took of a scene.
-
-    Attributes:
-        image: (H, W, 3) uint8, RGB.
-        pose: The spacecraft's exact pose.
-    """
-
-    image: NDArray[np.uint8]
-    pose: Pose
+    return shoot(scene, seed, index, camera_of(scene, size), scene.sensor, empty=True).image
 
 
 def shoot(
@@ -117,21 +102,12 @@ def shoot(
     *,
     empty: bool = False,
     side: int = 1,
-) -> Shot:
+) -> Frame:
     """Render scene `index` with any camera at the position of the scene's own.
 
-    Args:
-        scene: A set.
-        seed: Seed of the whole set, at least 0.
-        index: Number of the scene in the set, at least 0.
-        camera: Camera to render; pose and lights are those of the scene's own camera.
-        sensor: Sensor that turns radiance into pixel values.
-        empty: Leave the spacecraft out.
-        side: Pixels of a finer image along each side of one of this, 1 or 2: sun, stars, glare,
-            noise and exposure are then those of that image, averaged.
-
-    Raises:
-        ValueError: `seed` or `index` is negative.
+    Pose and lights are those of the scene's own camera. There are `side` pixels of a finer image
+    along each side of one of this, 1 or 2: sun, stars, glare, noise and exposure are then those of
+    that image, averaged. With `empty` the spacecraft is left out.
     """
     return shoot_each(scene, seed, index, camera, (sensor,), empty=empty, side=side)[0]
 
@@ -145,7 +121,7 @@ def shoot_each(
     *,
     empty: bool = False,
     side: int = 1,
-) -> list[Shot]:
+) -> list[Frame]:
     """Render with each of several sensors; each image equals that of `shoot` with that sensor.
 
     The radiance, which takes nearly all of the time, is computed once.
@@ -157,21 +133,19 @@ def shoot_each(
     radiance = background(scene, camera, around, star_rng, odd_rng, side)
     lit = np.zeros((3, 0), dtype=np.float32)
     if not empty:
-        materials = prepared(craft)[1]
-        if scene.randomization.materials > 0:
-            materials = materials.varied(scene.randomization.materials, odd_rng)
+        materials = materials_of(scene, odd_rng)
         light = object_light(pose, around, scene, odd_rng)
         if scene.renderer == "mitsuba":
             lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
         else:
             lit = draw_craft(radiance, camera, pose, craft, materials, light, surface_rng)
-    shots = []
+    frames = []
     for sensor in sensors:
         rng = copy.deepcopy(sensor_rng)
         spread = math.hypot(sensor.exposure_spread, scene.randomization.exposure)
         gain = choose_gain(radiance, lit, spread, rng, side)
-        shots.append(Shot(expose(radiance, gain, sensor, rng, side), pose))
-    return shots
+        frames.append(Frame(expose(radiance, gain, sensor, rng, side), pose, camera))
+    return frames
 
 
 def label(scene: Scene | str, seed: int, index: int) -> Pose:
@@ -204,11 +178,7 @@ def situation(scene: Scene | str, seed: int, index: int) -> Situation:
 
 
 def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
-    """Return the scene's camera at `size` (width, height).
-
-    Raises:
-        ValueError: A side is not within `MIN_SIDE`…`MAX_SIDE`.
-    """
+    """Return the scene's camera at `size` (width, height), each within `MIN_SIDE`…`MAX_SIDE`."""
     if size is None:
         size = (scene.camera.width, scene.camera.height)
     if len(size) != 2 or not all(MIN_SIDE <= side <= MAX_SIDE for side in size):
@@ -223,6 +193,12 @@ def prepared(craft: Craft) -> tuple[Tracer, MaterialTable]:
     """Return ray tracer and material tables of a spacecraft, built once for each."""
     materials = MaterialTable(craft)
     return Tracer(craft.mesh, AlphaTest(craft, materials.maps)), materials
+
+
+def materials_of(scene: Scene, rng: np.random.Generator) -> MaterialTable:
+    """Return the material tables of a scene's spacecraft, varied as its randomization says."""
+    materials, spread = prepared(scene.build())[1], scene.randomization.materials
+    return materials.varied(spread, rng) if spread > 0 else materials
 
 
 def _streams(seed: int, index: int) -> list[np.random.Generator]:
@@ -243,16 +219,11 @@ def background(
 ) -> Floats:
     """Compute the radiance (H, W, 3) behind the spacecraft; `turn` as for `draw_stars`."""
     if odd_rng.random() < scene.randomization.background:
-        return _draw_backdrop(camera, odd_rng)
+        clouds = backdrop(pixel_rays(camera), odd_rng)
+        return np.ascontiguousarray(clouds.T).reshape(camera.height, camera.width, 3)
     radiance = draw_stars(camera, star_rng, side, turn)
     _draw_background(radiance, camera, around, side)
     return radiance
-
-
-def _draw_backdrop(camera: Camera, rng: np.random.Generator) -> Floats:
-    """Compute the radiance (H, W, 3) of colored clouds in place of stars and Earth."""
-    wall = backdrop(pixel_rays(camera), rng)
-    return np.ascontiguousarray(wall.T).reshape(camera.height, camera.width, 3)
 
 
 def _draw_background(radiance: Floats, camera: Camera, around: Surroundings, side: int) -> None:
@@ -287,16 +258,38 @@ def draw_craft(
     window = find_window(craft.corners, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
+    return draw_window(radiance, window, camera, pose, craft, materials, light, rng)
+
+
+def draw_alone(craft: Craft, pose: Pose, camera: Camera, light: Light, gray: float = 0.0) -> Floats:
+    """Render the radiance (H, W, 3) of a spacecraft before gray, with the same random numbers."""
+    radiance = np.full((camera.height, camera.width, 3), gray, np.float32)
+    rng = np.random.default_rng(0)
+    draw_craft(radiance, camera, pose, craft, prepared(craft)[1], light, rng)
+    return radiance
+
+
+def draw_window(
+    radiance: Floats,
+    window: Window,
+    camera: Camera,
+    pose: Pose,
+    craft: Craft,
+    materials: MaterialTable,
+    light: Light,
+    rng: np.random.Generator,
+) -> Floats:
+    """Composite what a window shows of the spacecraft, as `draw_craft`."""
     tracer, samples = prepared(craft)[0], sample_count(window, camera)
     colors = []
     for band in window.bands(BAND // samples**2):
         view = cast_rays(tracer, band, camera, pose, samples)
-        colors.append(shade(view, tracer, band, samples, camera, materials, light, rng))
-        composite(radiance, band, view.hits.ray, colors[-1], samples)
+        colors.append(_shade(view, tracer, band, samples, camera, materials, light, rng))
+        _composite(radiance, band, view.hits.ray, colors[-1], samples)
     return np.concatenate(colors, axis=1)
 
 
-def shade(
+def _shade(
     view: View,
     tracer: Tracer,
     window: Window,
@@ -341,7 +334,7 @@ def object_light(pose: Pose, around: Surroundings, scene: Scene, rng: np.random.
     )
 
 
-def composite(
+def _composite(
     radiance: Floats, window: Window, ray: NDArray[np.intp], color: Floats, samples: int
 ) -> None:
     """Average the samples of each pixel and composite them over the background."""

@@ -58,7 +58,7 @@ def sample_pose(scene: Scene, craft: Craft, rng: np.random.Generator) -> Pose:
         distance = rng.uniform(*scene.distance_m)
         q = _attitude(scene.attitude_range_deg, rng)
         for _ in range(DIRECTION_TRIES):
-            pose = Pose(distance * _direction(scene, rng), q)
+            pose = Pose(distance * direction(scene, rng), q)
             if _acceptable(pose, scene, craft):
                 return pose
     raise ValueError(
@@ -75,10 +75,10 @@ def sample_surroundings(scene: Scene, rng: np.random.Generator) -> Surroundings:
     """
     eclipsed = bool(rng.random() < scene.eclipse_rate)
     altitude = rng.uniform(*ALTITUDE_M) / EARTH_RADIUS_M
-    nadir = _unit(rng)
+    nadir = unit_vector(rng)
     ground = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     while True:
-        sun = _unit(rng)
+        sun = unit_vector(rng)
         wanted = eclipsed or not scene.dusk or is_low(sun, nadir)
         if wanted and meets_earth(sun, nadir, altitude) == eclipsed:
             return Surroundings(sun, nadir, altitude, ground, eclipsed)
@@ -96,7 +96,8 @@ def meets_earth(ray: Floats, nadir: Floats, altitude: float) -> bool:
     return bool(down > horizon)
 
 
-def _unit(rng: np.random.Generator) -> Floats:
+def unit_vector(rng: np.random.Generator) -> Floats:
+    """Sample a direction (3,)."""
     vector = rng.standard_normal(3)
     return np.asarray(vector / np.linalg.norm(vector))
 
@@ -118,7 +119,8 @@ def _attitude(limits_deg: tuple[float, float, float], rng: np.random.Generator) 
     )
 
 
-def _direction(scene: Scene, rng: np.random.Generator) -> Floats:
+def direction(scene: Scene, rng: np.random.Generator) -> Floats:
+    """Sample the unit vector (3,) through a place in the frame."""
     camera = scene.camera
     u, v = rng.uniform(0.0, camera.width), rng.uniform(0.0, camera.height)
     ray = np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
-from ffpose.errors import check_choices
+from ffpose.errors import check_choices, expect
 from ffpose.geometry import URSO_CAMERA, Camera
 from ffpose.render.shading.randomization import Randomization
 from ffpose.render.shading.sensor import Sensor
@@ -19,10 +19,8 @@ inclination: 39 % of an orbit when the sun lies in its plane, 34 % in the mean o
 Renderer = Literal["ffpose", "mitsuba"]
 """What renders the spacecraft: `ffpose.render.shading`, or `ffpose.render.mitsuba`."""
 
-
 USUAL_RADIUS_M = 5.0
 """Radius of the spacecraft that come with ffpose, about."""
-
 
 LAMP = 30.0
 """Strength of the camera's lamp in eclipse: at 10 m it gives a surface a third of the sun's light.
@@ -73,10 +71,8 @@ class Scene:
         if self.renderer == "mitsuba" and self.randomization.materials > 0:
             raise ValueError("renderer: expected ffpose for randomized materials, got 'mitsuba'")
         least, most = self.distance_m
-        if not 0 < least <= most:
-            raise ValueError(f"distance_m: expected 0 < least <= most, got {self.distance_m}")
-        if self.lateral_m < 0:
-            raise ValueError(f"lateral_m: expected at least 0, got {self.lateral_m}")
+        expect(0 < least <= most, "distance_m", "0 < least <= most", self.distance_m)
+        expect(self.lateral_m >= 0, "lateral_m", "at least 0", self.lateral_m)
         limits = (180.0, 90.0, 180.0)
         if len(self.attitude_range_deg) != 3 or not all(
             0 <= angle <= limit

@@ -7,14 +7,13 @@ of another version of it is taken for one of this.
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ffpose._internal.files import atomic_write, read_json, shortened
+from ffpose._internal.files import read_json, shortened, write_json
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
 from ffpose.render.scene import LAMP, SCENES, USUAL_RADIUS_M, Scene
@@ -89,8 +88,7 @@ class SceneFile:
         values = asdict(self) | {
             "mesh": os.path.relpath(self.mesh.resolve(), path.resolve().parent)
         }
-        with atomic_write(path) as temporary:
-            temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+        write_json(path, values, 1)
 
 
 def find_scene(

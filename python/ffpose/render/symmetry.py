@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ffpose.geometry import Camera, FloatArray, Pose
 from ffpose.geometry.rotations import multiply, rotation_matrix
 from ffpose.geometry.symmetry import IDENTITY, Axis, SymmetryGroup
-from ffpose.render.renderer import draw_craft, prepared
+from ffpose.render.renderer import draw_alone
 from ffpose.render.shading.reflection import Light
 from ffpose.render.shading.sensor import Sensor, choose_gain
 from ffpose.render.spacecraft.craft import Craft
@@ -196,7 +196,7 @@ def _surface(craft: Craft) -> tuple[FloatArray, FloatArray, FloatArray]:
     Three points of a triangle, halfway from its middle to the corners, have its second moments.
     """
     corners = craft.mesh.vertices[craft.mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = craft.mesh.face_normals
     area = np.linalg.norm(cross, axis=1)
     points = (corners + corners.mean(axis=1, keepdims=True)) / 2
     unit = np.divide(cross, area[:, None], out=np.zeros_like(cross), where=area[:, None] > 0)
@@ -222,13 +222,7 @@ def _directions(moments: FloatArray, normals: FloatArray, area: FloatArray) -> l
 
 
 class _Renders:
-    """Views of a spacecraft from some sides, each with a light of its own.
-
-    Args:
-        craft: The spacecraft.
-        center: Middle of its surface ``(3,)``, through which all its axes of symmetry go.
-        reach: Distance of its farthest point from there, meters.
-    """
+    """Views about a center ``(3,)`` of what reaches so far, each with a light of its own."""
 
     def __init__(self, craft: Craft, center: FloatArray, reach: float) -> None:
         rng = np.random.default_rng(0)
@@ -262,20 +256,12 @@ class _Renders:
         distance = AWAY * self.reach
         back = rotation_matrix(q).T
         pose = Pose(np.array([0.0, 0.0, distance]) - back.T @ self.center, q)
-        light = Light(
-            sun=(back @ sun).astype(np.float32),
-            nadir=-back[:, 2].astype(np.float32),
-            earth=0.0,  # its shadows are drawn at random
-            horizon=0.0,
-            sunlight=1.0,
+        light = Light(  # without the Earth, whose shadows are drawn at random
+            (back @ sun).astype(np.float32),
+            -back[:, 2].astype(np.float32),
             lamp=LAMP * distance**2,
-            tint=np.ones((3, 1), np.float32),
         )
-        radiance = np.zeros((SIDE, SIDE, 3), np.float32)
-        materials = prepared(self.craft)[1]
-        rng = np.random.default_rng(0)
-        draw_craft(radiance, self.camera, pose, self.craft, materials, light, rng)
-        return radiance
+        return draw_alone(self.craft, pose, self.camera, light)
 
 
 def _difference(before: NDArray[np.float32], after: NDArray[np.float32]) -> tuple[float, float]:

@@ -9,15 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import signal
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import groupby
-from multiprocessing.pool import AsyncResult, Pool
+from itertools import groupby, product
 from pathlib import Path
 
 import numpy as np
@@ -25,18 +20,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 
 from ffpose._internal.files import atomic_write
-from ffpose._internal.machine import worker_processes
-from ffpose.geometry import Camera
 from ffpose.imaging.images import read_rgb
-from ffpose.render.dataset.pool import one_thread_each
+from ffpose.render.processes import in_processes
 from ffpose.render.renderer import Frame, camera_of, label, shoot_each
 from ffpose.render.scene import Scene
 from ffpose.render.shading.sensor import Sensor
 
 Bytes = NDArray[np.uint8]
-
-AHEAD = 4
-"""Results per process that are under way or wait to be taken."""
 
 ALL_ATTITUDES = (180.0, 90.0, 180.0)
 
@@ -81,10 +71,7 @@ def variations(
 ) -> list[Variation]:
     """The set over all attitudes, and sets that differ from it in one thing.
 
-    Args:
-        scene: a set.
-        farthest_m: the farthest distance of training.
-        second_renderer: whether Mitsuba's pictures are among them.
+    Training went as far as ``farthest_m``; Mitsuba's pictures are among them as a second renderer.
     """
     scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
     least, most = CUT
@@ -139,8 +126,7 @@ def without_object(scene: Scene) -> list[Variation]:
 def noisier(sensor: Sensor) -> Sensor:
     """The sensor whose noise has twice the standard deviation at every brightness.
 
-    A quarter of the electrons doubles the shot noise, the root of their number; the read noise,
-    which counts in electrons, is then halved to be twice as much of full scale.
+    A quarter of the electrons doubles the shot noise; the read noise counts in electrons.
     """
     return replace(sensor, full_well=sensor.full_well / 4, read_noise=sensor.read_noise / 2)
 
@@ -153,71 +139,36 @@ def render_variations(
     workers: int,
     keep: Path | None = None,
 ) -> Iterator[tuple[Variation, Frame]]:
-    """Render `count` pictures of each variation.
+    """Render `count` pictures of each variation, and yield variation and picture.
+
+    The pictures of a variation come in order, between those of others; the variations of one
+    `Variation.light` that stand together are rendered together.
 
     Args:
-        chosen: the variations; those of one `Variation.light` that stand together are rendered
-            together.
+        chosen: the variations.
         seed: seed of the sets, at least 0.
         count: pictures of each.
         size: (width, height) in pixels.
         workers: processes; 1 renders in this one.
         keep: a folder that keeps the pictures, by the digest of what they depend on; what lies
             there already is read, so that an interrupted run goes on where it was.
-
-    Yields:
-        Variation and picture. The pictures of a variation come in order, between those of others.
-
-    Raises:
-        ValueError: negative seed, absurd size, or no picture that fits.
     """
-    with _mapped(workers, count) as mapped:
-        for _, group in groupby(chosen, key=lambda variation: variation.light):
-            together = tuple(group)
-            make = partial(_render_group, together, seed, count, size, keep)
-            for frames in mapped(make, range(count)):
-                yield from zip(together, frames, strict=True)
+    groups = [tuple(group) for _, group in groupby(chosen, key=lambda variation: variation.light)]
+    items = list(product(range(len(groups)), range(count)))
+    made = in_processes(partial(_render_item, groups, seed, size, keep), items, workers)
+    for (group, _), frames in zip(items, made, strict=True):
+        yield from zip(groups[group], frames, strict=True)
 
 
-@contextmanager
-def _mapped(workers: int, count: int) -> Iterator[Callable[..., Iterator[list[Frame]]]]:
-    """Give a `map` whose calls are spread over processes, where there are to be several."""
-    if workers <= 1 or count < 2 * workers:
-        yield map
-        return
-    context = multiprocessing.get_context("spawn")
-    with one_thread_each():  # and the parent alone answers to Ctrl-C
-        processes = worker_processes(workers, count)
-        pool = context.Pool(processes, signal.signal, (signal.SIGINT, signal.SIG_IGN))
-    with pool:
-        yield partial(_map_ahead, pool, AHEAD * workers)
-
-
-def _map_ahead(
-    pool: Pool, ahead: int, make: Callable[[int], list[Frame]], numbers: Iterable[int]
-) -> Iterator[list[Frame]]:
-    """Yield results in order, with at most ``ahead`` under way or waiting.
-
-    `Pool.imap` renders on however slowly its results are taken: for a model card, gigabytes.
-    """
-    waiting: deque[AsyncResult[list[Frame]]] = deque()
-    for number in numbers:
-        waiting.append(pool.apply_async(make, (number,)))
-        if len(waiting) >= ahead:
-            yield waiting.popleft().get()
-    while waiting:
-        yield waiting.popleft().get()
-
-
-def _render_group(
-    together: Sequence[Variation],
+def _render_item(
+    groups: Sequence[Sequence[Variation]],
     seed: int,
-    count: int,
     size: tuple[int, int],
     keep: Path | None,
-    number: int,
+    item: tuple[int, int],
 ) -> list[Frame]:
-    """Render picture `number` of variations that share the light, or read those that were kept."""
+    """Render a picture of variations that share the light, or read those that were kept."""
+    together, number = groups[item[0]], item[1]
     camera = camera_of(together[0].scene, size)
     kept = (
         [] if keep is None else [keep / _folder(v, seed, size) / f"{number}.png" for v in together]
@@ -227,7 +178,14 @@ def _render_group(
             Frame(np.asarray(read_rgb(path)), label(v.scene, seed, number), camera)
             for v, path in zip(together, kept, strict=True)
         ]
-    frames = _shoot_group(together, seed, number, camera)
+    sensors = [variation.scene.sensor for variation in together]
+    scene, empty = together[0].scene, together[0].empty
+    frames = [
+        frame._replace(image=blurred(frame.image, variation.blur_px))
+        for variation, frame in zip(
+            together, shoot_each(scene, seed, number, camera, sensors, empty=empty), strict=True
+        )
+    ]
     for path, frame in zip(kept, frames, strict=False):
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as temporary:
@@ -239,18 +197,6 @@ def _folder(variation: Variation, seed: int, size: tuple[int, int]) -> str:
     depends = [variation.scene.parameters(), variation.blur_px, variation.empty, seed, size]
     digest = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
     return f"{variation.name.replace(' ', '-')}-{digest[:16]}"
-
-
-def _shoot_group(
-    together: Sequence[Variation], seed: int, number: int, camera: Camera
-) -> list[Frame]:
-    scene, empty = together[0].scene, together[0].empty
-    sensors = [variation.scene.sensor for variation in together]
-    shots = shoot_each(scene, seed, number, camera, sensors, empty=empty)
-    return [
-        Frame(blurred(shot.image, variation.blur_px), shot.pose, camera)
-        for variation, shot in zip(together, shots, strict=True)
-    ]
 
 
 def blurred(image: Bytes, sigma: float) -> Bytes:

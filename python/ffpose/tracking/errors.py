@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffpose.geometry import FloatArray
-from ffpose.geometry.trajectory import Trajectory, conjugate, logarithm, product
+from ffpose.geometry.rotations import conjugate, multiply, rotation_vector
+from ffpose.geometry.trajectory import Trajectory
 from ffpose.tracking.follow import Followed
 
 NEES_BOUNDS = (4.40, 23.34)
@@ -87,7 +88,7 @@ def track_errors(followed: Sequence[Followed]) -> TrackErrors:
         one, pose = each.step.estimate, each.frame.pose
         nis[row] = np.nan if each.step.nis is None else each.step.nis
         if pose is not None and each.alone is not None and not each.alone.flagged:
-            turn = logarithm(product(conjugate(each.alone.q), pose.q))
+            turn = rotation_vector(multiply(conjugate(each.alone.q), pose.q))
             alone[row] = np.linalg.norm(pose.t - each.alone.t), np.degrees(np.linalg.norm(turn))
         if one is None:
             start = np.nan
@@ -103,7 +104,7 @@ def track_errors(followed: Sequence[Followed]) -> TrackErrors:
             passed = truth.times[place] - truth.times[place - 1]
             way += float(np.degrees(np.linalg.norm(truth.w[place]))) * passed
         turned[row] = way
-        turn = logarithm(product(conjugate(one.q), pose.q))
+        turn = rotation_vector(multiply(conjugate(one.q), pose.q))
         rate = truth.w[place] - np.radians(one.w)
         error = np.concatenate([pose.t - one.t, truth.v[place] - one.v, turn, rate])
         nees[row] = error @ np.linalg.solve(one.covariance, error)

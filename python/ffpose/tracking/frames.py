@@ -62,6 +62,6 @@ def read_frames(folder: Path, times: Path | None = None) -> list[Frame]:
         pose = None
         if posed:
             values = entry.parsed(POSE)
-            pose = entry.pose(values[:3], values[3:])
+            pose = entry.made(Pose, values[:3], values[3:])
         frames.append(Frame(image, time, pose))
     return frames

@@ -16,7 +16,7 @@ from ffpose._internal.figures import new_figure, style_axes
 from ffpose._internal.files import atomic_write
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, FloatArray
-from ffpose.geometry.trajectory import logarithm
+from ffpose.geometry.rotations import rotation_vector
 from ffpose.imaging.images import read_rgb
 from ffpose.imaging.overlay import draw_axes
 from ffpose.tracking.errors import NEES_BOUNDS, NIS_BOUNDS, TrackErrors, track_errors
@@ -126,7 +126,7 @@ def _values(followed: Sequence[Followed]) -> FloatArray:
     for row, each in enumerate(followed):
         one = each.step.estimate
         if one is not None:
-            values[row] = np.concatenate([one.t, one.v, np.degrees(logarithm(one.q)), one.w])
+            values[row] = np.concatenate([one.t, one.v, np.degrees(rotation_vector(one.q)), one.w])
     return values
 
 

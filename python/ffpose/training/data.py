@@ -19,7 +19,7 @@ from ffpose.datasets import (
     list_splits,
     read_records,
 )
-from ffpose.datasets.keypoints import read_keypoints
+from ffpose.datasets.csv_set import read_keypoints
 from ffpose.datasets.patches import dataset_patches
 from ffpose.datasets.scenes import open_frames, rendered_patches
 from ffpose.errors import hint

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor, nn
 
 from ffpose.config import looks_twice
-from ffpose.datasets.targets import Target, spread
 from ffpose.errors import require
 from ffpose.evaluation.metrics import PoseError
+from ffpose.geometry import Target
 from ffpose.models import read_metadata
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibrate_weights import write_calibrated
@@ -369,7 +369,7 @@ def validate(run: Run) -> Row:
     row: Row = {f"val_{name}": float(value) for name, value in metric.compute().items()}
     val_set = run.task.val_set
     if val_set.target == "camera":
-        position = float(row["val_median_translation_error_m"]) / spread(val_set.poses)
+        position = float(row["val_median_translation_error_m"]) / val_set.spread
         rotation = math.radians(float(row["val_median_rotation_error_deg"]))
         row["val_scene_score"] = position + rotation
     return row

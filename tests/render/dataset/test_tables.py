@@ -63,9 +63,9 @@ def test_sun_angle_is_that_of_the_light():
 
 def test_a_wall_of_clouds_is_not_the_earth(monkeypatch):
     scene = replace(SCENES["soyuz_easy"], randomization=Randomization(background=0.5))
-    walls, backdrop = [], renderer._draw_backdrop
+    walls, backdrop = [], renderer.backdrop
     monkeypatch.setattr(
-        renderer, "_draw_backdrop", lambda *given: walls.append(index) or backdrop(*given)
+        renderer, "backdrop", lambda *given: walls.append(index) or backdrop(*given)
     )
     for index in range(10):
         render(scene, 6, index, (16, 16))

@@ -142,7 +142,8 @@ def test_a_shard_costs_what_its_own_images_cost(tmp_path, monkeypatch):
     done = write_dataset("soyuz_easy", tmp_path, 2, seed=7, start=far, size=SIZE, labels=["mask"])
     assert done.rendered == 2
     assert labeled <= {far, far + 1}
-    assert hashed == {f"{far}_mask.png", f"{far + 1}_mask.png"}
+    own = (far, far + 1)
+    assert hashed == {f"{index}_{kind}.png" for index in own for kind in ("mask", "rgb")}
     alone = write_dataset("soyuz_easy", tmp_path / "alone", 2, seed=7, start=far, size=SIZE)
     assert alone.closed
     assert labeled == {far, far + 1}

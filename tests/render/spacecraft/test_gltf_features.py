@@ -375,7 +375,7 @@ def test_a_far_texture_has_its_mean_light(tmp_path, distance):
     view = cast_rays(tracer, find_window(craft.mesh.vertices, pose, camera), camera, pose, 2)
     shown = finish.surface(view, view.hits.distance / np.float32(camera.fx), 2).color
     np.testing.assert_allclose(shown.mean(axis=1), light, rtol=0.01)
-    np.testing.assert_allclose(Maps(craft).mean("color_map")[:, :3].mean(axis=0), light, rtol=0.03)
+    np.testing.assert_allclose(Maps(craft).means["color_map"][:, :3].mean(axis=0), light, rtol=0.03)
 
 
 @pytest.mark.parametrize("distance", [4.0, 10.0, 25.0, 60.0, 150.0])

@@ -138,7 +138,7 @@ def face_codes(craft):
     """The sRGB color of each face: the mean of its textures, times factor and vertex colors."""
     light = np.array([craft.materials[number].color for number in craft.mesh.material])
     if any(material.color_map for material in craft.materials):
-        light = light * Maps(craft).mean("color_map")[:, :3]
+        light = light * Maps(craft).means["color_map"][:, :3]
     if craft.mesh.colors is not None:
         light = light * craft.mesh.colors[..., :3].mean(axis=1)
     return codes(light)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import write_json
 from ffpose._internal.machine import package_versions
 from ffpose.errors import DataError
 from ffpose.render.layers import coordinates_limit
@@ -60,11 +60,7 @@ class Manifest:
 
     @classmethod
     def read(cls, path: Path) -> Manifest | None:
-        """Read a manifest, or return None if there is no such file.
-
-        Raises:
-            DataError: The file is not a manifest.
-        """
+        """Read a manifest, or return None if there is no such file; a DataError if it is none."""
         if not path.exists():
             return None
         try:
@@ -78,8 +74,7 @@ class Manifest:
     def write(self, target: Path) -> None:
         """Write the manifest into a file, whole or not at all."""
         content = {"parameters": self.parameters, "versions": self.versions, "files": self.files}
-        with atomic_write(target) as path:
-            path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        write_json(target, content, 1)
 
 
 def part_name(indices: range) -> str:

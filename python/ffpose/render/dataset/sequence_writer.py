@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import multiprocessing
-import signal
 import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections import deque
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ffpose._internal.files import atomic_write, expect_room, read_json, remove_leftovers
-from ffpose._internal.machine import worker_processes
+from ffpose._internal.files import (
+    atomic_write,
+    expect_room,
+    read_json,
+    remove_leftovers,
+    write_csv,
+    write_json,
+)
 from ffpose._internal.seeds import refuse_final
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 from ffpose.geometry import CAMERA_FILE
-from ffpose.render.dataset.pool import PNG_LEVEL, one_thread_each, prepare
+from ffpose.render.dataset.writer import LEAST_BYTES_PER_PIXEL, PNG_LEVEL, prepare
+from ffpose.render.processes import in_processes
 from ffpose.render.sequence import SEQUENCE, Sequence, render_frame
 
 FRAMES = "frames.csv"
 PARAMETERS = "sequence.json"
 COLUMNS = ("image", "time", "tx", "ty", "tz", "qw", "qx", "qy", "qz")
-LEAST_BYTES_PER_PIXEL = 0.4
 
 
 class WrittenFrames(NamedTuple):
@@ -59,13 +62,8 @@ def write_sequence(
     """Render the frames of a sequence into a folder, with ``frames.csv`` and ``camera.json``.
 
     The same arguments give the same bytes, for any number of workers and however often the run was
-    killed; frames that are there are kept.
-
-    Args:
-        sequence: The frames.
-        out: Folder to write to; created if it does not exist.
-        drop: Share of the frames that are lost, 0 to 1, at random; the first is not.
-        workers: Number of processes; 1 renders in the calling process.
+    killed; frames that are there are kept. A share ``drop`` of the frames is lost, 0 to 1, at
+    random; the first is not.
 
     Raises:
         ValueError: A number is out of range, or the folder holds something else.
@@ -74,10 +72,8 @@ def write_sequence(
         MissingExtraError: A package of the extra `render` is not installed.
     """
     begin = time.perf_counter()
-    if not 0 <= drop < 1:
-        raise ValueError(f"drop: expected a share of at least 0 and below 1, got {drop}")
-    if not 1 <= workers <= 1024:
-        raise ValueError(f"workers: expected 1…1024, got {workers}")
+    expect(0 <= drop < 1, "drop", "a share of at least 0 and below 1", drop)
+    expect(1 <= workers <= 1024, "workers", "1…1024", workers)
     refuse_final(sequence.seed)
     prepare(sequence.scene)
     folder = Path(out)
@@ -89,18 +85,11 @@ def write_sequence(
     least = LEAST_BYTES_PER_PIXEL * sequence.camera.width * sequence.camera.height * len(missing)
     expect_room(folder, int(least), f"{len(missing)} frames")
     remove_leftovers(folder)
-    for _ in _rendered(sequence, folder, missing, workers):
-        pass
+    deque(in_processes(partial(_write, sequence, folder), missing, workers), maxlen=0)
     sequence.camera.write(folder / CAMERA_FILE)
-    with (
-        atomic_write(folder / FRAMES) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(COLUMNS)
-        for index in wanted:
-            when = float(sequence.trajectory.times[index])
-            table.writerow([frame_name(index), when, *sequence.pose(index).vector.tolist()])
+    times = sequence.trajectory.times
+    rows = ([frame_name(n), float(times[n]), *sequence.pose(n).vector.tolist()] for n in wanted)
+    write_csv(folder / FRAMES, [COLUMNS, *rows])
     seconds = time.perf_counter() - begin
     return WrittenFrames(folder, len(missing), len(wanted) - len(missing), seconds)
 
@@ -125,44 +114,7 @@ def _claim(folder: Path, parameters: dict[str, object]) -> None:
             f"got files without {PARAMETERS}"
         )
     folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(mine) + "\n", encoding="utf-8")
-
-
-def _rendered(sequence: Sequence, folder: Path, indices: list[int], workers: int) -> Iterator[None]:
-    """Render and write frames, and yield as each is done."""
-    if workers == 1 or len(indices) < 2:
-        for index in indices:
-            _write(sequence, folder, index)
-            yield
-        return
-    context = multiprocessing.get_context("spawn")
-    with (
-        one_thread_each(),
-        ProcessPoolExecutor(
-            worker_processes(workers, len(indices)), context, _start_worker, (sequence, folder)
-        ) as pool,
-    ):
-        futures = [pool.submit(_worker_write, index) for index in indices]
-        try:
-            for future in as_completed(futures):
-                future.result()
-                yield
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-_worker_job: list[tuple[Sequence, Path]] = []
-"""What this worker process renders; sent once, as a spacecraft may be a large mesh."""
-
-
-def _start_worker(sequence: Sequence, folder: Path) -> None:
-    _worker_job[:] = [(sequence, folder)]
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent lets every worker finish its frame
-
-
-def _worker_write(index: int) -> None:
-    _write(*_worker_job[0], index)
+    write_json(path, mine, None)
 
 
 def _write(sequence: Sequence, folder: Path, index: int) -> None:

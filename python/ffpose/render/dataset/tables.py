@@ -6,7 +6,6 @@ image's conditions, which URSO's layout does not have, stands beside them.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ffpose._internal import urso
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import atomic_write, write_csv
 from ffpose.geometry import CAMERA_FILE, Camera, Pose
 from ffpose.render.renderer import situation
 from ffpose.render.sampler import meets_earth, visible_share
@@ -68,18 +67,11 @@ def split_of(index: int) -> str:
 
 
 def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> list[str]:
-    """Write labels, splits and camera of a set.
+    """Write labels, splits and camera of a set, and return the names of the files.
 
-    A split without images has no files. Row N of ``gt.csv`` is that of image N, so a set that does
-    not begin with image 0 has no ``gt.csv``.
-
-    Args:
-        folder: Folder of the images.
-        poses: Label of each image by its index, in order and without gaps.
-        camera: The camera of the images.
-
-    Returns:
-        The names of the files written.
+    ``poses`` has the label of each image by its index, in order and without gaps. A split without
+    images has no files. Row N of ``gt.csv`` is that of image N, so a set that does not begin with
+    image 0 has no ``gt.csv``.
     """
     camera.write(folder / CAMERA_FILE)
     names = [CAMERA_FILE]
@@ -99,18 +91,13 @@ def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> lis
 
 def write_conditions(folder: Path, conditions: Mapping[int, Conditions]) -> str:
     """Write the conditions of images, given by index, and return the name of the file."""
-    target = folder / urso.CONDITIONS
-    with atomic_write(target) as path, path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["image", *Conditions._fields])
-        for index, row in conditions.items():
-            values = (int(value) if isinstance(value, bool) else value for value in row)
-            writer.writerow([urso.image_name(index), *values])
-    return target.name
+    rows = (
+        [urso.image_name(n), *(int(v) if isinstance(v, bool) else v for v in row)]
+        for n, row in conditions.items()
+    )
+    write_csv(folder / urso.CONDITIONS, [("image", *Conditions._fields), *rows])
+    return urso.CONDITIONS
 
 
 def _write_poses(target: Path, poses: Iterable[Pose]) -> None:
-    with atomic_write(target) as path, path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, urso.COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: repr(v) for k, v in pose.to_urso().items()} for pose in poses)
+    write_csv(target, [urso.COLUMNS, *(pose.to_urso().values() for pose in poses)])

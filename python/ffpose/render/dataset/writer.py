@@ -14,19 +14,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from ffpose._internal.files import expect_room, remove_leftovers, sha256
+from ffpose._internal.files import atomic_write, expect_room, remove_leftovers, sha256
 from ffpose._internal.seeds import refuse_final
 from ffpose._internal.urso import image_name, index_of
-from ffpose.errors import require
+from ffpose.errors import expect, require
 from ffpose.geometry import Camera
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
-from ffpose.render.dataset.pool import Job, prepare, render_all
 from ffpose.render.dataset.tables import conditions_of, write_conditions, write_tables
-from ffpose.render.layers import check_labels, label_files
-from ffpose.render.renderer import camera_of, label
+from ffpose.render.layers import check_labels, label_files, render_layers, write_layers
+from ffpose.render.processes import in_processes
+from ffpose.render.renderer import camera_of, label, render
 from ffpose.render.scene import Scene
 from ffpose.render.scene_file import find_scene
 
@@ -34,6 +35,19 @@ MAX_COUNT = 10_000_000
 LEAST_BYTES_PER_PIXEL = 0.4
 """Lower bound on the size of an image file, given its noise; typical sets take two to three times
 as much."""
+
+PNG_LEVEL = 3
+"""Compression level of the PNG files; noise hardly compresses, so more costs time alone."""
+
+
+class Job(NamedTuple):
+    """Parameters that all images of a run share; those of `write_dataset`."""
+
+    scene: Scene
+    seed: int
+    size: tuple[int, int]
+    folder: Path
+    labels: tuple[str, ...]
 
 
 class Written(NamedTuple):
@@ -116,7 +130,8 @@ def write_dataset(
         manifest.write(job.folder / FILE_NAME)
     remove_leftovers(job.folder)
     with _bar(count, len(hashes), progress) as advance:
-        for index, digest in render_all(job, missing, workers):
+        made = in_processes(partial(render_one, job), missing, workers)
+        for index, digest in zip(missing, made, strict=True):
             hashes[index] = digest
             advance()
     files = _fingerprints(job, hashes)
@@ -130,11 +145,33 @@ def write_dataset(
     return Written(job.folder, len(missing), count - len(missing), seconds, closed)
 
 
+def prepare(scene: Scene) -> None:
+    """Check that the renderer's packages are installed, or raise a MissingExtraError."""
+    for package in ("embreex", "PIL", "rich"):
+        require(package, "render")
+    if scene.renderer == "mitsuba":
+        require("mitsuba", "mitsuba")
+
+
+def render_one(job: Job, index: int) -> str:
+    """Render and write one image and its layers, and return the image's SHA-256."""
+    from PIL import Image
+
+    frame = render(job.scene, job.seed, index, job.size)
+    if job.labels:
+        # Layers first: an image that exists then has its layers.
+        layers = render_layers(job.scene, job.seed, index, job.size)
+        write_layers(job.folder, index, layers, job.labels)
+    target = job.folder / image_name(index)
+    with atomic_write(target, durable=False) as path:  # a later run rerenders damaged files
+        Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
+        return sha256(path)
+
+
 def _check_range(**values: tuple[int, int, int]) -> None:
     """Check that each value of (value, least, most) is within its bounds."""
     for name, (value, least, most) in values.items():
-        if not least <= value <= most:
-            raise ValueError(f"{name}: expected {least}…{most}, got {value}")
+        expect(least <= value <= most, name, f"{least}…{most}", value)
 
 
 def _begun(job: Job, manifest: Manifest) -> Manifest | None:

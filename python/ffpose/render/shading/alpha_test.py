@@ -22,12 +22,7 @@ OPAQUE = 0.999
 
 
 class AlphaTest:
-    """Which hits of rays are with an opaque part of a surface.
-
-    Args:
-        craft: The spacecraft.
-        maps: Its textures.
-    """
+    """Which hits of rays are with an opaque part of a surface, by the spacecraft's textures."""
 
     def __init__(self, craft: Craft, maps: Maps) -> None:
         mesh, materials = craft.mesh, craft.materials
@@ -44,11 +39,9 @@ class AlphaTest:
         if mesh.colors is not None:
             clear |= mesh.colors[..., 3].min(axis=1) < OPAQUE
         self._clear = clear
-        self._one_sided = np.array([not material.two_sided for material in materials])[
-            mesh.material
-        ]
-        a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-        self._normals = np.cross(b - a, c - a).astype(np.float32)
+        one_sided = np.array([not material.two_sided for material in materials])
+        self._one_sided = one_sided[mesh.material]
+        self._normals = mesh.face_normals.astype(np.float32)
 
     @property
     def needed(self) -> bool:
@@ -61,7 +54,7 @@ class AlphaTest:
         alpha = self._alpha[self._material]
         if self._mapped:
             mapped = np.isin(self._material, self._mapped)
-            alpha = np.where(mapped, alpha * self._maps.mean("color_map")[:, 3], alpha)
+            alpha = np.where(mapped, alpha * self._maps.means["color_map"][:, 3], alpha)
         if self._colors is not None:
             alpha = alpha * self._colors[..., 3].mean(axis=1)
         return np.asarray(~self._clear | (alpha > 0.5))
@@ -69,13 +62,10 @@ class AlphaTest:
     def passes(
         self, ray: NDArray[np.intp], directions: Floats, points: Points, depth: int
     ) -> NDArray[np.bool_]:
-        """Return which rays (N,) pass through the surface that they hit.
+        """Return which rays (N,) of directions (N, 3) pass through the surface that they hit.
 
-        Args:
-            ray: (N,) numbers of the rays, by which those of a pixel differ.
-            directions: (N, 3) of the rays.
-            points: Where they hit.
-            depth: How many surfaces they have passed before.
+        By their numbers ``ray`` (N,) those of a pixel differ; they have passed ``depth`` surfaces
+        before.
         """
         face = points.face
         through = self._one_sided.take(face)
@@ -92,7 +82,7 @@ class AlphaTest:
 
     def _alphas(self, points: Points) -> Floats:
         number = self._material.take(points.face)
-        alpha = self._alpha.take(number)
+        alpha: Floats = self._alpha.take(number)
         for mapped in self._mapped:
             at = np.flatnonzero(number == mapped)
             if at.size:
@@ -101,5 +91,4 @@ class AlphaTest:
         if self._colors is not None:
             corners = self._colors[..., 3].take(points.face, axis=0)
             alpha *= (corners.T * points.weights).sum(axis=0)
-        result: Floats = alpha
-        return result
+        return alpha

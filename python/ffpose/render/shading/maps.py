@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from ffpose.arrays import sample_texture
 from ffpose.render.shading.vectors import Floats, dot, unit
 from ffpose.render.spacecraft.craft import Craft
-from ffpose.render.spacecraft.materials import Texture
+from ffpose.render.spacecraft.materials import SLOTS, Texture
 from ffpose.render.spacecraft.mesh import Mesh
-
-SLOTS = ("color_map", "roughness_map", "normal_map", "emission_map")
 
 LEAST_AREA = 1e-18
 """Smallest area of a face, in textures and in square meters, for logarithms."""
@@ -53,7 +51,11 @@ class Points(NamedTuple):
 
 
 class Maps:
-    """Lookup of textures."""
+    """Lookup of textures.
+
+    Attributes:
+        means: Means (F, 4) of the textures of each slot over the faces; 0 where none is.
+    """
 
     def __init__(self, craft: Craft) -> None:
         mesh = craft.mesh
@@ -61,8 +63,7 @@ class Maps:
         self._textures = {
             slot: [getattr(material, slot) for material in craft.materials] for slot in SLOTS
         }
-        a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        area = np.linalg.norm(mesh.face_normals, axis=1)
         self._sizes, self._densities = [], []
         for layer in mesh.layers:
             first, second = layer[:, 1] - layer[:, 0], layer[:, 2] - layer[:, 0]
@@ -72,18 +73,12 @@ class Maps:
             self._densities.append((0.5 * np.log2(ratio)).astype(np.float32))
         bent = {texture.layer for texture in self._textures["normal_map"] if texture}
         self._tangents = {layer: _tangents(mesh, mesh.layers[layer]) for layer in bent}
-        self._means = {slot: self._face_means(craft, slot) for slot in SLOTS}
+        self.means = {slot: self._face_means(craft, slot) for slot in SLOTS}
 
     def values(
         self, number: int, points: Points, slots: Sequence[str] = SLOTS
     ) -> dict[str, Floats]:
-        """Return the values (4, N) of a material's textures at points of faces that have it.
-
-        Args:
-            number: The material.
-            points: The points.
-            slots: Which textures; those that the material lacks are left out.
-        """
+        """Return by slot the values (4, N) of a material's textures at points that have it."""
         found, levels = {}, dict[int, tuple[Floats, Floats]]()
         for slot in slots:
             texture = self._textures[slot][number]
@@ -93,13 +88,9 @@ class Maps:
                 levels[texture.layer] = self._levels(texture.layer, points)
             level, shares = levels[texture.layer]
             found[slot] = self._sampled(
-                texture, points, level + _level(texture), shares, self._means[slot]
+                texture, points, level + _level(texture), shares, self.means[slot]
             )
         return found
-
-    def mean(self, slot: str) -> NDArray[np.float16]:
-        """Return the means (F, 4) of the textures of a slot over the faces; 0 where none is."""
-        return self._means[slot]
 
     def bent(self, number: int, points: Points, normal: Floats, values: Floats) -> Floats:
         """Return unit normals (3, N) bent by those of a normal map, (4, N) in the tangent frame."""

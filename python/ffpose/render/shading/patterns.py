@@ -34,13 +34,8 @@ class Surface(NamedTuple):
 def fbm(points: Floats, octaves: int, gain: float = 0.5) -> Floats:
     """Sum octaves of noise, each at about twice the frequency and `gain` times the amplitude.
 
-    Args:
-        points: (3, N) float32; the first octave has its lattice points 1 apart.
-        octaves: Number of octaves, at least 1.
-        gain: Ratio of successive amplitudes.
-
-    Returns:
-        (N,) float32, scaled to lie within −1…1 (most of it within ±0.5).
+    The first octave has its lattice points 1 apart in points (3, N), float32. The sums (N,),
+    float32, lie within −1…1, most of them within ±0.5.
     """
     heights = gain ** np.arange(octaves)
     return fractal_noise(points, (heights / heights.sum()).astype(np.float32))
@@ -69,7 +64,6 @@ def _bump(surface: Surface, at: Indices, points: Floats, height: float, octaves:
 
 
 def _cells(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: Floats) -> None:
-    del place
     gap = _grid(uv, 0.07, footprint)
     seed = np.floor(np.stack([uv[0], uv[1], uv[0] + 3 * uv[1]])) * np.float32(7.3)
     tone = 1 + np.float32(0.3) * fbm(seed, 1)
@@ -79,7 +73,6 @@ def _cells(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: 
 
 
 def _foil(surface: Surface, at: Indices, uv: Floats, place: Floats, footprint: Floats) -> None:
-    del uv, footprint
     _bump(surface, at, place * np.float32(20), 0.4, 4)
 
 

@@ -101,15 +101,8 @@ def smoothed(
 ) -> Floats:
     """Average a noisy quantity over the 5 x 5 pixels around each sample.
 
-    Args:
-        values: (K,) values at some of the samples.
-        known: (K,) indices of these samples.
-        ray: (H,) indices of all samples, as in `View`.
-        window: The rectangle of pixels.
-        samples: Samples along each side of a pixel.
-
-    Returns:
-        Means (H,); 1 where no value is near.
+    ``values`` (K,) are those of the samples of indices ``known`` (K,); the means (H,) of all
+    samples ``ray`` (H,), as in `View`, are 1 where no value is near.
     """
     rows, columns = window.shape
     cells = rows * columns

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.render.shading.maps import Maps, Points
-from ffpose.render.shading.patterns import DRAW, Indices, Surface
+from ffpose.render.shading.patterns import DRAW, Surface
 from ffpose.render.shading.randomization import stops
 from ffpose.render.shading.rays import View
 from ffpose.render.shading.tracer import Tracer
@@ -57,11 +57,11 @@ class Light(NamedTuple):
 
     sun: Floats
     nadir: Floats
-    earth: float
-    horizon: float
-    sunlight: float
-    lamp: float
-    tint: Floats
+    earth: float = 0.0
+    horizon: float = 0.0
+    sunlight: float = 1.0
+    lamp: float = 0.0
+    tint: Floats = np.ones((3, 1), np.float32)
 
 
 class MaterialTable:
@@ -94,14 +94,11 @@ class MaterialTable:
     def surface(self, view: View, footprint: Floats, samples: int = 1) -> Surface:
         """Evaluate materials, textures and patterns at the points of a view.
 
-        Args:
-            view: The hit points.
-            footprint: (N,) width of a pixel at each point, meters; finer detail is averaged.
-            samples: Rays along each side of a pixel.
+        Detail finer than ``footprint`` (N,), the width of a pixel at each point in meters, is
+        averaged; there are ``samples`` rays along each side of a pixel.
         """
         face = view.hits.face
-        second, third = view.hits.barycentric
-        weights = np.stack([1 - second - third, second, third])
+        weights = view.hits.weights
         normal = _blend(self._normals.take(face, axis=0), weights)
         turned = dot(normal, view.rays) > EDGE_ON
         number = self._material.take(face)
@@ -143,50 +140,31 @@ class MaterialTable:
             whole = found.size == number.size
             some = points if whole else points.some(found)
             at = slice(None) if whole else found  # of a slice there are no copies
-            for slot, values in self.maps.values(mapped, some).items():
-                MAPS[slot](self.maps, mapped, surface, at, some, values)
+            values = self.maps.values(mapped, some)
+            if "color_map" in values:
+                color = values["color_map"]
+                surface.color[:, at] *= color[:3] / np.maximum(color[3], np.float32(1e-3))
+            if "roughness_map" in values:
+                _, rough, metallic, _ = values["roughness_map"]
+                surface.roughness[at] = np.maximum(surface.roughness[at] * rough, LEAST_ROUGHNESS)
+                surface.metallic[at] *= metallic
+            if "normal_map" in values:
+                bend = values["normal_map"]
+                surface.roughness[at] = _widened(surface.roughness[at], bend)
+                normal = unit(surface.normal[:, at])
+                surface.normal[:, at] = self.maps.bent(mapped, some, normal, bend)
+            if "emission_map" in values:
+                surface.emission[:, at] *= values["emission_map"][:3]
 
 
-def _map_color(
-    maps: Maps, number: int, surface: Surface, at: Indices | slice, points: Points, values: Floats
-) -> None:
-    del maps, number, points
-    surface.color[:, at] *= values[:3] / np.maximum(values[3], np.float32(1e-3))
+def _widened(roughness: Floats, bend: Floats) -> Floats:
+    """Return the roughness where normals of a map differ within a texel.
 
-
-def _map_roughness(
-    maps: Maps, number: int, surface: Surface, at: Indices | slice, points: Points, values: Floats
-) -> None:
-    del maps, number, points
-    surface.roughness[at] = np.maximum(surface.roughness[at] * values[1], LEAST_ROUGHNESS)
-    surface.metallic[at] *= values[2]
-
-
-def _map_normal(
-    maps: Maps, number: int, surface: Surface, at: Indices | slice, points: Points, values: Floats
-) -> None:
-    # Where normals differ within a texel, their mean is shorter and the highlight is wider
-    # (Toksvig 2005, "Mipmapping normal maps").
-    length = np.clip(np.sqrt(dot(values[:3], values[:3])), 0.1, 1)
-    slope = np.square(np.square(surface.roughness[at])) + 2 * (1 - length) / length
-    surface.roughness[at] = np.sqrt(np.sqrt(np.minimum(slope, 1)))
-    surface.normal[:, at] = maps.bent(number, points, unit(surface.normal[:, at]), values)
-
-
-def _map_emission(
-    maps: Maps, number: int, surface: Surface, at: Indices | slice, points: Points, values: Floats
-) -> None:
-    del maps, number, points
-    surface.emission[:, at] *= values[:3]
-
-
-MAPS = {
-    "color_map": _map_color,
-    "roughness_map": _map_roughness,
-    "normal_map": _map_normal,
-    "emission_map": _map_emission,
-}
-"""Function that applies each kind of texture."""
+    Their mean is shorter and the highlight is wider (Toksvig 2005, "Mipmapping normal maps").
+    """
+    length = np.clip(np.sqrt(dot(bend[:3], bend[:3])), 0.1, 1)
+    slope = np.square(np.square(roughness)) + 2 * (1 - length) / length
+    return np.asarray(np.sqrt(np.sqrt(np.minimum(slope, 1))))
 
 
 def sun_visible(tracer: Tracer, place: Floats, normal: Floats, light: Light) -> Floats:
@@ -224,12 +202,7 @@ def reflected(
 ) -> Floats:
     """Compute the radiance (3, N) reflected toward the camera.
 
-    Args:
-        surface: Surface attributes of the points.
-        view: The rays that hit them.
-        light: The lights.
-        sunlit: (N,) fraction of the sun that each point sees, 0…1.
-        earthlit: (N,) fraction of the Earth's light that reaches each point, 0…1.
+    ``sunlit`` and ``earthlit`` (N,) are the fractions of each light that reach the points, 0…1.
     """
     rays = view.rays
     plain = surface.color * (1 - surface.metallic)
@@ -241,7 +214,8 @@ def reflected(
     if light.lamp > 0:
         facing = -dot(rays, surface.normal)
         lamp = np.float32(light.lamp) * facing / view.hits.distance**2
-        out += (plain + _lamp_glint(surface, facing, mirror)) * lamp
+        glint = _lobe(surface, facing) / _reach(surface, facing) ** 2
+        out += (plain + mirror * glint) * lamp
     np.minimum(out, np.float32(HIGHLIGHT_LIMIT), out=out)
     out += surface.emission
     return out
@@ -257,12 +231,6 @@ def _highlight(surface: Surface, rays: Floats, sun: Floats, mirror: Floats) -> F
     grazing = (1 - np.clip(dot(sun, half), 0, 1)) ** 5
     result: Floats = (mirror + (1 - mirror) * grazing) * lobe
     return result
-
-
-def _lamp_glint(surface: Surface, facing: Floats, mirror: Floats) -> Floats:
-    """Evaluate the GGX lobe seen from the light itself, times pi."""
-    lobe: Floats = _lobe(surface, facing) / _reach(surface, facing) ** 2
-    return mirror * lobe
 
 
 def _lobe(surface: Surface, facing: Floats) -> Floats:

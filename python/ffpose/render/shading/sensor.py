@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.errors import require
+from ffpose.errors import expect, require
 from ffpose.render.shading.vectors import Floats, dot
 
 CURVE_STEPS = 4096
@@ -64,34 +64,20 @@ class Sensor:
                 "sensor: expected numbers of at least 0, full_well of at least 1 and vignette "
                 f"below 1, got {self}"
             )
-        if not 0 <= self.blur_px <= BLUR_LIMIT:
-            raise ValueError(f"blur_px: expected 0…{BLUR_LIMIT}, got {self.blur_px}")
+        expect(0 <= self.blur_px <= BLUR_LIMIT, "blur_px", f"0…{BLUR_LIMIT}", self.blur_px)
         if not 0 <= self.motion_px <= MOTION_LIMIT:
             raise ValueError(f"motion_px: expected 0…{MOTION_LIMIT}, got {self.motion_px}")
-        if self.jpeg_quality not in range(101):
-            raise ValueError(f"jpeg_quality: expected 0…100, got {self.jpeg_quality}")
-
-
-def averaging(sensor: Sensor, side: int) -> Sensor:
-    """Return the sensor whose pixels are means of ``side`` x ``side`` pixels of this one."""
-    return replace(
-        sensor, full_well=sensor.full_well * side**2, read_noise=sensor.read_noise * side
-    )
+        expect(self.jpeg_quality in range(101), "jpeg_quality", "0…100", self.jpeg_quality)
 
 
 def choose_gain(
     radiance: Floats, craft: Floats, spread: float, rng: np.random.Generator, side: int = 1
 ) -> float:
-    """Choose an exposure as a camera operator would, with a random error.
+    """Choose an exposure as a camera operator would, with a random error of ``spread`` stops.
 
-    The spacecraft's brighter parts come near full scale, unless much of the frame would saturate.
-
-    Args:
-        radiance: (H, W, 3) of the whole frame.
-        craft: (3, N) radiance of samples on the spacecraft; N may be 0.
-        spread: Standard deviation of the error, in stops.
-        rng: Generator of the error.
-        side: Pixels of the frame along each side of one of `radiance`, 1 or 2.
+    The brighter parts of ``craft`` (3, N), radiance of samples on the spacecraft, of which there
+    may be none, come near full scale, unless much of the frame (H, W, 3) would saturate. There are
+    ``side`` pixels of the frame along each side of one of ``radiance``, 1 or 2.
     """
     step = GAIN_STEP // side
     frame = _luminance(np.moveaxis(radiance[::step, ::step], -1, 0).reshape(3, -1))
@@ -104,20 +90,14 @@ def choose_gain(
 def expose(
     radiance: Floats, gain: float, sensor: Sensor, rng: np.random.Generator, side: int = 1
 ) -> NDArray[np.uint8]:
-    """Turn radiance into 8-bit pixel values.
+    """Turn radiance (H, W, 3) into 8-bit pixel values; the response is sRGB with a soft shoulder.
 
-    Args:
-        radiance: (H, W, 3) linear, of the whole frame; sunlit white paint is about 1.
-        gain: Exposure; a radiance of 1/gain is full scale.
-        sensor: Parameters of the sensor.
-        rng: Generator of the noise.
-        side: Pixels of the sensor along each side of one of `radiance`, 1 or 2. Noise is that of
-            their mean, and the cells on which glare is computed stay those of the sensor.
-
-    Returns:
-        (H, W, 3) uint8; the response is sRGB with a soft shoulder.
+    Radiance is linear, sunlit white paint about 1, and 1/gain is full scale. There are ``side``
+    pixels of the sensor along each side of one of ``radiance``, 1 or 2: the noise is that of their
+    mean, and the cells on which glare is computed stay those of the sensor.
     """
-    sensor = averaging(sensor, side)
+    electrons, noise = sensor.full_well * side**2, sensor.read_noise * side
+    sensor = replace(sensor, full_well=electrons, read_noise=noise)  # of the mean of its pixels
     signal = radiance * np.float32(gain)
     if sensor.bloom > 0:
         _add_bloom(signal, sensor.bloom, BLOOM_CELL // side)
@@ -170,11 +150,7 @@ def _blur(image: Floats, sigma: float) -> Floats:
 
 
 def _bell(sigma: float) -> Floats:
-    """Return blur weights at 0, 1, 2, … pixels with variance sigma².
-
-    Three taps where three can have that variance, as for blurs below a pixel; a sampled Gaussian
-    beyond.
-    """
+    """Return blur weights at 0, 1, … pixels of variance sigma²: three taps, or a Gaussian."""
     if sigma * sigma / 2 <= 1 / 3:
         side = np.float32(sigma * sigma / 2)
         return np.array([1 - 2 * side, side], dtype=np.float32)

@@ -30,11 +30,8 @@ def draw_stars(
 ) -> Floats:
     """Draw stars uniformly over the sky with the true count per magnitude: radiance (H, W, 3).
 
-    Args:
-        camera: Camera of the image.
-        rng: Generator of the stars.
-        side: Pixels of a finer image along each side of one of this, which is its mean.
-        turn: (3, 3) rotation of the sky in the camera frame since the generator's stars were drawn.
+    There are ``side`` pixels of a finer image along each side of one of this, which is its mean;
+    ``turn`` (3, 3) rotates the sky in the camera frame since the generator's stars were drawn.
     """
     total = rng.poisson(STARS_TO_MAGNITUDE_ZERO * 10 ** (0.5 * FAINTEST))
     rays = rng.standard_normal((total, 3))
@@ -69,11 +66,8 @@ def draw_stars(
 def sun_disk(sun: NDArray[np.float64], rays: Floats, pixel_angle: float, side: int = 1) -> Floats:
     """Compute the sun's radiance (N,) along unit rays (3, N), its rim smoothed over a pixel.
 
-    Args:
-        sun: (3,) unit vector to the sun.
-        rays: Unit vectors through the pixels.
-        pixel_angle: Angle that one pixel covers, radians; the disk is at least as wide.
-        side: Pixels of a finer image along each side of one of this, whose disk has as much light.
+    The disk is at least as wide as a pixel, of ``pixel_angle`` radians, and has as much light as in
+    a finer image of which there are ``side`` pixels along each side of one of this.
     """
     toward = np.asarray(sun, dtype=np.float32)
     radius = _disk_radius(pixel_angle)
@@ -117,12 +111,8 @@ class Earth(NamedTuple):
     def shade(self, rays: Floats, pixel_angle: float) -> tuple[Floats, Floats]:
         """Compute the radiance that reaches the camera from the Earth and its atmosphere.
 
-        Args:
-            rays: (3, N) unit vectors, camera frame.
-            pixel_angle: Angle that one pixel covers, radians; the limb is smoothed over it.
-
-        Returns:
-            Radiance (3, N), and the transmittance (N,) for what lies behind the Earth.
+        Along unit rays (3, N) of the camera frame: radiance (3, N), and the transmittance (N,) for
+        what lies behind; the limb is smoothed over a pixel's angle, radians.
         """
         vectors = self.nadir.tolist(), self.altitude, self.sun.tolist(), self.ground.tolist()
         return arrays.shade_earth(rays, *vectors, self.octaves, pixel_angle)

@@ -39,17 +39,15 @@ class Hits(NamedTuple):
     distance: Floats
     barycentric: Floats
 
+    @property
+    def weights(self) -> Floats:
+        """Barycentric weights (3, H) of the face's corners."""
+        second, third = self.barycentric
+        return np.stack([1 - second - third, second, third])
+
 
 class Tracer:
-    """Embree's BVH of one mesh.
-
-    Args:
-        mesh: The surface, in meters.
-        alpha_test: What rays pass through; None is nothing.
-
-    Raises:
-        MissingExtraError: Embreex is not installed.
-    """
+    """Embree's BVH of one mesh, with a test of what rays pass through; None is nothing."""
 
     def __init__(self, mesh: Mesh, alpha_test: AlphaTest | None = None) -> None:
         require("embreex", "render")
@@ -62,12 +60,9 @@ class Tracer:
                 self._shadows = _scene(mesh.vertices, mesh.faces[casters])
 
     def first_hits(self, origin: Floats, directions: Floats, spread: float = 0.0) -> Hits:
-        """Find the first hits of rays from one point.
+        """Find the first hits of rays from one point (3,) in unit directions (N, 3), object frame.
 
-        Args:
-            origin: (3,) object frame, meters.
-            directions: (N, 3) unit vectors, object frame.
-            spread: Angle between neighboring rays, radians, over which textures are averaged.
+        Textures are averaged over ``spread``, the angle between neighboring rays, radians.
         """
         directions = np.ascontiguousarray(directions)
         hits = self._hits(np.broadcast_to(origin, directions.shape), directions)
@@ -75,10 +70,8 @@ class Tracer:
             return hits
         kept = []
         for depth in range(DEPTH):
-            second, third = hits.barycentric
-            weights = np.stack([1 - second - third, second, third])
             footprint = np.maximum(hits.distance * np.float32(spread), np.float32(1e-9))
-            points = Points(hits.face, weights, footprint)
+            points = Points(hits.face, hits.weights, footprint)
             through = self._alpha_test.passes(hits.ray, directions[hits.ray], points, depth)
             kept.append(_some(hits, ~through))
             hits = _some(hits, through)
@@ -109,12 +102,7 @@ class Tracer:
         )
 
     def blocked(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
-        """Return whether each ray hits anything; (N,) bool.
-
-        Args:
-            origins: (N, 3) object frame, meters.
-            directions: (N, 3) or (3,) unit vectors, object frame.
-        """
+        """Return which rays (N,) from points (N, 3) in directions (N, 3) or (3,) hit anything."""
         rays = np.ascontiguousarray(np.broadcast_to(directions, origins.shape), dtype=np.float32)
         found = self._shadows.run(np.ascontiguousarray(origins), rays, query="OCCLUDED")
         return np.asarray(found >= 0)

@@ -82,11 +82,7 @@ SHIPPED = {"soyuz": soyuz, "dragon": dragon}
 
 @lru_cache(maxsize=4)
 def build_craft(name: str) -> Craft:
-    """Build a spacecraft of `SHIPPED`; later calls return the same one.
-
-    Raises:
-        ValueError: `name` is not in `SHIPPED`; the message lists the valid names.
-    """
+    """Build a spacecraft of `SHIPPED`; later calls return the same one."""
     if name not in SHIPPED:
         raise ValueError(f"unknown spacecraft {name!r}; known: {', '.join(sorted(SHIPPED))}")
     module = SHIPPED[name]

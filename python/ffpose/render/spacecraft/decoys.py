@@ -17,11 +17,7 @@ COVERS = (METAL, WHITE, FOIL, BLANKET)
 
 
 def build_decoy(seed: int, index: int) -> Craft:
-    """Build decoy number ``index`` of a seed.
-
-    Raises:
-        ValueError: `seed` or `index` is negative.
-    """
+    """Build decoy number ``index`` of a seed; both are at least 0."""
     if seed < 0 or index < 0:
         raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
     rng = np.random.default_rng([seed, index, 0xDEC0])

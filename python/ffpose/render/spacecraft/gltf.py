@@ -22,7 +22,7 @@ from ffpose.errors import DataError, MissingExtraError, require
 from ffpose.render.spacecraft.gltfchecks import check_numbers
 from ffpose.render.spacecraft.gltfmaterials import Materials
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
-from ffpose.render.spacecraft.parts import Part
+from ffpose.render.spacecraft.parts import Part, check_shape
 
 Floats = NDArray[np.float64]
 Header = dict[str, Any]
@@ -65,13 +65,9 @@ class Placed(NamedTuple):
 
 
 def read_gltf(content: bytes, assets: Assets, most_faces: int) -> list[Part]:
-    """Read the default scene of a .gltf or .glb file.
+    """Read the default scene of a .gltf or .glb file of at most so many triangles.
 
-    Args:
-        content: The file.
-        assets: The files beside it.
-        most_faces: Largest number of triangles, counted before they are read; each may have
-            vertices of its own.
+    They are counted before they are read; each may have vertices of its own.
 
     Raises:
         DataError: The file is no glTF 2.0, is cut short, has a cycle of nodes, too many triangles
@@ -234,8 +230,6 @@ class _Document:
                     _fractions(packed[name], normalized) if name in packed else self.values(number)
                 )
         points = shape["POSITION"] = shape["POSITION"].astype(np.float64)
-        if not np.isfinite(points).all():
-            raise DataError("expected finite vertices, got NaN or infinity", self.source)
         for name, values in shape.items():
             if len(values) != len(points):
                 text = f"expected {len(points)} values of {name}, got {len(values)}"
@@ -247,10 +241,7 @@ class _Document:
             if "indices" in primitive:
                 order = self.values(primitive["indices"])[:, 0]
             faces = _triangles(order, primitive.get("mode", TRIANGLES))
-        if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
-            got = f"{faces.min()}…{faces.max()}"
-            text = f"expected faces that name vertices 0…{len(points) - 1}, got {got}"
-            raise DataError(text, self.source)
+        check_shape(points, faces, self.source)
         return shape | {"faces": faces}
 
     def _decoded(self, primitive: Header, mesh: int) -> Shape:

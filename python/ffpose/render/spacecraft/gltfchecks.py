@@ -63,14 +63,8 @@ def check_numbers(header: dict[str, Any], known: tuple[str, ...], path: Path) ->
     """Check the numbers of a document; factors out of their range are told and set to its end.
 
     Public files have such factors, by a slip of who drew the material; all else of them is right.
-
-    Args:
-        header: The document, whose factors are changed.
-        known: Beginnings of the names of extensions that are read; others may hold anything.
-        path: The file, for messages.
-
-    Raises:
-        DataError: A number is not finite, or an index, a count or a size is negative.
+    Extensions whose names do not begin with one of ``known`` are not read, and may hold anything. A
+    DataError if a number is not finite, or an index, a count or a size is negative.
     """
     stack: list[tuple[str, Any]] = [("", header)]
     while stack:

@@ -65,10 +65,7 @@ class Source(NamedTuple):
 class Materials:
     """The materials of a document, each with the sources of its textures' coordinates.
 
-    Args:
-        header: The document.
-        image_bytes: Returns the content of an image and its name for errors.
-        path: The file, for errors.
+    ``image_bytes`` returns the content of an image and its name for errors.
     """
 
     def __init__(
@@ -131,10 +128,10 @@ class Materials:
         roughness = factors["roughness"] if shine is None or rough is None else 1.0
         unlit = "KHR_materials_unlit" in extensions
         material = Material(
-            _three(np.clip(factors["color"][:3], 0, 1)),
+            three(np.clip(factors["color"][:3], 0, 1)),
             1.0 if unlit else float(max(roughness, LEAST_ROUGHNESS)),
             0.0 if unlit else factors["metallic"],
-            _three(emission),
+            three(emission),
             reflectance=(0.0, 0.0, 0.0) if unlit else factors["reflectance"],
             alpha=float(np.clip(alpha * (1 - GLASS * glass), 0, 1)),
             two_sided=bool(header.get("doubleSided", False)),
@@ -218,7 +215,7 @@ def _factors(header: Header) -> dict[str, Any]:
             "color": np.asarray(glossy.get("diffuseFactor", (1, 1, 1, 1)), float),
             "roughness": 1.0 - glossy.get("glossinessFactor", 1.0),
             "metallic": 0.0,
-            "reflectance": _three(np.asarray(glossy.get("specularFactor", (1, 1, 1)), float)),
+            "reflectance": three(np.asarray(glossy.get("specularFactor", (1, 1, 1)), float)),
             "glossiness": glossy.get("glossinessFactor", 1.0),
         }
     rough = header.get("pbrMetallicRoughness", {})
@@ -231,7 +228,7 @@ def _factors(header: Header) -> dict[str, Any]:
         "color": np.asarray(rough.get("baseColorFactor", (1, 1, 1, 1)), float),
         "roughness": float(rough.get("roughnessFactor", 1.0)),
         "metallic": float(rough.get("metallicFactor", 1.0)),
-        "reflectance": _three(reflectance),
+        "reflectance": three(reflectance),
     }
 
 
@@ -283,6 +280,7 @@ def _glossy(factor: float) -> Convert:
     return convert
 
 
-def _three(values: Any) -> tuple[float, float, float]:
+def three(values: Any) -> tuple[float, float, float]:
+    """Return three numbers as a color."""
     red, green, blue = (float(value) for value in values)
     return red, green, blue

@@ -11,6 +11,9 @@ from enum import IntEnum
 
 from ffpose.render.spacecraft.textures import Pyramid
 
+SLOTS = ("color_map", "roughness_map", "normal_map", "emission_map")
+"""Fields of a `Material` that are textures."""
+
 
 class Pattern(IntEnum):
     """Procedural pattern drawn over a material's base color."""
@@ -78,5 +81,5 @@ class Material:
     @property
     def maps(self) -> tuple[Texture, ...]:
         """All textures of the material."""
-        slots = (self.color_map, self.roughness_map, self.normal_map, self.emission_map)
-        return tuple(slot for slot in slots if slot is not None)
+        found = (getattr(self, slot) for slot in SLOTS)
+        return tuple(texture for texture in found if texture is not None)

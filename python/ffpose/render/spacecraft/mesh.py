@@ -47,12 +47,18 @@ class Mesh:
     colors: NDArray[np.float32] | None = None
     layers: tuple[NDArray[np.float32], ...] = ()
 
+    @property
+    def face_normals(self) -> Floats:
+        """Normals (F, 3) of the faces, as long as twice their areas."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.cross(b - a, c - a)
+
     @cached_property
     def corner_normals(self) -> NDArray[np.float32]:
         """Unit normals (F, 3, 3) of the corners; edges beyond `CREASE_DEG` stay sharp."""
         if self.normals is not None and np.isfinite(self.normals).all():
             return self.normals
-        shape = _corner_normals(self.vertices, self.faces).astype(np.float32)
+        shape = _corner_normals(self).astype(np.float32)
         return (
             shape if self.normals is None else np.where(np.isnan(self.normals), shape, self.normals)
         )
@@ -95,14 +101,10 @@ def lathe(
     segments: int = 64,
     arc_deg: tuple[float, float] = (0.0, 360.0),
 ) -> Mesh:
-    """Build a surface of revolution about the x axis.
+    """Build a surface of revolution about the x axis, of flat strips from +y toward +z.
 
-    Args:
-        profile: Points (x, radius) in meters, in the order of growing x for an outer surface;
-            the reverse order gives an inner one.
-        material: Material number.
-        segments: Number of flat strips that approximate the arc.
-        arc_deg: Start and end of the arc, degrees from +y toward +z.
+    The points (x, radius) of the profile, meters, stand in the order of growing x for an outer
+    surface; the reverse order gives an inner one.
     """
     outline = np.asarray(profile, dtype=np.float64)
     angle = np.radians(np.linspace(*arc_deg, segments + 1))
@@ -161,11 +163,9 @@ def dish(
 
 
 def box(size: ArrayLike, materials: int | Sequence[int]) -> Mesh:
-    """Build a box about the origin with edges along the axes.
+    """Build a box about the origin with edges along the axes, of one material, or six.
 
-    Args:
-        size: (3,) edge lengths.
-        materials: One number, or six for the faces −x, +x, −y, +y, −z, +z.
+    Six are those of the faces −x, +x, −y, +y, −z, +z.
     """
     half = np.asarray(size, dtype=np.float64) / 2
     numbers = [materials] * 6 if isinstance(materials, int) else list(materials)
@@ -213,12 +213,11 @@ def _frame_along(direction: ArrayLike) -> Floats:
     return np.stack([x, y, np.cross(x, y)], axis=1)
 
 
-def _corner_normals(vertices: Floats, faces: NDArray[np.int32]) -> Floats:
+def _corner_normals(mesh: Mesh) -> Floats:
     """Average, at each corner and by area, the face normals there within the crease angle."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
+    normal, faces = mesh.face_normals, mesh.faces
     flat = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    corner, neighbor = _neighbors(vertices, faces)
+    corner, neighbor = _neighbors(mesh.vertices, faces)
     smooth = (flat[corner // 3] * flat[neighbor // 3]).sum(axis=1) > np.cos(np.radians(CREASE_DEG))
     total = np.zeros((faces.size, 3))
     np.add.at(total, corner[smooth], normal[neighbor[smooth] // 3])

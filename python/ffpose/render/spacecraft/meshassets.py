@@ -36,9 +36,8 @@ class Assets:
     def get(self, name: str) -> bytes:
         """Return the content of a file, and keep its digest.
 
-        Raises:
-            DataError: There is no such file, it is outside of the mesh file's folder, or too
-                large; this is also kept in `problems`, as trimesh goes on.
+        A DataError if there is no such file, or it is outside of the mesh file's folder, or too
+        large; it is also kept in `problems`, as trimesh goes on.
         """
         try:
             content = self._read(name)
@@ -97,11 +96,7 @@ def _is_image(name: str) -> bool:
 
 
 def open_image(content: bytes, path: Path, name: str) -> Any:
-    """Open an image with Pillow.
-
-    Raises:
-        DataError: The content is no image.
-    """
+    """Open an image with Pillow; a DataError if the content is none."""
     pillow = require("PIL.Image", "render")
     try:
         return pillow.open(io.BytesIO(content))

@@ -21,15 +21,9 @@ STL_HEAD, STL_TRIANGLE = 84, 50
 
 
 def checked(content: bytes, suffix: str, source: Path) -> bytes:
-    """Return a file as trimesh is to read it.
+    """Return a file of a format such as ``".obj"`` as trimesh is to read it.
 
-    Args:
-        content: The file.
-        suffix: Its format, as ``".obj"``.
-        source: Its path, for errors.
-
-    Raises:
-        DataError: The file is cut short, or a face of an OBJ file is none.
+    A DataError if it is cut short, or a face of an OBJ file is none.
     """
     if suffix == ".obj":
         return _obj(as_utf8(content), source)
@@ -60,11 +54,7 @@ def _obj(content: bytes, source: Path) -> bytes:
 
 
 def _face(words: bytes, before: dict[bytes, int], totals: dict[bytes, int]) -> bytes:
-    """Return the corners of an OBJ file's face, of which negative numbers count from its line.
-
-    Raises:
-        ValueError: It is no face, or has a corner of what does not exist.
-    """
+    """Return the corners of an OBJ file's face, of which negative numbers count from its line."""
     corners = [corner.split(b"/") for corner in words.split()]
     if len(corners) < 3:
         raise ValueError(f"expected at least 3 corners, got {len(corners)}")

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
+from ffpose.geometry.rotations import FloatArray, shortest_turn
 from ffpose.render.spacecraft.craft import Craft, bounding_sphere
 from ffpose.render.spacecraft.gltf import read_gltf
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets
@@ -53,12 +53,9 @@ def load_craft(
         MissingExtraError: Trimesh is not installed.
     """
     source = Path(path)
-    if source.suffix.lower() not in FORMATS:
-        raise ValueError(f"mesh: expected a file of {', '.join(FORMATS)}, got {source.name!r}")
-    if not 0 < scale < np.inf:
-        raise ValueError(f"mesh scale: expected a positive number, got {scale}")
-    if up not in get_args(Up):
-        raise ValueError(f"mesh up: expected one of {', '.join(get_args(Up))}, got {up!r}")
+    expect(source.suffix.lower() in FORMATS, "mesh", f"a file of {', '.join(FORMATS)}", source.name)
+    expect(0 < scale < np.inf, "mesh scale", "a positive number", scale)
+    expect(up in get_args(Up), "mesh up", f"one of {', '.join(get_args(Up))}", up)
     if source.stat().st_size > MAX_BYTES:
         raise DataError(f"expected at most {MAX_BYTES} bytes, got {source.stat().st_size}", source)
     content, assets = source.read_bytes(), Assets(source)
@@ -87,12 +84,9 @@ def load_craft(
     return Craft(f"{source.name} sha256:{digest} {' '.join(changes)}", mesh, materials)
 
 
-def _raised(up: Up) -> NDArray[np.float64]:
+def _raised(up: Up) -> FloatArray:
     """Return the rotation (3, 3) that takes an axis to z by the shortest turn."""
-    axis = np.eye(3)["xyz".index(up[-1])] * (-1 if up.startswith("-") else 1)
     if up == "-z":
         return np.diag([1.0, -1.0, -1.0])
-    cross = np.cross(axis, (0, 0, 1))
-    skew = np.cross(np.eye(3), cross)
-    turn: NDArray[np.float64] = np.eye(3) + skew + skew @ skew / (1 + axis[2])
-    return turn
+    axis = np.eye(3)["xyz".index(up[-1])] * (-1 if up.startswith("-") else 1)
+    return shortest_turn(axis, np.array([0.0, 0.0, 1.0]))

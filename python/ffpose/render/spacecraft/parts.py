@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose.errors import DataError
 from ffpose.render.spacecraft.materials import Material
 from ffpose.render.spacecraft.mesh import Mesh
 
@@ -76,3 +78,13 @@ def _colors(part: Part) -> Floats:
     if part.colors is not None and part.colors.ndim == 3:
         return np.repeat(part.colors, 3, axis=1)
     return _of_corners(part, part.colors, (1, 1, 1, 1))
+
+
+def check_shape(points: NDArray[np.float64], faces: NDArray[Any], source: Path) -> None:
+    """Raise a DataError unless vertices (V, 3) are finite, and faces (F, 3) between them."""
+    if not np.isfinite(points).all():
+        raise DataError("expected finite vertices, got NaN or infinity", source)
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
+        got = f"{faces.min()}…{faces.max()}"
+        text = f"expected faces that name vertices 0…{len(points) - 1}, got {got}"
+        raise DataError(text, source)

@@ -66,13 +66,10 @@ class Pyramid:
 def build_pyramid(
     image: Any, convert: Convert, most: int = MAX_SIDE, wrap: tuple[int, int] = (REPEAT, REPEAT)
 ) -> Pyramid:
-    """Build the pyramid of an image, of which a band at a time is in memory as numbers.
+    """Build the pyramid of a Pillow image, of which a band at a time is in memory as numbers.
 
-    Args:
-        image: A Pillow image.
-        convert: From codes (N, W, 4) to values that may be averaged.
-        most: Largest side of the finest level.
-        wrap: As `Pyramid.wrap`.
+    ``convert`` takes codes (N, W, 4) to values that may be averaged; the finest level has sides of
+    at most ``most`` texels.
     """
     image = _eight_bits(image)
     width, height = (_power_of_two(side, most) for side in image.size)

@@ -16,12 +16,13 @@ from ffpose.render.spacecraft.gltfmaterials import (
     LEAST_ROUGHNESS,
     color_of,
     normals_of,
+    three,
     values_of,
 )
 from ffpose.render.spacecraft.materials import Material, Texture
 from ffpose.render.spacecraft.meshassets import Assets, one_line, open_image
 from ffpose.render.spacecraft.meshchecks import checked
-from ffpose.render.spacecraft.parts import Part
+from ffpose.render.spacecraft.parts import Part, check_shape
 from ffpose.render.spacecraft.textures import Convert, Pyramid, build_pyramid, largest_side, linear
 
 ROUGHNESS = 0.55
@@ -32,15 +33,9 @@ DIELECTRIC = 0.08
 
 
 def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
-    """Read the parts of a file.
+    """Read the parts of a file of a format such as ``".obj"``.
 
-    Args:
-        content: The file.
-        suffix: Its format, as ``".obj"``.
-        assets: The files beside it.
-
-    Raises:
-        DataError: The file is broken, or refers to one that is missing or cannot be used.
+    A DataError if it is broken, or refers to a file that is missing or cannot be used.
     """
     trimesh = require("trimesh", "render")
     source = assets.source
@@ -71,12 +66,7 @@ def _check(mesh: Any, assets: Assets) -> None:
     if points.shape[1:] != (3,) or faces.shape[1:] != (3,):
         got = f"{points.shape[1]} and {faces.shape[1]}"
         raise DataError(f"expected 3 coordinates and 3 corners, got {got}", assets.source)
-    if not np.isfinite(points).all():
-        raise DataError("expected finite vertices, got NaN or infinity", assets.source)
-    if faces.min() < 0 or faces.max() >= len(points):
-        got = f"{faces.min()}…{faces.max()}"
-        text = f"expected faces that name vertices 0…{len(points) - 1}, got {got}"
-        raise DataError(text, assets.source)
+    check_shape(points, faces, assets.source)
 
 
 def _part(mesh: Any, paints: _Paints) -> Part:
@@ -155,11 +145,11 @@ class _Paints:
         alpha = _number(given.get("d"), 1 - (_number(given.get("tr"), 0.0) or 0.0))
         glow = _triple(given.get("ke"))
         return Material(
-            _floats(linear(np.clip(color, 0, 1))),
+            three(linear(np.clip(color, 0, 1))),
             float(np.clip(1.0 if "map_pr" in given else rough, LEAST_ROUGHNESS, 1)),
             float(np.clip(_number(given.get("pm"), 0.0) or 0.0, 0, 1)),
-            _floats(np.zeros(3) if glow is None else glow),
-            reflectance=_floats(DIELECTRIC * np.clip((0.5,) * 3 if shine is None else shine, 0, 1)),
+            three(np.zeros(3) if glow is None else glow),
+            reflectance=three(DIELECTRIC * np.clip((0.5,) * 3 if shine is None else shine, 0, 1)),
             alpha=float(np.clip(1.0 if alpha is None else alpha, 0, 1)),
             color_map=self._texture(image, color_of("BLEND", None)),
             roughness_map=self._named(material, "map_pr", values_of),
@@ -203,8 +193,3 @@ def _triple(words: Any) -> NDArray[np.float64] | None:
     if words is None:
         return None
     return np.array(np.broadcast_to(np.asarray(words, dtype=np.float64), 3))
-
-
-def _floats(values: ArrayLike) -> tuple[float, float, float]:
-    red, green, blue = np.asarray(values, dtype=np.float64).tolist()
-    return red, green, blue

@@ -1,0 +1,101 @@
+"""Rendering in this process or in several, which changes no byte: images are pure functions."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from typing import Any, TypeVar
+
+from ffpose._internal.machine import worker_processes
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+AHEAD = 4
+"""Results per process that are under way or wait to be taken: there may be gigabytes of them."""
+
+
+def in_processes(
+    task: Callable[[Item], Result], items: Sequence[Item], workers: int, method: str = "spawn"
+) -> Iterator[Result]:
+    """Yield what a task makes of each item, in order.
+
+    Workers run on one thread each, end with their parent, and leave Ctrl-C to it: then every one
+    finishes its item.
+
+    Args:
+        task: Sent to each worker once, because a spacecraft may be a large mesh.
+        items: What it is called with.
+        workers: Number of processes; few items are rendered in the calling process.
+        method: How processes start; with ``"fork"`` they share what the parent has prepared.
+    """
+    if workers <= 1 or len(items) < 2 * workers:
+        yield from map(task, items)
+        return
+    count, context = worker_processes(workers, len(items)), multiprocessing.get_context(method)
+    with _one_thread_each(), ProcessPoolExecutor(count, context, _start, (task,)) as pool:
+        try:
+            yield from ahead(lambda item: pool.submit(_run, item), items, AHEAD * count)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def ahead(
+    submit: Callable[[Item], Future[Result]], items: Iterable[Item], most: int
+) -> Iterator[Result]:
+    """Yield results in order, with at most ``most`` under way or waiting."""
+    waiting: deque[Future[Result]] = deque()
+    for item in items:
+        waiting.append(submit(item))
+        if len(waiting) >= most:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
+
+
+_task: list[Callable[[Any], Any]] = []
+"""Task of this worker process."""
+
+_busy = threading.Lock()
+"""Lock that this worker process holds while it renders and writes."""
+
+
+def _start(task: Callable[[Any], Any]) -> None:
+    _task[:] = [task]
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Exit this worker between two items once its parent has exited for any reason."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        with _busy:
+            os._exit(1)
+
+
+def _run(item: Any) -> Any:
+    with _busy:
+        return _task[0](item)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Limit workers started in this context to one thread each; more would only contend."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ[name] for name in names if name in os.environ}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name in names:
+            del os.environ[name]
+        os.environ.update(before)
