@@ -75,10 +75,10 @@ def write_json(path: str | Path, value: object, indent: int | None = 2) -> None:
         temporary.write_text(json.dumps(value, indent=indent) + "\n", encoding="utf-8")
 
 
-def write_csv(path: str | Path, rows: Iterable[Iterable[object]]) -> None:
-    """Write a table with its header, whole or not at all; numbers keep every digit."""
+def write_csv(path: str | Path, rows: Iterable[Iterable[object]], *, durable: bool = True) -> None:
+    """Write a table with its header, as `atomic_write`; numbers keep every digit."""
     with (
-        atomic_write(path) as temporary,
+        atomic_write(path, durable=durable) as temporary,
         temporary.open("w", newline="", encoding="utf-8") as file,
     ):
         csv.writer(file, lineterminator="\n").writerows(rows)

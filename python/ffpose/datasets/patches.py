@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ffpose import __version__
 from ffpose._internal.files import expect_room, remove_leftovers
 from ffpose.datasets.base import PoseDataset
-from ffpose.datasets.cache import cache_folder
+from ffpose.datasets.cache import BUILD_LIMIT_S, cache_folder
 from ffpose.datasets.records import Record
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose
@@ -39,9 +39,6 @@ from ffpose.imaging.patches import (
 )
 
 ARRAYS = ("frames", "windows", "coordinates", "labels")
-
-BUILD_LIMIT_S = 86_400.0
-"""Age in seconds beyond which unfinished patches are taken to be left by a killed process."""
 
 
 def dataset_patches(

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import atomic_write, write_csv
 from ffpose.geometry import Camera, Pose
 from ffpose.render.renderer import camera_of, label, prepared
 from ffpose.render.scene import Scene
@@ -135,21 +134,19 @@ def write_layers(folder: Path, index: int, layers: Layers, labels: Sequence[str]
     each named point; ``N_coordinates.png`` is what `object_coordinates` gives. Its alpha holds the
     mask: any color, black too, may be a place on the spacecraft.
     """
-    writers = {
-        "mask": lambda path: _write_image(path, layers.mask.astype(np.uint8) * 255),
-        "depth": lambda path: _write_image(path, _millimeters(layers.depth, index)),
-        "keypoints": lambda path: _write_keypoints(path, layers.keypoints),
-        "coordinates": lambda path: _write_image(path, layers.coordinates),
-    }
-    for name, file in zip(labels, label_files(index, labels), strict=True):
-        with atomic_write(folder / file, durable=False) as path:
-            writers[name](path)
-
-
-def _write_image(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
     from PIL import Image
 
-    Image.fromarray(pixels).save(path)
+    for name, file in zip(labels, label_files(index, labels), strict=True):
+        if name == "keypoints":
+            rows = [(p.name, p.u, p.v, p.depth, int(p.visible)) for p in layers.keypoints]
+            write_csv(folder / file, [Keypoint._fields, *rows], durable=False)
+            continue
+        if name == "depth":
+            pixels: NDArray[Any] = _millimeters(layers.depth, index)
+        else:
+            pixels = layers.mask.astype(np.uint8) * 255 if name == "mask" else layers.coordinates
+        with atomic_write(folder / file, durable=False) as path:
+            Image.fromarray(pixels).save(path)
 
 
 def _millimeters(depth: Floats, index: int) -> NDArray[np.uint16]:
@@ -158,13 +155,6 @@ def _millimeters(depth: Floats, index: int) -> NDArray[np.uint16]:
             f"depth of image {index}: expected at most {DEPTH_LIMIT_M} m, got {depth.max()}"
         )
     return np.round(depth * 1000).astype(np.uint16)
-
-
-def _write_keypoints(path: Path, keypoints: list[Keypoint]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["name", "u", "v", "depth", "visible"])
-        writer.writerows((p.name, p.u, p.v, p.depth, int(p.visible)) for p in keypoints)
 
 
 def _traced(craft: Craft, pose: Pose, camera: Camera) -> tuple[Window, View] | None:
