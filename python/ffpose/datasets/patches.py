@@ -44,7 +44,7 @@ ARRAYS = ("frames", "windows", "coordinates", "labels")
 def dataset_patches(
     dataset: PoseDataset, spec: PatchSpec, *, coordinates: bool, cache: bool = False
 ) -> Arrays:
-    """Extract the patches of the images of a set on disk, of which each network look reads one.
+    """Extract the patches of the images of a set on disk, as ``spec`` says.
 
     With ``coordinates`` the object's coordinates are read too, ``N_coordinates.png`` beside
     ``N_rgb.png``. With ``cache`` the patches are stored in the cache folder

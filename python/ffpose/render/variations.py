@@ -71,7 +71,7 @@ def variations(
 ) -> list[Variation]:
     """The set over all attitudes, and sets that differ from it in one thing.
 
-    Training went as far as ``farthest_m``; Mitsuba's pictures are among them as a second renderer.
+    Training went as far as ``farthest_m``; with ``second_renderer`` one has Mitsuba's pictures.
     """
     scene = replace(scene, attitude_range_deg=ALL_ATTITUDES)
     least, most = CUT
@@ -126,7 +126,8 @@ def without_object(scene: Scene) -> list[Variation]:
 def noisier(sensor: Sensor) -> Sensor:
     """The sensor whose noise has twice the standard deviation at every brightness.
 
-    A quarter of the electrons doubles the shot noise; the read noise counts in electrons.
+    A quarter of the electrons doubles the shot noise, the root of their number; the read noise,
+    which counts in electrons, is then halved to be twice as much of full scale.
     """
     return replace(sensor, full_well=sensor.full_well / 4, read_noise=sensor.read_noise / 2)
 
