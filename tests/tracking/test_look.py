@@ -136,9 +136,8 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scene", "tolerance"), [("soyuz_hard", 0.05), ("soyuz_easy", 0.06)])
-def test_the_measured_offset_follows_the_true_one(scene, tolerance):
+def test_the_measured_offset_follows_the_true_one():
     """Displaced by one and two standard deviations along each axis, on images of its kind."""
     pytest.importorskip("embreex")
     estimator = load("soyuz", track=True, device="cpu", threads=1, warm_up=0)
-    assert abs(median_slopes(estimator, scene, images=60)["all"] - 1) <= tolerance
+    assert abs(median_slopes(estimator, "soyuz_hard", images=60)["all"] - 1) <= 0.05
