@@ -1,17 +1,40 @@
 //! The filter and its gradients without Python and torch: `cargo bench -p ffpose-core`.
 //!
-//! For profiles and for comparing two states of the code. `FFPOSE_ISA` chooses the instruction set. What a user of
-//! torch gains is told by `python -m benchmarks filter`.
+//! For profiles and for comparing two states of the code. `FFPOSE_ISA` chooses the instruction set, and `-- WORD` the cases
+//! whose line has the word. What a user of torch gains is told by `python -m benchmarks filter`.
 
+use std::env;
 use std::fmt;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
 
-use divan::counter::BytesCount;
-use divan::{Bencher, black_box};
 use ffpose_core::{Gradients, Layout, Scratch, Shape, SpectralFilter, StdThreads};
 use ndarray::ArrayD;
 
 fn main() {
-    divan::main();
+    for case in CASES {
+        forward(case);
+        backward(case);
+    }
+}
+
+/// Prints the median time of a call, and the rate at which it reads and writes so many arrays of images.
+fn measure(what: &str, case: Case, arrays: usize, mut call: impl FnMut()) {
+    let name = format!("{what} {case}");
+    let words: Vec<_> = env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
+    if !words.iter().all(|word| name.contains(word.as_str())) {
+        return;
+    }
+    let (begun, mut times) = (Instant::now(), vec![]);
+    while times.len() < 20 || begun.elapsed() < Duration::from_millis(500) {
+        let before = Instant::now();
+        call();
+        times.push(before.elapsed());
+    }
+    times.sort_unstable();
+    let median = times[times.len() / 2];
+    let rate = (arrays * case.bytes()) as f64 / median.as_secs_f64() / 1e9;
+    println!("{name:30} {median:>12.2?} {rate:6.1} GB/s");
 }
 
 /// Images of one shape, the batch first.
@@ -64,31 +87,24 @@ fn numbers(shape: &[usize]) -> ArrayD<f32> {
     })
 }
 
-#[divan::bench(args = CASES)]
-fn forward(bencher: Bencher, case: Case) {
+fn forward(case: Case) {
     let (x, weight) = (numbers(case.1), numbers(&case.shape().weight()));
     let mut y = ArrayD::zeros(case.1);
     let (filter, mut scratch) = (case.filter(), Scratch::default());
-    bencher.counter(BytesCount::new(2 * case.bytes())).bench_local(|| {
-        filter.forward(
-            black_box(x.view()),
-            weight.view(),
-            y.view_mut(),
-            &StdThreads(1),
-            &mut scratch,
-        )
+    measure("forward", case, 2, || {
+        let x = black_box(x.view());
+        filter.forward(x, weight.view(), y.view_mut(), &StdThreads(1), &mut scratch).unwrap();
     });
 }
 
-#[divan::bench(args = CASES)]
-fn backward(bencher: Bencher, case: Case) {
+fn backward(case: Case) {
     let (x, grad, weight) = (numbers(case.1), numbers(case.1), numbers(&case.shape().weight()));
     let (mut for_x, mut for_weight) = (ArrayD::zeros(case.1), ArrayD::zeros(weight.shape()));
     let (filter, mut scratch) = (case.filter(), Scratch::default());
-    bencher.counter(BytesCount::new(3 * case.bytes())).bench_local(|| {
+    measure("backward", case, 3, || {
         let gradients =
             Gradients { x: Some(for_x.view_mut()), weight: Some(for_weight.view_mut()) };
-        let grad = black_box(grad.view());
-        filter.backward(grad, x.view(), weight.view(), gradients, &StdThreads(1), &mut scratch)
+        let (grad, pool) = (black_box(grad.view()), StdThreads(1));
+        filter.backward(grad, x.view(), weight.view(), gradients, &pool, &mut scratch).unwrap();
     });
 }
