@@ -87,7 +87,10 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("graphs")
 
 
-@pytest.fixture(scope="module", params=list(NETWORKS))
+SLOW = pytest.param("twice", marks=pytest.mark.slow)  # its export takes longest
+
+
+@pytest.fixture(scope="module", params=["tokens", SLOW, "polar"])
 def files(request, folder):
     """Weights, and the graph of standard operators that was made of them."""
     torch.manual_seed(0)

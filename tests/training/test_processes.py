@@ -38,7 +38,7 @@ def config_of(image_set, out, **fields):
     return replace(config, data=DataConfig("urso", image_set, augment=False))
 
 
-@pytest.mark.parametrize("accumulate", [1, 2])
+@pytest.mark.parametrize("accumulate", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_two_processes_are_one_of_twice_the_batch(image_set, tmp_path, accumulate):
     """Their means over halves of a batch have the mean of the whole: in 21 steps here."""
     alone = train(config_of(image_set, tmp_path / "one", batch_size=4), quiet=True)
