@@ -61,7 +61,8 @@ def write_filterformer(path):
 def write_looking(path):
     """Write weights of a network with a second look."""
     fields = {"first_stride": 2, "object_size": [16, 96], "directions": 50, "blocks": [1, 1]}
-    fields |= {"object_width": 32, "channels": [4, 8, 12]}  # exports soon
+    # An export takes as long as the network has looks.
+    fields |= {"object_width": 32, "channels": [4, 8, 12], "looks": 1, "candidates": 1}
     write_weights(path, "polar", fields)
 
 

@@ -74,6 +74,8 @@ NETWORKS = {
             "channels": (4, 8, 12),
             "blocks": (1, 1),
             "directions": 50,
+            "looks": 1,
+            "candidates": 1,
             "doubt_sigma": (3.0, 2.0),
             "truncation_sigma": (2.0, 1.0),
             "degrees_of_freedom": (5.0, 3.5),
@@ -409,14 +411,25 @@ def test_presets_export(preset, tmp_path):
     assert read_model_metadata(graph).filter == "matmul"
 
 
-def test_a_graph_is_exported_with_fewer_looks(folder, files):
-    weights, _ = files
-    graph = folder / "quick.onnx"
-    words = ["export", str(weights), "--out", str(graph), "--filter", "matmul", "--candidates", "1"]
-    if weights.stem != "polar":
-        assert main(words) == 1
-        return
-    assert main([*words, "--looks", "1"]) == 0
+FEWER = ("--candidates", "1", "--looks", "1")
+
+
+@pytest.mark.parametrize("files", ["tokens"], indirect=True)
+def test_a_network_that_looks_once_has_no_fewer_looks(files, tmp_path):
+    words = ["export", str(files[0]), "--out", str(tmp_path / "quick.onnx"), *FEWER]
+    assert main(words) == 1
+
+
+@pytest.mark.slow
+def test_a_graph_is_exported_with_fewer_looks(tmp_path):
+    torch.manual_seed(0)
+    weights, graph = tmp_path / "twice.safetensors", tmp_path / "quick.onnx"
+    fields = NETWORKS["polar"][1] | {"looks": 2, "candidates": 2}
+    build_network("polar", backbone_weights="none", **fields).save_pretrained(
+        weights, preprocessing=Preprocessing((64, 64)), data={"image_size": [96, 128]}
+    )
+    words = ["export", str(weights), "--out", str(graph), "--filter", "matmul", *FEWER]
+    assert main(words) == 0
     assert read_model_metadata(graph).config == replace(
         read_metadata(weights).config, looks=1, candidates=1
     )

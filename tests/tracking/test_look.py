@@ -23,6 +23,8 @@ FIELDS = {
     "first_stride": 4,
     "first_reduction": 4,
     "first_channels": 16,
+    "looks": 1,
+    "candidates": 1,
     "object_size": (16, 96),
     "object_width": 32,
     "channels": (4, 8, 12),
