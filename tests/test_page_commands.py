@@ -7,21 +7,27 @@ other programs too, so that a page that gets a new one has to say what becomes o
 
 import os
 import shlex
+import shutil
 import warnings
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from itertools import chain
+from pathlib import Path
 
 import pytest
 
 from benchmarks.__main__ import main as benchmarks
 from benchmarks.filter import run as bench
 from benchmarks.filter.cases import Case, Plan
+from ffpose._internal.files import sha256
 from ffpose.arrays import instruction_set
 from ffpose.bench import filter as quick_bench
+from ffpose.bench import model as model_bench
 from ffpose.cli import main
 from ffpose.learn import run as learn
 from ffpose.learn.plan import Speed, TrainingPlan
+from ffpose.onnx import pose_graph
 from option_words import changes_of, options_of
 from pages import TEXTS, blocks_in_order, code_blocks
 from reader_files import FILTERFORMER, OF_PAGES, POSENET, write_files
@@ -147,8 +153,30 @@ def in_small(words):
     return words
 
 
+@pytest.fixture(scope="module")
+def graphs(tmp_path_factory):
+    """A folder of graphs, and what was exported there, by weights and options."""
+    return tmp_path_factory.mktemp("graphs"), {}
+
+
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def exported_once(graphs, monkeypatch):
+    """Pages export the same network again and again, which takes most of their time."""
+    export, (kept, made) = pose_graph.export_weights, graphs
+
+    def copied(weights, path, filter="custom", **options):
+        options.pop("say", None)
+        key = sha256(Path(weights)), filter, *sorted(options.items())
+        if key not in made:
+            made[key] = export(weights, kept / f"{len(made)}.onnx", filter, **options)
+        return replace(made[key], path=Path(shutil.copy(made[key].path, path)))
+
+    monkeypatch.setattr(pose_graph, "export_weights", copied)
+    monkeypatch.setattr(model_bench, "export_weights", copied)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, exported_once):
     """A folder to work in, where what no option makes small is small too."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SCRATCH", str(tmp_path / "scratch"))
