@@ -80,6 +80,27 @@ def _speck(monkeypatch):
     monkeypatch.setattr("benchmarks.model.subjects.GlobalFilterNetwork", lambda: small)
 
 
+@pytest.fixture(scope="module")
+def recorded():
+    """Graphs that were recorded, by network and options."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def _recorded_once(monkeypatch, recorded):
+    """The weights are always the same, and recording them takes most of the time of the tests."""
+    ir, record = pytest.importorskip("onnx_ir"), serving.record
+
+    def once(model, args, *rest, **named):
+        state = b"".join(tensor.numpy().tobytes() for tensor in model.state_dict().values())
+        key = repr(model), state, repr((rest, named))
+        if key not in recorded:
+            recorded[key] = ir.to_proto(record(model, args, *rest, **named))
+        return ir.from_proto(recorded[key])
+
+    monkeypatch.setattr(serving, "record", once)
+
+
 @pytest.mark.slow
 def test_run_prints_tables_or_a_document_and_draws(tmp_path, monkeypatch, capsys):
     plan = DeploymentPlan(NAMES_HERE, (1, 2), (1,), 0.001, 1, ["a note"])
