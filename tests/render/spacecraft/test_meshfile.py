@@ -49,6 +49,16 @@ def test_color_is_kept(brick):
     assert red > 2 * blue
 
 
+def test_the_radius_reaches_to_the_end_of_a_boom(tmp_path):
+    """A body of thousands of vertices, a boom of a few: the lamp's light goes by the radius."""
+    body = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
+    boom = trimesh.creation.box((4.0, 0.02, 0.02))
+    boom.apply_translation((3.0, 0, 0))
+    path = tmp_path / "boom.stl"
+    trimesh.util.concatenate([body, boom]).export(path)
+    assert load_craft(path).radius == pytest.approx(3.0, rel=2e-3)  # from -1 to 5
+
+
 def test_another_mesh_is_another_set(brick, tmp_path):
     out = tmp_path / "set"
     write_dataset(Scene("brick", load_craft(brick), (4.0, 9.0), 5.0), out, 2, size=SIZE)

@@ -41,14 +41,14 @@ class Craft:
 
     @cached_property
     def outline(self) -> NDArray[np.float64]:
-        """Vertices (N, 3), a few hundred at most, that span the spacecraft's extent."""
+        """Vertices (N, 3), some hundreds at most, a sample of all: no booms end among them."""
         vertices = self.mesh.vertices
         return vertices[:: max(1, len(vertices) // 400)]
 
     @cached_property
     def radius(self) -> float:
-        """Radius of the least sphere around `outline`, meters."""
-        return bounding_sphere(self.outline)[1]
+        """Radius of the least sphere around the spacecraft, meters."""
+        return bounding_sphere(self.corners)[1]
 
     def scaled(self, factor: float) -> Craft:
         """Return the spacecraft that many times as large."""
