@@ -317,6 +317,20 @@ def test_factors_and_extensions_of_materials(tmp_path):
     assert file.load(tmp_path, two_sided=True).materials[0].two_sided
 
 
+def test_a_texture_of_specular_reflectances_stands_for_its_mean(tmp_path):
+    """Its factor is one where the file names none, which by itself is that of a mirror."""
+    file = File()
+    halves = np.zeros((100, 60, 4), np.uint8)
+    halves[:, :30, :3], halves[..., 3] = (255, 128, 0), 51
+    glossy = {"specularGlossinessTexture": {"index": file.texture(halves)}}
+    file.material(extensions={"KHR_materials_pbrSpecularGlossiness": glossy})
+    (material,) = file.load(tmp_path).materials
+    np.testing.assert_allclose(material.reflectance, 0.5 * linear((1, 128 / 255, 0)), atol=1e-3)
+    glossy["specularFactor"] = [0.1, 0.2, 0.3]
+    (dim,) = file.load(tmp_path).materials
+    np.testing.assert_allclose(dim.reflectance, np.multiply(material.reflectance, (0.1, 0.2, 0.3)))
+
+
 def test_metal_and_roughness_come_from_their_channels(tmp_path):
     file = File()
     number = file.texture(np.full((4, 4, 3), (9, 102, 204)))

@@ -2,8 +2,8 @@
 
 Known are KHR_materials_emissive_strength, ior, specular, transmission, unlit and
 pbrSpecularGlossiness, and KHR_texture_transform; coats, sheen, iridescence and volumes are left
-out. What is unlit becomes matte: in space it would be dark in the shadow too. What transmits lets
-through as much light without bending it.
+out. A texture of specular reflectances stands for its mean. What is unlit becomes matte: in space
+it would be dark in the shadow too. What transmits lets through as much light without bending it.
 """
 
 from __future__ import annotations
@@ -41,6 +41,9 @@ GLASS = 0.9
 
 LEAST_ROUGHNESS = 0.05
 """Roughness below which a sample of the sun's highlight would be a single spark."""
+
+MEAN_SIDE = 64
+"""Texels along a side of a texture of which only the mean is used."""
 
 LIGHT = linear(np.arange(256) / 255).astype(np.float32)
 """Linear light of the codes of eight bits."""
@@ -113,6 +116,8 @@ class Materials:
         base, rough = _slots(header)
         sources: dict[Source, int] = {}
         factors = _factors(header)
+        if factors.get("glossiness") is not None:
+            factors["reflectance"] = self._tinted(factors["reflectance"], rough)
         mode = header.get("alphaMode", "OPAQUE")
         alpha = factors["color"][3] if mode != "OPAQUE" else 1.0
         cutoff = header.get("alphaCutoff", 0.5) if mode == "MASK" else None
@@ -148,6 +153,18 @@ class Materials:
         )
         return material, tuple(sources)
 
+    def _tinted(
+        self, reflectance: tuple[float, float, float], slot: Header | None
+    ) -> tuple[float, float, float]:
+        """Return a reflectance times the mean light of the texture that it is a factor of."""
+        number = self._image_number(slot)
+        if number is None:
+            return reflectance
+        few = min(self._most, MEAN_SIDE)
+        pyramid = self._decoded(self._image(number), number, color_of("OPAQUE", None), most=few)
+        light = pyramid.level(0)[..., :3].mean(axis=(0, 1), dtype=np.float64)
+        return three(light * reflectance)
+
     def _texture(
         self, slot: Header | None, sources: dict[Source, int], key: Any, convert: Convert
     ) -> Texture | None:
@@ -161,7 +178,7 @@ class Materials:
         key = (number, wrap, *key)
         if key not in self._pyramids:
             image = self._image(number)
-            self._pyramids[key] = self._decoded(image, number, convert, wrap)
+            self._pyramids[key] = self._decoded(image, number, convert, self._most, wrap)
         change = slot.get("extensions", {}).get("KHR_texture_transform", {})
         source = Source(
             int(change.get("texCoord", slot.get("texCoord", 0))),
@@ -189,9 +206,16 @@ class Materials:
             self._images[number] = open_image(content, self._path, name)
         return self._images[number]
 
-    def _decoded(self, image: Any, number: int, convert: Convert, wrap: tuple[int, int]) -> Pyramid:
+    def _decoded(
+        self,
+        image: Any,
+        number: int,
+        convert: Convert,
+        most: int,
+        wrap: tuple[int, int] = (REPEAT, REPEAT),
+    ) -> Pyramid:
         try:
-            return build_pyramid(image, convert, self._most, wrap)
+            return build_pyramid(image, convert, most, wrap)
         except (OSError, SyntaxError, ValueError) as error:
             text = f"expected texture {number} that can be decoded, got {one_line(error)}"
             raise DataError(text, self._path) from error
