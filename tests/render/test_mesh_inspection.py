@@ -49,6 +49,7 @@ def test_a_sound_mesh_is_measured_and_not_doubted(tmp_path):
     ("box", "scale", "doubt"),
     [
         ({}, 1000.0, r"2\.29e\+03 m across.*--mesh-scale 0\.001 .*millimeters"),
+        ({}, 200.0, r"0\.001 makes it 0\.458 m .* 0\.0254 makes it 11\.6 m if .* in inches"),
         ({}, 0.001, r"0\.00229 m across.*--mesh-scale \d+"),
         ({"shift": (90.0, 0, 0)}, 1.0, r"origin lies 90 m.*--mesh-center"),
         ({"invert": True}, 1.0, "most faces are inside out: 100%"),

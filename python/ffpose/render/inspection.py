@@ -212,11 +212,15 @@ def _doubts(craft: Craft, summary: dict[str, Any]) -> list[str]:
     across = 2 * summary["radius_m"]
     if not SMALLEST_M <= across <= LARGEST_M:
         fits = {scale: unit for scale, unit in UNITS.items() if 0.3 <= across * scale <= LARGEST_M}
-        scale, unit = next(iter(fits.items()), (_round_length(5 / across), ""))
-        reason = f" if the file is in {unit}" if unit else ""
+        fits = fits or {_round_length(5 / across): ""}
+        ways = [
+            f"--mesh-scale {scale:g} makes it {across * scale:.3g} m"
+            + (f" if the file is in {unit}" if unit else "")
+            for scale, unit in fits.items()
+        ]
         doubts.append(
             f"the mesh is {across:.3g} m across, spacecraft are {SMALLEST_M:g} to "
-            f"{LARGEST_M:g}: --mesh-scale {scale:g} makes it {across * scale:.3g} m{reason}"
+            f"{LARGEST_M:g}: {', '.join(ways)}"
         )
     if summary["origin_offset_m"] > summary["radius_m"]:
         doubts.append(
