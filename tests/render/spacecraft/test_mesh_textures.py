@@ -255,6 +255,17 @@ def test_a_file_that_is_missing_is_named(tmp_path, writer, name):
     refused(path, rf"quads\.\w+: expected '.*{named}', which it refers to, got no such file")
 
 
+def test_textures_of_materials_that_an_obj_file_does_not_use_may_be_missing(tmp_path):
+    """Files that several meshes share, and leftovers of a drawing, have such materials."""
+    path = write_obj(tmp_path)
+    colors, paints = face_codes(load_craft(path)), tmp_path / "quads.mtl"
+    other = b"newmtl other\nmap_Kd gone.png\n"
+    paints.write_bytes(other + paints.read_bytes() + b"newmtl last one\nmap_Kd gone.png\n")
+    np.testing.assert_array_equal(face_codes(load_craft(path)), colors)
+    path.write_bytes(path.read_bytes() + b"\nusemtl last  one\nf 1 2 3\n")
+    refused(path, "expected 'gone.png', which it refers to, got no such file")
+
+
 @pytest.mark.parametrize("writer", WRITERS.values(), ids=WRITERS)
 @pytest.mark.parametrize("damage", [b"no image", HALVES[:-30]], ids=["text", "cut"])
 def test_a_texture_that_cannot_be_decoded_is_refused(tmp_path, writer, damage):

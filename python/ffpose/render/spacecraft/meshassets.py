@@ -26,11 +26,13 @@ class Assets:
     Attributes:
         source: The mesh file.
         problems: What was wrong with the files that were asked for.
+        used: Names of the materials that an OBJ file uses, of its MTL file's; None for all.
     """
 
     def __init__(self, source: Path) -> None:
         self.problems: list[DataError] = []
         self.source = source
+        self.used: set[bytes] | None = None
         self._digests: dict[str, str] = {}
 
     def get(self, name: str) -> bytes:
@@ -46,7 +48,7 @@ class Assets:
             raise
         self._digests[name] = hashlib.sha256(content).hexdigest()
         materials = self.source.suffix.lower() == ".obj" and not _is_image(name)
-        return as_utf8(content) if materials else content
+        return _of_used(as_utf8(content), self.used) if materials else content
 
     __getitem__ = get
 
@@ -108,6 +110,20 @@ def open_image(content: bytes, path: Path, name: str) -> Any:
 def one_line(error: BaseException) -> str:
     """Return an error's kind and text on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
+
+
+def _of_used(content: bytes, used: set[bytes] | None) -> bytes:
+    """Return an MTL file without the materials that are not used, whose textures may be missing."""
+    if used is None:
+        return content
+    kept, keeps = [], True
+    for line in content.splitlines():
+        key, *name = line.split() or [b""]
+        if key.lower() == b"newmtl":
+            keeps = b" ".join(name) in used
+        if keeps:
+            kept.append(line)
+    return b"\n".join(kept)
 
 
 def as_utf8(content: bytes) -> bytes:

@@ -53,6 +53,12 @@ def _obj(content: bytes, source: Path) -> bytes:
     return b"\n".join(text)
 
 
+def used_materials(content: bytes) -> set[bytes]:
+    """Return the names of the materials that an OBJ file uses, words between single spaces."""
+    uses = (rest for _, key, rest in _obj_lines(content) if key == b"usemtl")
+    return {b" ".join(rest.split()) for rest in uses}
+
+
 def _face(words: bytes, before: dict[bytes, int], totals: dict[bytes, int]) -> bytes:
     """Return the corners of an OBJ file's face, of which negative numbers count from its line."""
     corners = [corner.split(b"/") for corner in words.split()]
