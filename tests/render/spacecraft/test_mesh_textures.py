@@ -255,6 +255,18 @@ def test_a_file_that_is_missing_is_named(tmp_path, writer, name):
     refused(path, rf"quads\.\w+: expected '.*{named}', which it refers to, got no such file")
 
 
+@pytest.mark.parametrize("lines", ["mtllib quads.mtl two.mtl", "mtllib quads.mtl\nmtllib two.mtl"])
+def test_an_obj_file_has_several_mtl_files(tmp_path, lines):
+    path = write_obj(tmp_path, paint="Kd 1 0 0")
+    (tmp_path / "two.mtl").write_text("newmtl other\nKd 0 0 1\n")
+    text = path.read_bytes().replace(b"mtllib quads.mtl", lines.encode())
+    path.write_bytes(text + b"\nusemtl other\nf 1 2 3\n")
+    colors = {material.color for material in load_craft(path).materials}
+    assert colors == {(1, 0, 0), (0, 0, 1)}
+    (tmp_path / "two.mtl").unlink()
+    refused(path, "expected '.*two.mtl', which it refers to, got no such file")
+
+
 def test_textures_of_materials_that_an_obj_file_does_not_use_may_be_missing(tmp_path):
     """Files that several meshes share, and leftovers of a drawing, have such materials."""
     path = write_obj(tmp_path)

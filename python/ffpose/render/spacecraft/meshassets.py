@@ -26,29 +26,46 @@ class Assets:
     Attributes:
         source: The mesh file.
         problems: What was wrong with the files that were asked for.
-        used: Names of the materials that an OBJ file uses, of its MTL file's; None for all.
+        used: Names of the materials that an OBJ file uses, of its MTL files'; None for all.
+        libraries: Lines that name an OBJ file's MTL files: trimesh asks for the first one alone.
     """
 
     def __init__(self, source: Path) -> None:
         self.problems: list[DataError] = []
         self.source = source
         self.used: set[bytes] | None = None
+        self.libraries: list[str] = []
         self._digests: dict[str, str] = {}
 
     def get(self, name: str) -> bytes:
-        """Return the content of a file, and keep its digest.
+        """Return the content of a file, and keep its digest; that of all MTL files for the first.
 
         A DataError if there is no such file, or it is outside of the mesh file's folder, or too
         large; it is also kept in `problems`, as trimesh goes on.
         """
+        if name not in self.libraries:
+            return self._kept(name)
+        names = [each for line in self.libraries for each in self._names(line)]
+        texts = [as_utf8(self._kept(each)) for each in dict.fromkeys(names)]
+        return _of_used(b"\n".join(texts), self.used)
+
+    def _names(self, line: str) -> list[str]:
+        """Return the names on a line: several, or one that has spaces."""
+        try:
+            words = line.split()
+            return words if all(self._find(word) for word in words) else [line]
+        except DataError:  # one is outside of the folder, which its reading tells
+            return [line]
+
+    def _kept(self, name: str) -> bytes:
+        """Return the content of a file, and keep its digest, or what is wrong with it."""
         try:
             content = self._read(name)
         except DataError as problem:
             self.problems.append(problem)
             raise
         self._digests[name] = hashlib.sha256(content).hexdigest()
-        materials = self.source.suffix.lower() == ".obj" and not _is_image(name)
-        return _of_used(as_utf8(content), self.used) if materials else content
+        return content
 
     __getitem__ = get
 

@@ -53,10 +53,18 @@ def _obj(content: bytes, source: Path) -> bytes:
     return b"\n".join(text)
 
 
-def used_materials(content: bytes) -> set[bytes]:
-    """Return the names of the materials that an OBJ file uses, words between single spaces."""
-    uses = (rest for _, key, rest in _obj_lines(content) if key == b"usemtl")
-    return {b" ".join(rest.split()) for rest in uses}
+def named_materials(content: bytes) -> tuple[set[bytes], list[str]]:
+    """Return the names of the materials that an OBJ file uses, and the lines of its libraries.
+
+    Words of a name are between single spaces.
+    """
+    used, libraries = set[bytes](), list[str]()
+    for _, key, rest in _obj_lines(content):
+        if key == b"usemtl":
+            used.add(b" ".join(rest.split()))
+        elif key == b"mtllib":
+            libraries.append(rest.strip().decode(errors="replace"))
+    return used, libraries
 
 
 def _face(words: bytes, before: dict[bytes, int], totals: dict[bytes, int]) -> bytes:

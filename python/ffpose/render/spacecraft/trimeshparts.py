@@ -21,7 +21,7 @@ from ffpose.render.spacecraft.gltfmaterials import (
 )
 from ffpose.render.spacecraft.materials import Material, Texture
 from ffpose.render.spacecraft.meshassets import Assets, one_line, open_image
-from ffpose.render.spacecraft.meshchecks import checked, used_materials
+from ffpose.render.spacecraft.meshchecks import checked, named_materials
 from ffpose.render.spacecraft.parts import Part, check_shape
 from ffpose.render.spacecraft.textures import Convert, Pyramid, build_pyramid, largest_side, linear
 
@@ -42,7 +42,7 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
     try:
         content = checked(content, suffix, source)
         if suffix == ".obj":
-            assets.used = used_materials(content)
+            assets.used, assets.libraries = named_materials(content)
         file = io.BytesIO(content)
         scene = trimesh.load(file, suffix[1:], resolver=assets, force="scene", process=False)
         # A .obj, .ply or .stl file has no transforms: every geometry is in its place.
