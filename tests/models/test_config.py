@@ -26,7 +26,7 @@ def test_json_there_and_back(name):
 
 
 def test_lists_become_tuples():
-    config = FilterformerPoseConfig.from_dict({"image_size": [64, 96]})
+    config = FilterformerPoseConfig.from_json('{"image_size": [64, 96]}')
     assert config.image_size == (64, 96)
     hash(config)
 

@@ -14,6 +14,7 @@ from typing import ClassVar, Literal
 from ffpose._internal.choices import FilterKind, NormPlace, PositionKind
 from ffpose.config.network import FrameConfig, is_whole
 from ffpose.config.second_look import SecondLookConfig
+from ffpose.errors import expect
 
 Pooling = Literal["token", "mean", "flatten"]
 OrientationView = Literal["frame", "object"]
@@ -65,9 +66,6 @@ class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
         bins_degree: Largest degree of its harmonics of SO(3).
         bins_width_deg: Standard deviation of its soft labels, degrees.
         object_backbone: Backbone of the second look, named as ``backbone``.
-
-    Raises:
-        ValueError: A value is out of range, or sizes are inconsistent.
     """
 
     architecture: ClassVar[str] = "FilterformerPose"
@@ -104,16 +102,12 @@ class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
     def _check_values(self) -> None:
         super()._check_values()
         least = 0 if self.pooling == "flatten" else 1
-        if not is_whole(self.depth) or self.depth < least:
-            raise ValueError(
-                f"depth: expected a whole number, at least {least}, got {self.depth!r}"
-            )
-        if self.dim % self.heads:
-            raise ValueError(f"heads: expected a divisor of dim {self.dim}, got {self.heads}")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout: expected 0 <= dropout < 1, got {self.dropout}")
-        if not self.filter_std >= 0:
-            raise ValueError(f"filter_std: expected at least 0, got {self.filter_std}")
+        deep = is_whole(self.depth) and self.depth >= least
+        expect(deep, "depth", f"a whole number, at least {least}", self.depth)
+        divides = self.dim % self.heads == 0
+        expect(divides, "heads", f"a divisor of dim {self.dim}", self.heads)
+        expect(0 <= self.dropout < 1, "dropout", "0 <= dropout < 1", self.dropout)
+        expect(self.filter_std >= 0, "filter_std", "at least 0", self.filter_std)
 
     @property
     def coarsest_reduction(self) -> int:

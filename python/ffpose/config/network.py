@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, ClassVar, Self
 
-from ffpose.errors import check_choices, hint
+from ffpose.errors import check_choices, expect, hint
 from ffpose.geometry import Camera
 
 
@@ -50,23 +50,18 @@ class NetworkConfig:
         check_choices(self)
         for name in self.COUNTS:
             value = getattr(self, name)
-            if not is_whole(value) or value < 1:
-                raise ValueError(f"{name}: expected a whole number, at least 1, got {value!r}")
+            expect(is_whole(value) and value >= 1, name, "a whole number, at least 1", value)
         self._check_values()
 
     def _check_values(self) -> None:
         """Check the values of single fields, and of fields together."""
-        if not all(map(is_whole, self.image_size)):
-            raise ValueError(f"image_size: expected whole numbers, got {self.image_size}")
-        if min(self.image_size) < self.coarsest_reduction:
-            raise ValueError(
-                f"image_size: expected each at least {self.coarsest_reduction}, the coarsest"
-                f" reduction, got {self.image_size}"
-            )
-        if self.camera is not None and not all(map(math.isfinite, self.camera)):
-            raise ValueError(f"camera: expected finite numbers, got {self.camera}")
-        if self.camera is not None and min(self.camera[:2]) <= 0:
-            raise ValueError(f"camera: expected fx > 0 and fy > 0, got {self.camera}")
+        size, camera, least = self.image_size, self.camera, self.coarsest_reduction
+        expect(all(map(is_whole, size)), "image_size", "whole numbers", size)
+        at_least = f"each at least {least}, the coarsest reduction"
+        expect(min(size) >= least, "image_size", at_least, size)
+        if camera is not None:
+            expect(all(map(math.isfinite, camera)), "camera", "finite numbers", camera)
+            expect(min(camera[:2]) > 0, "camera", "fx > 0 and fy > 0", camera)
 
     @property
     def coarsest_reduction(self) -> int:
@@ -151,15 +146,6 @@ class NetworkConfig:
         values = json.loads(text)
         if not isinstance(values, dict):
             raise ValueError(f"config: expected a JSON object, got {type(values).__name__}")
-        return cls.from_dict(values)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Build a config from some fields; the others have their defaults.
-
-        Raises:
-            ValueError: A field is unknown, or a value is invalid.
-        """
         cls.check_names(values)
         return cls(**values)
 
@@ -172,9 +158,6 @@ class FrameConfig(NetworkConfig):
         translation_mean: Mean that is added to the translation head's output, meters, camera frame.
         translation_std: Scale of the translation head's output, meters. With a mean of zeros and a
             scale of ones the head regresses meters, as published.
-
-    Raises:
-        ValueError: A value is out of range, or sizes are inconsistent.
     """
 
     TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
@@ -187,14 +170,10 @@ class FrameConfig(NetworkConfig):
 
     def _check_values(self) -> None:
         super()._check_values()
-        if not all(map(math.isfinite, self.translation_mean)):
-            raise ValueError(
-                f"translation_mean: expected finite numbers, got {self.translation_mean}"
-            )
-        if not all(math.isfinite(std) and std > 0 for std in self.translation_std):
-            raise ValueError(
-                f"translation_std: expected finite numbers above 0, got {self.translation_std}"
-            )
+        mean, std = self.translation_mean, self.translation_std
+        expect(all(map(math.isfinite, mean)), "translation_mean", "finite numbers", mean)
+        positive = all(math.isfinite(each) and each > 0 for each in std)
+        expect(positive, "translation_std", "finite numbers above 0", std)
 
 
 def is_whole(value: Any) -> bool:
@@ -203,6 +182,6 @@ def is_whole(value: Any) -> bool:
 
 
 def _as_tuple(name: str, value: Any, length: int) -> tuple[Any, ...]:
-    if not isinstance(value, list | tuple) or len(value) != length:
-        raise ValueError(f"{name}: expected {length} numbers, got {value!r}")
+    fits = isinstance(value, list | tuple) and len(value) == length
+    expect(fits, name, f"{length} numbers", value)
     return tuple(value)

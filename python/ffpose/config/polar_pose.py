@@ -9,6 +9,7 @@ from typing import ClassVar
 from ffpose._internal.choices import PolarMixer
 from ffpose.config.network import is_whole
 from ffpose.config.second_look import MOST_LOOKS, SecondLookConfig
+from ffpose.errors import expect
 
 STEM_STRIDE = (4, 8)
 """Rays of the second look per cell of its first feature map, along the radius and the angle."""
@@ -50,9 +51,6 @@ class PolarPoseConfig(SecondLookConfig):
         look_slope: Slopes across and along the viewing ray of the offset that one look at a given
             point measures on the true offset, by which `ffpose.models.PolarPose.predict_near`
             divides it; found by calibration.
-
-    Raises:
-        ValueError: A value is out of range, or sizes are inconsistent.
     """
 
     architecture: ClassVar[str] = "PolarPose"
@@ -88,28 +86,22 @@ class PolarPoseConfig(SecondLookConfig):
 
     def _check_values(self) -> None:
         super()._check_values()
-        if self.candidates > MOST_LOOKS:
-            raise ValueError(f"candidates: expected at most {MOST_LOOKS}, got {self.candidates}")
+        few = self.candidates <= MOST_LOOKS
+        expect(few, "candidates", f"at most {MOST_LOOKS}", self.candidates)
         for name, least in (("channels", 1), ("blocks", 0)):
             values = getattr(self, name)
-            if not all(is_whole(value) and value >= least for value in values):
-                raise ValueError(f"{name}: expected whole numbers, at least {least}, got {values}")
-        radii, angles = self.object_size
-        multiples = (STEM_STRIDE[0] * LAST_STRIDE, 2 * STEM_STRIDE[1])
-        if radii % multiples[0] or angles % multiples[1]:
-            raise ValueError(
-                f"object_size: expected radii and angles that are multiples of {multiples[0]} and"
-                f" {multiples[1]}, got {self.object_size}"
-            )
-        if self.angles % self.object_grid[1]:
-            raise ValueError(
-                f"angles: expected a multiple of {self.object_grid[1]}, the angles of the last"
-                f" feature map, got {self.angles}"
-            )
-        if not 0 < self.bins_width_deg < math.inf:
-            raise ValueError(f"bins_width_deg: expected above 0, got {self.bins_width_deg}")
-        if not all(0 < slope < math.inf for slope in self.look_slope):
-            raise ValueError(f"look_slope: expected above 0 each, got {self.look_slope}")
+            whole = all(is_whole(value) and value >= least for value in values)
+            expect(whole, name, f"whole numbers, at least {least}", values)
+        (radii, angles), cells = self.object_size, self.object_grid[1]
+        by_radius, by_angle = STEM_STRIDE[0] * LAST_STRIDE, 2 * STEM_STRIDE[1]
+        expected = f"radii and angles that are multiples of {by_radius} and {by_angle}"
+        fits = radii % by_radius == 0 and angles % by_angle == 0
+        expect(fits, "object_size", expected, self.object_size)
+        expected = f"a multiple of {cells}, the angles of the last feature map"
+        expect(self.angles % cells == 0, "angles", expected, self.angles)
+        width, slopes = self.bins_width_deg, self.look_slope
+        expect(0 < width < math.inf, "bins_width_deg", "above 0", width)
+        expect(all(0 < slope < math.inf for slope in slopes), "look_slope", "above 0 each", slopes)
 
     @property
     def coarsest_reduction(self) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ffpose.config.network import FrameConfig
+from ffpose.errors import expect
 
 
 @dataclass(frozen=True)
@@ -24,9 +25,6 @@ class UrsoNetConfig(FrameConfig):
         smoothing: Width of the soft assignment in bins, the authors' beta.
         location_weight: Weight of the relative location loss.
         orientation_weight: Weight of the cross-entropy.
-
-    Raises:
-        ValueError: A value is out of range, or sizes are inconsistent.
     """
 
     architecture: ClassVar[str] = "UrsoNet"
@@ -44,8 +42,7 @@ class UrsoNetConfig(FrameConfig):
 
     def _check_values(self) -> None:
         super()._check_values()
-        if self.bins_per_dim < 3:
-            raise ValueError(f"bins_per_dim: expected at least 3, got {self.bins_per_dim}")
+        expect(self.bins_per_dim >= 3, "bins_per_dim", "at least 3", self.bins_per_dim)
         for name in ("smoothing", "location_weight", "orientation_weight"):
             _expect_positive(name, getattr(self, name))
 
@@ -69,9 +66,6 @@ class PoseNetConfig(FrameConfig):
         dropout: Dropout rate of the features.
         beta: Fixed weight of the quaternion loss (Kendall et al., 2015), beside 1 for the
             translation; None learns both weights (Kendall and Cipolla, 2017).
-
-    Raises:
-        ValueError: A value is out of range, or sizes are inconsistent.
     """
 
     architecture: ClassVar[str] = "PoseNet"
@@ -84,8 +78,7 @@ class PoseNetConfig(FrameConfig):
 
     def _check_values(self) -> None:
         super()._check_values()
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout: expected 0 <= dropout < 1, got {self.dropout}")
+        expect(0 <= self.dropout < 1, "dropout", "0 <= dropout < 1", self.dropout)
         if self.beta is not None:
             _expect_positive("beta", self.beta)
 
@@ -101,5 +94,5 @@ class PoseNetConfig(FrameConfig):
 
 
 def _expect_positive(name: str, value: Any) -> None:
-    if not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise ValueError(f"{name}: expected a finite number above 0, got {value!r}")
+    positive = isinstance(value, int | float) and 0 < value < math.inf
+    expect(positive, name, "a finite number above 0", value)

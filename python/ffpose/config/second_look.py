@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ffpose.config.network import NetworkConfig, is_whole
+from ffpose.errors import expect
 
 MOST_DEGREES_OF_FREEDOM = 1000
 """A t distribution of more degrees of freedom is as good as a Gaussian."""
@@ -39,9 +40,6 @@ class SecondLookConfig(NetworkConfig):
             Gaussian errors.
         looks: Number of times that the virtual camera is pointed; 2 looks again at the position
             that the first of these looks refined.
-
-    Raises:
-        ValueError: A value is out of range, or sizes are inconsistent.
     """
 
     TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
@@ -86,33 +84,24 @@ class SecondLookConfig(NetworkConfig):
 
     def _check_values(self) -> None:
         super()._check_values()
-        if not all(is_whole(side) and side >= 1 for side in self.object_size):
-            raise ValueError(
-                f"object_size: expected whole numbers, at least 1, got {self.object_size}"
-            )
-        if self.looks > MOST_LOOKS:
-            raise ValueError(f"looks: expected at most {MOST_LOOKS}, got {self.looks}")
+        size = self.object_size
+        whole = all(is_whole(side) and side >= 1 for side in size)
+        expect(whole, "object_size", "whole numbers, at least 1", size)
+        expect(self.looks <= MOST_LOOKS, "looks", f"at most {MOST_LOOKS}", self.looks)
         near, far = self.distance_m
-        if not 0 < near < far < math.inf:
-            raise ValueError(f"distance_m: expected 0 < near < far, got {self.distance_m}")
-        if not 0 < self.distance_scale < math.inf:
-            raise ValueError(f"distance_scale: expected above 0, got {self.distance_scale}")
+        expect(0 < near < far < math.inf, "distance_m", "0 < near < far", self.distance_m)
+        for name in ("distance_scale", "object_radius_m"):
+            expect(0 < getattr(self, name) < math.inf, name, "above 0", getattr(self, name))
         for name in ("doubt_sigma", "truncation_sigma"):
-            if not all(0 <= growth < math.inf for growth in getattr(self, name)):
-                raise ValueError(f"{name}: expected 0 or more each, got {getattr(self, name)}")
-        least, most = 2, MOST_DEGREES_OF_FREEDOM
-        if not all(least < each <= most for each in self.degrees_of_freedom or ()):
-            raise ValueError(
-                f"degrees_of_freedom: expected above {least} and up to {most} each, or None, got"
-                f" {self.degrees_of_freedom}"
-            )
-        if not 0 < self.object_radius_m < math.inf:
-            raise ValueError(f"object_radius_m: expected above 0, got {self.object_radius_m}")
+            growths = getattr(self, name)
+            expect(all(0 <= each < math.inf for each in growths), name, "0 or more each", growths)
+        degrees = self.degrees_of_freedom or ()
+        expected = f"above 2 and up to {MOST_DEGREES_OF_FREEDOM} each, or None"
+        proper = all(2 < each <= MOST_DEGREES_OF_FREEDOM for each in degrees)
+        expect(proper, "degrees_of_freedom", expected, degrees)
         if self.looks_twice:
             if self.camera is None:
                 raise ValueError("camera: the second look needs it, got None")
-            if any(side % self.first_stride for side in self.image_size):
-                raise ValueError(
-                    f"first_stride: expected a divisor of image_size {self.image_size},"
-                    f" got {self.first_stride}"
-                )
+            divides = all(side % self.first_stride == 0 for side in self.image_size)
+            expected = f"a divisor of image_size {self.image_size}"
+            expect(divides, "first_stride", expected, self.first_stride)
