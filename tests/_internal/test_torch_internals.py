@@ -24,7 +24,6 @@ NAMES = [
     (torch._C, "_get_tracing_state"),
     (forward_ad, "_current_level"),
     (forward_ad, "_set_fwd_grad_enabled"),
-    (torch, "_foreach_lerp_"),
     (_pytree, "_register_namedtuple"),
 ]
 OF_DISPATCH = ("_dispatch_keys", "_len_torch_dispatch_stack", "_current_level")

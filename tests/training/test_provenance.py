@@ -17,7 +17,7 @@ from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.models import read_metadata
 from ffpose.training.engine import train
-from ffpose.training.provenance import describe_data, recipe
+from ffpose.training.provenance import describe_images, recipe
 from ffpose.training.run import build_run
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
@@ -140,10 +140,10 @@ def test_the_digest_is_that_of_names_and_labels(image_set, tmp_path):
         f"{name}\n".encode() + struct.pack("<7d", *pose)
         for name, pose in zip(run.task.train_set.names, run.task.train_set.poses, strict=True)
     )
-    described = describe_data(run.task.train_set, run.config.data)
+    described = describe_images(run.task.train_set, run.config.data)
     assert described["digest"] == hashlib.sha256(content).hexdigest()
     assert described["name"] == image_set.name
-    assert described["digest"] != describe_data(run.task.val_set, run.config.data)["digest"]
+    assert described["digest"] != describe_images(run.task.val_set, run.config.data)["digest"]
 
 
 def test_weights_carry_the_mean_pose_that_evaluation_compares_with(image_set, tmp_path):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import html
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -33,30 +36,32 @@ def style_axes(axes: Axes, grid: Literal["both", "x", "y"] | None = "both") -> N
 
 
 def save_figure(figure: Figure, path: Path, dpi: int = 120, format: str | None = None) -> None:
-    """Write a figure atomically.
-
-    Args:
-        figure: The figure.
-        path: File to write.
-        dpi: Pixels per inch.
-        format: Image format; None for that of the suffix.
-    """
+    """Write a figure atomically, in the format of the suffix unless one is given."""
     with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=dpi, format=format)
+
+
+def embedded(figure: Figure, text: str, **options: Any) -> str:
+    """Return a figure as an element of an HTML page; ``options`` are those of `savefig`."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, **options)
+    return image_tag(options["format"], buffer.getvalue(), text)
+
+
+def image_tag(format: str, data: bytes, text: str) -> str:
+    """Return an element of an HTML page with an image (png, jpeg or svg) and its description."""
+    kind = "svg+xml" if format == "svg" else format
+    encoded = base64.b64encode(data).decode("ascii")
+    return f'<img src="data:image/{kind};base64,{encoded}" alt="{html.escape(text)}">'
 
 
 def draw_bars(
     path: Path, title: str, rows: Sequence[Mapping[str, Any]], names: int, bar: str, end: str = ""
 ) -> None:
-    """Write a PNG file of horizontal bars.
+    """Write a PNG file of horizontal bars, one for each row of a table.
 
-    Args:
-        path: File to write.
-        title: Of the picture.
-        rows: Of a table: words and numbers by column.
-        names: How many columns, of the first, name a bar.
-        bar: Column of the bars' lengths.
-        end: Column of the ends of lines beyond them; empty without.
+    The first ``names`` columns name a bar, column ``bar`` is its length, and ``end``, if any, where
+    a line beyond it ends.
     """
     figure = new_figure(7.0, 1.2 + 0.3 * len(rows))
     axes = figure.subplots()

@@ -30,19 +30,14 @@ _SHORT.maxdict = _SHORT.maxlist = 12
 def atomic_write(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
     """Yield a temporary path to write to, and rename it to ``path`` if the block succeeds.
 
-    The temporary file has the same name as ``path`` and lies in a new folder beside it, so that
-    writers can choose a format by the suffix and the rename stays within one file system. If the
-    block raises, nothing remains and an older file at ``path`` is unchanged. A killed process
-    leaves the temporary folder behind (`remove_leftovers`).
+    The temporary file has the same name as ``path``, whose folder must exist, and lies in a new
+    folder beside it, so that writers can choose a format by the suffix and the rename stays within
+    one file system. If the block raises, nothing remains and an older file is unchanged. A killed
+    process leaves the temporary folder behind (`remove_leftovers`).
 
-    Args:
-        path: Path of the file; its folder must exist.
-        durable: Flush the contents to disk before the rename and the folder after it, so that a
-            power loss leaves either the old file or the new one. False saves some milliseconds per
-            file, for files that are checked and can be made again.
-
-    Yields:
-        The path to write to.
+    ``durable``: the contents are flushed to disk before the rename and the folder after it, so that
+    a power loss leaves either the old file or the new one. Without it a file, that is checked and
+    can be made again, takes some milliseconds less.
     """
     target = Path(path)
     with tempfile.TemporaryDirectory(prefix=_PREFIX, dir=target.parent) as folder:
@@ -126,15 +121,10 @@ def read_json(path: Path) -> Any:
 
 @contextmanager
 def json_errors(path: Path, line: int | None = None) -> Iterator[None]:
-    """Turn the errors of Python's JSON decoder within the block into a `DataError`.
+    """Turn the errors of Python's JSON decoder within the block into a `DataError` of a file.
 
-    Args:
-        path: The file that the text comes from.
-        line: The line that the text begins on, for errors that name none.
-
-    Raises:
-        DataError: The text is not JSON, or is nested more deeply than Python's recursion limit, or
-            has an integer of more digits than Python converts.
+    That is text which is no JSON, or is nested more deeply than Python's recursion limit, or has an
+    integer of more digits than Python converts. ``line`` is where the text begins.
     """
     try:
         yield
@@ -161,9 +151,7 @@ def shortened(value: object) -> str:
 def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:
     """Remove temporary folders that killed processes left behind in `atomic_write`.
 
-    Args:
-        folder: The folder that was written to.
-        older_than: Least age in seconds; younger ones may belong to a running process.
+    Younger ones than so many seconds may belong to a running process.
     """
     for left in Path(folder).glob(f"{_PREFIX}*"):
         with suppress(FileNotFoundError):  # a running writer has just renamed its file
@@ -172,12 +160,7 @@ def remove_leftovers(folder: str | Path, older_than: float = 3600.0) -> None:
 
 
 def expect_room(folder: str | Path, need: int, what: str) -> None:
-    """Check in advance that the disk has enough free space.
-
-    Args:
-        folder: The folder to be written to; it need not exist.
-        need: Least number of bytes needed.
-        what: What needs the space, for the error message.
+    """Check in advance that a folder's disk has ``need`` bytes free, for ``what`` is to be written.
 
     Raises:
         OSError: There is not enough space; ``errno`` is ``ENOSPC``.
@@ -189,11 +172,7 @@ def expect_room(folder: str | Path, need: int, what: str) -> None:
 
 
 def expect_folder(path: str | Path) -> None:
-    """Check in advance that ``path`` is a folder or can be created as one.
-
-    Raises:
-        NotADirectoryError: ``path``, or one of its parents, is a file.
-    """
+    """Check in advance that ``path`` is a folder or can be created; or raise NotADirectoryError."""
     there = _nearest(path)
     if not there.is_dir():
         raise NotADirectoryError(f"expected a folder, got the file {there}")
@@ -206,8 +185,7 @@ def expect_writable(folder: str | Path) -> None:
     `/proc`, or on a disk without room, is not what permissions say.
 
     Raises:
-        NotADirectoryError: ``folder``, or one of its parents, is a file.
-        OSError: It cannot be written to.
+        OSError: It cannot be written to, or a file is in its place (NotADirectoryError).
     """
     expect_folder(folder)
     there = _nearest(folder)
@@ -224,8 +202,7 @@ def expect_place(path: Path | None) -> None:
     """Check in advance that an output file can be written in an existing folder.
 
     Raises:
-        FileNotFoundError: The folder does not exist.
-        OSError: It is a file or cannot be written to, or what is at ``path`` is not a file.
+        OSError: It cannot, or the folder does not exist (FileNotFoundError).
     """
     if path is None:
         return

@@ -78,11 +78,7 @@ def wrong(message: str) -> argparse.ArgumentError:
 
 
 def is_usage(error: Exception, usage: str) -> bool:
-    """Return whether an error is about the value of an argument, which its message begins with.
-
-    Args:
-        error: What a command raised.
-        usage: Of the command's parser, which names the arguments.
+    """Return whether an error is about the value of an argument that a parser's usage names.
 
     Examples:
         >>> is_usage(ValueError("count: expected at least 1, got 0"), "[--count COUNT]")
@@ -100,9 +96,7 @@ def is_usage(error: Exception, usage: str) -> bool:
 def positionals_first(words: Sequence[str], flags: Collection[str]) -> list[str]:
     """Return words with those first that no option takes, which argparse wants side by side.
 
-    Args:
-        words: Of a command whose options take one value, but for some.
-        flags: The options that take none.
+    Options take one value, but for the ``flags``.
 
     Examples:
         >>> positionals_first(["net", "a.png", "--json", "b.png", "--batch", "2"], {"--json"})

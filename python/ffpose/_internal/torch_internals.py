@@ -1,7 +1,7 @@
 """Everything that ffpose asks of torch's private names, which may go without notice.
 
 Each is looked up once. Without it a slower way gives the same numbers: calls go through the
-dispatcher, weights are averaged one by one, or a training does without bfloat16. Only three things
+dispatcher, or a training does without bfloat16. Only three things
 are lost: `torch.vmap` of the bare operators ``torch.ops.ffpose``, forward-mode derivatives of
 forward-mode derivatives, and saving an exported program whose result is a named tuple.
 """
@@ -38,7 +38,6 @@ _below_autograd = _find("torch._C", "_AutoDispatchBelowAutograd")
 _dispatch_keys = _find("torch._C", "_dispatch_keys")
 _dispatch_modes = _find("torch._C", "_len_torch_dispatch_stack")
 _forward_mode_enabled = _find("torch.autograd.forward_ad", "_set_fwd_grad_enabled")
-_lerp_all = _find("torch", "_foreach_lerp_")
 _register_named_tuple = _find("torch.utils._pytree", "_register_namedtuple")
 _transforms_active = _find("torch._C", "_are_functorch_transforms_active")
 _tracing_state = _find("torch._C", "_get_tracing_state") or _find("torch.jit", "is_tracing")
@@ -119,15 +118,6 @@ def primals(tensors: Sequence[Tensor]) -> tuple[Tensor, ...]:
     """Return tensors without their tangents of the present level of forward mode."""
     unpack: Callable[[Tensor], Any] = forward_ad.unpack_dual  # torch annotates nothing of it
     return tuple(unpack(tensor).primal for tensor in tensors)
-
-
-def move_toward(averages: Sequence[Tensor], values: Sequence[Tensor], weight: float) -> None:
-    """Move each tensor a share ``weight`` of the way to its value, in place."""
-    if _lerp_all is not None:
-        _lerp_all(averages, values, weight)
-        return
-    for average, value in zip(averages, values, strict=True):
-        average.lerp_(value, weight)
 
 
 def register_named_tuple(kind: type[tuple[Any, ...]], name: str) -> None:

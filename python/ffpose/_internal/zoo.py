@@ -23,15 +23,12 @@ def names(folder: Path | None = None) -> list[str]:
 def resolve(path_or_name: str | Path, suffix: str = WEIGHTS, *, argument: str = "weights") -> Path:
     """Return the path of a network's file; an existing file has precedence over a name.
 
-    Args:
-        path_or_name: A path, which is returned unchanged, or one of `names`, without folder and
-            suffix.
-        suffix: Of the file that a name stands for, `WEIGHTS` or `GRAPH`.
-        argument: Name of the argument, which the error begins with.
+    A path is returned unchanged; one of `names`, without folder and suffix, stands for the file of
+    that ``suffix``.
 
     Raises:
         FileNotFoundError: A word without folder and suffix is neither a file nor a name; the
-            message lists the names.
+            message begins with ``argument`` and lists the names.
     """
     return _resolved(path_or_name, [FOLDER], suffix, argument)
 

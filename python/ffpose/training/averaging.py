@@ -13,8 +13,7 @@ from typing import Any, Generic, TypeVar
 
 import torch
 from torch import nn
-
-from ffpose._internal.torch_internals import move_toward
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 WARM_UP = 10.0
 
@@ -22,16 +21,7 @@ Model = TypeVar("Model", bound=nn.Module)
 
 
 class AveragedModel(Generic[Model]):
-    """A copy of a network whose weights are the moving average of the network's.
-
-    Args:
-        model: The network being trained.
-        decay: Weight of the old average in each step; 0 keeps no average.
-
-    Attributes:
-        model: The averaged network, to validate and save.
-        steps: Number of steps averaged so far.
-    """
+    """A copy of a network whose weights are the moving average of its; the decay 0 keeps none."""
 
     def __init__(self, model: Model, decay: float) -> None:
         self.decay = decay
@@ -45,18 +35,15 @@ class AveragedModel(Generic[Model]):
         if self.decay == 0:
             return
         self.steps += 1
-        weight = 1 - min(self.decay, self.steps / (self.steps + WARM_UP))
-        averages, values = [], []
-        pairs = zip(
-            self.model.state_dict().values(), self.trained.state_dict().values(), strict=True
-        )
+        decay = min(self.decay, self.steps / (self.steps + WARM_UP))
+        move = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]  # torch's own
+        states = (each.state_dict().values() for each in (self.model, self.trained))
+        pairs = list(zip(*states, strict=True))
+        averages, values = zip(*(p for p in pairs if p[0].is_floating_point()), strict=True)
+        move(averages, values, None)
         for average, value in pairs:
-            if average.is_floating_point():
-                averages.append(average)
-                values.append(value)
-            else:
+            if not average.is_floating_point():
                 average.copy_(value)
-        move_toward(averages, values, weight)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the average and the number of steps, as `load_state_dict` takes them."""

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -30,11 +30,10 @@ from ffpose.config.second_look import MOST_DEGREES_OF_FREEDOM
 from ffpose.datasets import Sample
 from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.evaluation.calibration import choose_threshold, squared_mahalanobis
+from ffpose.geometry import FloatArray
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import PolarPose, SecondLookNetwork
 from ffpose.models.second_look import truncation
-
-FloatArray = NDArray[np.float64]
 
 LEAST_DEGREES_OF_FREEDOM = 3.0
 """Below, a covariance, which exists above two, is mostly that of errors that were never seen."""
@@ -57,15 +56,9 @@ DISPLACED = 1.5
 class Calibration(NamedTuple):
     """Calibration parameters found on held-out images.
 
-    Attributes:
-        distance_scale: For the field of the network's config of that name.
-        variance_scales: ``(2,)`` float32, for the network's buffer of that name.
-        doubt_sigma: For the field of the network's config of that name.
-        truncation_sigma: For the field of the network's config of that name.
-        degrees_of_freedom: For the field of the network's config of that name.
-        in_view_threshold: Images with a lower probability of the object being in view are flagged;
-            None where there were no images without the object.
-        look_slope: For the field of the network's config of that name; None where it has none.
+    Fields are those of the network's config of the same names (``look_slope`` is None where it has
+    none), its buffer ``variance_scales`` ``(2,)``, and the probability of being in view below which
+    images are flagged, None where there were no images without the object.
     """
 
     distance_scale: float
@@ -80,12 +73,7 @@ class Calibration(NamedTuple):
 class Tails(NamedTuple):
     """A multivariate t distribution relative to a predicted covariance.
 
-    Attributes:
-        scale: Factor on a covariance that makes it that of the distribution, where neither doubt
-            nor truncation is.
-        doubt_sigma: Growth of the standard deviations with the doubt.
-        truncation_sigma: Growth of the standard deviations with the truncation.
-        degrees_of_freedom: Of the distribution.
+    ``scale`` makes a covariance that of the distribution, where neither doubt nor truncation is.
     """
 
     scale: float
@@ -104,17 +92,14 @@ def calibrate(
     """Find the distribution of a network's errors, and the threshold that flags images.
 
     New scales are the current ones times what was found, so a network that is already calibrated
-    keeps them. The threshold is that of `ffpose.evaluation.calibration.choose_threshold`: the
-    smallest sum of false-alarm and miss rates. The network is put in evaluation mode and otherwise
-    left as it is.
+    keeps them. The threshold is that of `ffpose.evaluation.calibration.choose_threshold`. The
+    network is put in evaluation mode and otherwise left as it is.
 
     Args:
         model: A network with a second look.
         labeled: Batches of held-out images, as a DataLoader of a `PoseDataset` yields them.
-        empty: Standardized batches ``(B, 3, H, W)`` of images that do not show the object, for the
-            threshold.
-        hard: Batches like ``labeled`` of images that count for the errors' distribution alone, such
-            as those of objects that the border cuts.
+        empty: Standardized batches ``(B, 3, H, W)`` that do not show the object, for the threshold.
+        hard: Batches like ``labeled`` that count for the errors' distribution alone.
         symmetry: Errors are modulo it.
 
     Raises:
@@ -147,12 +132,7 @@ def calibrate(
 
 
 def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
-    """Return the factor that removes the median error of the log distance.
-
-    Args:
-        predicted: Translations ``(N, 3)``, meters, none of them zero.
-        truth: True translations ``(N, 3)``, meters.
-    """
+    """Return the factor on translations ``(N, 3)`` that removes the median log distance error."""
     ratios = np.linalg.norm(truth, axis=1) / np.linalg.norm(predicted, axis=1)
     return float(np.exp(np.median(np.log(ratios))))
 
@@ -160,20 +140,12 @@ def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
 def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike, truncation: ArrayLike) -> Tails:
     """Return the t distribution of the largest likelihood of errors in three dimensions.
 
-    With a doubt ``p`` and a truncation ``s`` the scale matrix is that without them times
-    ``(1 + k p)² (1 + l s)²``.
-
-    Args:
-        squared_distance: ``eᵀ C⁻¹ e`` of each error ``(N,)``, N > 0.
-        doubt: ``(N,)``, 0…1; where all are zero no growth is found.
-        truncation: ``(N,)``, likewise.
-
-    Returns:
-        Its ``degrees_of_freedom`` are `LEAST_DEGREES_OF_FREEDOM` to
-        `ffpose.config.second_look.MOST_DEGREES_OF_FREEDOM`.
+    With a doubt ``p`` and a truncation ``s`` ``(N,)``, 0…1, the scale matrix is that without them
+    times ``(1 + k p)² (1 + l s)²``; where all are zero no growth is found. Degrees of freedom are
+    `LEAST_DEGREES_OF_FREEDOM` to `ffpose.config.second_look.MOST_DEGREES_OF_FREEDOM`.
 
     Raises:
-        ValueError: There are no distances, or one is negative or not finite.
+        ValueError: There are no distances ``eᵀ C⁻¹ e``, or one is negative or not finite.
     """
     d2 = np.asarray(squared_distance, np.float64)
     shares = np.stack([np.asarray(each, np.float64) for each in (doubt, truncation)])
@@ -240,8 +212,7 @@ def _see_all(
 ) -> dict[str, FloatArray]:
     """Return what the network predicts for all images, and the nearest truth of the same look.
 
-    With ``pointed_off`` the ``slopes`` of its looks at given points too, where it has them. Empty
-    without images.
+    With ``pointed_off`` the ``slopes`` of its looks too, where it has them. Empty without images.
     """
     off = pointed_off and isinstance(model, PolarPose)
     seen = [
@@ -306,14 +277,9 @@ def _see(
 def slopes(model: PolarPose, images: Tensor, truth: Tensor, covariance: Tensor) -> Tensor:
     """Return how looks follow the true offset ``(B, 3)``: twice across the ray, then along it.
 
-    Looks are pointed off the truth by `DISPLACED` standard deviations to either side; where what
-    they find moves by a share of that, the slope is one less this share.
-
-    Args:
-        model: A network that looks at given points.
-        images: ``(B, 3, H, W)``, standardized.
-        truth: Translations of the object ``(B, 3)``, meters.
-        covariance: Of what is found of them ``(B, 3, 3)``, square meters.
+    Looks are pointed off the truth ``(B, 3)``, meters, by `DISPLACED` standard deviations of the
+    covariance of what is found, m², to either side; where what they find moves by a share of that,
+    the slope is one less this share.
     """
     along = F.normalize(truth, dim=1)
     aside = torch.linalg.cross(along, torch.eye(3).to(along)[along.abs().argmin(1)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,10 @@ from torch.utils.data import DataLoader
 from ffpose import __version__
 from ffpose._internal.files import expect_place
 from ffpose._internal.zoo import resolve
-from ffpose.config import PolarPoseConfig, looks_twice
+from ffpose.config import looks_twice
 from ffpose.datasets import Decoding, PoseDataset, Sample
 from ffpose.imaging.reprojection import agree, bends
 from ffpose.models import (
-    PolarPose,
     SecondLookNetwork,
     WeightsMetadata,
     load_network,
@@ -42,13 +41,8 @@ def calibrate_weights(
 ) -> Calibration:
     """Calibrate a weights file on images that are opened, or rendered, as its network sees them.
 
-    Args:
-        weights: Weights file, or name of shipped weights.
-        images: The images.
-        out: File to write; None for that which was read, if ``weights`` is no name.
-
-    Returns:
-        What was found; the file's other tensors stay bit for bit.
+    ``weights`` may be a name; ``out`` is the file to write, None for that which was read. The
+    file's other tensors stay bit for bit.
 
     Raises:
         FileNotFoundError: No such file, name or image set.
@@ -76,11 +70,7 @@ def calibrate_weights(
 
 
 def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> CalibrationSet:
-    """Open images of a set on disk, which are to be such as the weights were trained on.
-
-    Raises:
-        ValueError: They are too few, of another camera, or their labels locate something else.
-    """
+    """Open images of a set on disk, which are to be such as the weights were trained on."""
     decoding = Decoding(images.undistort, images.white)
     decoding = decoding.completed(metadata.undistorted, metadata.white)
     images = replace(images, undistort=decoding.undistort, white=decoding.white)
@@ -103,10 +93,7 @@ def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> Calibratio
 
 
 def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> CalibrationImages:
-    """Return images of the first set that the weights were trained on, of all kinds that they saw.
-
-    ``scene`` stays None where the header names no set.
-    """
+    """Return images as of the weights' first training set, of all kinds that training saw."""
     sets = (metadata.data or {}).get("sets", [])
     seen = (metadata.recipe or {}).get("data", {})
     return replace(
@@ -121,22 +108,16 @@ def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> Calibra
 def write_calibrated(
     weights: str | Path, images: CalibrationSet, *, out: Path | None = None
 ) -> Calibration:
-    """Calibrate a weights file on opened images; see `calibrate_weights`.
-
-    Args:
-        weights: Weights file, or name of shipped weights.
-        images: The images.
-        out: File to write; None for that which was read.
-    """
+    """Calibrate a weights file on opened images; see `calibrate_weights`."""
     path, metadata = resolve(weights), read_metadata(weights)
     model = load_network(path)
     assert isinstance(model, SecondLookNetwork)
-    model.variance_scales.fill_(1)  # so that the same images always give the same scales
-    model.config = replace(
-        model.config, distance_scale=1.0, doubt_sigma=(0.0, 0.0), truncation_sigma=(0.0, 0.0)
-    )
-    if isinstance(model, PolarPose):
-        model.config = replace(model.config, look_slope=(1.0, 1.0))
+    # From scratch, so that the same images always give the same numbers.
+    model.variance_scales.fill_(1)
+    plain = type(model.config)()
+    names = [field.name for field in fields(plain) if field.name in Calibration._fields]
+    begin = {name: getattr(plain, name) for name in names if name != "degrees_of_freedom"}
+    model.config = replace(model.config, **begin)
     preprocessing = images.whole.preprocessing
     others = [] if images.strangers is None else standardized(images.strangers, preprocessing)
     hard = chain.from_iterable(map(_batches, images.hard))
@@ -146,18 +127,10 @@ def write_calibrated(
         "images": images.about,
     }
     threshold = metadata.in_view_threshold if images.strangers is None else found.in_view_threshold
-    config = replace(
-        model.config,
-        distance_scale=found.distance_scale,
-        doubt_sigma=found.doubt_sigma,
-        truncation_sigma=found.truncation_sigma,
-        degrees_of_freedom=found.degrees_of_freedom,
-    )
-    if isinstance(config, PolarPoseConfig) and found.look_slope is not None:
-        config = replace(config, look_slope=found.look_slope)
+    values = {name: getattr(found, name) for name in names}
     header = replace(
         metadata,
-        config=config,
+        config=replace(model.config, **values),
         in_view_threshold=threshold,
         calibration=about,
         version=__version__,

@@ -10,7 +10,7 @@ from ffpose.datasets import Decoding, PoseDataset, find_target, read_records
 from ffpose.datasets.scenes import open_frames, open_strangers
 from ffpose.imaging.patches import Bytes
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.render import find_scene
+from ffpose.render import Scene, find_scene
 from ffpose.training.config import CalibrationImages
 
 EMPTY_SEEDS, RANDOMIZED_SEEDS, TRUNCATED_SEEDS, DUSK_SEEDS = 500_000, 400_000, 300_000, 200_000
@@ -23,17 +23,22 @@ RANDOMIZATION = 0.7
 """Strength of the randomized images, as `ffpose render --randomize` has it."""
 
 
-class CalibrationSet(NamedTuple):
-    """Images that calibrate weights.
+def varied(scene: Scene) -> dict[str, tuple[Scene, int]]:
+    """Return a set as it is and its variants, each with what is added to the set's seed."""
+    return {
+        "whole": (scene, 0),
+        "cut": (scene.truncated(*TRUNCATED_SHARE), TRUNCATED_SEEDS),
+        "randomized": (scene.randomized(RANDOMIZATION), RANDOMIZED_SEEDS),
+        "dusk": (scene.at_dusk(), DUSK_SEEDS),
+    }
 
-    Attributes:
-        config: What they are.
-        about: What they are, for the header of the weights: a document for each kind.
-        whole: Whole images of the object.
-        hard: Those of objects that the border cuts, and those of randomized scenes; each if it is
-            asked for.
-        strangers: Whole images of other spacecraft ``(N, H, W, 3)``, uint8, for the threshold that
-            flags: of all without the object they are the likest. None where there are none.
+
+class CalibrationSet(NamedTuple):
+    """Images that calibrate weights, with a document for each kind for the header (``about``).
+
+    ``whole`` images of the object; ``hard`` ones, that the border cuts and of randomized scenes, if
+    asked for; and whole images ``(N, H, W, 3)``, uint8, of other spacecraft, which of all without
+    the object are the likest, for the threshold that flags; None where there are none.
     """
 
     config: CalibrationImages
@@ -78,11 +83,12 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
         raise ValueError("data.scene: expected the name of a rendered set, got none")
     scene, count = find_scene(config.scene, config.attitude_range_deg), config.count
     scene = scene.scaled(*config.distance)
-    parts = {"object": (scene, 0)}
-    if config.cut:
-        parts["object that the border cuts"] = (scene.truncated(*TRUNCATED_SHARE), TRUNCATED_SEEDS)
-    if config.randomized:
-        parts["object in randomized scenes"] = (scene.randomized(RANDOMIZATION), RANDOMIZED_SEEDS)
+    kinds = {
+        "object": "whole",
+        **({"object that the border cuts": "cut"} if config.cut else {}),
+        **({"object in randomized scenes": "randomized"} if config.randomized else {}),
+    }
+    parts = {what: varied(scene)[kind] for what, kind in kinds.items()}
     seeds = {what: matching(CALIBRATION, config.seed + more) for what, (_, more) in parts.items()}
     whole, *hard = (
         open_frames(config.root, part, seeds[what], count, preprocessing, workers=config.workers)

@@ -46,16 +46,9 @@ class TrainState:
     """Checkpoint: the state that the next epoch depends on, besides the configuration.
 
     The order of the images and the random numbers of an epoch follow from the seed and the epoch's
-    number, so no generator's state is kept.
-
-    Attributes:
-        model: The model's `state_dict`.
-        average: The `state_dict` of the weights' moving average.
-        loss: The `state_dict` of the loss: its learnable weights.
-        optimizer: The optimizer's `state_dict`.
-        history: Rows of all finished epochs.
-        best_epoch: Number of the epoch with the lowest validation score; 0 before the first.
-        best: The averaged weights after it, which the next stage starts from.
+    number, so no generator's state is kept. ``model``, ``average``, ``loss`` and ``optimizer`` are
+    state dicts; ``best`` are the averaged weights after ``best_epoch``, the epoch with the lowest
+    validation score, 0 before the first; the next stage starts from them.
     """
 
     model: dict[str, Any] = field(default_factory=dict)
@@ -67,70 +60,41 @@ class TrainState:
     best: dict[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
 class RunFolder:
-    """The files of a training run.
+    """The files of a training run in a folder.
 
     Attributes:
         root: The folder.
+        config: The configuration, which ``ffpose train --config`` reads.
+        results: Table of results, one row per epoch.
+        last: Weights after the last finished epoch.
+        best: Weights with the lowest validation score.
+        state: Checkpoint that a run is resumed from.
+        curves: Plot of loss and errors over the epochs.
     """
 
-    root: Path
-
-    @property
-    def config(self) -> Path:
-        """Path of the configuration, which ``ffpose train --config`` reads."""
-        return self.root / "config.yaml"
-
-    @property
-    def results(self) -> Path:
-        """Path of the table of results, one row per epoch."""
-        return self.root / "results.csv"
-
-    @property
-    def last(self) -> Path:
-        """Path of the weights after the last finished epoch."""
-        return self.root / "last.safetensors"
-
-    @property
-    def best(self) -> Path:
-        """Path of the weights with the lowest validation score."""
-        return self.root / "best.safetensors"
-
-    @property
-    def state(self) -> Path:
-        """Path of the checkpoint that a run is resumed from."""
-        return self.root / "state.pt"
-
-    @property
-    def curves(self) -> Path:
-        """Path of the plot of loss and errors over the epochs."""
-        return self.root / "curves.png"
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.config, self.results = root / "config.yaml", root / "results.csv"
+        self.last, self.best = root / "last.safetensors", root / "best.safetensors"
+        self.state, self.curves = root / "state.pt", root / "curves.png"
 
     def open(self, config: TrainConfig, *, resume: bool) -> TrainState:
-        """Load the state to start from; writes nothing (`begin` does).
-
-        Args:
-            config: Configuration of the run.
-            resume: Resume from the checkpoint in the folder, where there is one.
-
-        Returns:
-            The state to start from; its history is empty for a new run.
+        """Load the state to start from, a new run's without history; `begin` writes.
 
         Raises:
             FileExistsError: The folder holds a run, and ``resume`` is false.
             ValueError: ``config`` differs from that of the run to resume.
             ffpose.DataError: A file of that run cannot be read.
         """
-        state = TrainState()
-        if self.state.exists():
-            if not resume:
-                raise FileExistsError(
-                    f"{self.root} holds a training run: resume it, or write to another folder"
-                )
-            self._check_config(config)
-            state = self.load_state()
-        return state
+        if not self.state.exists():
+            return TrainState()
+        if not resume:
+            raise FileExistsError(
+                f"{self.root} holds a training run: resume it, or write to another folder"
+            )
+        self._check_config(config)
+        return self.load_state()
 
     def begin(self, config: TrainConfig) -> None:
         """Create the folder and write the configuration, after all checks have passed."""
@@ -148,11 +112,7 @@ class RunFolder:
             file.write(hashlib.sha256(contents.getbuffer()).digest())
 
     def load_state(self) -> TrainState:
-        """Read the checkpoint that `save_state` wrote.
-
-        Raises:
-            ffpose.DataError: The file is truncated, altered or not a checkpoint.
-        """
+        """Read the checkpoint that `save_state` wrote, or raise a DataError if it is damaged."""
         data = self.state.read_bytes()
         contents, digest = data[:-DIGEST_SIZE], data[-DIGEST_SIZE:]
         if (found := hashlib.sha256(contents).digest()) != digest:
@@ -187,11 +147,7 @@ class RunFolder:
 
 
 def read_results(path: Path) -> list[Row]:
-    """Read a table of results: values as floats, and the stage's name.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-    """
+    """Read a table of results: values as floats, and the stage's name."""
     with path.open(newline="", encoding="utf-8") as file:
         return [
             {name: value if name == "stage" else float(value) for name, value in row.items()}

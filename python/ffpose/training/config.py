@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ffpose._internal.seeds import CALIBRATION, TRAINING, matching
-from ffpose.errors import check_choices
+from ffpose.errors import check_choices, expect, expect_least
 from ffpose.imaging.images import check_white
 from ffpose.training.stages import JOINT_STAGE, Stage
 
@@ -19,19 +19,6 @@ ModelName = Literal[
     "base", "small", "tiny", "compact", "transformerpose", "polar", "ursonet", "posenet"
 ]
 """Keys of `ffpose.config.PRESETS`, listed here so that a wrong one is rejected without torch."""
-
-
-def _expect(condition: bool, name: str, expected: str, got: object) -> None:
-    """Raise a ValueError with the expected and actual value of ``name``, unless ``condition``."""
-    if not condition:
-        raise ValueError(f"{name}: expected {expected}, got {got!r}")
-
-
-def _expect_least(config: object, prefix: str = "", **least: int) -> None:
-    """Raise a ValueError unless each field named is at least so large."""
-    for name, bound in least.items():
-        value = getattr(config, name)
-        _expect(value >= bound, prefix + name, f"{bound} or more", value)
 
 
 @dataclass(frozen=True)
@@ -76,8 +63,8 @@ class CalibrationImages:
 
     def __post_init__(self) -> None:
         expected = f"{CALIBRATION.start} to {CALIBRATION.stop - 1}, which are for calibration"
-        _expect(self.seed in CALIBRATION, "data.seed", expected, self.seed)
-        _expect_least(self, "data.", count=2, start=0, step=1, workers=0)
+        expect(self.seed in CALIBRATION, "data.seed", expected, self.seed)
+        expect_least(self, "data.", count=2, start=0, step=1, workers=0)
 
 
 @dataclass(frozen=True)
@@ -158,20 +145,20 @@ class DataConfig:
 
     def __post_init__(self) -> None:
         check_choices(self, "data.")
-        _expect_least(self, "data.", workers=0)
-        _expect(self.holdout == 0 or self.holdout > 1, "data.holdout", "0, 2 or more", self.holdout)
+        expect_least(self, "data.", workers=0)
+        expect(self.holdout == 0 or self.holdout > 1, "data.holdout", "0, 2 or more", self.holdout)
         if self.white is not None:
             check_white("data.white", self.white)
-        _expect(min(self.counts, default=0) >= 1, "data.count", "1 or more", self.count)
+        expect(min(self.counts, default=0) >= 1, "data.count", "1 or more", self.count)
         if self.kind == "scenes":
             sets = len(self.scenes)
-            _expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
-        _expect_least(self, "data.", validation=1, calibration=2, empty=0, decoys=0)
-        _expect_least(self, "data.", cut=0, randomized=0, dusk=0)
+            expect(len(self.counts) == sets, "data.count", f"a number for {sets} sets", self.count)
+        expect_least(self, "data.", validation=1, calibration=2, empty=0, decoys=0)
+        expect_least(self, "data.", cut=0, randomized=0, dusk=0)
         near, far = self.distance
-        _expect(0 < near <= 1 <= far, "data.distance", "0 < near <= 1 <= far", self.distance)
+        expect(0 < near <= 1 <= far, "data.distance", "0 < near <= 1 <= far", self.distance)
         expected = f"0 to {TRAINING.stop - 1}, as later seeds are not for training"
-        _expect(self.seed in TRAINING, "data.seed", expected, self.seed)
+        expect(self.seed in TRAINING, "data.seed", expected, self.seed)
 
     @property
     def scenes(self) -> list[str]:
@@ -247,9 +234,9 @@ class OptimizerConfig:
     def __post_init__(self) -> None:
         for name in ("learning_rate", "eps", "step_factor"):
             value = getattr(self, name)
-            _expect(value > 0, f"optimizer.{name}", "more than 0", value)
-        _expect_least(self, "optimizer.", weight_decay=0, clip_norm=0, step_epochs=1)
-        _expect_least(self, "optimizer.", warmup_epochs=0)
+            expect(value > 0, f"optimizer.{name}", "more than 0", value)
+        expect_least(self, "optimizer.", weight_decay=0, clip_norm=0, step_epochs=1)
+        expect_least(self, "optimizer.", warmup_epochs=0)
         check_choices(self, "optimizer.")
 
 
@@ -298,9 +285,7 @@ class ObjectLossConfig:
     keypoints: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0:
-                raise ValueError(f"{name}: expected 0 or more, got {value}")
+        expect_least(self, "", **dict.fromkeys(vars(self), 0))
 
     @property
     def renders(self) -> bool:
@@ -343,8 +328,7 @@ class PatchAugmentation:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             most = 180.0 if name.endswith("_deg") else 1.0
-            if not 0 <= value <= most:
-                raise ValueError(f"{name}: expected a number from 0 to {most:g}, got {value}")
+            expect(0 <= value <= most, name, f"a number from 0 to {most:g}", value)
 
 
 @dataclass(frozen=True)
@@ -419,11 +403,11 @@ class TrainConfig:
     symmetry: Path | None = None
 
     def __post_init__(self) -> None:
-        _expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)
+        expect(len(self.stages) > 0, "stages", "at least one stage", self.stages)
         check_choices(self)
-        _expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
-        _expect_least(self, patience=0, batch_size=1, accumulate=1, processes=1, seed=0)
-        _expect(0 <= self.ema < 1, "ema", "0 <= ema < 1", self.ema)
+        expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
+        expect_least(self, patience=0, batch_size=1, accumulate=1, processes=1, seed=0)
+        expect(0 <= self.ema < 1, "ema", "0 <= ema < 1", self.ema)
         self._check_keypoints()
         fields = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_fields.items()}
         object.__setattr__(self, "model_fields", fields)
@@ -432,9 +416,7 @@ class TrainConfig:
         """Check that keypoints and the weight of their heatmaps are given together."""
         weight, file = self.object_loss.keypoints, self.data.keypoints
         if self.data.kind == "scenes":
-            _expect(
-                file is None, "data.keypoints", "none with kind scenes, which has its own", file
-            )
+            expect(file is None, "data.keypoints", "none with kind scenes, which has its own", file)
         elif (weight > 0) != (file is not None):
             raise ValueError(
                 "data.keypoints and object_loss.keypoints: expected a file and a weight above 0, "

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +28,10 @@ from ffpose.imaging.reprojection import agree
 from ffpose.imaging.transforms import Augmentation
 from ffpose.render import find_scene
 from ffpose.training.calibration_images import (
-    DUSK_SEEDS,
     EMPTY_SEEDS,
-    RANDOMIZATION,
-    RANDOMIZED_SEEDS,
-    TRUNCATED_SEEDS,
-    TRUNCATED_SHARE,
     CalibrationSet,
     open_calibration,
+    varied,
 )
 from ffpose.training.config import DataConfig
 
@@ -48,15 +42,10 @@ NO_KEYPOINTS = np.zeros((0, 3))
 class TrainingData:
     """Training and validation data of a run.
 
-    Attributes:
-        poses: Labels of the training split ``(N, 7)``.
-        val_set: Whole images of the validation split.
-        camera: Of the network's input; None where the images have several.
-        train_set: Whole images of the training split, for a network that looks at the frame.
-        patches: Stored patches, for one with a second look.
-        empty: Stored patches without an object.
-        calibration: Images that calibrate a network with a second look.
-        keypoints: Points of the object ``(K, 3)``, meters; none where they are unknown.
+    ``poses`` are the labels of the training split ``(N, 7)``; ``val_set`` whole validation images;
+    ``camera`` that of the network's input, None where the images have several. A network that looks
+    at the frame has ``train_set``, one with a second look stored patches, those ``empty`` of an
+    object, images for calibration and the object's keypoints ``(K, 3)``, meters, where known.
     """
 
     poses: NDArray[np.float64]
@@ -74,11 +63,7 @@ def open_training_data(
 ) -> TrainingData:
     """Open the images that ``config`` names, as the network looks at them.
 
-    Args:
-        config: Which images.
-        model: How the network looks.
-        preprocessing: From image to network input.
-        coordinates: Whether a network with a second look learns the object's coordinates.
+    ``coordinates``: whether a network with a second look learns the object's coordinates.
 
     Raises:
         ValueError: An unknown kind of image set, or fields that do not go together.
@@ -113,10 +98,7 @@ def open_training_data(
 def _open_splits(
     config: DataConfig, preprocessing: Preprocessing, *, calibrated: bool
 ) -> tuple[PoseDataset, PoseDataset]:
-    """Open the images to learn from, augmented, and those that validate.
-
-    Of a network that is calibrated every other one of the latter is left for that.
-    """
+    """Open images to learn from, augmented, and to validate; others of the latter calibrate."""
     kind, decoding = config.kind, Decoding(config.undistort, config.white)
     known = list_splits(kind, config.root)
     splits = (*known, "all")
@@ -142,7 +124,7 @@ def _open_splits(
         val = read_records(kind, config.root, config.val_split, decoding)
     if calibrated:
         val = val[::2]
-    augmentation = _augmentation(config.augmentation) if config.augment else None
+    augmentation = _augmentation(config)
     target, cache = find_target(kind), config.cache
     train_set = PoseDataset(train, preprocessing, augmentation, cache, target)
     val_set = PoseDataset(val, preprocessing, None, cache, target)
@@ -167,24 +149,22 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
     val_set = open_frames(
         config.root, shown[0], val_seed, config.validation, preprocessing, workers=workers
     )
-    seeded = list(zip(scenes, config.seeds, strict=True))
-    counted = zip(seeded, config.counts, strict=True)
-    kinds = [
-        *((scene, seed, count) for (scene, seed), count in counted),
-        *(
-            (scene.truncated(*TRUNCATED_SHARE), seed + TRUNCATED_SEEDS, config.cut)
-            for scene, seed in seeded
-        ),
-        *(
-            (scene.randomized(RANDOMIZATION), seed + RANDOMIZED_SEEDS, config.randomized)
-            for scene, seed in seeded
-        ),
-        *((scene.at_dusk(), seed + DUSK_SEEDS, config.dusk) for scene, seed in seeded),
+    counts = {
+        "whole": config.counts,
+        **{kind: [getattr(config, kind)] * len(scenes) for kind in ("cut", "randomized", "dusk")},
+    }
+    kinds = [varied(scene) for scene in scenes]
+    parts = [
+        (each[kind][0], matching(TRAINING, seed + each[kind][1]), count)
+        for kind, numbers in counts.items()
+        for each, seed, count in zip(kinds, config.seeds, numbers, strict=True)
+        if count > 0
     ]
-    parts = [(scene, matching(TRAINING, seed), count) for scene, seed, count in kinds if count > 0]
     if not looks_twice(model):
         frames = [open_frames(config.root, *part, preprocessing, workers=workers) for part in parts]
-        train_set = _joined(frames, config)
+        records = [record for each in frames for record in each.records]
+        augmentation = _augmentation(config)
+        train_set = PoseDataset(records, preprocessing, augmentation, config.cache)
         return TrainingData(train_set.poses, val_set, camera, train_set)
     spec = patch_spec(model, camera)
     patches: list[Arrays] = [
@@ -205,24 +185,19 @@ def _scenes(config: DataConfig, model: NetworkConfig, preprocessing: Preprocessi
     return TrainingData(poses, val_set, camera, None, patches, empty, calibration, keypoints)
 
 
-def _joined(sets: Sequence[PoseDataset], config: DataConfig) -> PoseDataset:
-    """Return the images of several sets of one camera as one training split."""
-    records = [record for each in sets for record in each.records]
-    augmentation = _augmentation(config.augmentation) if config.augment else None
-    return PoseDataset(records, sets[0].preprocessing, augmentation, config.cache)
-
-
 def patch_spec(model: SecondLookConfig, camera: Camera) -> PatchSpec:
     """Return how a network looks at the images of its camera."""
     return PatchSpec(camera, model.first_stride, model.object_width, model.object_radius_m)
 
 
-def _augmentation(values: Mapping[str, Any]) -> Augmentation:
-    known = list(Augmentation.__dataclass_fields__)
+def _augmentation(config: DataConfig) -> Augmentation | None:
+    if not config.augment:
+        return None
+    values, known = config.augmentation, list(Augmentation.__dataclass_fields__)
     expected = f"data.augmentation: expected numbers for some of {', '.join(known)}"
     for name in values.keys() - known:
         raise ValueError(f"{expected}; got {name}{hint(name, known)}")
     try:
         return Augmentation(**values)
     except TypeError as error:  # a value that is no number
-        raise ValueError(f"{expected}; got {dict(values)}") from error
+        raise ValueError(f"{expected}; got {values}") from error

@@ -17,13 +17,7 @@ from ffpose.ops import normalize_quaternion
 
 
 class LossTerms(NamedTuple):
-    """The joint loss and its two terms, scalar tensors.
-
-    Attributes:
-        total: Eq. 11, to be minimized.
-        translation: ``L_t``, Eq. 9, meters.
-        orientation: ``L_q``, Eq. 10.
-    """
+    """The joint loss (Eq. 11) and its terms, ``L_t`` in meters and ``L_q``, scalar tensors."""
 
     total: Tensor
     translation: Tensor
@@ -33,10 +27,9 @@ class LossTerms(NamedTuple):
 class JointLoss(nn.Module):
     """Base of the losses that join a translation term with an orientation term.
 
-    Args:
-        antipodal: Measure the distance to the nearer of q and -q, which are the same rotation. The
-            paper's loss (False) relies on canonical labels, and its gradient points the wrong way
-            for a prediction near a half turn with the other sign.
+    With ``antipodal`` the distance is to the nearer of q and -q, which are the same rotation. The
+    paper's loss relies on canonical labels, and its gradient points the wrong way for a prediction
+    near a half turn with the other sign.
     """
 
     def __init__(self, antipodal: bool = False) -> None:
@@ -56,13 +49,7 @@ class JointLoss(nn.Module):
 
 
 class FixedLoss(JointLoss):
-    """The loss ``L = w_t L_t + w_q L_q`` with fixed weights; it has no parameters.
-
-    Args:
-        translation: ``w_t``.
-        orientation: ``w_q``.
-        antipodal: As in `JointLoss`.
-    """
+    """The loss ``L = w_t L_t + w_q L_q`` with fixed weights; it has no parameters."""
 
     def __init__(self, translation: float, orientation: float, antipodal: bool = False) -> None:
         super().__init__(antipodal)
@@ -75,15 +62,10 @@ class FixedLoss(JointLoss):
 
 
 class PoseLoss(JointLoss):
-    """The joint loss with its learnable weights.
+    """The joint loss with its learnable weights, of initial log weights ``s_t`` and ``s_q``.
 
-    Exclude ``s_t`` and ``s_q`` from weight decay: they are not weights of the network, and zero is
-    not a neutral value for them.
-
-    Args:
-        s_t: Initial log weight of the translation.
-        s_q: Initial log weight of the orientation.
-        antipodal: As in `JointLoss`.
+    Exclude them from weight decay: they are not weights of the network, and zero is not a neutral
+    value for them.
     """
 
     def __init__(self, s_t: float = -3.0, s_q: float = -6.5, antipodal: bool = False) -> None:
@@ -92,16 +74,9 @@ class PoseLoss(JointLoss):
         self.s_q = nn.Parameter(torch.tensor(float(s_q)))
 
     def forward(self, t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> LossTerms:
-        """Compare predictions with labels.
+        """Compare predictions with labels: translations ``(B, 3)``, meters; quaternions ``(B, 4)``.
 
-        Args:
-            t_hat: Predicted translations ``(B, 3)``, meters.
-            q_hat: Predicted quaternions ``(B, 4)``, ``(w, x, y, z)``, with any nonzero norm.
-            t: True translations ``(B, 3)``.
-            q: True unit quaternions ``(B, 4)``.
-
-        Returns:
-            The loss and its terms.
+        Predicted quaternions, ``(w, x, y, z)``, may have any nonzero norm.
 
         Raises:
             ValueError: A shape is wrong, the batch is empty, or a predicted quaternion is zero.

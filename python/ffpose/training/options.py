@@ -64,8 +64,8 @@ def read_words(words: Sequence[str]) -> list[str]:
     """Return the words of a command line as the parser of `add_fields` takes them.
 
     Raises:
-        argparse.ArgumentError: An option has underscores, or a value is a JSON string; the message
-            has the right spelling. Or a value of ``--config`` is neither a file nor a name.
+        argparse.ArgumentError: An option has underscores, a value is a JSON string, or a value of
+            ``--config`` is neither a file nor a name; the message has the right spelling.
     """
     found = []
     for option, separator, value in split(words):
@@ -107,11 +107,7 @@ def _value(option: str, value: str) -> str:
 
 
 def check_document(text: str) -> None:
-    """Check that a configuration in YAML has the network's name and fields together.
-
-    Raises:
-        argparse.ArgumentError: It has not, or the text is not YAML.
-    """
+    """Check that a configuration in YAML has the network's name and fields together."""
     try:
         document = require("jsonargparse", "pose").get_loader("yaml")(text)
     except Exception as error:  # that of the YAML package, which jsonargparse chooses
@@ -166,12 +162,7 @@ def dump_config(config: TrainConfig) -> str:
 
 
 def load_config(path: Path) -> TrainConfig:
-    """Read a configuration that `dump_config` wrote.
-
-    Raises:
-        FileNotFoundError: There is no such file.
-        ffpose.DataError: The file is not a training configuration.
-    """
+    """Read a configuration that `dump_config` wrote; a DataError if it is none."""
     from jsonargparse import ArgumentError
 
     parser = field_parser()

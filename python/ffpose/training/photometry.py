@@ -23,10 +23,7 @@ LEAST_BLUR, LEAST_NOISE = 0.02, 0.001
 class Photometry:
     """Varies images in [0, 255], and standardizes them, black being zero.
 
-    Args:
-        augmentation: Ranges of brightness, blur and noise.
-        std: Standard deviation of the input's preprocessing, whose mean is zero.
-        device: Where the images are.
+    ``std`` is that of the input's preprocessing, whose mean is zero.
     """
 
     def __init__(

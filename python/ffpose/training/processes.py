@@ -32,13 +32,7 @@ BACKENDS = "cpu:gloo,cuda:nccl"
 
 @dataclass(frozen=True)
 class Processes:
-    """This process's place among those that train together.
-
-    Attributes:
-        rank: Number of this process, from 0.
-        world: How many there are.
-        here: How many of them are on this machine.
-    """
+    """This process's rank among those that train together, and how many of them are here."""
 
     rank: int = 0
     world: int = 1
@@ -71,9 +65,7 @@ class Processes:
     def parallel(self, objective: nn.Module) -> nn.Module:
         """Return a module of one result and of gradients that are the mean of all processes'.
 
-        Args:
-            objective: Gives the loss of a batch; all that is trained is in it, and all that is
-                trained gets a gradient. What is frozen must be so already.
+        All that is trained is in it and gets a gradient; what is frozen must be so already.
         """
         if self.world == 1:
             return objective
@@ -107,11 +99,7 @@ ALONE = Processes()
 
 @contextmanager
 def joined(device: str) -> Iterator[Processes]:
-    """Join the group of ``torchrun``'s environment, and leave it at the end.
-
-    Args:
-        device: As of `ffpose.training.TrainConfig`.
-    """
+    """Join the group of ``torchrun``'s environment, and leave it at the end."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world == 1 or distributed.is_initialized():
         yield ALONE if world == 1 else current()
@@ -129,13 +117,7 @@ def joined(device: str) -> Iterator[Processes]:
 
 
 def _own_gpu() -> int:
-    """Return the number of this process's GPU: its number on its machine.
-
-    Launchers of one process a machine set none.
-
-    Raises:
-        ValueError: There are fewer GPUs than processes on this machine.
-    """
+    """Return the number of this process's GPU: its number on its machine, 0 where none is told."""
     number, count = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
     if number >= count:
         raise ValueError(f"processes: expected at most {count}, one a GPU, got {number + 1}")
@@ -174,12 +156,8 @@ def accumulating(objective: nn.Module, *, last: bool) -> AbstractContextManager[
 def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     """Start ``count - 1`` processes beside this one, which leads, for as long as the block runs.
 
-    The environment says of each what ``torchrun`` would, and torch's threads are shared out.
-
-    Args:
-        count: Processes in all.
-        work: What the others call, a function of a module.
-        args: Its arguments.
+    The environment says of each what ``torchrun`` would, and torch's threads are shared out. The
+    others call ``work``, a function of a module.
     """
     if count == 1:
         yield

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
@@ -31,19 +30,11 @@ LONG_WAIT = 0.05
 """Share of an epoch spent waiting for data from which it is shown."""
 
 
-class Reporter:
-    """A progress bar over the steps, and one line per finished epoch.
-
-    Args:
-        epochs: Number of epochs of the whole run.
-        finished: Number of epochs already finished, in a resumed run.
-        steps: Number of steps per epoch.
-        quiet: Whether to print nothing.
-    """
+class Reporter(Progress):
+    """A progress bar over the steps of a run with ``finished`` epochs, and a line per epoch."""
 
     def __init__(self, epochs: int, finished: int, steps: int, *, quiet: bool) -> None:
-        self._console = Console(stderr=True, quiet=quiet)
-        self._bar = Progress(
+        super().__init__(
             TextColumn("epoch {task.fields[epoch]}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -51,65 +42,45 @@ class Reporter:
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(elapsed_when_finished=False),
-            console=self._console,
+            console=Console(stderr=True, quiet=quiet),
             transient=True,
             disable=quiet,
         )
         self._epochs = epochs
-        self._task = self._bar.add_task(
-            "train", total=(epochs - finished) * steps, epoch="", figures=""
-        )
+        self._bar = self.add_task("train", total=(epochs - finished) * steps, epoch="", figures="")
         self._images = 0
         self._began = time.perf_counter()
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
-
-    def notice(self, text: str) -> None:
-        """Print a line above the bar."""
-        self._console.print(text, highlight=False)
 
     def epoch_begins(self, epoch: Epoch) -> None:
         """Show the current epoch, and reset the count of images."""
         self._images, self._began = 0, time.perf_counter()
-        self._bar.update(self._task, epoch=f"{epoch.number}/{self._epochs} {epoch.stage.name}")
+        self.update(self._bar, epoch=f"{epoch.number}/{self._epochs} {epoch.stage.name}")
 
     def step(self, loss: float, learning_rate: float, images: int) -> None:
         """Count one step, and show its loss and rates."""
         self._images += images
         rate = self._images / max(time.perf_counter() - self._began, 1e-9)
         figures = f"loss {loss:.4g}  lr {learning_rate:.2e}  {rate:.0f} images/s"
-        self._bar.update(self._task, advance=1, figures=figures)
+        self.update(self._bar, advance=1, figures=figures)
 
     def epoch_ends(self, row: Row) -> None:
         """Print the results of the epoch, and the wait for data if it is long."""
         wait = float(row["loader_wait"])
-        self.notice(
+        self.console.print(
             f"epoch {row['epoch']}/{self._epochs}  loss {row['train_loss']:.4g}  "
             f"lr {row['learning_rate']:.2e}  "
             f"val {row['val_median_translation_error_m']:.3g} m "
             f"{row['val_median_rotation_error_deg']:.3g}°  "
             f"{row['images_per_second']:.0f} images/s  {row['seconds']:.1f} s"
-            + (f"  {100 * wait:.0f} % of it for data" if wait > LONG_WAIT else "")
+            + (f"  {100 * wait:.0f} % of it for data" if wait > LONG_WAIT else ""),
+            highlight=False,
         )
 
 
 class Events:
-    """Writes the rows of results as scalars; nothing where TensorBoard was not asked for.
+    """Writes the rows of results as scalars; nothing where TensorBoard is not wanted.
 
-    Args:
-        folder: Of the run; the events lie in ``tensorboard`` in it.
-        done: Number of finished epochs; what a stopped run wrote of later ones is left out.
-        wanted: Whether to write at all.
+    What a stopped run wrote of epochs after ``done`` is left out.
 
     Raises:
         ffpose.MissingExtraError: TensorBoard is not installed.
@@ -125,12 +96,7 @@ class Events:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._writer is not None:
             self._writer.close()
 

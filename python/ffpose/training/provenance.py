@@ -7,6 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ffpose._internal.files import sha256
 from ffpose.datasets import PoseDataset
 from ffpose.evaluation.baseline import mean_pose
@@ -20,11 +23,9 @@ OF_THIS_MACHINE = ("out", "device", "backbone_weights")
 
 
 def origin(weights: Path) -> dict[str, Any]:
-    """Return the provenance of weights that a training starts from.
+    """Return the provenance of initial weights: SHA-256, and recipe and data of their header.
 
-    Returns:
-        ``sha256``, and ``recipe`` and ``data`` of their header; the recipe's own ``init`` is the
-        provenance of those before, and so on.
+    The recipe's own ``init`` is the provenance of those before, and so on.
     """
     header = read_metadata(weights)
     return {"sha256": sha256(weights), "recipe": header.recipe, "data": header.data}
@@ -33,10 +34,7 @@ def origin(weights: Path) -> dict[str, Any]:
 def recipe(config: TrainConfig, init: dict[str, Any] | None) -> dict[str, Any]:
     """Return the configuration as a JSON document, without paths and names of this machine.
 
-    Args:
-        config: The configuration.
-        init: What `origin` returns of the initial weights, which stands in the place of their
-            path; None for none.
+    What `origin` returns of the initial weights stands in the place of their path.
     """
     fields = {name: value for name, value in asdict(config).items() if name not in OF_THIS_MACHINE}
     fields["init"] = init
@@ -74,22 +72,30 @@ def rendered_sets(config: DataConfig) -> dict[str, Any]:
     }
 
 
-def describe_data(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
-    """Describe the images of a run: name, sets, number, size, mean pose, digest of the labels.
-
-    The digest is the SHA-256, in hexadecimal, of the concatenation over all images of the name, a
-    newline, and the label ``[t, q]`` as little-endian float64.
-    """
-    digest = hashlib.sha256()
-    for name, pose in zip(dataset.names, dataset.poses, strict=True):
-        digest.update(f"{name}\n".encode() + pose.astype("<f8").tobytes())
+def describe_data(
+    config: DataConfig, poses: NDArray[np.float64], images: PoseDataset, digest: Any
+) -> dict[str, Any]:
+    """Describe a run's images: name, sets, size; number, mean and digest of labels ``(N, 7)``."""
+    size = images.image_size
     return {
         "kind": config.kind,
         "name": set_name(config),
         **rendered_sets(config),
-        "locates": dataset.target,
-        "count": len(dataset),
-        "image_size": None if dataset.image_size is None else list(dataset.image_size),
-        "mean_pose": mean_pose(dataset.poses).tolist(),
+        "count": len(poses),
+        "image_size": None if size is None else list(size),
+        "mean_pose": mean_pose(poses).tolist(),
         "digest": digest.hexdigest(),
     }
+
+
+def describe_images(dataset: PoseDataset, config: DataConfig) -> dict[str, Any]:
+    """Describe whole images as `describe_data`, and what their labels locate.
+
+    The digest is of the concatenation over all images of the name, a newline, and the label
+    ``[t, q]`` as little-endian float64.
+    """
+    digest = hashlib.sha256()
+    for name, pose in zip(dataset.names, dataset.poses, strict=True):
+        digest.update(f"{name}\n".encode() + pose.astype("<f8").tobytes())
+    described = describe_data(config, dataset.poses, dataset, digest)
+    return {**described, "locates": dataset.target}

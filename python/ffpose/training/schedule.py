@@ -8,16 +8,10 @@ from ffpose.training.config import OptimizerConfig
 
 
 def learning_rate(optimizer: OptimizerConfig, position: float, epochs: int) -> float:
-    """Return the learning rate at a point of a stage.
+    """Return the learning rate at a position in a stage of so many epochs, 0 to ``epochs``.
 
-    The warm-up factor rises linearly and multiplies the schedule's rate.
-
-    Args:
-        optimizer: The schedule and its parameters.
-        position: Epochs since the start of the stage, fractional; ``0 <= position <= epochs``. The
-            engine passes the middle of a step, so that each step has its own epoch's rate and
-            neither warm-up nor cosine gives a rate of zero.
-        epochs: Number of epochs in the stage.
+    The warm-up factor rises linearly and multiplies the schedule's rate. The engine passes the
+    middle of a step, so that neither warm-up nor cosine gives a rate of zero.
 
     Examples:
         >>> paper = OptimizerConfig()

@@ -22,11 +22,8 @@ if TYPE_CHECKING:
 class Stage:
     """A number of epochs during which some parts of the model are frozen.
 
-    Attributes:
-        name: Name of the stage in the table of results.
-        epochs: Number of passes over the training split.
-        freeze: Submodules that get no gradient and stay in evaluation mode, out of the parts that
-            the network's configuration names (`ffpose.config.NetworkConfig.parts`).
+    Those get no gradient and stay in evaluation mode; they are of the parts that the network's
+    configuration names (`ffpose.config.NetworkConfig.parts`).
     """
 
     name: str
@@ -51,13 +48,7 @@ PAPER_STAGES = (
 
 @dataclass(frozen=True)
 class Epoch:
-    """One epoch of a run.
-
-    Attributes:
-        number: Number of the epoch in the whole run, counted from 1.
-        stage: The stage of the epoch.
-        index: Index of the epoch within its stage, counted from 0.
-    """
+    """One epoch of a run: its number in the run, from 1, and its index within its stage, from 0."""
 
     number: int
     stage: Stage
@@ -74,11 +65,8 @@ def next_epoch(
 ) -> Epoch | None:
     """Return the epoch that follows the finished ones; None after the last.
 
-    Args:
-        stages: The stages of the run, in order.
-        finished: Stage and validation score, lower is better, of each finished epoch.
-        patience: Number of epochs without a better score in its stage after which a stage ends
-            early; 0 for never.
+    ``finished`` has stage and validation score, lower is better, of each epoch; a stage ends early
+    after ``patience`` epochs without a better score in it, never with 0.
 
     Raises:
         ValueError: The finished epochs are not those of such stages.
@@ -117,8 +105,7 @@ def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
     """Check that each stage freezes only parts that the network has, and not all of them.
 
     Raises:
-        ValueError: A stage freezes a part that the network lacks, or all parts, or has another's
-            name.
+        ValueError: One does not, or has another's name.
     """
     names = [stage.name for stage in stages]
     if len(set(names)) < len(names):

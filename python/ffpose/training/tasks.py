@@ -10,19 +10,19 @@ from __future__ import annotations
 
 import hashlib
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample
-from ffpose.evaluation.baseline import mean_pose
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import BaseNetwork, FrameNetwork, SecondLookNetwork
 from ffpose.nn.orientation import QuaternionHead
@@ -31,7 +31,7 @@ from ffpose.training.losses import JointLoss, LossTerms
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatch, PatchBatches, StoredBatch
 from ffpose.training.processes import ALONE, Processes
-from ffpose.training.provenance import describe_data, rendered_sets, set_name
+from ffpose.training.provenance import describe_data, describe_images
 
 LEAST_BATCHES = 4
 """Batches of an epoch for each worker, or more: fewer do not pay for its start."""
@@ -40,59 +40,63 @@ VALIDATION_BATCH = 20
 """Batch size for validating a network with a second look on whole images."""
 
 
-class Task(Protocol):
+class Task(ABC):
     """Interface between the training loop and the data and loss of a network.
 
-    Attributes:
-        preprocessing: Conversion from an image to the network's input.
-        val_set: Whole validation images, which select the best epoch.
+    ``val_set`` are whole validation images, which select the best epoch.
     """
 
-    preprocessing: Preprocessing
-    val_set: PoseDataset
+    loss: nn.Module
+    """The loss; its parameters are trained without weight decay and not saved with weights."""
+
+    def __init__(
+        self, val_set: PoseDataset, batch_size: int, workers: int, processes: Processes
+    ) -> None:
+        self.val_set, self.preprocessing = val_set, val_set.preprocessing
+        self.batch_size, self.workers, self.processes = batch_size, workers, processes
 
     @property
-    def loss(self) -> nn.Module:
-        """The loss; its parameters are trained without weight decay and not saved with weights."""
-
-    @property
+    @abstractmethod
     def images(self) -> int:
         """Number of training images that an epoch uses, over all processes."""
 
     @property
+    @abstractmethod
     def steps(self) -> int:
         """Number of batches per epoch in this process."""
 
+    @abstractmethod
     def batches(self, seed: int) -> Iterator[Any]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
 
+    @abstractmethod
     def terms(self, model: BaseNetwork, batch: Any, device: torch.device) -> LossTerms:
         """Return the loss of a batch."""
 
     def size(self, batch: Any) -> int:
         """Return the number of images in a batch."""
+        return len(batch.index)
 
+    @abstractmethod
     def names(self, batch: Any) -> str:
         """Return the names of a batch's images, for error messages."""
 
+    @abstractmethod
     def weights(self) -> dict[str, float]:
         """Return the learnable weights of the loss, for the table of results."""
 
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
+        share = self.processes.share(len(self.val_set))
+        return iter(DataLoader(self.val_set, VALIDATION_BATCH, sampler=share))
 
+    @abstractmethod
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Describe the training images, for the header of the weights."""
 
 
 class Objective(nn.Module):
-    """The loss of a batch, as a module of all that is trained.
-
-    Args:
-        task: Gives the loss.
-        model: The network.
-        device: Where it computes.
-    """
+    """The loss of a batch, as a module of all that is trained."""
 
     def __init__(self, task: Task, model: BaseNetwork, device: torch.device) -> None:
         super().__init__()
@@ -104,29 +108,10 @@ class Objective(nn.Module):
         return self._task.terms(self.model, batch, self._device)
 
 
-def _loader(
-    dataset: Dataset[Any], batch_size: int | None, workers: int, **options: Any
-) -> DataLoader[Any]:
-    return DataLoader(dataset, batch_size=batch_size, num_workers=workers, **options)
+class FrameTask(Task):
+    """Pose from whole images: a network's two losses, joined."""
 
-
-def _validation(
-    dataset: PoseDataset, own: Processes, batch_size: int, workers: int
-) -> Iterator[Sample]:
-    return iter(_loader(dataset, batch_size, workers, sampler=own.share(len(dataset))))
-
-
-class FrameTask:
-    """Pose from whole images: a network's two losses, joined.
-
-    Args:
-        train_set: Training images.
-        val_set: Validation images, which select the best epoch.
-        loss: The sum of both losses.
-        batch_size: Images per batch.
-        workers: Additional processes that read images.
-        processes: This process's place among those that train together.
-    """
+    loss: JointLoss
 
     def __init__(
         self,
@@ -137,10 +122,8 @@ class FrameTask:
         workers: int,
         processes: Processes = ALONE,
     ) -> None:
-        self.processes = processes
-        self.train_set, self.val_set, self.loss = train_set, val_set, loss
-        self.batch_size, self.workers = batch_size, workers
-        self.preprocessing = train_set.preprocessing
+        super().__init__(val_set, batch_size, workers, processes)
+        self.train_set, self.loss = train_set, loss
 
     @property
     def images(self) -> int:
@@ -158,9 +141,10 @@ class FrameTask:
         generator = torch.Generator().manual_seed(seed)
         order = torch.randperm(len(self.train_set), generator=generator)
         own = order[self.processes.share(self.images)].tolist()
-        return iter(
-            _loader(self.train_set, self.batch_size, self.workers, sampler=own, generator=generator)
-        )
+        return self._loader(self.train_set, sampler=own, generator=generator)
+
+    def _loader(self, images: PoseDataset, **options: Any) -> Iterator[Sample]:
+        return iter(DataLoader(images, self.batch_size, num_workers=self.workers, **options))
 
     def terms(self, model: BaseNetwork, batch: Sample, device: torch.device) -> LossTerms:
         """Return the joint loss of a batch."""
@@ -177,10 +161,6 @@ class FrameTask:
             )
             return self.loss.joined(translation.mean(), orientation.mean())
 
-    def size(self, batch: Sample) -> int:
-        """Return the number of images in a batch."""
-        return len(batch.image)
-
     def names(self, batch: Sample) -> str:
         """Return the file names of a batch."""
         return ", ".join(self.train_set.names[int(i)] for i in torch.as_tensor(batch.index))
@@ -191,25 +171,21 @@ class FrameTask:
 
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
-        return _validation(self.val_set, self.processes, self.batch_size, self.workers)
+        return self._loader(self.val_set, sampler=self.processes.share(len(self.val_set)))
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Return name, number, size, mean pose and digest of the training images."""
-        return describe_data(self.train_set, config)
+        return describe_images(self.train_set, config)
 
 
-class ObjectTask:
+class ObjectTask(Task):
     """Pose with a second look, trained on stored patches.
 
-    Args:
-        patches: Source of the training batches.
-        val_set: Whole validation images, which select the best epoch.
-        loss: The loss terms and their weights.
-        batch_size: Images per batch.
-        workers: Additional processes that augment patches, on Linux, for all of ``processes`` that
-            are on this machine; otherwise, and with 0, a thread of each does.
-        processes: This process's place among those that train together.
+    On Linux ``workers`` processes augment patches, for all of ``processes`` that are on this
+    machine; otherwise, and with 0, a thread of each does.
     """
+
+    loss: ObjectObjective
 
     def __init__(
         self,
@@ -220,10 +196,8 @@ class ObjectTask:
         workers: int,
         processes: Processes = ALONE,
     ) -> None:
-        self.processes = processes
-        self.patches, self.val_set, self.loss = patches, val_set, loss
-        self.batch_size, self.workers = batch_size, processes.workers(workers)
-        self.preprocessing = val_set.preprocessing
+        super().__init__(val_set, batch_size, processes.workers(workers), processes)
+        self.patches, self.loss = patches, loss
 
     @property
     def images(self) -> int:
@@ -242,7 +216,15 @@ class ObjectTask:
         if workers == 0 or sys.platform != "linux":  # others copy the patches to each worker
             return prefetched(epoch[number] for number in range(len(epoch)))
         own = torch.Generator()  # or the network's random numbers would depend on the workers
-        return iter(_loader(epoch, None, workers, multiprocessing_context="fork", generator=own))
+        return iter(
+            DataLoader(
+                epoch,
+                batch_size=None,
+                num_workers=workers,
+                multiprocessing_context="fork",
+                generator=own,
+            )
+        )
 
     def terms(
         self, model: BaseNetwork, batch: PatchBatch | StoredBatch, device: torch.device
@@ -255,10 +237,6 @@ class ObjectTask:
         result: LossTerms = self.loss(model, batch)
         return result
 
-    def size(self, batch: PatchBatch | StoredBatch) -> int:
-        """Return the number of images in a batch."""
-        return len(batch.index)
-
     def names(self, batch: PatchBatch | StoredBatch) -> str:
         """Return the indices of a batch's patches."""
         return ", ".join(map(str, batch.index.tolist()))
@@ -267,26 +245,11 @@ class ObjectTask:
         """Return no weights, as they are fixed."""
         return {}
 
-    def validation(self) -> Iterator[Sample]:
-        """Iterate over this process's share of the validation split."""
-        return _validation(self.val_set, self.processes, VALIDATION_BATCH, workers=0)
-
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Return name, sets, number, size, mean pose and digest of the training patches' labels."""
         labels = [np.ascontiguousarray(arrays["labels"], "<f8") for arrays in self.patches.sets]
-        digest = hashlib.sha256()
-        for part in labels:
-            digest.update(part.tobytes())
-        size = self.val_set.image_size
-        return {
-            "kind": config.kind,
-            "name": set_name(config),
-            **rendered_sets(config),
-            "count": len(self.patches),
-            "image_size": None if size is None else list(size),
-            "mean_pose": mean_pose(np.concatenate(labels)[:, :7]).tolist(),
-            "digest": digest.hexdigest(),
-        }
+        digest = hashlib.sha256(b"".join(part.tobytes() for part in labels))
+        return describe_data(config, np.concatenate(labels)[:, :7], self.val_set, digest)
 
 
 def standardized(images: NDArray[np.uint8], preprocessing: Preprocessing) -> Iterator[Tensor]:
