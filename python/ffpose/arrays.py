@@ -257,18 +257,15 @@ def speed_plus_score(t_hat: ArrayLike, q_hat: ArrayLike, t: ArrayLike, q: ArrayL
 
 
 def fractal_noise(points: ArrayLike, heights: ArrayLike) -> NDArray[np.float32]:
-    """Compute three-dimensional fractal value noise, a sum of octaves, in float32.
+    """Compute three-dimensional fractal value noise ``(N,)``, a sum of octaves, in float32.
 
     Each octave has a random value in -1…1 at every lattice point and is smooth between; its lattice
     is rotated and about twice as fine as that of the octave before. The result is bit-identical on
-    every machine.
+    every machine; NaN in a point propagates.
 
     Args:
         points: Points ``(3, N)``; the lattice points of the first octave are 1 apart.
         heights: Amplitudes of the octaves, ``(K,)``.
-
-    Returns:
-        Sums ``(N,)``. NaN in a point propagates.
     """
     return _rust.fractal_noise(_array(points, "points"), _array(heights, "heights"))
 
@@ -286,8 +283,8 @@ def sample_texture(
 ) -> NDArray[np.float32]:
     """Interpolate a texture with mip levels at points on the faces of a mesh, in float32.
 
-    Values are interpolated between the four nearest texels of the nearest level, and mixed with the
-    texture's mean over the face.
+    Values ``(4, N)`` are interpolated between the four nearest texels of the nearest level, and
+    mixed with the texture's mean over the face.
 
     Args:
         texels: Finite texels ``(T, 4)`` of all levels one after the other, row by row, float16. A
@@ -296,15 +293,12 @@ def sample_texture(
         wrap: What lies beyond the border to the right and downward: 0 the texture again, 1 the
             texture mirrored, 2 the texel at the border.
         corners: Coordinates ``(F, 3, 2)`` of the faces' corners to the right and downward, 0…1 once
-            over the texture, float32.
+            over the texture, float32, as all that follows but for the means.
         means: The texture's mean ``(F, 4)`` over each face, float16.
         face: Faces ``(N,)``, int32.
-        weights: Barycentric weights ``(3, N)`` of the face's corners, float32.
-        levels: Levels ``(N,)``, 0 the first; what is beyond is the last. float32.
-        shares: Share ``(N,)`` of the face's mean, float32.
-
-    Returns:
-        Values ``(4, N)``.
+        weights: Barycentric weights ``(3, N)`` of the face's corners.
+        levels: Levels ``(N,)``, 0 the first; what is beyond is the last.
+        shares: Share ``(N,)`` of the face's mean.
     """
     places = _array(corners, "corners")
     if places.shape[1:] != (3, 2):
@@ -331,7 +325,7 @@ def shade_earth(
     detail: int,
     pixel_angle: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute the radiance of the Earth and its atmosphere along rays from low orbit, in float32.
+    """Compute radiance ``(3, N)`` and transmittance ``(N,)`` of the Earth along rays from orbit.
 
     Lengths are in Earth radii, vectors in the camera frame. The result is bit-identical on every
     machine.
@@ -344,10 +338,6 @@ def shade_earth(
         ground: Rotation ``(3, 3)`` into the frame of land and clouds.
         detail: Noise octaves of the clouds, 0…255; finer images need more.
         pixel_angle: Angle that one pixel covers, radians; the limb is smoothed over it.
-
-    Returns:
-        Radiance ``(3, N)``, red, green and blue; and the transmittance ``(N,)`` for what lies
-        behind the Earth.
     """
     return _rust.shade_earth(
         _array(rays, "rays"), nadir, altitude, sun, ground, detail, pixel_angle

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from ffpose.errors import require
 from ffpose.imaging.preprocessing import Mode, Preprocessing
 from ffpose.models.compact_resnet import REDUCTIONS, WIDTHS, CompactResNet
-from ffpose.models.pretrained import BackboneSource, load_backbone_weights
+from ffpose.models.hub import BackboneSource, load_backbone_weights
 
 COMPACT_STD = (0.25, 0.25, 0.25)
 """Standard deviation of the input of `ffpose.models.compact_resnet`, whose mean is zero."""
@@ -27,16 +27,10 @@ class Backbone(nn.Module):
     """Feature extractor that returns maps at given strides.
 
     Args:
-        features: A timm model created with ``features_only``, whose maps have ``channels``.
-        channels: Number of channels of each map.
+        features: A timm model created with ``features_only``.
+        channels: Number of channels of each map to return.
         order: Index of each map to return among those of ``features``.
         source: Source of the weights, as in `ffpose.models.WeightsMetadata`.
-
-    Attributes:
-        features: The timm model.
-        channels: Number of channels of each map.
-        order: Index of each returned map among those of ``features``.
-        source: Source of the weights.
     """
 
     def __init__(
@@ -97,16 +91,11 @@ def build_backbone(name: str, reductions: Sequence[int], weights: str | Path = "
 def backbone_preprocessing(
     name: str, size: tuple[int, int], mode: Mode = "resize"
 ) -> Preprocessing:
-    """Return the preprocessing that a backbone's pretrained weights expect.
+    """Return the preprocessing to ``size (height, width)`` that a backbone's weights expect.
 
     Mean, standard deviation and interpolation are those in timm's ``pretrained_cfg``, which are not
     ImageNet's for every network. They are used with random weights as well; a network unknown to
     timm uses ImageNet's.
-
-    Args:
-        name: timm's name of the model.
-        size: ``(height, width)`` of the network's input.
-        mode: Mode of `ffpose.imaging.transforms.Preprocessing`.
     """
     if name in WIDTHS:  # black is zero, as is everything outside an image
         return Preprocessing(size, mode, (0.0, 0.0, 0.0), COMPACT_STD)

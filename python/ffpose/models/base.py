@@ -23,7 +23,7 @@ from ffpose.config import PRESETS, FrameConfig, NetworkConfig
 from ffpose.errors import DataError
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.backbone import Backbone, backbone_preprocessing
-from ffpose.models.pretrained import BackboneSource
+from ffpose.models.hub import BackboneSource
 from ffpose.models.weights import WeightsMetadata, load_weights, read_metadata, write_weights
 from ffpose.nn.orientation import OrientationHead
 
@@ -31,9 +31,8 @@ from ffpose.nn.orientation import OrientationHead
 class PosePrediction(NamedTuple):
     """Poses of the object in the camera frame (OpenCV: x right, y down, z forward).
 
-    Attributes:
-        translation: ``(B, 3)``, meters.
-        orientation: ``(B, 4)``, unit quaternions, scalar first, of either sign.
+    ``translation (B, 3)``, meters, and ``orientation (B, 4)``, unit quaternions, scalar first, of
+    either sign.
     """
 
     translation: Tensor
@@ -90,16 +89,8 @@ class BaseNetwork(nn.Module, ABC):
     """Base of the networks: construction by name, and weights files.
 
     A subclass sets `config_type`, builds its modules after ``super().__init__(config)``, among them
-    ``backbone``, ``orientation`` and the parts that its configuration names, and defines `build`
-    and `forward`.
-
-    Args:
-        config: Architecture of the network.
-
-    Attributes:
-        config: The argument.
-        backbone: Convolutional backbone.
-        orientation: Decoding and loss of the orientation.
+    ``backbone``, ``orientation`` (decoding and loss of the orientation) and the parts that its
+    configuration names, and defines `build` and `forward`.
     """
 
     config_type: ClassVar[type[NetworkConfig]]
@@ -119,22 +110,14 @@ class BaseNetwork(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
-        """Predict the pose of the object in each image.
-
-        Args:
-            images: ``(B, 3, H, W)`` with ``(H, W)`` = ``config.image_size``, standardized as in
-                training.
+        """Predict the pose of the object in each image, standardized as in training.
 
         Raises:
-            ValueError: The shape of ``images`` is not as above.
+            ValueError: ``images`` is not ``(B, 3, *config.image_size)``.
         """
 
     def check_images(self, images: Tensor) -> None:
-        """Check the shape of the network's input.
-
-        Raises:
-            ValueError: It is not ``(B, 3, *config.image_size)``.
-        """
+        """Check the shape of the network's input, as `forward` does."""
         expected = (3, *self.config.image_size)
         if images.dim() != 4 or tuple(images.shape[1:]) != expected:
             sizes = ", ".join(map(str, expected))
@@ -188,15 +171,15 @@ class BaseNetwork(nn.Module, ABC):
         """Write weights, config, preprocessing and this version to a safetensors file.
 
         The write is atomic; the checksum is written to ``path.sha256``. Metadata that is None is
-        stored as unknown.
+        stored as unknown; see `WeightsMetadata` for what is not described here.
 
         Args:
             path: File to write; its folder must exist.
             preprocessing: Conversion from an image to the network's input; None for a resize to
                 ``config.image_size``, standardized as the backbone expects.
-            backbone_source: Source of the backbone's initial weights; see `WeightsMetadata`.
-            recipe: Training configuration; see `WeightsMetadata`.
-            data: Training data; see `WeightsMetadata`.
+            backbone_source: Source of the backbone's initial weights.
+            recipe: Training configuration.
+            data: Training data.
             in_view_threshold: Probability of being in view below which an image is flagged.
             dtype: Dtype of the floating-point tensors in the file. float16 halves its size and
                 keeps about three decimal digits; tensors are read back as float32.
@@ -226,8 +209,7 @@ class BaseNetwork(nn.Module, ABC):
         """Load a network that `save_pretrained` wrote, in evaluation mode.
 
         Args:
-            path: Weights file, or name of shipped weights such as ``"soyuz"``
-                (`ffpose._internal.zoo.names`).
+            path: Weights file, or name of shipped weights such as ``"soyuz"``.
             **fields: Fields of the config to change that the weights do not depend on: ``looks``,
                 and ``candidates`` of PolarPose, for less latency.
 
@@ -273,11 +255,7 @@ class FrameNetwork(BaseNetwork):
 
     @abstractmethod
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head.
-
-        Args:
-            images: As in `forward`.
-        """
+        """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head."""
 
     def translation_loss(self, t_hat: Tensor, t: Tensor) -> Tensor:
         """Return the Euclidean distance of each sample ``(B,)``, meters."""

@@ -25,13 +25,7 @@ WIDTHS = {
 
 
 class BasicBlock(nn.Module):
-    """Two convolutions and a skip connection.
-
-    Args:
-        channels: Number of input channels.
-        out_channels: Number of output channels.
-        stride: Stride of the first convolution.
-    """
+    """Two convolutions, the first of a stride, and a skip connection."""
 
     def __init__(self, channels: int, out_channels: int, stride: int = 1) -> None:
         super().__init__()
@@ -58,9 +52,8 @@ class BasicBlock(nn.Module):
 class CompactResNet(nn.Module):
     """Residual network that returns feature maps at strides 4, 8 and optionally 16.
 
-    Args:
-        widths: Channels of the stem and of the maps of `REDUCTIONS`.
-        reduction: Stride of the coarsest map; later stages are not built.
+    ``widths`` are the channels of the stem and of the maps; later stages than that of the coarsest
+    stride, ``reduction``, are not built.
 
     Raises:
         ValueError: ``reduction`` is not in `REDUCTIONS`.

@@ -58,15 +58,7 @@ LOCATION_SMOOTH = 0.05
 
 
 class PoseBranch(nn.Module):
-    """Branch from a feature map to its outputs: projection, tokens, filterformer, head.
-
-    Args:
-        config: Architecture of the network.
-        channels: Number of channels of the feature map.
-        grid: ``(rows, columns)`` of the feature map.
-        head: Module from the latent vector ``(B, dim)``, or ``(B, FLAT_LATENT)`` with pooling
-            ``"flatten"``, to the outputs.
-    """
+    """Branch from a feature map to its outputs: projection, tokens, filterformer, head."""
 
     def __init__(
         self,
@@ -78,13 +70,12 @@ class PoseBranch(nn.Module):
         super().__init__()
         self.projection = nn.Conv2d(channels, config.dim, kernel_size=1)
         self.position = PositionCode(grid, config.dim, config.position)
-        self.pose_token = (
-            nn.Parameter(torch.randn(1, 1, config.dim) * TOKEN_STD)
-            if config.pooling == "token"
-            else None
-        )
-        self.encoder = (
-            Filterformer(
+        self.pose_token = self.encoder = self.flatten = None
+        extra = 1 if config.pooling == "token" else 0
+        if extra:
+            self.pose_token = nn.Parameter(torch.randn(1, 1, config.dim) * TOKEN_STD)
+        if config.depth > 0:
+            self.encoder = Filterformer(
                 grid,
                 config.dim,
                 depth=config.depth,
@@ -94,23 +85,17 @@ class PoseBranch(nn.Module):
                 hidden=config.feed_forward,
                 dropout=config.dropout,
                 norm=config.norm,
-                extra_tokens=0 if self.pose_token is None else 1,
-                outputs=None if self.pose_token is None else 1,
+                extra_tokens=extra,
+                outputs=extra or None,
             )
-            if config.depth > 0
-            else None
-        )
-        self.flatten = (
-            nn.Sequential(
+        if config.pooling == "flatten":
+            self.flatten = nn.Sequential(
                 nn.Linear(config.dim, FLAT_CHANNELS),
                 nn.ReLU(),
                 nn.Flatten(),
                 nn.Linear(FLAT_CHANNELS * grid[0] * grid[1], FLAT_LATENT),
                 nn.ReLU(),
             )
-            if config.pooling == "flatten"
-            else None
-        )
         self.head = head
 
     def forward(self, features: Tensor) -> Tensor:
@@ -165,7 +150,8 @@ class FilterformerPose(FrameNetwork):
     Args:
         config: Architecture of the network.
         backbone: Backbone with feature maps of stride ``config.translation_reduction`` and, for
-            view ``"frame"``, ``config.orientation_reduction``, in this order.
+            view ``"frame"``, ``config.orientation_reduction``, in this order; frozen in stages 2
+            and 3 of training.
         object_backbone: Backbone of the second look with a feature map of stride
             ``config.orientation_reduction``; for view ``"object"`` alone.
 
@@ -173,12 +159,9 @@ class FilterformerPose(FrameNetwork):
         ValueError: ``object_backbone`` is missing for view ``"object"``, or given for ``"frame"``.
 
     Attributes:
-        config: The argument.
-        backbone: The argument; frozen in stages 2 and 3 of training.
         translation_branch: `PoseBranch` of the first feature map; frozen in stage 3.
         orientation_branch: `PoseBranch` of the second feature map, or of the object's view; frozen
             in stage 2.
-        object_backbone: The argument.
         orientation: Orientation head.
     """
 
@@ -238,17 +221,9 @@ class FilterformerPose(FrameNetwork):
         return SecondLookHead(head, hyper_head(config, SMALL_OUTPUTS, config.translation_mlp_dim))
 
     def forward(self, images: Tensor) -> PosePrediction | UncertainPose:
-        """Predict the pose of the object in each image.
+        """Predict the pose of the object in each image, as `BaseNetwork.forward`.
 
-        Args:
-            images: ``(B, 3, H, W)`` with ``(H, W)`` = ``config.image_size``, standardized as in
-                training.
-
-        Returns:
-            A `PosePrediction`, or an `UncertainPose` with ``config.orientation_view`` ``"object"``.
-
-        Raises:
-            ValueError: The shape of ``images`` is not as above.
+        An `UncertainPose` with ``config.orientation_view`` ``"object"``.
         """
         if self.config.orientation_view == "frame":
             return super().forward(images)
@@ -256,13 +231,7 @@ class FilterformerPose(FrameNetwork):
         return self._look_twice(images)
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head.
-
-        For a network that looks at the frame alone.
-
-        Args:
-            images: As in `forward`.
-        """
+        """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head."""
         maps = self.backbone(images.contiguous(memory_format=torch.channels_last))
         translation = self.in_meters(self.translation_branch(maps[0]))
         return translation, self.orientation_branch(maps[1])
@@ -298,11 +267,7 @@ class FilterformerPose(FrameNetwork):
         )
 
     def locate(self, frames: Tensor) -> Tensor:
-        """Compute the first look's outputs ``(B, 3)``: x / z, y / z and the relative log distance.
-
-        Args:
-            frames: ``(B, 3, h, w)``, images downsampled by ``config.first_stride``.
-        """
+        """Compute the first look's outputs ``(B, 3)``: x / z, y / z, relative log distance."""
         maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
         result: Tensor = self.translation_branch(maps[0])
         return result

@@ -43,10 +43,6 @@ class HeatMap(nn.Module):
     """Heat map and distances from the first look's feature map, and the candidates in them.
 
     An origin outside of the frame counts as at its border; its distance is along the viewing ray.
-
-    Args:
-        config: Architecture of the network.
-        channels: Number of channels of the feature map.
     """
 
     centers: Tensor
@@ -95,13 +91,9 @@ class HeatMap(nn.Module):
     def loss(self, logits: Tensor, distances: Tensor, points: Tensor, smooth: float) -> Tensor:
         """Return the mean loss of the first look: cross-entropy, and Huber's of the log distance.
 
-        The cross-entropy counts by `ENTROPY_WEIGHT`, to be as large as errors of a regression.
-
-        Args:
-            logits: As `forward` returns them.
-            distances: As `forward` returns them.
-            points: Origins of the objects ``(B, 3)``, meters, camera frame, in front of the camera.
-            smooth: Errors of the log distance below it count by their square.
+        The cross-entropy counts by `ENTROPY_WEIGHT`, to be as large as errors of a regression;
+        logits and distances are as `forward` returns them, for origins ``(B, 3)``, meters, in front
+        of the camera. Errors of the log distance below ``smooth`` count by their square.
         """
         weight = self._labels(points)
         entropy = -(weight * logits.flatten(1).log_softmax(-1)).sum(-1).mean()

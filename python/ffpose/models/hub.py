@@ -1,4 +1,7 @@
-"""Pretrained weights from timm's hub: which revision, which bytes, and what happened if none.
+"""Pretrained backbone weights: from timm's hub, from a file, or none.
+
+Requested weights that are not available raise an error; they are never replaced by random ones, as
+the same seed would then give another network.
 
 The cache is checked first, then the hub is asked for the file's header with a timeout of seconds; a
 download has a timeout as well. ``HF_HUB_OFFLINE=1`` uses the cache alone. Repositories in `PINNED`
@@ -10,9 +13,12 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor, nn
 
 from ffpose._internal.files import sha256
 from ffpose.errors import DataError, explain, require
@@ -20,6 +26,12 @@ from ffpose.errors import DataError, explain, require
 logger = logging.getLogger(__name__)
 
 Answer = TypeVar("Answer")
+
+BackboneSource = Mapping[str, str] | Literal["none"]
+"""Source of weights: ``name``, ``source`` and ``sha256`` of pretrained ones, or ``"none"``.
+
+The ``source`` is the name of a file or of a repository, whose commit is then the ``revision``.
+"""
 
 ANSWER_SECONDS = 4.0
 DOWNLOAD_SECONDS = 180.0
@@ -56,13 +68,7 @@ independently, with the digest that the hub has of the file.
 
 
 class Pretrained(NamedTuple):
-    """Weights in the cache.
-
-    Attributes:
-        repository: The hub's name, ``timm/…``.
-        revision: Commit of the repository.
-        path: The file.
-    """
+    """Weights in the cache: the hub's name ``timm/…``, commit of the repository, and file."""
 
     repository: str
     revision: str
@@ -73,8 +79,7 @@ def find_pretrained(name: str) -> Pretrained:
     """Find timm's pretrained weights of a model in the cache, or download them.
 
     Raises:
-        FileNotFoundError: They cannot be had. The message says what happened and names the
-            alternatives; what the hub's client raised is the cause.
+        FileNotFoundError: They cannot be had; the message says what happened and the alternatives.
         ffpose.DataError: The file is not the one that is known (`PINNED`).
     """
     config = require("timm", "pose").models.get_pretrained_cfg(name)
@@ -135,12 +140,9 @@ def _missing(name: str, reason: str) -> FileNotFoundError:
 
 
 def within(seconds: float, call: Callable[[], Answer]) -> Answer:
-    """Return the result of ``call``; what it raises is raised here.
+    """Return the result of ``call``, or raise what it does, or a TimeoutError.
 
     It runs in a daemon thread, because a DNS lookup has no timeout.
-
-    Raises:
-        TimeoutError: It takes longer than ``seconds``.
     """
     answers: list[Answer] = []
     errors: list[Exception] = []
@@ -159,3 +161,56 @@ def within(seconds: float, call: Callable[[], Answer]) -> Answer:
     if not answers:
         raise TimeoutError(f"no answer within {seconds:g} s")
     return answers[0]
+
+
+def load_backbone_weights(features: nn.Module, name: str, weights: str | Path) -> BackboneSource:
+    """Load weights into a timm model's feature extractor, in place, and return their source.
+
+    ``weights`` are ``"auto"``, ``"none"`` or a file; see `ffpose.models.build_backbone`.
+
+    Raises:
+        FileNotFoundError: The file does not exist, or the pretrained weights cannot be had.
+        ffpose.DataError: The file does not hold this model's weights, or is not the one that is
+            known (`PINNED`).
+    """
+    if weights == "none":
+        return "none"
+    path, origin = Path(weights), {"source": Path(weights).name}
+    if weights == "auto":
+        found = find_pretrained(name)
+        path, origin = found.path, {"source": found.repository, "revision": found.revision}
+    state = read_state(path)
+    wanted = features.state_dict()
+    wrong = [
+        key for key, value in wanted.items() if key not in state or state[key].shape != value.shape
+    ]
+    if wrong:
+        raise DataError(
+            f"expected the weights of {name}; {len(wrong)} of {len(wanted)} entries are missing or"
+            f" have another shape, the first: {', '.join(wrong[:4])}",
+            path,
+        )
+    features.load_state_dict({key: state[key] for key in wanted})
+    return {"name": name, **origin, "sha256": sha256(path)}
+
+
+def read_state(path: Path) -> Mapping[str, Tensor]:
+    """Read a state dict from a safetensors file or a file of `torch.save` (weights only).
+
+    Raises:
+        FileNotFoundError: The file does not exist.
+        ffpose.DataError: The file cannot be read or holds something else.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"backbone weights: expected a file, got {path}")
+    try:
+        if path.suffix == ".safetensors":
+            state: Any = require("safetensors.torch", "pose").load_file(path)
+        else:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a broken pickle may raise anything
+        raise DataError(f"expected weights that can be read: {error}", path) from error
+    state = state.get("state_dict", state) if isinstance(state, Mapping) else state
+    if not isinstance(state, Mapping) or not all(isinstance(v, Tensor) for v in state.values()):
+        raise DataError("expected a mapping from names to tensors", path)
+    return state

@@ -72,8 +72,6 @@ class PolarPose(BaseNetwork):
             ``config.first_reduction``.
 
     Attributes:
-        config: The argument.
-        backbone: The argument.
         translation_branch: Heat map of the first look.
         object_backbone: Backbone of the second look.
         orientation_branch: Head of the second look.
@@ -104,15 +102,7 @@ class PolarPose(BaseNetwork):
         self.register_buffer("variance_scales", torch.ones(2))
 
     def forward(self, images: Tensor) -> UncertainPose:
-        """Predict the pose of the object in each image.
-
-        Args:
-            images: ``(B, 3, H, W)`` with ``(H, W)`` = ``config.image_size``, standardized as in
-                training.
-
-        Raises:
-            ValueError: The shape of ``images`` is not as above.
-        """
+        """Predict the pose of the object in each image, as `BaseNetwork.forward`."""
         self.check_images(images)
         levels = pyramid(images)
         maps = self.locate(downsampled(levels, self.config.first_stride))
@@ -204,11 +194,7 @@ class PolarPose(BaseNetwork):
         return turn_to(points, c.object_radius_m, c.object_size, twist, polar_width=c.object_width)
 
     def locate(self, frames: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute the first look's heat map and distances, as `HeatMap.forward`.
-
-        Args:
-            frames: ``(B, 3, h, w)``, images downsampled by ``config.first_stride``.
-        """
+        """Compute heat map and distances, as `HeatMap.forward`, of downsampled frames."""
         maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
         logits, distances = self.translation_branch(maps[0])
         return logits, distances
@@ -222,12 +208,7 @@ class PolarPose(BaseNetwork):
             )
 
     def encode(self, views: Tensor, tan_half_angle: Tensor) -> Tensor:
-        """Compute the feature map ``(B, C, radii, angles)`` of polar views of the object.
-
-        Args:
-            views: ``(B, 3, radii, angles)``.
-            tan_half_angle: ``(B,)``, as `VirtualCamera.tan_half_angle`.
-        """
+        """Compute the feature map of polar views, as `PolarBackbone.forward`."""
         feature_map: Tensor = self.object_backbone(views, tan_half_angle)
         return feature_map
 

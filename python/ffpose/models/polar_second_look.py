@@ -32,14 +32,7 @@ SHEAR_LIMIT = 1.5
 
 
 class PolarBackbone(nn.Module):
-    """Feature extractor for polar images: a stem of two convolutions, and spectral filter blocks.
-
-    Args:
-        config: Architecture of the network.
-
-    Attributes:
-        channels: Number of channels of its map, in a tuple, as those of a `Backbone`.
-    """
+    """Feature extractor for polar images: a stem of two convolutions, and filter blocks."""
 
     def __init__(self, config: PolarPoseConfig) -> None:
         super().__init__()
@@ -60,15 +53,13 @@ class PolarBackbone(nn.Module):
         self.first = blocks(before, (2 * radii, angles, first))
         self.down = PolarConv(first, last, (2, 1))
         self.last = blocks(after, (radii, angles, last))
-        self.channels = (last,)
+        self.channels = (last,)  # as a `Backbone` has
         self.to(memory_format=torch.channels_last)
 
     def forward(self, views: Tensor, tan_half_angle: Tensor) -> Tensor:
-        """Return the map ``(B, C, radii', angles')`` of polar images.
+        """Return the map ``(B, C, radii', angles')`` of polar images ``(B, 3, radii, angles)``.
 
-        Args:
-            views: ``(B, 3, radii, angles)``.
-            tan_half_angle: ``(B,)``, as `VirtualCamera.tan_half_angle`.
+        ``tan_half_angle (B,)`` is `VirtualCamera.tan_half_angle`.
         """
         x = self.begin(views.contiguous(memory_format=torch.channels_last))
         x = self.widen(self.pool(x.permute(0, 2, 3, 1)).permute(0, 3, 1, 2))
@@ -82,11 +73,7 @@ class PolarBackbone(nn.Module):
 
 
 class PolarHead(nn.Module):
-    """Head that computes the outputs of the second look from the last map.
-
-    Args:
-        config: Architecture of the network.
-    """
+    """Head that computes the outputs of the second look from the last map."""
 
     turns: Tensor
 

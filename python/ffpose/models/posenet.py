@@ -32,13 +32,6 @@ class PoseNet(FrameNetwork):
     Args:
         config: Architecture of the network.
         backbone: Backbone with one feature map, of stride ``config.reduction``.
-
-    Attributes:
-        config: The first argument.
-        backbone: The second argument.
-        translation_branch: Linear layer of the translation.
-        orientation_branch: Linear layer of the quaternion.
-        orientation: Orientation head.
     """
 
     config_type: ClassVar[type[PoseNetConfig]] = PoseNetConfig
@@ -61,11 +54,7 @@ class PoseNet(FrameNetwork):
         return cls(config, build_backbone(config.backbone, (config.reduction,), backbone_weights))
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute translations ``(B, 3)``, meters, and quaternions ``(B, 4)`` of any norm.
-
-        Args:
-            images: As in `forward`.
-        """
+        """Compute translations ``(B, 3)``, meters, and quaternions ``(B, 4)`` of any norm."""
         (feature_map,) = self.backbone(images.contiguous(memory_format=torch.channels_last))
         features = self.dropout(feature_map.mean((2, 3)))  # (B, channels)
         translation = self.in_meters(self.translation_branch(features))

@@ -37,19 +37,7 @@ def find_config(model: str) -> NetworkConfig:
 def build_network(
     config: str | NetworkConfig, *, backbone_weights: str | Path = "auto", **fields: Any
 ) -> BaseNetwork:
-    """Build any network with new weights.
-
-    Args:
-        config: Preset of `ffpose.config.PRESETS`, or a config.
-        backbone_weights: As in `FilterformerPose.from_config`.
-        **fields: Fields of the config to change.
-
-    Raises:
-        ValueError: A preset or field is unknown, or values are inconsistent.
-        FileNotFoundError: The weights file does not exist, or the pretrained weights are not
-            available.
-        ffpose.DataError: The file does not contain the backbone's weights.
-    """
+    """Build any network, of a preset or a config, as `BaseNetwork.from_config` of its class."""
     if isinstance(config, str):
         config = find_config(config)
     network = NETWORKS[config.architecture]
@@ -57,18 +45,7 @@ def build_network(
 
 
 def load_network(path: str | Path, **fields: Any) -> BaseNetwork:
-    """Load a network of any kind, in evaluation mode.
-
-    Args:
-        path: Weights file, or name of shipped weights (`ffpose._internal.zoo.names`).
-        **fields: As in `BaseNetwork.from_pretrained`.
-
-    Raises:
-        FileNotFoundError: No such file or name.
-        ValueError: A field is not of those that may be changed, or its value is invalid.
-        ffpose.DataError: The file is truncated, altered, newer than this version, or of a network
-            that this version does not know.
-    """
+    """Load a network of any kind, as `BaseNetwork.from_pretrained` of its class, which is read."""
     return open_weights(path, **fields)[0]
 
 

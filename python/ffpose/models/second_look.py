@@ -15,7 +15,8 @@ the object (`ffpose.models.virtual_camera`) and predicts, in that camera's frame
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -46,12 +47,10 @@ class SecondLookOutput(NamedTuple):
     Attributes:
         orientation: ``(B, features)``, outputs for the orientation head.
         offset: ``(B, 3)``, offset of the object.
-        log_sigma: ``(B, 6)``, log standard deviations of the offset and of the rotation vector
-            (radians).
+        log_sigma: ``(B, 6)``, log standard deviations of offset and rotation vector (radians).
         in_view: ``(B,)``, logits of the object being in view.
-        shear: ``(B, 4)``, of the offset and of the rotation vector the logs ``(a, b)`` by which
-            their standard deviations across the ray differ by direction (`covariance_of`); None
-            where they do not.
+        shear: ``(B, 4)``, of offset and rotation vector the logs ``(a, b)`` by which deviations
+            across the ray differ by direction (`covariance_of`); None where they do not.
     """
 
     orientation: Tensor
@@ -62,32 +61,24 @@ class SecondLookOutput(NamedTuple):
 
     def of(self, rows: Tensor) -> SecondLookOutput:
         """Return the output of some views, ``rows`` being indices or a mask."""
-        shear = None if self.shear is None else self.shear[rows]
-        orientation, offset, log_sigma, in_view = (part[rows] for part in self[:4])
-        return SecondLookOutput(orientation, offset, log_sigma, in_view, shear)
+        return self._each(lambda part: part[rows])
 
     def where(self, taken: Tensor, other: SecondLookOutput) -> SecondLookOutput:
         """Return this output where ``taken (B,)`` is true, and ``other`` where it is not."""
-        one, two = self.shear, other.shear
-        shear = None if one is None or two is None else chosen(taken, one, two)
-        pairs = zip(self[:4], other[:4], strict=True)
-        orientation, offset, log_sigma, in_view = (chosen(taken, a, b) for a, b in pairs)
-        return SecondLookOutput(orientation, offset, log_sigma, in_view, shear)
+        return self._each(lambda a, b: chosen(taken, a, b), other)
 
     def float(self) -> SecondLookOutput:
         """Return the output in float32."""
-        shear = None if self.shear is None else self.shear.float()
-        orientation, offset, log_sigma, in_view = (part.float() for part in self[:4])
-        return SecondLookOutput(orientation, offset, log_sigma, in_view, shear)
+        return self._each(Tensor.float)
+
+    def _each(self, change: Callable[..., Tensor], *others: SecondLookOutput) -> SecondLookOutput:
+        parts = zip(self, *others, strict=True)
+        changed: list[Any] = [None if part[0] is None else change(*part) for part in parts]
+        return SecondLookOutput(*changed)
 
 
 class SecondLookHead(nn.Module):
-    """Head that computes the outputs of the second look from a latent vector.
-
-    Args:
-        orientation: Module from the latent vector to the orientation head's inputs.
-        small: Module from the latent vector to the other `SMALL_OUTPUTS` outputs.
-    """
+    """Head that computes the outputs of the second look from a latent vector, by two modules."""
 
     def __init__(self, orientation: nn.Module, small: nn.Module) -> None:
         super().__init__()
@@ -147,14 +138,13 @@ def offset_jacobian(offset: Tensor, view: VirtualCamera) -> Tensor:
 
 
 def covariances(output: SecondLookOutput, view: VirtualCamera) -> tuple[Tensor, Tensor]:
-    """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame.
-
-    Args:
-        output: Outputs of the second look.
-        view: The virtual camera.
-    """
+    """Return the covariances of translation and rotation, ``(B, 3, 3)`` each, camera frame."""
+    shear = output.shear
     offset, rotation = (
-        covariance_of(output.log_sigma[:, 3 * part : 3 * part + 3], _shear(output, part))
+        covariance_of(
+            output.log_sigma[:, 3 * part : 3 * part + 3],
+            None if shear is None else shear[:, 2 * part : 2 * part + 2],
+        )
         for part in range(2)
     )
     back = view.rotation.transpose(1, 2)
@@ -164,15 +154,12 @@ def covariances(output: SecondLookOutput, view: VirtualCamera) -> tuple[Tensor, 
 
 
 def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
-    """Return the covariances ``(B, 3, 3)`` of vectors in the frame of the virtual camera.
+    """Return the covariances ``(B, 3, 3)`` of log standard deviations, virtual camera's frame.
 
-    With a shear ``(a, b)`` the block across the ray is its variances' geometric mean times ``exp 2
-    [[a, b], [b, -a]]``, which has the determinant one. A rotation of the camera by ``w`` about the
-    ray rotates ``(a, b)`` by ``2 w``: it is a second harmonic.
-
-    Args:
-        log_sigma: ``(B, 3)``, log standard deviations; with a shear the first two are to be equal.
-        shear: ``(B, 2)``, or None for zeros.
+    With a shear ``(a, b)`` ``(B, 2)`` the block across the ray is its variances' geometric mean
+    times ``exp 2 [[a, b], [b, -a]]``, which has the determinant one; the first two deviations are
+    then to be equal. A rotation of the camera by ``w`` about the ray rotates ``(a, b)`` by ``2 w``:
+    it is a second harmonic.
     """
     variance = (2 * log_sigma).exp()
     if shear is None:
@@ -184,10 +171,6 @@ def covariance_of(log_sigma: Tensor, shear: Tensor | None = None) -> Tensor:
     return torch.unflatten(torch.stack(rows, dim=1), 1, (3, 3)) * variance[:, :, None]
 
 
-def _shear(output: SecondLookOutput, part: int) -> Tensor | None:
-    return None if output.shear is None else output.shear[:, 2 * part : 2 * part + 2]
-
-
 def in_front(points: Tensor) -> Tensor:
     """Clamp z of points ``(B, 3)`` to at least a tenth of their distance."""
     least = points.norm(dim=-1) / 10
@@ -195,13 +178,7 @@ def in_front(points: Tensor) -> Tensor:
 
 
 def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
-    """Apply what calibration found: the factor on distances, and the growth of the uncertainty.
-
-    Args:
-        pose: Predictions of the second look.
-        config: Architecture of the network, with ``distance_scale``, ``doubt_sigma`` and
-            ``truncation_sigma``.
-    """
+    """Apply what calibration found: the factor on distances, and the growth of the uncertainty."""
     pose = pose._replace(translation=pose.translation * config.distance_scale)
     if config.doubt_sigma == config.truncation_sigma == (0.0, 0.0):
         return pose
@@ -219,12 +196,8 @@ def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
 def truncation(translation: Tensor, config: SecondLookConfig) -> Tensor:
     """Return the shares ``(B,)`` of objects' views that the border of the frame cuts off, 0 to 1.
 
-    Of the view's diameter, through the object's origin towards the nearest side of the frame: a
-    half where the origin is on the border.
-
-    Args:
-        translation: ``(B, 3)``, in front of the camera, meters.
-        config: Has camera, frame and ``object_radius_m``.
+    Of the view's diameter, through the object's origin ``(B, 3)``, meters, towards the nearest side
+    of the frame: a half where the origin is on the border.
     """
     assert config.camera is not None
     (fx, fy, cx, cy), (height, width) = config.camera, config.image_size
@@ -237,16 +210,12 @@ def truncation(translation: Tensor, config: SecondLookConfig) -> Tensor:
 
 
 def sigma_loss(output: SecondLookOutput, residual: Tensor) -> Tensor:
-    """Return the negative log likelihood ``(B,)`` of residuals, a sixth of it.
+    """Return the negative log likelihood ``(B,)`` of residuals ``(B, 6)``, a sixth of it.
 
     The offset and the rotation vector have a multivariate t distribution each, of `TAIL`
     degrees of freedom: errors are now and then far larger than usual, and a Gaussian's scale would
     follow those (Lange, Little and Taylor, "Robust Statistical Modeling Using the t Distribution",
     JASA 1989).
-
-    Args:
-        output: Outputs of the second look.
-        residual: ``(B, 6)``, errors of offset and rotation vector, as in `SecondLookOutput`.
     """
     scaled = torch.unflatten(residual * torch.exp(-output.log_sigma), 1, (2, 3))
     if output.shear is not None:

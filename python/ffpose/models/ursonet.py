@@ -27,12 +27,7 @@ from ffpose.nn.euler_bins import EulerBinsHead
 
 
 class BottleneckBackbone(Backbone):
-    """A backbone with one feature map, and the convolution that compresses it.
-
-    Args:
-        backbone: The backbone.
-        width: Number of channels after the bottleneck.
-    """
+    """A backbone with one feature map, and the convolution that compresses it to a width."""
 
     def __init__(self, backbone: Backbone, width: int) -> None:
         super().__init__(backbone.features, (width,), backbone.order, backbone.source)
@@ -50,13 +45,6 @@ class UrsoNet(FrameNetwork):
     Args:
         config: Architecture of the network.
         backbone: Backbone with one feature map, of stride ``2 * config.reduction``.
-
-    Attributes:
-        config: The first argument.
-        backbone: The second argument.
-        translation_branch: Fully connected layers of the location.
-        orientation_branch: Fully connected layers of the orientation.
-        orientation: Orientation head.
     """
 
     config_type: ClassVar[type[UrsoNetConfig]] = UrsoNetConfig
@@ -79,11 +67,7 @@ class UrsoNet(FrameNetwork):
         return cls(config, BottleneckBackbone(backbone, config.bottleneck))
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute translations ``(B, 3)``, meters, and logits ``(B, bins)``.
-
-        Args:
-            images: As in `forward`.
-        """
+        """Compute translations ``(B, 3)``, meters, and logits ``(B, bins)``."""
         (feature_map,) = self.backbone(images.contiguous(memory_format=torch.channels_last))
         translation = self.in_meters(self.translation_branch(feature_map))
         return translation, self.orientation_branch(feature_map)

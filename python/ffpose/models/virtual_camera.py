@@ -56,10 +56,9 @@ class VirtualCamera(NamedTuple):
 
     @property
     def tan_half_angle(self) -> Tensor:
-        """Tangents ``(B,)`` of half the angle of the view: of an object of its radius, the size.
+        """Tangents ``(B,)`` of half the view's angle, which tell how strong the perspective is.
 
-        They tell how strong the perspective is, which the view does not: it shows an object in one
-        size, whatever its distance.
+        The view does not: it shows an object in one size, whatever its distance.
         """
         return self.width / (2 * self.focal)
 
@@ -94,11 +93,9 @@ class VirtualCamera(NamedTuple):
         return torch.stack([u.expand(self.size), v.expand(self.size)])
 
     def places(self, points: Tensor) -> Tensor:
-        """Return where the virtual cameras see points ``(B, K, 3)`` of the camera frame.
+        """Return where ``(B, K, 2)`` the cameras see points ``(B, K, 3)`` of the camera frame.
 
-        Returns:
-            ``(B, K, 2)``, column and row relative to the image's width and height; -1 for points
-            behind the camera.
+        Column and row relative to the image's width and height; -1 for points behind the camera.
         """
         x, y, z = (points @ self.rotation.mT).unbind(-1)
         scale = self.focal[:, None] / z
@@ -151,14 +148,13 @@ def turn_to(
     *,
     polar_width: int | None = None,
 ) -> VirtualCamera:
-    """Point virtual cameras at points of the camera frame.
+    """Point virtual cameras at points ``(B, 3)`` of the camera frame, meters, not behind it.
 
     Args:
-        points: ``(B, 3)``, meters, not behind the camera.
+        points: Points.
         radius_m: Half the width of the view at the point's distance, meters.
         size: ``(height, width)`` of the virtual image in pixels, ``(radii, angles)`` if polar.
-        twist: ``(B,)``, angles in radians by which the scene is then rotated about the viewing ray;
-            None for no rotation.
+        twist: ``(B,)``, angles in radians by which the scene is then rotated about the viewing ray.
         polar_width: Diameter of the outermost ring of a polar image in pixels; None for rows and
             columns.
     """
@@ -172,15 +168,10 @@ def turn_to(
 
 
 def source_pixels(view: VirtualCamera, intrinsics: Tensor) -> Tensor:
-    """Return the source image's coordinates of a virtual image's pixels.
+    """Return the source image's coordinates ``(B, h, w, 2)`` of a virtual image's pixels.
 
-    Args:
-        view: The virtual cameras.
-        intrinsics: ``(B, 4)`` or ``(4,)``, fx, fy, cx, cy of the source image.
-
-    Returns:
-        ``(B, h, w, 2)`` continuous pixel coordinates (u, v); far outside for rays that the source
-        camera cannot see.
+    Continuous pixel coordinates (u, v), far outside for rays that the source camera cannot see, of
+    ``intrinsics`` fx, fy, cx, cy ``(B, 4)`` or ``(4,)``.
     """
     planes = source_planes(homography(view, intrinsics), view.image_plane())
     return torch.stack(planes, dim=-1)

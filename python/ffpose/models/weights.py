@@ -30,7 +30,7 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target
 from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.imaging.preprocessing import Preprocessing
-from ffpose.models.pretrained import BackboneSource
+from ffpose.models.hub import BackboneSource
 
 logger = logging.getLogger(__name__)
 
@@ -151,11 +151,6 @@ def checksum_path(path: str | Path) -> Path:
 def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: WeightsMetadata) -> None:
     """Write a state dict and its checksum atomically; the same ones are the same bytes.
 
-    Args:
-        path: The weights file; its folder must exist.
-        state: Names and tensors, on any device.
-        metadata: Contents of the header.
-
     Raises:
         TypeError: The metadata cannot be represented in JSON.
         ValueError: The metadata contain a number that is not finite.
@@ -183,17 +178,15 @@ def _in_order(content: bytes) -> bytes:
 
 
 def read_metadata(path: str | Path) -> WeightsMetadata:
-    """Read the header of a weights file, without its tensors.
-
-    Args:
-        path: The file, or a name, as in `ffpose._internal.zoo.resolve`.
+    """Read the header of a weights file, or of a name, without its tensors.
 
     Raises:
         FileNotFoundError: ``path`` is neither a file nor a name of shipped weights.
         ffpose.DataError: The file is truncated, not a weights file of ffpose, or of another format.
     """
     path = resolve(path)
-    header = _read_header(path)
+    with _safetensors(path), safe_open(path, framework="pt") as file:
+        header = file.metadata() or {}
     if "format" not in header:
         raise DataError("expected weights written by ffpose, got a safetensors file without", path)
     version = header.get("ffpose_version", "unknown")
@@ -240,14 +233,9 @@ def _from_header(header: Mapping[str, str], version: str) -> WeightsMetadata:
 def load_weights(path: str | Path, model: nn.Module) -> None:
     """Load the tensors of a weights file into a model, in place, after all checks.
 
-    Args:
-        path: The file.
-        model: The network.
-
     Raises:
         FileNotFoundError: The file does not exist.
-        ffpose.DataError: The file is truncated or altered, or its tensors are not those of
-            ``model``.
+        ffpose.DataError: The file is truncated or altered, or its tensors are not the model's.
     """
     path = Path(path)
     with _safetensors(path):
@@ -255,11 +243,6 @@ def load_weights(path: str | Path, model: nn.Module) -> None:
         state, expected = load_file(path), model.state_dict()
     _check_architecture(path, state, expected)
     model.load_state_dict(state)
-
-
-def _read_header(path: Path) -> dict[str, str]:
-    with _safetensors(path), safe_open(path, framework="pt") as file:
-        return file.metadata() or {}
 
 
 @contextmanager

@@ -8,8 +8,8 @@ from ffpose.nn.filterformer import (
     make_filter,
 )
 from ffpose.nn.heads import HyperHead
+from ffpose.nn.orientation import QuaternionActivation
 from ffpose.nn.position import PositionCode
-from ffpose.nn.quaternion import QuaternionActivation
 from ffpose.nn.spectral import GlobalFilter, SequenceFilter, SpectralFilter
 
 __all__ = [

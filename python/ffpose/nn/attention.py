@@ -23,12 +23,8 @@ def dropout_attention(query: Tensor, key: Tensor, value: Tensor, rate: float) ->
     computed again (Dao et al., FlashAttention, 2022, Algorithm 4). torch's kernel for CPUs that
     works so knows no dropout: it writes scores, weights and random numbers of all heads.
 
-    Args:
-        query: ``(B, heads, N, d)``, on the CPU. Half precision is computed in float32.
-        key: ``(B, heads, M, d)``.
-        value: ``(B, heads, M, d)``.
-        rate: Share of the weights that is dropped, 0 to 1, exact to 1 / `LEVELS`; the others grow
-            by what keeps the sum's mean.
+    ``query`` is ``(B, heads, N, d)``, on the CPU, ``key`` and ``value`` ``(B, heads, M, d)``; half
+    precision is computed in float32. ``rate`` is exact to 1 / `LEVELS`.
 
     Raises:
         ValueError: ``rate`` is not between 0 and 1, or drops everything.
@@ -108,24 +104,13 @@ def _random(shape: torch.Size) -> Tensor:
     return bits.view(torch.int16)[:count].view(shape)
 
 
-def _takes_blocks(query: Tensor) -> bool:
-    """Return whether `dropout_attention` runs: on CPUs, unless compiled, which unrolls its loop."""
-    return query.device.type == "cpu" and not torch.compiler.is_compiling()
-
-
 class SelfAttention(nn.Module):
-    """Multi-head self-attention (Eq. 4-6).
+    """Multi-head self-attention (Eq. 4-6); the first ``queries`` tokens attend, all by default.
 
     ``attention`` holds and initializes the parameters, and its forward would give the same result,
     but in evaluation on CPUs that writes all ``N x N`` scores to memory. This forward uses
     `scaled_dot_product_attention`, which processes the scores in blocks, in training as well. With
     dropout of attention weights torch has no such kernel for CPUs; there `dropout_attention` is.
-
-    Args:
-        dim: Number of channels.
-        heads: Number of heads; divides ``dim``.
-        dropout: Dropout rate of the attention weights.
-        queries: Number of leading tokens that attend to all; None: every token.
     """
 
     def __init__(self, dim: int, heads: int, dropout: float, queries: int | None = None) -> None:
@@ -146,7 +131,9 @@ class SelfAttention(nn.Module):
             for part, tokens in enumerate((x[:, : self.queries], x, x))
         )  # each (B, heads, N, dim / heads)
         dropout = attention.dropout if self.training else 0.0
-        if dropout > 0 and _takes_blocks(query):
+        # On CPUs, unless compiled, which unrolls its loop.
+        in_blocks = query.device.type == "cpu" and not torch.compiler.is_compiling()
+        if dropout > 0 and in_blocks:
             mixed = dropout_attention(query, key, value, dropout)
         else:
             mixed = scaled_dot_product_attention(query, key, value, dropout_p=dropout)

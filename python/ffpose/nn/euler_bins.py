@@ -34,10 +34,6 @@ class EulerBinsHead(nn.Module):
     Args:
         bins_per_dim: Number of values of roll, pitch and yaw each.
         smoothing: Width of the soft assignment in bins.
-
-    Attributes:
-        features: Number of bins without redundant ones.
-        bins: Their attitudes ``(features, 4)``, unit quaternions.
     """
 
     start = None
@@ -70,14 +66,10 @@ class EulerBinsHead(nn.Module):
 
 
 def euler_grid(count: int) -> Tensor:
-    """Return the distinct attitudes of a regular grid of Euler angles.
+    """Return the distinct attitudes of a regular grid of Euler angles, ``(bins, 4)``, float64.
 
-    Args:
-        count: Number of values of each angle, in ZYX order: roll and yaw from -180 to 180 degrees,
-            pitch from -90 to 90.
-
-    Returns:
-        Unit quaternions ``(bins, 4)``, ``(w, x, y, z)``, float64.
+    ``count`` values of each angle, in ZYX order: roll and yaw from -180 to 180 degrees, pitch from
+    -90 to 90. Unit quaternions are ``(w, x, y, z)``.
     """
     steps = torch.linspace(-1, 1, count, dtype=torch.float64)
     roll, pitch, yaw = (

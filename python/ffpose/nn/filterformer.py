@@ -26,7 +26,7 @@ FILTERS: tuple[FilterKind, ...] = get_args(FilterKind)
 def make_filter(
     kind: FilterKind, grid: tuple[int, int], dim: int, *, std: float = INIT_STD
 ) -> nn.Module | None:
-    """Build the filter for tokens ``(B, rows * columns, dim)``.
+    """Build the filter for tokens ``(B, rows * columns, dim)`` of a grid.
 
     Args:
         kind: ``"tokens"``: the paper's equations, a DFT over tokens and channels. ``"grid"``: as in
@@ -58,11 +58,8 @@ def make_filter(
 class Residual(nn.Module):
     """A sublayer with skip connection, normalization and dropout.
 
-    Args:
-        sublayer: Module whose output has the shape of its input, or that of its leading tokens.
-        dim: Number of channels.
-        dropout: Dropout rate of the sublayer's output.
-        norm: ``"pre"``: ``x + f(norm(x))``; ``"post"``: ``norm(x + f(x))``.
+    ``"pre"``: ``x + f(norm(x))``; ``"post"``: ``norm(x + f(x))``. The sublayer's output has the
+    shape of its input, or that of its leading tokens.
     """
 
     def __init__(self, sublayer: nn.Module, dim: int, dropout: float, norm: NormPlace) -> None:
@@ -81,17 +78,10 @@ class Residual(nn.Module):
 
 
 class FilterformerBlock(nn.Module):
-    """One block: filter, multi-head attention, feed-forward.
+    """One block: filter, multi-head attention, feed-forward; arguments as of `Filterformer`.
 
-    Args:
-        dim: Number of channels.
-        filter: Module from ``(B, N, dim)`` to ``(B, N, dim)``; None omits the sublayer.
-        heads: Number of attention heads.
-        hidden: Width of the feed-forward network.
-        dropout: Dropout rate of sublayer outputs, attention weights and hidden layer.
-        norm: Position of the normalization, ``"pre"`` or ``"post"``.
-        extra_tokens: Number of leading tokens that bypass the filter.
-        outputs: Number of leading tokens that are computed; None: all.
+    ``filter`` maps ``(B, N, dim)`` to the same; None omits the sublayer. Leading ``extra_tokens``
+    bypass it; ``outputs`` leading tokens are computed, all with None.
     """
 
     def __init__(

@@ -26,8 +26,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ffpose.nn.quaternion import QuaternionActivation
 from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
+from ffpose.ops import normalize_quaternion
 
 NEIGHBORHOOD_DEG = 40.0
 """Angle from the mode within which bins enter the mean, degrees."""
@@ -36,13 +36,29 @@ POWER_SQUARINGS = 10
 """Number of squarings of the averaged matrix, equal to 2**10 power iterations."""
 
 
-class OrientationHead(Protocol):
-    """Interface of the orientation heads: decoding and loss of a head's outputs.
+class QuaternionActivation(nn.Module):
+    """Normalization of quaternions (Ye et al., Sensors 2023, 23, 8633, Eq. 8).
 
-    Attributes:
-        features: Number of outputs.
-        start: Outputs that decode to the identity, for the initial bias; None for any.
+    A zero vector has no direction. In training mode it raises an error. In evaluation mode it gives
+    the identity ``(1, 0, 0, 0)``, so that a deployed network always returns a unit quaternion. NaN
+    propagates in both modes.
     """
+
+    def forward(self, q: Tensor) -> Tensor:
+        """Return unit quaternions for ``q (..., 4)``, scalar first.
+
+        Raises:
+            ValueError: The last dimension is not 4, or a row is zero in training mode.
+            TypeError: The dtype of ``q`` is not floating point.
+        """
+        if not self.training:
+            is_zero = (q == 0).all(dim=-1, keepdim=True)
+            q = q + F.pad(is_zero.to(q.dtype), (0, 3))  # 1 to the scalar part
+        return normalize_quaternion(q)
+
+
+class OrientationHead(Protocol):
+    """Interface of the orientation heads: decoding and loss of a head's outputs."""
 
     features: int
 
@@ -95,13 +111,9 @@ class SixNumbersHead(nn.Module):
 
 
 class BinsHead(nn.Module):
-    """Band-limited logits over attitudes spread evenly over SO(3).
+    """Band-limited logits over attitudes spread evenly over SO(3); 8,000 are 9 degrees apart.
 
-    Args:
-        bins: Number of attitudes; 8,000 are 9 degrees apart.
-        degree: Largest degree of the harmonics, which have ``(degree + 1)(2 degree + 1)(2 degree +
-            3) / 3`` coefficients.
-        width_deg: Standard deviation of the soft labels, degrees.
+    Harmonics up to ``degree`` have ``(degree + 1)(2 degree + 1)(2 degree + 3) / 3`` coefficients.
 
     Raises:
         ValueError: There are fewer attitudes than coefficients.
@@ -141,10 +153,7 @@ class BinsHead(nn.Module):
 def mean_near_mode(logits: Tensor, bins: Tensor, outer: Tensor) -> Tensor:
     """Return the mean ``(B, 4)`` of the attitudes within `NEIGHBORHOOD_DEG` of the most likely.
 
-    Args:
-        logits: ``(B, bins)``.
-        bins: Unit quaternions ``(bins, 4)``.
-        outer: ``(bins, 16)``, the products ``q qT`` of the bins.
+    ``outer (bins, 16)`` are the products ``q qT`` of the bins.
     """
     p = logits.softmax(-1)
     mode = bins[p.argmax(-1)]  # (B, 4)
@@ -157,12 +166,8 @@ def mean_quaternion(matrix: Tensor, start: Tensor) -> Tensor:
     """Return the mean ``(B, 4)`` of quaternions whose weighted sum of ``q qT`` is ``matrix``.
 
     It is the principal eigenvector (Markley et al., "Averaging Quaternions", 2007), computed by
-    power iteration, which can be exported to ONNX.
-
-    Args:
-        matrix: ``(B, 4, 4)``.
-        start: ``(B, 4)``, initial vectors that are not orthogonal to the mean, such as one of the
-            quaternions.
+    power iteration, which can be exported to ONNX, from initial vectors ``(B, 4)`` that are not
+    orthogonal to the mean, such as one of the quaternions.
     """
     matrix = matrix / matrix.amax((-2, -1), keepdim=True)  # which is on the diagonal
     for _ in range(POWER_SQUARINGS):
@@ -186,14 +191,12 @@ def super_fibonacci(count: int) -> Tensor:
 
 
 def harmonics(q: Tensor, degree: int) -> Tensor:
-    """Return an orthonormal basis of the functions on SO(3) up to a degree, sampled at ``q``.
+    """Return an orthonormal basis of functions on SO(3) up to a degree, sampled at ``q (N, 4)``.
 
     Even polynomials of the quaternion of degree ``2 degree`` span the same functions as Wigner's D
-    matrices up to ``degree``. The basis is orthonormal in the mean over ``q (N, 4)``. Its signs are
-    fixed, so it is the same on every machine up to rounding.
-
-    Returns:
-        ``(N, (degree + 1)(2 degree + 1)(2 degree + 3) / 3)``, float64.
+    matrices up to ``degree``. The basis ``(N, (degree + 1)(2 degree + 1)(2 degree + 3) / 3)``,
+    float64, is orthonormal in the mean. Its signs are fixed, so it is the same everywhere up to
+    rounding.
 
     Raises:
         ValueError: There are fewer attitudes than functions.

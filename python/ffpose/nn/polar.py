@@ -26,10 +26,7 @@ KERNEL = 3
 class PolarConv(nn.Module):
     """Convolution of 3 x 3 cells with batch norm and ReLU; outside the outermost ring is zero.
 
-    Args:
-        channels: Number of input channels.
-        out_channels: Number of output channels.
-        stride: Strides along the radius and along the angle, divisors of the map's sides.
+    Strides along radius and angle are divisors of the map's sides.
     """
 
     def __init__(self, channels: int, out_channels: int, stride: tuple[int, int]) -> None:
@@ -50,10 +47,8 @@ class SpectralPool(nn.Module):
 
     No frequency is taken for another, so it commutes with rotations by any angle, not only by whole
     cells (Rippel et al., "Spectral Representations for Convolutional Neural Networks", NeurIPS
-    2015). It is one product with a matrix, the real transform and its inverse in one.
-
-    Args:
-        angles: Number of angles of the input, a multiple of 4.
+    2015). It is one product with a matrix, the real transform and its inverse in one. The number
+    of angles of the input is a multiple of 4.
     """
 
     matrix: Tensor
@@ -74,10 +69,7 @@ class PolarFilter(nn.Module):
     """Spectral filter over radius and angle, which sees the map continued through the origin.
 
     So only its outermost rings meet where none does in the image. Filters begin as random kernels
-    of 3 x 3 cells.
-
-    Args:
-        size: ``(radii, angles, channels)`` of the map; an even number of angles.
+    of 3 x 3 cells. The map's size is ``(radii, angles, channels)``, of an even number of angles.
     """
 
     def __init__(self, size: tuple[int, int, int]) -> None:
@@ -98,12 +90,7 @@ class PolarFilter(nn.Module):
 
 
 class PolarDepthwise(nn.Module):
-    """Depthwise convolution, the comparison with the filter; outside the outermost ring is zero.
-
-    Args:
-        channels: Number of channels of the map.
-        kernel: Side of the kernel in cells, odd.
-    """
+    """Depthwise convolution of an odd side, the comparison with the filter; zero outside."""
 
     def __init__(self, channels: int, kernel: int) -> None:
         super().__init__()
@@ -125,10 +112,6 @@ class PolarAttention(nn.Module):
 
     It commutes with shifts along the angle, as positions count by their difference alone (relative
     position bias; Shaw et al., NAACL 2018).
-
-    Args:
-        size: ``(radii, angles, channels)`` of the map.
-        heads: Number of heads, a divisor of the channels.
     """
 
     between: Tensor
@@ -220,11 +203,8 @@ def through_origin(x: Tensor, radii: int) -> Tensor:
 def interpolation(at: Tensor, to: Tensor, highest: int | None = None) -> Tensor:
     """Return the matrix ``(to, at)`` of the Fourier series through values at equal angles ``at``.
 
-    Args:
-        at: Angles of the values, radians.
-        to: Angles at which the series is evaluated, radians.
-        highest: Highest frequency of the series. By default all but the highest of an even number
-            of values, whose phase they do not determine.
+    Angles are in radians. The series goes up to the ``highest`` frequency, by default all but the
+    highest of an even number of values, whose phase they do not determine.
     """
     count = len(at)
     highest = (count - 1) // 2 if highest is None else highest

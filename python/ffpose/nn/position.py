@@ -18,15 +18,10 @@ LONGEST_WAVE = 10_000.0  # Vaswani et al., 2017, section 3.5
 
 
 class PositionCode(nn.Module):
-    """Position encoding, added to each token of a grid.
-
-    Args:
-        grid: ``(rows, columns)``.
-        dim: Number of channels; divisible by 2 if learned, by 4 if sinusoidal.
-        kind: ``"learned"`` or ``"sinusoidal"``.
+    """Position encoding, ``"learned"`` or ``"sinusoidal"``, added to each token of a grid.
 
     Raises:
-        ValueError: ``kind`` is unknown, or ``dim`` is not divisible as above.
+        ValueError: ``kind`` is unknown, or ``dim`` is not divisible by 2, sinusoidal by 4.
     """
 
     rows: Tensor

@@ -27,7 +27,7 @@ _op: Callable[..., Tensor] = torch.ops.ffpose.sample_pyramid.default
 def sample_pyramid(
     homographies: Tensor, levels: Tensor, plane: Tensor, pyramid: Sequence[Tensor]
 ) -> Tensor:
-    """Sample each view from one level of the pyramid of its image: bilinear, zeros outside.
+    """Sample each view ``(V, C, h, w)`` from a level of its image: bilinear, zeros outside.
 
     Args:
         homographies: ``(V, 3, 3)``, from the places of a view's pixels to continuous pixel
@@ -35,11 +35,7 @@ def sample_pyramid(
         levels: ``(V,)``, whole numbers: the level for each view, in the dtype of the homographies.
         plane: ``(2, h, w)``, the places of a view's pixels.
         pyramid: Levels of images ``(B, C, H, W)``, finest first, each of half the size of the one
-            before; four in a graph. There are ``V / B`` views of each image, those of the first
-            image first.
-
-    Returns:
-        ``(V, C, h, w)``.
+            before; four in a graph. Views of the first image are first, ``V / B`` of each.
     """
     return _op(homographies, levels, plane, list(pyramid))
 

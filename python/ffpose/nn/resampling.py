@@ -25,18 +25,10 @@ from ffpose.ops import Layout, spectral_filter
 def resample_weight(
     weight: Tensor, size: Sequence[int], plane: Sequence[int], layout: Layout
 ) -> Tensor:
-    """Resample the weight of a filter for planes of another size.
+    """Resample the weight of a filter of a ``size`` for planes ``(rows, columns)`` of another.
 
-    Args:
-        weight: ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``, float32 or float64.
-        size: Current size, ``(X, Y)`` or ``(H, W, C)``.
-        plane: New rows and columns, ``(X', Y')`` or ``(H', W')``.
-        layout: ``"tokens"`` or ``"grid"``.
-
-    Returns:
-        ``(X', Y'//2+1, 2)`` or ``(H', W'//2+1, C, 2)``, with the dtype and device of ``weight``,
-        computed in float64. In the DC and Nyquist columns only the Hermitian part of ``weight`` has
-        an effect, and only that part is kept.
+    The result has dtype and device of ``weight``, and is computed in float64. In the DC and Nyquist
+    columns only the Hermitian part of ``weight`` has an effect, and only that part is kept.
     """
     with torch.no_grad():
         impulse = weight.new_zeros(tuple(size), dtype=torch.float64)

@@ -57,10 +57,7 @@ def rotation_vector(difference: Tensor) -> Tensor:
 def nearest_equivalent(q_hat: Tensor, q: Tensor, rotations: Tensor) -> Tensor:
     """Return the attitudes ``q g``, of either sign, nearest to ``q_hat``, for ``g`` of a group.
 
-    Args:
-        q_hat: Unit quaternions ``(B, 4)``.
-        q: Unit quaternions ``(B, 4)``.
-        rotations: All rotations of the group, unit quaternions ``(G, 4)``.
+    All are unit quaternions, ``(B, 4)``; ``rotations (G, 4)`` are those of the group.
     """
     inverse = q.new_tensor([1.0, -1.0, -1.0, -1.0])
     between = rotation_between(q_hat * inverse, q * inverse)  # conj(q) q_hat

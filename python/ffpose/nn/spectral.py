@@ -89,11 +89,8 @@ class SpectralFilter(nn.Module):
     def resized(self, size: Sequence[int]) -> SpectralFilter:
         """Return a new filter with the same kernel for another size (`ffpose.nn.resampling`).
 
-        Args:
-            size: The new size; layout ``"grid"`` must keep its number of channels.
-
-        Returns:
-            A filter with a new parameter of the same dtype, device and ``requires_grad``.
+        Its parameter has the same dtype, device and ``requires_grad``. Layout ``"grid"`` must keep
+        its number of channels.
 
         Raises:
             ValueError: ``size`` has the wrong length, an entry below one, or other channels.
@@ -122,17 +119,16 @@ class SequenceFilter(nn.Module):
     Args:
         length: Number of tokens L.
         dim: Number of channels C.
-        std: Standard deviation of the real and imaginary parts at initialization.
+        std: As of `SpectralFilter`, and so are the next two.
         device: Device of the parameter.
-        dtype: Dtype of the parameter: float32, float64 or half precision. Half precision input
-            takes a float32 weight too.
+        dtype: Dtype of the parameter.
 
     Attributes:
         weight: Real parameter ``(L//2+1, C, 2)``.
 
     Raises:
         ValueError: ``length`` or ``dim`` is below one.
-        TypeError: ``dtype`` is not one of those above, or an argument is no whole number.
+        TypeError: ``dtype`` is not one of those, or an argument is no whole number.
 
     Examples:
         >>> filter = SequenceFilter(50, 64)
@@ -175,10 +171,7 @@ class SequenceFilter(nn.Module):
         return spectral_filter(x.unsqueeze(-3), self.weight.unsqueeze(0), "grid").squeeze(-3)
 
     def resized(self, length: int) -> SequenceFilter:
-        """Return a new filter with the same kernel for another length (`ffpose.nn.resampling`).
-
-        Returns:
-            A filter with a new parameter of the same dtype, device and ``requires_grad``.
+        """Return a new filter with the same kernel for another length, as `SpectralFilter.resized`.
 
         Raises:
             ValueError: ``length`` is below one.
@@ -253,16 +246,13 @@ class GlobalFilter(nn.Module):
     def resized(
         self, size: tuple[int, int], spatial_size: tuple[int, int] | None = None
     ) -> GlobalFilter:
-        """Return a new filter with the same kernel for another grid (`ffpose.nn.resampling`).
+        """Return a new filter with the same kernel for another grid, as `SpectralFilter.resized`.
 
         Args:
-            size: ``(rows, columns)`` of the new grid.
+            size: ``(rows, columns)`` of the new grid; if it is not square, `forward` needs
+                ``spatial_size``.
             spatial_size: ``(rows, columns)`` of this filter's grid; a square when None, as in
                 `forward`. It cannot be inferred, as even and odd columns have equal weight shapes.
-
-        Returns:
-            A filter with a new parameter of the same dtype, device and ``requires_grad``. If the
-            new grid is not square, its `forward` needs ``spatial_size``.
 
         Raises:
             ValueError: An entry of ``size`` is below one, or ``spatial_size`` does not match the

@@ -19,11 +19,7 @@ def arithmetic_dtype(dtype: torch.dtype) -> torch.dtype:
 
 
 def check_tensor(name: str, tensor: object) -> None:
-    """Check that an argument is a real floating-point tensor.
-
-    Raises:
-        TypeError: ``tensor`` is not a tensor, or its dtype is not in `DTYPES`.
-    """
+    """Check that an argument is a tensor of one of `DTYPES`, or raise a TypeError."""
     if not isinstance(tensor, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
     if tensor.dtype not in DTYPES:
@@ -32,12 +28,7 @@ def check_tensor(name: str, tensor: object) -> None:
 
 
 def check_alike(name: str, tensor: Tensor, like_name: str, like: Tensor) -> None:
-    """Check that a tensor has the shape, dtype and device of another.
-
-    Raises:
-        ValueError: Shape or device differ.
-        TypeError: The dtype differs, or ``tensor`` is not a tensor.
-    """
+    """Check that a tensor has the shape, dtype and device of another; raises as `check_filter`."""
     check_tensor(name, tensor)
     if tensor.dtype != like.dtype:
         raise TypeError(f"{name}: expected {like.dtype}, that of {like_name}, got {tensor.dtype}")
@@ -77,12 +68,8 @@ def unbatch(
 ) -> Iterator[tuple[Tensor, ...]]:
     """Split tensors that `torch.vmap` batched, and yield the tensors of each sample.
 
-    If there are no samples, yield one of zeros, from whose result `rebatch` takes the shape.
-
-    Args:
-        tensors: Tensors batched over the samples.
-        dims: Batch dimension of each tensor; None for a tensor that all samples share.
-        size: Number of samples.
+    ``dims`` are the batch dimensions, None for a tensor that all samples share. If there are no
+    samples, yield one of zeros, from whose result `rebatch` takes the shape.
     """
     columns = (
         [tensor] * max(size, 1) if dim is None else tensor.unbind(dim) or [tensor.sum(dim)]

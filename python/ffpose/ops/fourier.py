@@ -24,16 +24,7 @@ def filter_by_fft(x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
 def filter_backward_by_fft(
     grad: Tensor, x: Tensor, weight: Tensor, layout: Layout, need_x: bool, need_weight: bool
 ) -> tuple[Tensor, Tensor]:
-    """Return the gradients for ``x`` and ``weight``, of shape ``(0,)`` where one is not needed.
-
-    Args:
-        grad: Gradient for the filter's result, of the shape of ``x``.
-        x: The filter's input.
-        weight: The filter's weight.
-        layout: ``"tokens"`` or ``"grid"``.
-        need_x: Whether to compute the first.
-        need_weight: Whether to compute the second.
-    """
+    """Return the gradients for ``x`` and ``weight``, of shape ``(0,)`` where one is not needed."""
     for_x = x.new_empty(x.shape if need_x else 0)
     for_weight = weight.new_zeros(weight.shape if need_weight else 0)
     if not x.numel():

@@ -23,14 +23,7 @@ PLANE = {"tokens": (-2, -1), "grid": (-3, -2)}
 
 
 def weight_shape(size: Sequence[int], layout: Layout) -> tuple[int, ...]:
-    """Return the shape of the weight for a size of images.
-
-    Args:
-        size: ``(X, Y)`` in layout ``"tokens"``, ``(H, W, C)`` in layout ``"grid"``.
-        layout: ``"tokens"`` or ``"grid"``.
-
-    Returns:
-        ``(X, Y//2+1, 2)`` or ``(H, W//2+1, C, 2)``.
+    """Return the shape of the weight for ``(X, Y)`` of tokens, or ``(H, W, C)`` of a grid.
 
     Raises:
         ValueError: ``layout`` is unknown, or ``size`` has the wrong length for it.
@@ -51,11 +44,7 @@ def weight_shape(size: Sequence[int], layout: Layout) -> tuple[int, ...]:
 
 
 def check_layout(layout: str) -> None:
-    """Check that a layout exists.
-
-    Raises:
-        ValueError: ``layout`` is not in `LAYOUTS`.
-    """
+    """Check that a layout exists, or raise a ValueError."""
     if layout not in LAYOUTS:
         raise ValueError(f"layout: expected one of {LAYOUTS}, got {layout!r}")
 
@@ -89,12 +78,7 @@ def check_filter(x: Tensor, weight: Tensor, layout: Layout) -> None:
 
 
 def check_out(x: Tensor, out: Tensor) -> None:
-    """Check the tensor that a result is written to.
-
-    Raises:
-        ValueError: It has not the shape or device of ``x``, or is not contiguous.
-        TypeError: It has not the dtype of ``x``.
-    """
+    """Check the tensor that a result is written to; raises as `check_filter`."""
     check_alike("out", out, "x", x)
     if not out.is_contiguous():
         raise ValueError(f"out: expected a contiguous tensor, got strides {out.stride()}")
