@@ -28,8 +28,9 @@ from ffpose.errors import require
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.exporter import FilterChoice, record, relative_differences, serialized, tensors_of
 from ffpose.onnx.int8 import quantize
-from ffpose.onnx.matmul import filters_of
 from ffpose.onnx.metadata import Filter
+from ffpose.onnx.nodes import nodes_of
+from ffpose.onnx.operators import DOMAIN, SPECTRAL_FILTER
 from ffpose.onnx.pose_graph import pose_differences
 
 TORCH = "torch"
@@ -225,7 +226,7 @@ def write_graphs(
 def leave_out_filters(model: Any) -> None:
     """Put Identity in the place of every filter of an `onnx_ir.Model`."""
     ir = require("onnx_ir", "export")
-    for node in filters_of(model):
+    for node in nodes_of(model, DOMAIN, SPECTRAL_FILTER):
         x, weight = node.inputs
         identity = ir.node("Identity", [x])
         output = identity.outputs[0]

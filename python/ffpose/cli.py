@@ -84,12 +84,34 @@ def show(document: dict[str, Any]) -> None:
     print(json.dumps(document, indent=2))
 
 
+def declare(parser: ArgumentParser, options: dict[str, tuple[Any, Any, str]]) -> None:
+    """Declare options: by name, their type, default and help.
+
+    The type bool makes a switch, and an ellipsis for a default one that must be given.
+    """
+    for name, (kind, default, text) in options.items():
+        if kind is bool:
+            parser.add_argument(name, action="store_true", help=text)
+        elif default is ...:
+            parser.add_argument(name, type=kind, required=True, help=text)
+        else:
+            parser.add_argument(name, type=kind, default=default, help=text)
+
+
+OUT = {"--out": (Path, ..., "folder to write")}
+MESH = "your spacecraft: .glb, .gltf, .obj, .ply, .stl"
+CAMERA = "JSON file: width, height, fx, fy, cx, cy"
+RESIZE = "resize images of any camera to the network's input"
+ANGLES: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("ROLL", "PITCH", "YAW")}
+
+
 def demo_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `demo`."""
-    text = "folder to write (default: runs/demo, or runs/demo-train)"
-    parser.add_argument("--out", type=Path, help=text)
-    text = "train from scratch, in minutes, instead of using the shipped weights"
-    parser.add_argument("--train", action="store_true", help=text)
+    options = {
+        "--out": (Path, None, "folder to write (default: runs/demo, or runs/demo-train)"),
+        "--train": (bool, False, "train from scratch, in minutes, instead of the shipped weights"),
+    }
+    declare(parser, options)
 
 
 def demo(options: Namespace) -> None:
@@ -100,30 +122,23 @@ def demo(options: Namespace) -> None:
     missing = [package for package in POSE_PACKAGES if find_spec(package) is None]
     if missing and options.train:
         raise MissingExtraError.of(missing[0], "pose,render")
-    if missing:
-        gallery(options.out or Path("runs/demo"))
-        return
-    from ffpose.demo.config import DemoConfig
-    from ffpose.demo.run import run
-
     out = options.out or Path("runs/demo-train" if options.train else "runs/demo")
-    expect_writable(out)
-    config = DemoConfig(images=TRAINED_DEMO, train=True) if options.train else DemoConfig()
-    document = run(out, config)
-    baseline = document["mean_pose_baseline"]
+    if missing:
+        from ffpose.demo.gallery import run as run_gallery
+
+        expect_writable(out)
+        document = run_gallery(out)
+    else:
+        from ffpose.demo.config import DemoConfig
+        from ffpose.demo.run import run
+
+        expect_writable(out)
+        config = DemoConfig(images=TRAINED_DEMO, train=True) if options.train else DemoConfig()
+        document = run(out, config)
     for name in ("median_translation_error_m", "median_rotation_error_deg"):
-        print(f"{name}: {document[name]:.3f} (mean pose: {baseline[name]:.3f})")
-    print(out / "report.html")
-
-
-def gallery(out: Path) -> None:
-    """Predict the poses of unseen images without torch, and write a gallery of them."""
-    from ffpose.demo.gallery import run
-
-    expect_writable(out)
-    document = run(out)
-    for name in ("median_translation_error_m", "median_rotation_error_deg"):
-        print(f"{name}: {document[name]:.3f}")
+        baseline = document.get("mean_pose_baseline", {}).get(name)
+        beside = "" if baseline is None else f" (mean pose: {baseline:.3f})"
+        print(f"{name}: {document[name]:.3f}{beside}")
     print(out / "report.html")
 
 
@@ -131,13 +146,14 @@ def mesh_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments that mend a mesh."""
     from ffpose.render import Up
 
-    parser.add_argument("--mesh-scale", type=float, default=1.0, help="meters per unit of the mesh")
     text = "axis of the mesh file that becomes the object's z (glTF files have y up)"
     parser.add_argument("--mesh-up", choices=get_args(Up), default="z", help=text)
-    text = "move the origin to the middle of the bounding sphere"
-    parser.add_argument("--mesh-center", action="store_true", help=text)
-    text = "show the back of one-sided surfaces"
-    parser.add_argument("--mesh-two-sided", action="store_true", help=text)
+    options = {
+        "--mesh-scale": (float, 1.0, "meters per unit of the mesh"),
+        "--mesh-center": (bool, False, "move the origin to the middle of the bounding sphere"),
+        "--mesh-two-sided": (bool, False, "show the back of one-sided surfaces"),
+    }
+    declare(parser, options)
 
 
 def expect_no_mesh(options: Namespace) -> None:
@@ -170,59 +186,37 @@ def render_arguments(parser: ArgumentParser) -> None:
     from ffpose.render.layers import LABELS
     from ffpose.render.scene import Renderer
 
-    parser.add_argument(
-        "scene",
-        help="soyuz_easy, soyuz_hard, dragon_hard, or a scene.json of ffpose learn; "
-        "or a motion: approach, tumble, flyby",
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--count", type=int, help="how many images of a scene")
-    parser.add_argument("--start", type=int, default=0, help="index of the first image")
-    parser.add_argument(
-        "--scene", dest="within", help="of a motion, as soyuz_hard (the default) or a scene.json"
-    )
-    text = f"length of a motion (default: {SECONDS:g})"
-    parser.add_argument("--seconds", type=float, help=text)
-    text = f"frames a second of a motion (default: {RATE:g})"
-    parser.add_argument("--rate", type=float, help=text)
-    text = "share of a motion's frames lost (default: 0)"
-    parser.add_argument("--drop", type=float, help=text)
-    parser.add_argument(
-        "--trajectory",
-        type=Path,
-        help="CSV file of time,tx,ty,tz,qw,qx,qy,qz: one frame of the scene for each row",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the set")
-    parser.add_argument("--size", type=size_type(), help="WIDTHxHEIGHT in pixels, as 640x480")
-    parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--layers", action="store_true", help="write mask, depth and keypoints too")
-    parser.add_argument(
-        "--labels", nargs="+", choices=list(LABELS), default=[], help="write these layers too"
-    )
-    parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
-    parser.add_argument("--mesh", type=Path, help="own spacecraft: .obj, .stl, .ply, .glb, .gltf")
+    text = "soyuz_easy, soyuz_hard, dragon_hard, or a scene.json of ffpose learn; "
+    parser.add_argument("scene", help=f"{text}or a motion: approach, tumble, flyby")
+    text = "of a motion, as soyuz_hard (the default) or a scene.json"
+    parser.add_argument("--scene", dest="within", help=text)
+    row = "CSV file of time,tx,ty,tz,qw,qx,qy,qz: one frame of the scene for each row"
+    options = OUT | {
+        "--count": (int, None, "how many images of a scene"),
+        "--start": (int, 0, "index of the first image"),
+        "--seconds": (float, None, f"length of a motion (default: {SECONDS:g})"),
+        "--rate": (float, None, f"frames a second of a motion (default: {RATE:g})"),
+        "--drop": (float, None, "share of a motion's frames lost (default: 0)"),
+        "--trajectory": (Path, None, row),
+        "--seed": (int, 0, "seed of the set"),
+        "--size": (size_type(), None, "WIDTHxHEIGHT in pixels, as 640x480"),
+        "--workers": (int, 1, "processes"),
+        "--layers": (bool, False, "write mask, depth and keypoints too"),
+        "--camera": (Path, None, CAMERA),
+        "--mesh": (Path, None, "own spacecraft: .obj, .stl, .ply, .glb, .gltf"),
+        "--eclipse-rate": (float, None, "share in the Earth's shadow; as in orbit by default"),
+        "--motion": (float, 0.0, "largest motion blur, pixels of 1280"),
+        "--jpeg": (int, 0, "JPEG quality 1-100; 0 is none"),
+        "--randomize": (float, 0.0, "domain randomization, 0-1"),
+    }
+    declare(parser, options)
     mesh_arguments(parser)
-    parser.add_argument(
-        "--eclipse-rate", type=float, help="share in the Earth's shadow; as in orbit by default"
-    )
-    parser.add_argument(
-        "--attitude-range",
-        nargs=3,
-        type=float,
-        metavar=("ROLL", "PITCH", "YAW"),
-        help="largest absolute angles, degrees; 180 90 180 for all attitudes",
-    )
-    parser.add_argument(
-        "--motion", type=float, default=0.0, help="largest motion blur, pixels of 1280"
-    )
-    parser.add_argument("--jpeg", type=int, default=0, help="JPEG quality 1-100; 0 is none")
-    parser.add_argument("--randomize", type=float, default=0.0, help="domain randomization, 0-1")
-    parser.add_argument(
-        "--renderer",
-        choices=get_args(Renderer),
-        default="ffpose",
-        help="of the spacecraft; mitsuba is a path tracer, 20 times slower",
-    )
+    text = "write these layers too"
+    parser.add_argument("--labels", nargs="+", choices=list(LABELS), default=[], help=text)
+    text = "largest absolute angles, degrees; 180 90 180 for all attitudes"
+    parser.add_argument("--attitude-range", **ANGLES, help=text)
+    text = "of the spacecraft; mitsuba is a path tracer, 20 times slower"
+    parser.add_argument("--renderer", choices=get_args(Renderer), default="ffpose", help=text)
 
 
 def render(options: Namespace) -> None:
@@ -359,56 +353,49 @@ def train(options: Namespace) -> None:
 def data_arguments(parser: ArgumentParser, *, required: bool = True) -> None:
     """Declare the arguments that choose a command's images."""
     kinds = "urso, speed, speedplus, cambridge, sevenscenes or csv"
-    parser.add_argument("--data.kind", required=required, help=f"layout of the image set: {kinds}")
-    parser.add_argument("--data.root", type=Path, required=required, help="folder of the image set")
-    parser.add_argument(
-        "--data.undistort", action="store_true", help="undistort images of cameras with distortion"
-    )
-    parser.add_argument(
-        "--data.white",
-        type=float | str,
-        help="level that becomes white in images of more than 8 bits, or percentile such as p99.5",
-    )
+    white = "level that becomes white in images of more than 8 bits, or percentile such as p99.5"
+    options = {
+        "--data.kind": (str, ... if required else None, f"layout of the image set: {kinds}"),
+        "--data.root": (Path, ... if required else None, "folder of the image set"),
+        "--data.undistort": (bool, False, "undistort images of cameras with distortion"),
+        "--data.white": (float | str, None, white),
+    }
+    declare(parser, options)
 
 
 def weights_argument(parser: ArgumentParser) -> None:
     """Declare the arguments that choose a command's network, and where it is computed."""
     text = "weights file, exported .onnx graph, folder with one, or a name such as soyuz"
     parser.add_argument("weights", type=Path, help=text)
-    parser.add_argument(
-        "--device", default="auto", help="of weights; auto: a GPU if there is one, else the CPU"
-    )
+    text = "of weights; auto: a GPU if there is one, else the CPU"
+    parser.add_argument("--device", default="auto", help=text)
+
+
+def symmetry_argument(parser: ArgumentParser, text: str) -> None:
+    """Declare the argument of rotations that leave the object's look unchanged."""
+    parser.add_argument("--symmetry", default="auto", metavar="auto|none|FILE", help=text)
 
 
 def learn_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `learn`."""
-    parser.add_argument("mesh", type=Path, help="your spacecraft: .glb, .gltf, .obj, .ply, .stl")
-    parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--minutes", type=float, default=60.0, help="budget; more is better")
+    parser.add_argument("mesh", type=Path, help=MESH)
+    init = "weights to start from: a name such as generic, a file, or none for random ones"
+    options = OUT | {
+        "--minutes": (float, 60.0, "budget; more is better"),
+        "--camera": (Path, None, CAMERA),
+        "--init": (str, "generic", init),
+        "--processes": (int, 0, "0 for one a core"),
+        "--seed": (int, 0, "seed of everything"),
+        "--device": (str, "auto", "auto, cpu, cuda"),
+    }
+    declare(parser, options)
     mesh_arguments(parser)
-    parser.add_argument("--camera", type=Path, help="JSON file: width, height, fx, fy, cx, cy")
-    parser.add_argument(
-        "--distance",
-        nargs=2,
-        type=float,
-        metavar=("NEAR", "FAR"),
-        help="meters; 1.5 to 8 diameters of the spacecraft by default",
-    )
-    parser.add_argument(
-        "--attitude-range",
-        nargs=3,
-        type=float,
-        default=[180.0, 90.0, 180.0],
-        metavar=("ROLL", "PITCH", "YAW"),
-        help="largest absolute angles, degrees",
-    )
+    text = "meters; 1.5 to 8 diameters of the spacecraft by default"
+    parser.add_argument("--distance", nargs=2, type=float, metavar=("NEAR", "FAR"), help=text)
+    text = "largest absolute angles, degrees"
+    parser.add_argument("--attitude-range", **ANGLES, default=[180.0, 90.0, 180.0], help=text)
     text = "fold attitudes of one look: auto (within the sensor's noise), none, or a JSON file"
-    parser.add_argument("--symmetry", default="auto", metavar="auto|none|FILE", help=text)
-    text = "weights to start from: a name such as generic, a file, or none for random ones"
-    parser.add_argument("--init", default="generic", help=text)
-    parser.add_argument("--processes", type=int, default=0, help="0 for one a core")
-    parser.add_argument("--seed", type=int, default=0, help="seed of everything")
-    parser.add_argument("--device", default="auto", help="auto, cpu, cuda")
+    symmetry_argument(parser, text)
 
 
 def learn(options: Namespace) -> None:
@@ -445,21 +432,17 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `evaluate`."""
     weights_argument(parser)
     data_arguments(parser)
-    parser.add_argument(
-        "--data.split", default="test", help="a split of the set, or all (default: test)"
-    )
-    parser.add_argument(
-        "--empty", type=Path, help="folder of images without the object, which should be flagged"
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument(
-        "--reproject",
-        action="store_true",
-        help="reproject images of a camera other than the weights' to the network's view",
-    )
+    empty = "folder of images without the object, which should be flagged"
+    reproject = "reproject images of a camera other than the weights' to the network's view"
+    options = OUT | {
+        "--data.split": (str, "test", "a split of the set, or all (default: test)"),
+        "--empty": (Path, None, empty),
+        "--reproject": (bool, False, reproject),
+        "--json": (bool, False, "print the results as JSON"),
+    }
+    declare(parser, options)
     text = "what errors are modulo: auto (what the training's were), none, or a JSON file"
-    parser.add_argument("--symmetry", default="auto", metavar="auto|none|FILE", help=text)
-    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    symmetry_argument(parser, text)
 
 
 def evaluate(options: Namespace) -> None:
@@ -496,17 +479,15 @@ def predict_arguments(parser: ArgumentParser) -> None:
     weights_argument(parser)
     text = "image files, folders of PNG, JPEG and PGM files, and patterns such as 'set/*/*.png'"
     parser.add_argument("images", nargs="+", help=text)
-    parser.add_argument("--json", action="store_true", help="print a line of JSON for each image")
-    parser.add_argument("--batch", type=int, default=1, help="images computed together")
-    parser.add_argument("--overlay", type=Path, help="folder for images with the axes drawn")
-    parser.add_argument(
-        "--camera",
-        type=Path,
-        help="of the images, as a set's camera.json, to reproject them to the network's view",
-    )
-    parser.add_argument(
-        "--resize", action="store_true", help="resize images of any camera to the network's input"
-    )
+    camera = "of the images, as a set's camera.json, to reproject them to the network's view"
+    options = {
+        "--json": (bool, False, "print a line of JSON for each image"),
+        "--batch": (int, 1, "images computed together"),
+        "--overlay": (Path, None, "folder for images with the axes drawn"),
+        "--camera": (Path, None, camera),
+        "--resize": (bool, False, RESIZE),
+    }
+    declare(parser, options)
 
 
 def predict(options: Namespace) -> None:
@@ -562,35 +543,25 @@ def track_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `track`."""
     weights_argument(parser)
     parser.add_argument("images", type=Path, help="folder of the frames")
-    parser.add_argument(
-        "--times",
-        type=Path,
-        help="CSV file of image,time (seconds), perhaps with poses (default: frames.csv there)",
-    )
-    parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument(
-        "--camera",
-        type=Path,
-        help="of the images (default: camera.json beside them, or that of the weights)",
-    )
-    parser.add_argument(
-        "--resize", action="store_true", help="resize images of any camera to the network's input"
-    )
-    parser.add_argument(
-        "--whole", action="store_true", help="search each frame as a whole, as if without a track"
-    )
-    parser.add_argument(
-        "--settings", type=Path, help="JSON file of fields of ffpose.tracking.Settings"
-    )
+    times = "CSV file of image,time (seconds), perhaps with poses (default: frames.csv there)"
+    camera = "of the images (default: camera.json beside them, or that of the weights)"
+    options = OUT | {
+        "--times": (Path, None, times),
+        "--camera": (Path, None, camera),
+        "--resize": (bool, False, RESIZE),
+        "--whole": (bool, False, "search each frame as a whole, as if without a track"),
+        "--settings": (Path, None, "JSON file of fields of ffpose.tracking.Settings"),
+    }
+    declare(parser, options)
 
 
 def track(options: Namespace) -> None:
     """Track a spacecraft through the frames of a sequence: position, attitude, velocities."""
     from ffpose.geometry import CAMERA_FILE, Camera
     from ffpose.inference.load import load
+    from ffpose.tracking.follow import TRAJECTORY
+    from ffpose.tracking.follow import run as run_track
     from ffpose.tracking.frames import read_frames
-    from ffpose.tracking.run import TRAJECTORY
-    from ffpose.tracking.run import run as run_track
     from ffpose.tracking.tracker import read_settings
 
     expect_writable(options.out)
@@ -628,25 +599,17 @@ def inference_fields(options: Namespace) -> dict[str, Any]:
 def export_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `export`."""
     parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz")
-    parser.add_argument("--out", type=Path, required=True, help="ONNX file to write")
-    parser.add_argument(
-        "--filter",
-        choices=["custom", "matmul"],
-        default="custom",
-        help="filters by ffpose's operator, or by standard ones alone (default: custom)",
-    )
+    text = "filters by ffpose's operator, or by standard ones alone (default: custom)"
+    parser.add_argument("--filter", choices=["custom", "matmul"], default="custom", help=text)
     inference_arguments(parser)
-    parser.add_argument(
-        "--track",
-        action="store_true",
-        help="write the single look of a track too, X.track.onnx beside X.onnx",
-    )
-    parser.add_argument(
-        "--int8", action="store_true", help="convolutions and matrix products in 8 bits"
-    )
-    parser.add_argument(
-        "--calibrate", type=Path, help="folder of typical images, unlabeled; with --int8"
-    )
+    track = "write the single look of a track too, X.track.onnx beside X.onnx"
+    options = {
+        "--out": (Path, ..., "ONNX file to write"),
+        "--track": (bool, False, track),
+        "--int8": (bool, False, "convolutions and matrix products in 8 bits"),
+        "--calibrate": (Path, None, "folder of typical images, unlabeled; with --int8"),
+    }
+    declare(parser, options)
 
 
 def export(options: Namespace) -> None:
@@ -655,9 +618,9 @@ def export(options: Namespace) -> None:
     With --int8, the differences of poses from float32 on the calibration images are printed too.
     """
     from ffpose.imaging.images import image_files
+    from ffpose.inference.int8 import quantize_graph
     from ffpose.inference.source import TRACK_SUFFIX
     from ffpose.onnx.pose_graph import export_weights
-    from ffpose.onnx.pose_int8 import quantize_graph
 
     if options.int8 != (options.calibrate is not None):
         raise ValueError("int8: expected with --calibrate DIR, both or neither, got one")
@@ -691,12 +654,11 @@ def tell(exported: Exported) -> None:
 
 def inspect_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `inspect`."""
-    text = "your spacecraft: .glb, .gltf, .obj, .ply, .stl; else --data.kind and --data.root"
+    text = f"{MESH}; else --data.kind and --data.root"
     parser.add_argument("mesh", nargs="?", type=Path, help=text)
     mesh_arguments(parser)
     data_arguments(parser, required=False)
-    parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    declare(parser, OUT | {"--json": (bool, False, "print the summary as JSON")})
 
 
 def inspect(options: Namespace) -> None:
@@ -771,25 +733,24 @@ def card_arguments(parser: ArgumentParser) -> None:
 
     weights = "weights file, a name such as soyuz, or an exported .onnx graph"
     parser.add_argument("weights", type=Path, help=weights)
-    parser.add_argument(
-        "--scene", required=True, help="soyuz_easy, soyuz_hard or dragon_hard: what it was made for"
-    )
-    parser.add_argument("--count", type=int, default=500, help="images per condition")
-    parser.add_argument("--size", type=size_type(), default="640x480", help="WIDTHxHEIGHT")
-    text = f"of the scenes, {CHOICES.start} to {CHOICES.stop - 1}"
-    parser.add_argument("--seed", type=int, default=CHOICES.start, help=text)
-    text = "scenes of the seed that is kept for published figures, in place of --seed"
-    parser.add_argument("--final", action="store_true", help=text)
-    parser.add_argument("--workers", type=int, default=1, help="processes that render")
-    parser.add_argument(
-        "--images", type=Path, help="folder that keeps the images: an interrupted card goes on"
-    )
-    parser.add_argument(
-        "--mitsuba", action="store_true", help="images of the second renderer too, which is slow"
-    )
-    text = "folder for card.json and card.md; one that holds this card is not measured again"
-    parser.add_argument("--out", type=Path, help=text)
-    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    scene = "soyuz_easy, soyuz_hard or dragon_hard: what it was made for"
+    seeds = f"of the scenes, {CHOICES.start} to {CHOICES.stop - 1}"
+    final = "scenes of the seed that is kept for published figures, in place of --seed"
+    images = "folder that keeps the images: an interrupted card goes on"
+    out = "folder for card.json and card.md; one that holds this card is not measured again"
+    options = {
+        "--scene": (str, ..., scene),
+        "--count": (int, 500, "images per condition"),
+        "--size": (size_type(), "640x480", "WIDTHxHEIGHT"),
+        "--seed": (int, CHOICES.start, seeds),
+        "--final": (bool, False, final),
+        "--workers": (int, 1, "processes that render"),
+        "--images": (Path, None, images),
+        "--mitsuba": (bool, False, "images of the second renderer too, which is slow"),
+        "--out": (Path, None, out),
+        "--json": (bool, False, "print the results as JSON"),
+    }
+    declare(parser, options)
 
 
 def card(options: Namespace) -> None:
@@ -799,35 +760,27 @@ def card(options: Namespace) -> None:
     image takes a third of a second of one core to render, half of them far less.
     """
     from ffpose._internal.seeds import CHOICES
-    from ffpose.evaluation.card.measurement import kept_card, measure, write_card
+    from ffpose.evaluation.card.measurement import measure
     from ffpose.evaluation.card.tables import format_card
 
     if options.final and options.seed != CHOICES.start:
         raise ValueError(f"seed: expected none with --final, got {options.seed}")
-    settings = {
-        "count": options.count,
-        "size": width_and_height(options.size),
-        "seed": options.seed,
-        "final": options.final,
-        "second_renderer": options.mitsuba,
-    }
-    document = None
-    if options.images is not None:
-        expect_writable(options.images)
-    if options.out is not None:
-        expect_writable(options.out)
-        document = kept_card(options.out, options.weights, options.scene, **settings)
-    if document is None:
-        document = measure(
-            options.weights,
-            options.scene,
-            **settings,
-            workers=options.workers,
-            keep=options.images,
-            progress=True,
-        )
-    if options.out is not None:
-        write_card(document, options.out)
+    for folder in (options.images, options.out):
+        if folder is not None:
+            expect_writable(folder)
+    document = measure(
+        options.weights,
+        options.scene,
+        count=options.count,
+        size=width_and_height(options.size),
+        seed=options.seed,
+        final=options.final,
+        workers=options.workers,
+        second_renderer=options.mitsuba,
+        keep=options.images,
+        out=options.out,
+        progress=True,
+    )
     if options.json:
         show(document)
     else:
@@ -841,9 +794,12 @@ def calibrate_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("weights", type=Path, help="weights file, or a name such as soyuz")
     parser.add_class_arguments(CalibrationImages, "data")
     restyle(parser)
-    text = "file to write (default: the weights file; of weights by name there is none)"
-    parser.add_argument("--out", type=Path, help=text)
-    parser.add_argument("--json", action="store_true", help="print what was found as JSON")
+    out = "file to write (default: the weights file; of weights by name there is none)"
+    options = {
+        "--out": (Path, None, out),
+        "--json": (bool, False, "print what was found as JSON"),
+    }
+    declare(parser, options)
 
 
 def calibrate(options: Namespace) -> None:
@@ -875,12 +831,14 @@ def bench_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("subject", choices=["filter", "model"], help="what to measure")
     text = f"of a model: {', '.join(PRESETS)}, or weights (default: base; quick: tiny)"
     parser.add_argument("network", nargs="?", help=text)
-    parser.add_argument("--json", action="store_true", help="print every timing as JSON")
-    parser.add_argument("--plot", type=Path, help="picture to draw, PNG")
-    parser.add_argument("--quick", action="store_true", help="a first look in under a minute")
-    parser.add_argument(
-        "--batch", type=PositiveInt, nargs="+", help="images a batch (default: 1 8)"
-    )
+    options = {
+        "--json": (bool, False, "print every timing as JSON"),
+        "--plot": (Path, None, "picture to draw, PNG"),
+        "--quick": (bool, False, "a first look in under a minute"),
+    }
+    declare(parser, options)
+    text = "images a batch (default: 1 8)"
+    parser.add_argument("--batch", type=PositiveInt, nargs="+", help=text)
     parser.add_argument("--threads", type=PositiveInt, nargs="+", help="(default: 1, 2, all cores)")
     text = "graphs that take turns with a model, in ONNX Runtime: an older one, an int8 one"
     parser.add_argument("--compare", type=Path, nargs="+", metavar="GRAPH", help=text)

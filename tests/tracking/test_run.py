@@ -11,9 +11,8 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, PoseUncertainty
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.errors import track_errors
-from ffpose.tracking.follow import COLUMNS, Followed
+from ffpose.tracking.follow import COLUMNS, Followed, run
 from ffpose.tracking.frames import Frame, read_frames
-from ffpose.tracking.run import run
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
 SAID = np.diag([0.01, 0.01, 0.04]), 1e-3 * np.eye(3)

@@ -27,10 +27,8 @@ from ffpose.geometry.rotations import FloatArray, conjugate, multiply, rotation_
 class RotationParts(NamedTuple):
     """In-plane and out-of-plane rotation errors, ``(N,)`` each, degrees from 0 to 180.
 
-    Attributes:
-        in_plane_deg: Twist about the true viewing ray; 0 where the predicted viewing direction is
-            opposite to the true one, where the twist is undefined.
-        out_of_plane_deg: Angle between true and predicted viewing directions.
+    In plane is the twist about the true viewing ray, 0 where the predicted viewing direction is
+    opposite to the true one, where the twist is undefined; out of plane the angle between both.
     """
 
     in_plane_deg: FloatArray
@@ -70,10 +68,8 @@ def rotation_parts(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> RotationPart
 def remove_in_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> FloatArray:
     """Rotate the predictions about the true viewing ray so that their in-plane error vanishes.
 
-    The result ``T⁻¹ R_hat`` keeps the prediction's viewing direction and thus its out-of-plane
-    error, which is its whole rotation error.
-
-    Arguments and errors are those of `rotation_parts`; returns unit quaternions ``(N, 4)``.
+    The result ``T⁻¹ R_hat``, unit quaternions ``(N, 4)``, keeps the prediction's viewing direction
+    and thus its out-of-plane error, which is its whole rotation error; else as `rotation_parts`.
     """
     q_hat, ray, q = _checked(q_hat, t, q)
     return multiply(conjugate(_twist(q_hat, ray, q)), q_hat)
@@ -82,10 +78,8 @@ def remove_in_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> Float
 def remove_out_of_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> FloatArray:
     """Rotate the ground truth about its viewing ray by the in-plane error of the predictions.
 
-    The result ``T R`` has the true viewing direction; its rotation error is the prediction's
-    in-plane error.
-
-    Arguments and errors are those of `rotation_parts`; returns unit quaternions ``(N, 4)``.
+    The result ``T R``, unit quaternions ``(N, 4)``, has the true viewing direction; its rotation
+    error is the prediction's in-plane error; else as `rotation_parts`.
     """
     q_hat, ray, q = _checked(q_hat, t, q)
     return multiply(_twist(q_hat, ray, q), q)
@@ -94,16 +88,8 @@ def remove_out_of_plane_error(q_hat: ArrayLike, t: ArrayLike, q: ArrayLike) -> F
 def rotation_error_vector(q_hat: ArrayLike, q: ArrayLike) -> FloatArray:
     """Return the rotation vectors ``r`` with ``R = exp([r]x) R_hat``, in the camera frame.
 
-    Args:
-        q_hat: Predicted orientations ``(N, 4)``.
-        q: True orientations ``(N, 4)``.
-
-    Returns:
-        ``(N, 3)`` radians, of length 0 to pi.
-
-    Raises:
-        TypeError: An argument is not of floating dtype.
-        ValueError: A shape is wrong, a value is not finite, or a row is the zero vector.
+    ``(N, 3)`` radians, of length 0 to pi, for predicted and true orientations ``(N, 4)``; raises as
+    `rotation_parts`.
     """
     ahead = np.tile([0.0, 0.0, 1.0], (len(np.asarray(q_hat)), 1))
     q_hat, _, q = _checked(q_hat, ahead, q)

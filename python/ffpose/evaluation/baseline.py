@@ -7,20 +7,17 @@ error equals that of an oracle has learned at most the part that the oracle know
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffpose.arrays import canonical_quaternion
 from ffpose.evaluation.attitude import remove_in_plane_error, remove_out_of_plane_error
-
-FloatArray = NDArray[np.float64]
+from ffpose.geometry import FloatArray
 
 
 def mean_pose(poses: FloatArray) -> FloatArray:
     """Return the mean pose ``(7,)`` of poses ``(N, 7)``, with ``qw >= 0``.
 
-    The orientation minimizes the sum of squared chordal distances to all quaternions regardless of
-    their signs: it is the principal eigenvector of the sum of ``q qᵀ`` (Markley et al., "Averaging
-    Quaternions", 2007).
+    The orientation is the principal eigenvector of the sum of ``q qᵀ``, which is regardless of
+    signs (Markley et al., "Averaging Quaternions", 2007).
 
     Raises:
         ValueError: There are no poses.
@@ -34,18 +31,12 @@ def mean_pose(poses: FloatArray) -> FloatArray:
 
 
 def oracles(constant: FloatArray, truth: FloatArray) -> dict[str, FloatArray]:
-    """Return the poses of two oracles: a constant attitude corrected by one part of the truth.
+    """Return the poses ``(N, 7)`` of two oracles, for a constant pose ``(7,)`` and true ones.
 
-    Args:
-        constant: The constant pose ``(7,)``.
-        truth: True poses ``(N, 7)``.
-
-    Returns:
-        Poses ``(N, 7)`` with the true translations, by name. ``in_plane_known``: the constant
-        attitude rotated about the true viewing ray so that its in-plane error vanishes; its
-        rotation error is the constant's out-of-plane error. ``out_of_plane_known``: the true
-        attitude rotated about the true viewing ray by the constant's in-plane error, which is its
-        rotation error.
+    Both have the true translations. ``in_plane_known`` is the constant attitude rotated about the
+    true viewing ray so that its in-plane error vanishes; its rotation error is the constant's
+    out-of-plane error. ``out_of_plane_known`` is the true attitude rotated about the ray by the
+    constant's in-plane error, which is its rotation error.
     """
     t, q = truth[:, :3], truth[:, 3:]
     attitude = np.broadcast_to(constant[3:], q.shape)

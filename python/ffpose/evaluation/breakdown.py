@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.datasets import Conditions
-from ffpose.evaluation.metrics import SUMMARIZED, PoseErrors
+from ffpose.evaluation.metrics import PoseErrors, named_errors
+from ffpose.geometry import FloatArray
 
-FloatArray = NDArray[np.float64]
 Groups = Mapping[str, NDArray[np.bool_]]
 """Masks ``(N,)`` of the images in each group, by its name."""
 
@@ -22,19 +22,12 @@ BACK_LIT_DEG = 90.0
 def breakdown(
     errors: PoseErrors, distance: FloatArray, conditions: Conditions | None
 ) -> dict[str, list[dict[str, Any]]]:
-    """Return the median errors of groups of images.
+    """Return the median errors of groups of images, those without images left out.
 
-    Args:
-        errors: Errors of each image.
-        distance: True distances ``(N,)``, meters.
-        conditions: Conditions of the images; None where unknown.
-
-    Returns:
-        Lists of groups, by condition: ``distance`` (terciles) and, where conditions are known,
-        ``lighting`` (sunlit and eclipse; sunlit images also as front-lit and back-lit),
-        ``background`` (Earth or space behind) and ``in_frame`` (share of the object in the frame).
-        Each group has ``group``, ``images`` and ``median_`` errors named as in
-        `ffpose.evaluation.metrics.PoseError`. Groups without images are left out.
+    By condition: ``distance`` (terciles of the true distances ``(N,)``, meters) and, where
+    conditions are known, ``lighting`` (sunlit images also as front-lit and back-lit),
+    ``background`` and ``in_frame`` (share of the object in the frame). Each group has ``group``,
+    ``images`` and ``median_`` errors named as in `ffpose.evaluation.metrics.PoseError`.
     """
     families = {"distance": _by_distance(distance)}
     if conditions is not None:
@@ -76,7 +69,7 @@ def _by_distance(distance: FloatArray) -> Groups:
 
 def _medians(name: str, errors: PoseErrors, chosen: NDArray[np.bool_]) -> dict[str, Any]:
     medians = {
-        f"median_{key}": float(np.median(getattr(errors, field).numpy()[chosen]))
-        for key, field in SUMMARIZED.items()
+        f"median_{key}": float(np.median(values[chosen]))
+        for key, values in named_errors(errors).items()
     }
     return {"group": name, "images": int(chosen.sum()), **medians}

@@ -15,11 +15,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ffpose.evaluation.attitude import rotation_error_vector
-
-FloatArray = NDArray[np.float64]
+from ffpose.geometry import FloatArray
 
 LEVELS = (0.5, 0.9, 0.99)
 """Confidence levels whose coverage is reported."""
@@ -35,18 +34,14 @@ ASYMMETRY = 1e-5
 
 
 def squared_mahalanobis(error: ArrayLike, covariance: ArrayLike) -> FloatArray:
-    """Return the squared Mahalanobis distances ``eᵀ C⁻¹ e``.
+    """Return the squared Mahalanobis distances ``eᵀ C⁻¹ e`` ``(N,)``.
 
     Args:
         error: Errors ``(N, 3)``.
         covariance: Covariances ``(N, 3, 3)`` of the errors.
 
-    Returns:
-        Squared distances ``(N,)``, dimensionless.
-
     Raises:
-        ValueError: A shape is wrong, a value is not finite, or a covariance is not symmetric and
-            positive definite; its row is named.
+        ValueError: As `check_covariance`, and for errors of another shape or not finite.
     """
     e, c = np.asarray(error, np.float64), np.asarray(covariance, np.float64)
     if e.ndim != 2 or e.shape[1] != 3:
@@ -61,8 +56,7 @@ def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
     """Check that covariances ``(count, 3, 3)`` are symmetric and positive definite.
 
     Raises:
-        ValueError: The shape is wrong, a value is not finite, or a matrix is not symmetric and
-            positive definite; its row is named.
+        ValueError: They are not, or not finite; the row is named.
     """
     if covariance.shape != (count, 3, 3):
         raise ValueError(f"{name}: expected shape ({count}, 3, 3), got {covariance.shape}")
@@ -82,23 +76,16 @@ def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
 def region_probability(
     squared_distance: ArrayLike, degrees_of_freedom: float | None = None
 ) -> FloatArray:
-    """Return the probability of the smallest confidence region that contains each truth.
+    """Return the probability ``(N,)`` of the smallest confidence region that contains each truth.
 
     For a calibrated network its values are uniform in 0…1. For Gaussian errors it is the chi-square
     distribution function for three degrees of freedom, ``erf(sqrt(x / 2)) - sqrt(2 x / pi) exp(-x /
-    2)``. For errors of a t distribution with covariance C and ν degrees of freedom it is that of F
-    for 3 and ν at ``x ν / (3 (ν - 2))``, ``2 / B(3 / 2, ν / 2)`` times the integral of ``sin² a
-    cos^(ν - 1) a`` from zero to ``atan sqrt(x / (ν - 2))``.
-
-    Args:
-        squared_distance: Squared Mahalanobis distances ``(N,)``.
-        degrees_of_freedom: ν, above 2; None for Gaussian errors.
-
-    Returns:
-        Probabilities ``(N,)``.
+    2)``. For errors of a t distribution with covariance C and ν degrees of freedom, above 2, it is
+    that of F for 3 and ν at ``x ν / (3 (ν - 2))``, ``2 / B(3 / 2, ν / 2)`` times the integral of
+    ``sin² a cos^(ν - 1) a`` from zero to ``atan sqrt(x / (ν - 2))``.
 
     Raises:
-        ValueError: A value is negative or not finite.
+        ValueError: A squared Mahalanobis distance is negative or not finite.
     """
     x = np.asarray(squared_distance, np.float64)
     if not (np.isfinite(x) & (x >= 0)).all():
@@ -134,9 +121,6 @@ def truth_regions(
         rotation_covariance: ``(N, 3, 3)``, rad², camera frame, of ``r`` with ``R_true = exp([r]x)
             R_predicted``.
         degrees_of_freedom: Of the t distributions of both errors; None for Gaussian errors.
-
-    Raises:
-        ValueError: A shape is wrong, or a covariance is not symmetric and positive definite.
     """
     of_translation, of_rotation = degrees_of_freedom or (None, None)
     moved, turned = (
@@ -152,16 +136,10 @@ def truth_regions(
 
 
 def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
-    """Return the coverage of each level: the share of truths within its confidence region.
+    """Return the coverage ``(K,)`` of each level: the share of truths within its confidence region.
 
-    For a calibrated network the coverage equals the level.
-
-    Args:
-        probability: `region_probability` of each truth ``(N,)``.
-        levels: Confidence levels ``(K,)``; those of `CURVE` give a reliability curve.
-
-    Returns:
-        Shares ``(K,)``.
+    For a calibrated network the coverage equals the level. Those of the levels `CURVE` are a
+    reliability curve. ``probability`` is the `region_probability` of each truth ``(N,)``.
 
     Raises:
         ValueError: There are no truths.
@@ -173,20 +151,13 @@ def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:
 
 
 def coverages(probability: ArrayLike) -> dict[str, float]:
-    """Return ``coverage_50``, ``_90`` and ``_99``; arguments and errors are those of `coverage`."""
+    """Return ``coverage_50``, ``_90`` and ``_99``, as `coverage`."""
     shares = zip(LEVELS, coverage(probability).tolist(), strict=True)
     return {f"coverage_{100 * level:.0f}": share for level, share in shares}
 
 
 def summarize_regions(probability: ArrayLike) -> dict[str, Any]:
-    """Return `coverages`, and the curve as ``reliability``.
-
-    Args:
-        probability: `region_probability` of each truth ``(N,)``.
-
-    Raises:
-        ValueError: There are no truths.
-    """
+    """Return `coverages`, and the curve as ``reliability``."""
     return {
         **coverages(probability),
         "reliability": {
@@ -199,10 +170,8 @@ def summarize_regions(probability: ArrayLike) -> dict[str, Any]:
 class FlagRates(NamedTuple):
     """Error rates of flagging images as not showing the object.
 
-    Attributes:
-        threshold: An image whose probability of being in view is below it is flagged.
-        false_alarm_rate: Share of the images with the object that are flagged.
-        miss_rate: Share of the images without the object that are not flagged.
+    Images whose probability of being in view is below the threshold are flagged: false alarms are
+    those that show the object, misses those that do not and are not flagged.
     """
 
     threshold: float
@@ -213,12 +182,9 @@ class FlagRates(NamedTuple):
 def auroc(with_object: ArrayLike, without: ArrayLike) -> float:
     """Return the area under the ROC curve of a score that detects images with the object.
 
-    It is the probability that an image with the object scores higher than one without, ties
-    counting half: the Mann-Whitney U statistic (1947) divided by the number of pairs.
-
-    Args:
-        with_object: Scores ``(N,)`` of images that show the object.
-        without: Scores ``(M,)`` of images that do not.
+    It is the probability that an image with the object ``(N,)`` scores higher than one without
+    ``(M,)``, ties counting half: the Mann-Whitney U statistic (1947) divided by the number of
+    pairs.
 
     Raises:
         ValueError: A score is not finite, or ``with_object`` or ``without`` is empty.
@@ -231,7 +197,7 @@ def auroc(with_object: ArrayLike, without: ArrayLike) -> float:
 
 
 def flag_rates(with_object: ArrayLike, without: ArrayLike, threshold: float) -> FlagRates:
-    """Return false-alarm and miss rates of a threshold; arguments are those of `auroc`."""
+    """Return false-alarm and miss rates of a threshold; else as `auroc`."""
     positive, negative = _scores(with_object, without)
     return FlagRates(
         threshold, float((positive < threshold).mean()), float((negative >= threshold).mean())
@@ -241,15 +207,9 @@ def flag_rates(with_object: ArrayLike, without: ArrayLike, threshold: float) -> 
 def choose_threshold(with_object: ArrayLike, without: ArrayLike) -> FlagRates:
     """Return the threshold with the smallest sum of false-alarm and miss rates (Youden, 1950).
 
-    Choose it on other images than those it is evaluated on. It is the middle of the gap between the
-    scores that it separates; of several equally good ones the lowest is returned.
-
-    Args:
-        with_object: Scores ``(N,)`` of images that show the object.
-        without: Scores ``(M,)`` of images that do not.
-
-    Raises:
-        ValueError: A score is not finite, or ``with_object`` or ``without`` is empty.
+    Choose it on other images than those it is evaluated on; else as `auroc`. It is the middle of
+    the gap between the scores that it separates; of several equally good ones the lowest is
+    returned.
     """
     positive, negative = _scores(with_object, without)
     edges = np.unique(np.concatenate([positive, negative]))
@@ -266,13 +226,7 @@ def summarize_flag(
 ) -> dict[str, float]:
     """Return `FlagRates` and ``auroc``; without empty images the false-alarm rate alone.
 
-    Args:
-        with_object: Scores ``(N,)`` of images that show the object.
-        without: Scores ``(M,)`` of images that do not; None if there are no such images.
-        threshold: Probability below which an image is flagged.
-
-    Raises:
-        ValueError: A score is not finite, or an array of scores is empty.
+    Images of a lower probability than the threshold are flagged; else as `auroc`.
     """
     rates = flag_rates(with_object, with_object if without is None else without, threshold)
     if without is None:
@@ -281,11 +235,7 @@ def summarize_flag(
 
 
 def check_probability(name: str, values: FloatArray, count: int | None = None) -> None:
-    """Check that values are probabilities ``(count,)``, or ``(M,)`` for any M above zero.
-
-    Raises:
-        ValueError: ``values`` is not ``(count,)``, or a value is outside 0…1.
-    """
+    """Check that values are probabilities ``(count,)``, or ``(M,)`` for any M above zero."""
     if values.ndim != 1 or len(values) == 0 or len(values) != (count or len(values)):
         raise ValueError(f"{name}: expected shape ({count or 'M'},), got {values.shape}")
     outside = values[~((values >= 0) & (values <= 1))]

@@ -22,10 +22,8 @@ LARGE_DEG, CONFUSED_DEG = 30.0, 15.0
 class Confusion(NamedTuple):
     """A turn of the object that a network takes for the object as it stands.
 
-    Attributes:
-        rotation_vector_deg: ``(3,)``, object frame, degrees: the attitude ``R`` is predicted as
-            ``R`` after this turn.
-        share: Share of all predictions that are within `CONFUSED_DEG` of that.
+    The attitude ``R`` is predicted as ``R`` after the turn, a rotation vector ``(3,)``, object
+    frame, degrees; ``share`` of all predictions are within `CONFUSED_DEG` of that.
     """
 
     rotation_vector_deg: FloatArray
@@ -37,14 +35,8 @@ def most_confused(q_hat: ArrayLike, q: ArrayLike) -> Confusion:
 
     Where sides that look alike are taken for each other, errors gather about one turn, such as half
     a turn about the axis of a body with two wings. Of attitudes within a narrow range a constant
-    answer's gather too, so a share means something beside that of a constant.
-
-    Args:
-        q_hat: Predicted orientations ``(N, 4)``.
-        q: True orientations ``(N, 4)``.
-
-    Returns:
-        The turn, the mean of those that gather; a share of 0 if no error is so large.
+    answer's gather too, so a share means something beside that of a constant. Quaternions are
+    ``(N, 4)``; the share is 0 if no error is so large.
 
     Examples:
         >>> truth = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0.6, 0.8, 0, 0]])

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
 from ffpose import arrays
+from ffpose.config import looks_twice
 from ffpose.datasets import (
     Conditions,
     Decoding,
@@ -42,17 +42,16 @@ from ffpose.evaluation.calibration import (
     truth_regions,
 )
 from ffpose.evaluation.confusion import most_confused
-from ffpose.evaluation.metrics import SUMMARIZED, PoseError, PoseErrors, pose_error
-from ffpose.evaluation.significance import circular_correlation, correlation, median_interval
-from ffpose.geometry import Pose
+from ffpose.evaluation.metrics import PoseErrors, median_intervals, pose_errors, summarized
+from ffpose.evaluation.significance import circular_correlation, correlation
+from ffpose.geometry import Camera, FloatArray, Pose
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.images import image_files, read_rgb
 from ffpose.imaging.preprocessing import Preprocessing
+from ffpose.imaging.reprojection import Reprojection, agree, bends
 from ffpose.inference.load import load
-from ffpose.inference.network import choose_preprocessing
 from ffpose.models import PosePrediction, WeightsMetadata
-
-FloatArray = NDArray[np.float64]
+from ffpose.onnx.metadata import ModelMetadata
 
 UNCERTAINTY = ("translation_covariance", "rotation_covariance", "in_view")
 """Uncertainty outputs that a network may have besides its poses."""
@@ -62,22 +61,12 @@ UNCERTAINTY = ("translation_covariance", "rotation_covariance", "in_view")
 class Evaluation:
     """Predictions on the images of one split, and the baseline on the same images.
 
-    Attributes:
-        dataset: Images and labels.
-        predicted: Predicted poses ``(N, 7)``, ``[t, q]``.
-        baseline: Constant pose ``(7,)`` of the baseline.
-        seconds_per_image: Mean time from image file to pose.
-        conditions: Conditions of the images, where the set has them.
-        translation_covariance: ``(N, 3, 3)`` square meters, camera frame; None, like the next two,
-            for a network without uncertainty.
-        rotation_covariance: ``(N, 3, 3)`` square radians, covariance of the rotation vector ``r``,
-            camera frame, with ``R_true = exp([r]x) R_predicted``.
-        degrees_of_freedom: Of the t distributions of the errors of translation and rotation; None
-            for Gaussian errors.
-        in_view: Probabilities ``(N,)`` that the object is in the image at all.
-        in_view_empty: Probabilities ``(M,)`` for images without the object, if there are any.
-        in_view_threshold: Images with a lower probability are flagged as not showing the object.
-        symmetry: Errors, of the baseline too, are to the nearest attitude of the same look.
+    ``predicted`` are poses ``(N, 7)``, ``[t, q]``, and ``baseline`` is a constant one ``(7,)``.
+    Covariances ``(N, 3, 3)`` are of the translation, m², and of the rotation vector ``r`` with
+    ``R_true = exp([r]x) R_predicted``, rad², both in the camera frame; ``in_view`` are
+    probabilities ``(N,)`` that the object is in the image, and ``in_view_empty`` those ``(M,)`` of
+    images without it. All of these are None for a network without uncertainty. Errors, of the
+    baseline too, are to the nearest attitude of the same look by ``symmetry``.
 
     Raises:
         ValueError: A covariance is not symmetric and positive definite, a probability is outside
@@ -110,7 +99,7 @@ class Evaluation:
     @cached_property
     def errors(self) -> PoseErrors:
         """Errors of the predictions, image by image."""
-        return _errors(self.predicted, self.truth)
+        return pose_errors(self.predicted, self.truth)
 
     @cached_property
     def truth(self) -> FloatArray:
@@ -120,7 +109,7 @@ class Evaluation:
     @cached_property
     def baseline_errors(self) -> PoseErrors:
         """Errors of the baseline, image by image."""
-        return _errors(self._constant, self._truth_for_constant)
+        return pose_errors(self._constant, self._truth_for_constant)
 
     @cached_property
     def angles(self) -> tuple[FloatArray, FloatArray]:
@@ -133,10 +122,7 @@ class Evaluation:
 
     @cached_property
     def region_probabilities(self) -> dict[str, FloatArray]:
-        """Probability ``(N,)`` of the smallest confidence region that contains each truth.
-
-        Keys are ``translation`` and ``rotation``; none for a network without uncertainty.
-        """
+        """`ffpose.evaluation.calibration.truth_regions`; none for a network without uncertainty."""
         if self.translation_covariance is None or self.rotation_covariance is None:
             return {}
         return truth_regions(
@@ -189,12 +175,12 @@ class Evaluation:
         return {
             "images": len(self.dataset),
             **figures(self.predicted, self.truth),
-            "median_intervals_95": _intervals(self.errors),
+            "median_intervals_95": median_intervals(self.errors),
             "seconds_per_image": self.seconds_per_image,
             "mean_pose_baseline": {
                 "pose": self.baseline.tolist(),
                 **figures(self._constant, self._truth_for_constant),
-                "median_intervals_95": _intervals(self.baseline_errors),
+                "median_intervals_95": median_intervals(self.baseline_errors),
                 "confusion": _confusion(self._constant, self._truth_for_constant),
             },
             **self._without_symmetry(),
@@ -266,32 +252,19 @@ def evaluate(
     empty: Path | None = None,
     symmetry: SymmetryGroup | None = None,
 ) -> Evaluation:
-    """Evaluate weights on the images of a split.
+    """Evaluate weights on the images of a split, or of ``"all"``.
 
-    Args:
-        weights: Weights file, exported ``.onnx`` graph (float32 or int8), a folder that holds one,
-            or a name of shipped weights; its header defines the preprocessing.
-        kind: Kind of the dataset.
-        root: Folder of the dataset. Its training split gives the baseline, if the weights do not.
-        split: The split to evaluate; ``"all"`` for every split.
-        batch_size: Images per batch.
-        reproject: Reproject images of a camera other than the weights' into the network's view
-            (`ffpose.imaging.reprojection`).
-        decoding: Conversion from image files to images; what it leaves open is as in training.
-        device: "auto" (a GPU if there is one) or a device that torch knows; graphs run on the CPU.
-        empty: Folder of images (PNG, JPEG, PGM) that do not show the object, for the miss rate and
-            the AUROC of ``in_view``.
-        symmetry: What errors are modulo; None for that of the training.
-
-    Returns:
-        Predictions and labels.
+    ``weights`` are what `ffpose.load` takes; their header defines the preprocessing, and what
+    ``decoding`` leaves open. The training split of ``root`` gives the baseline, if they do not.
+    With ``reproject`` images of another camera are reprojected into the network's view; ``empty``
+    is a folder of images that do not show the object, for miss rate and AUROC; errors are modulo
+    ``symmetry``, that of the training for None.
 
     Raises:
         FileNotFoundError: The weights or a file of the dataset are missing.
-        ValueError: The weights were altered or are of another kind of network, or their camera is
-            not that of the images, or the labels do not locate what they do, or the device cannot
-            be had, or the network does not predict whether the object is in view and ``empty`` is
-            given.
+        ValueError: The weights were altered, their camera is not that of the images, the labels
+            do not locate what they do, the device cannot be had, or ``empty`` is given for a
+            network that does not predict whether the object is in view.
         ffpose.DataError: An image or a label cannot be used.
     """
     empty_images = [] if empty is None else image_files(empty, "empty")
@@ -332,10 +305,8 @@ def evaluate(
 
 
 def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:
-    """Return means, medians and scores of predictions ``(N, 7)``, named as in `PoseError`."""
-    metric = PoseError()
-    metric.update(*_tensors(predicted), *_tensors(truth))
-    return {name: float(value) for name, value in metric.compute().items()}
+    """Return means, medians and scores of predictions ``(N, 7)``, as `PoseError`."""
+    return {n: float(value) for n, value in summarized(pose_errors(predicted, truth)).items()}
 
 
 def _confusion(predicted: FloatArray, truth: FloatArray) -> dict[str, Any]:
@@ -343,38 +314,51 @@ def _confusion(predicted: FloatArray, truth: FloatArray) -> dict[str, Any]:
     return {"rotation_vector_deg": turn.tolist(), "share": share}
 
 
-def _intervals(errors: PoseErrors) -> dict[str, list[float]]:
-    """Return bootstrap intervals of the medians, named as in `PoseError`."""
-    return {
-        f"median_{name}": list(median_interval(getattr(errors, field).numpy()))
-        for name, field in SUMMARIZED.items()
-    }
-
-
 def _median_sigma(covariance: FloatArray) -> float:
     """Return the median over covariances ``(N, 3, 3)`` of the RMS standard deviation."""
     return float(np.median(np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)))
 
 
-def _errors(predicted: FloatArray, truth: FloatArray) -> PoseErrors:
-    return pose_error(*_tensors(predicted), *_tensors(truth))
-
-
-def _tensors(poses: FloatArray) -> tuple[torch.Tensor, torch.Tensor]:
-    """Split poses ``(N, 7)`` into translations ``(N, 3)`` and orientations ``(N, 4)``."""
-    tensor = torch.from_numpy(np.array(poses, order="C"))  # torch warns of what is read-only
-    return tensor[:, :3], tensor[:, 3:]
-
-
 def _mean_pose_of_training(kind: str, root: Path, preprocessing: Preprocessing) -> FloatArray:
-    """Return the mean pose of a set's training split, for a network that does not tell its own.
-
-    Raises:
-        ValueError: There is no such split.
-    """
+    """Return the mean pose of a set's training split, for a network that does not tell its own."""
     if "train" not in (splits := list_splits(kind, root)):
         raise ValueError(
             "data: expected a split train, whose mean pose is the baseline, as the network's file"
             f" has none; got {', '.join(splits)}"
         )
     return mean_pose(open_dataset(kind, root, "train", preprocessing).poses)
+
+
+def choose_preprocessing(
+    metadata: WeightsMetadata | ModelMetadata, camera: Camera | None, *, reproject: bool
+) -> Preprocessing:
+    """Return the preprocessing from images of a set's camera to the network's input.
+
+    ``camera`` is None for images of several; with ``reproject`` those of a camera other than the
+    weights' are reprojected into the network's view.
+
+    Raises:
+        ValueError: The camera differs from the weights', or has distortion, which a network with a
+            second look does not know, and ``reproject`` is false; or the images are of several, and
+            the weights of one.
+    """
+    plain, view = metadata.preprocessing, metadata.config.view_camera
+    if view is None:
+        return plain
+    if camera is None:
+        raise ValueError("expected images of the weights' camera, got a set of several cameras")
+    bent = looks_twice(metadata.config) and bends(camera)
+    if agree(plain.camera(camera), view) and not bent:
+        return plain
+    if reproject:
+        return Reprojection.of(plain, camera, view)
+    if bent:
+        raise ValueError(
+            f"expected images of a camera without distortion, got a set of {camera}; "
+            "--data.undistort takes it out"
+        )
+    expected = plain.image_camera(view, camera.width, camera.height)
+    raise ValueError(
+        f"expected images of the weights' camera, {expected}, got a set of {camera}; "
+        "--reproject turns them into the network's view"
+    )

@@ -15,13 +15,16 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torchmetrics import Metric
 from torchmetrics.utilities import dim_zero_cat
 
 from ffpose import arrays
 from ffpose.evaluation.attitude import rotation_parts
+from ffpose.evaluation.significance import median_interval
 
 SUMMARIZED = {
     "translation_error_m": "translation_m",
@@ -56,7 +59,7 @@ class PoseErrors(NamedTuple):
 
 
 def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
-    """Return the errors of each prediction.
+    """Return the errors of each prediction, computed in float64.
 
     Args:
         t_hat: Predicted translations ``(N, 3)``, meters, any floating dtype and device.
@@ -64,15 +67,52 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
         t: True translations ``(N, 3)``.
         q: True quaternions ``(N, 4)``.
 
-    Returns:
-        The errors, computed in float64.
-
     Raises:
         TypeError: An argument is no tensor, or not of floating dtype.
         ValueError: A shape is wrong, a value is NaN or infinite, a quaternion is zero, or a true
             translation is zero, for which no relative error exists.
     """
-    return _update(t_hat, q_hat, t, q)
+    named = {"t_hat": t_hat, "q_hat": q_hat, "t": t, "q": q}
+    for name, tensor in named.items():
+        if not isinstance(tensor, Tensor):
+            raise TypeError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
+        if not tensor.is_floating_point():
+            raise TypeError(f"{name}: expected a floating dtype, got {tensor.dtype}")
+    pairs = {
+        name: tensor.detach().cpu().double().contiguous().numpy() for name, tensor in named.items()
+    }
+    translation = torch.from_numpy(arrays.translation_error(pairs["t_hat"], pairs["t"]))
+    rotation = torch.from_numpy(arrays.rotation_error(pairs["q_hat"], pairs["q"]))
+    esa_score = torch.from_numpy(arrays.esa_score(**pairs))
+    speed_plus_score = torch.from_numpy(arrays.speed_plus_score(**pairs))
+    distance = torch.linalg.vector_norm(torch.from_numpy(pairs["t"]), dim=1)
+    parts = map(torch.from_numpy, rotation_parts(pairs["q_hat"], pairs["t"], pairs["q"]))
+    return PoseErrors(
+        translation, rotation, esa_score, speed_plus_score, translation / distance, *parts
+    )
+
+
+def pose_errors(predicted: NDArray[np.float64], truth: NDArray[np.float64]) -> PoseErrors:
+    """Return the errors of poses ``(N, 7)``, ``[t, q]``, as `pose_error`."""
+    t_hat, q_hat, t, q = (
+        torch.from_numpy(part.copy())  # torch warns of what is read-only
+        for poses in (predicted, truth)
+        for part in (poses[:, :3], poses[:, 3:])
+    )
+    return pose_error(t_hat, q_hat, t, q)
+
+
+def named_errors(errors: PoseErrors) -> dict[str, NDArray[np.float64]]:
+    """Return the errors ``(N,)`` whose means and medians are computed, by name (`SUMMARIZED`)."""
+    return {name: getattr(errors, field).numpy() for name, field in SUMMARIZED.items()}
+
+
+def median_intervals(errors: PoseErrors) -> dict[str, list[float]]:
+    """Return bootstrap intervals of the medians, named as in `PoseError`."""
+    return {
+        f"median_{name}": list(median_interval(values))
+        for name, values in named_errors(errors).items()
+    }
 
 
 class PoseError(Metric):
@@ -97,48 +137,24 @@ class PoseError(Metric):
 
     def update(self, t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> None:
         """Add a batch; arguments and errors are those of `pose_error`."""
-        errors = _update(t_hat, q_hat, t, q)
+        errors = pose_error(t_hat, q_hat, t, q)
         for name, error in zip(PoseErrors._fields, errors, strict=True):
             getattr(self, name).append(error.to(self.device))
 
     def compute(self) -> dict[str, Tensor]:
-        """Return the metrics over all samples so far.
+        """Return the metrics over all samples so far, scalar tensors.
 
-        Returns:
-            ``esa_score`` and ``speed_plus_score``, and ``mean_`` and ``median_`` of each of
-            ``translation_error_m``, ``relative_translation_error``, ``rotation_error_deg``,
-            ``in_plane_error_deg`` and ``out_of_plane_error_deg``: scalar tensors. The median
-            of an even number of samples is the mean of the middle two.
+        ``esa_score`` and ``speed_plus_score``, and ``mean_`` and ``median_`` of each of
+        `SUMMARIZED`. The median of an even number of samples is the mean of the middle two.
 
         Raises:
             ValueError: There are no samples.
         """
-        return _compute(PoseErrors(*(dim_zero_cat(getattr(self, n)) for n in PoseErrors._fields)))
+        return summarized(PoseErrors(*(dim_zero_cat(getattr(self, n)) for n in PoseErrors._fields)))
 
 
-def _update(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
-    """Return the errors of the samples of a batch; the Rust core checks shapes and values."""
-    named = {"t_hat": t_hat, "q_hat": q_hat, "t": t, "q": q}
-    for name, tensor in named.items():
-        if not isinstance(tensor, Tensor):
-            raise TypeError(f"{name}: expected a torch.Tensor, got {type(tensor).__name__}")
-        if not tensor.is_floating_point():
-            raise TypeError(f"{name}: expected a floating dtype, got {tensor.dtype}")
-    pairs = {
-        name: tensor.detach().cpu().double().contiguous().numpy() for name, tensor in named.items()
-    }
-    translation = torch.from_numpy(arrays.translation_error(pairs["t_hat"], pairs["t"]))
-    rotation = torch.from_numpy(arrays.rotation_error(pairs["q_hat"], pairs["q"]))
-    esa_score = torch.from_numpy(arrays.esa_score(**pairs))
-    speed_plus_score = torch.from_numpy(arrays.speed_plus_score(**pairs))
-    distance = torch.linalg.vector_norm(torch.from_numpy(pairs["t"]), dim=1)
-    parts = map(torch.from_numpy, rotation_parts(pairs["q_hat"], pairs["t"], pairs["q"]))
-    return PoseErrors(
-        translation, rotation, esa_score, speed_plus_score, translation / distance, *parts
-    )
-
-
-def _compute(errors: PoseErrors) -> dict[str, Tensor]:
+def summarized(errors: PoseErrors) -> dict[str, Tensor]:
+    """Return the metrics of errors, as `PoseError.compute`."""
     if len(errors.translation_m) == 0:
         raise ValueError("pose error: expected at least one sample, got none")
     return {

@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from ffpose.geometry import FloatArray
 
 RESAMPLES = 5000
 CONSTANT_RAD = 1e-6
 """RMS deviation in radians up to which angles count as constant and have no correlation."""
 
 
-def median_interval(values: ArrayLike, level: float = 0.95, seed: int = 0) -> tuple[float, float]:
-    """Return the percentile bootstrap interval of a median (Efron and Tibshirani, 1993, ch. 13).
+def median_interval(values: ArrayLike) -> tuple[float, float]:
+    """Return a median's 95 % percentile bootstrap interval (Efron and Tibshirani, 1993, ch. 13).
 
     Resampled medians are drawn directly: the k-th smallest of N draws with replacement is the
     sorted value number ``floor(N u)``, where ``u``, the k-th smallest of N uniform numbers, is
     distributed as Beta(k, N + 1 - k).
 
-    Args:
-        values: ``(N,)`` finite numbers.
-        level: Confidence level: the share of the resampled medians within the interval.
-        seed: Seed of the draws; the same seed gives the same interval.
-
     Raises:
-        ValueError: ``values`` is not ``(N,)``, is empty or not finite, or ``level`` is outside 0…1.
+        ValueError: ``values`` is not ``(N,)``, is empty or not finite.
     """
     ordered = np.sort(np.asarray(values, np.float64))
     if ordered.ndim != 1 or len(ordered) == 0 or not np.isfinite(ordered).all():
         raise ValueError(f"values: expected finite numbers (N,), N > 0, got shape {ordered.shape}")
-    if not 0 < level < 1:
-        raise ValueError(f"level: expected a number between 0 and 1, got {level}")
-    rng, count = np.random.default_rng(seed), len(ordered)
+    rng, count = np.random.default_rng(0), len(ordered)
     k = (count + 1) // 2
     lower = rng.beta(k, count + 1 - k, RESAMPLES)
     upper = lower
@@ -40,22 +33,16 @@ def median_interval(values: ArrayLike, level: float = 0.95, seed: int = 0) -> tu
         upper = lower + (1 - lower) * rng.beta(1, count - k, RESAMPLES)
     places = np.minimum(count * np.stack([lower, upper]), count - 1).astype(np.intp)
     medians = ordered[places].mean(axis=0)
-    low, high = np.quantile(medians, [(1 - level) / 2, (1 + level) / 2])
+    low, high = np.quantile(medians, [0.025, 0.975])
     return float(low), float(high)
 
 
 def circular_correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
-    """Return the correlation of two angles (Jammalamadaka and SenGupta, 2001, section 8.2).
+    """Return the correlation, -1 to 1, of angles ``(N,)`` in degrees; None if one is constant.
 
     ``sum(sin(a - a0) sin(b - b0)) / sqrt(sum(sin²(a - a0)) sum(sin²(b - b0)))`` with the mean
-    directions ``a0`` and ``b0``. For small angles it is Pearson's.
-
-    Args:
-        a_deg: ``(N,)`` degrees.
-        b_deg: ``(N,)`` degrees.
-
-    Returns:
-        From -1 to 1; None where one of them is constant.
+    directions ``a0`` and ``b0`` (Jammalamadaka and SenGupta, 2001, section 8.2). For small angles
+    it is Pearson's.
 
     Raises:
         ValueError: Shapes other than ``(N,)``, or different ones.
@@ -64,10 +51,7 @@ def circular_correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
 
 
 def correlation(a_deg: ArrayLike, b_deg: ArrayLike) -> float | None:
-    """Return Pearson's correlation of two angles that do not wrap, such as pitch.
-
-    Arguments, result and errors are as those of `circular_correlation`.
-    """
+    """Return Pearson's correlation of angles that do not wrap; else as `circular_correlation`."""
     return _correlation(*(angle - angle.mean() for angle in _pair(a_deg, b_deg)))
 
 

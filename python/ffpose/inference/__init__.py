@@ -2,7 +2,7 @@
 
 * `ffpose.load` opens either and returns a `ffpose.inference.estimator.PoseEstimator`.
 * `ffpose.inference.source` finds what was named: shipped weights, a file, or a folder that holds
-  one; `ffpose.inference.network` says how the images of a set become a network's input.
+  one.
 
 Importing this module imports nothing else; torch is imported for weights alone.
 """

@@ -14,8 +14,11 @@ from ffpose.imaging.images import read_rgb
 from ffpose.imaging.reprojection import expect_aspect, for_images
 
 if TYPE_CHECKING:
-    from ffpose.inference.network import Description
+    from ffpose.models import WeightsMetadata
     from ffpose.onnx.backends import Session
+    from ffpose.onnx.metadata import ModelMetadata
+
+    Description: TypeAlias = WeightsMetadata | ModelMetadata
 
 ImageLike: TypeAlias = str | Path | Image.Image | NDArray[np.uint8]
 """Path of an image file, Pillow image (RGB), or array ``(H, W, 3)``, uint8, RGB."""
@@ -35,9 +38,6 @@ class PoseEstimator:
         resize: Resize any image to the network's input, as if taken by the camera of training.
 
     Attributes:
-        session: The network.
-        near: The argument.
-        metadata: What its file says of it.
         preprocessing: Conversion from image to network input.
         camera: Camera of the images, possibly for another image size; None where unknown.
 
@@ -168,12 +168,7 @@ class PoseEstimator:
 
 
 def as_image(image: ImageLike, white: float | str | None = None) -> Image.Image:
-    """Convert to a Pillow image, RGB; raises as `PoseEstimator`.
-
-    Args:
-        image: Image as there.
-        white: Level that becomes 255 in a file of more than 8 bits.
-    """
+    """Convert to a Pillow image, RGB, as `PoseEstimator`; ``white`` is as of `read_rgb`."""
     if isinstance(image, str | Path):
         return read_rgb(Path(image), white)
     if isinstance(image, Image.Image):

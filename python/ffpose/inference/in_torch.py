@@ -14,18 +14,10 @@ from ffpose.models import find_device
 
 
 class TorchSession:
-    """A network in torch (`ffpose.onnx.backends.Session`).
+    """A network in torch (`ffpose.onnx.backends.Session`), put in evaluation mode on a device.
 
-    Args:
-        model: The network, which is put in evaluation mode and on the device. It returns a named
-            tuple of tensors.
-        device: ``"auto"`` (a GPU if there is one) or a device that torch knows.
-        threads: Number of threads within an image, on the CPU; None for torch's own setting. As
-            that is one of the whole process, it is restored after each run.
-
-    Attributes:
-        model: The network.
-        device: Its device.
+    The model returns a named tuple of tensors. ``threads`` is the number within an image on the
+    CPU; as torch has one for the whole process, it is restored after each run.
 
     Raises:
         ValueError: Torch does not find the device, or the number of threads is below one.

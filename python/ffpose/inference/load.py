@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ffpose.errors import DataError, require
 from ffpose.geometry import Camera
 from ffpose.inference.source import TRACK_SUFFIX, Backend, find_source
 
 if TYPE_CHECKING:
-    from ffpose.inference.estimator import PoseEstimator
+    from ffpose.inference.estimator import Description, PoseEstimator
     from ffpose.onnx.backends import Precision, Session
     from ffpose.onnx.metadata import ModelMetadata
 
@@ -77,29 +77,24 @@ def load(
     from ffpose.inference.estimator import PoseEstimator
 
     session: Session
+    near: Session | None = None
+    metadata: Description
     if source.is_graph:
-        from ffpose.onnx.metadata import read_model
-
         if device not in ("auto", "cpu"):
             raise ValueError(f"device: expected auto or cpu for an exported graph, got {device!r}")
-        graph, data = read_model(source.path)
-        if graph.takes_point:
-            raise DataError(
-                "expected a graph of whole frames, got one of single looks, which `track` opens"
-                " beside it",
-                source.path,
-            )
+        if backend is None and find_spec("onnxruntime") is None and find_spec("openvino"):
+            backend = "openvino"
         open_one = partial(
             _open_graph,
-            backend=backend,
+            backend=backend or "onnxruntime",
             threads=threads,
-            precision=precision,
             providers=providers,
+            precision=precision,
         )
-        session = open_one(source.path, graph, data)
-        beside = _read_beside(source.path, graph) if track else None
-        near = None if beside is None else open_one(*beside)
-        estimator = PoseEstimator(session, graph, near=near, camera=camera, resize=resize)
+        session, metadata = open_one(source.path)
+        beside = source.path.with_suffix(TRACK_SUFFIX)
+        if track and beside.is_file():
+            near, _ = open_one(beside, metadata)
     else:
         from ffpose.inference.in_torch import TorchSession
         from ffpose.models import PolarPose, open_weights
@@ -109,55 +104,32 @@ def load(
             raise ValueError(f"precision: expected float32 for weights, got {precision!r}")
         if providers is not None:
             raise ValueError(f"providers: expected with a graph, got {providers} with weights")
-        model, weights = open_weights(source.path)
+        model, metadata = open_weights(source.path)
         session = TorchSession(model, device, threads)
-        near = (
-            TorchSession(NearPoint(model), device, threads)
-            if track and isinstance(model, PolarPose)
-            else None
-        )
-        estimator = PoseEstimator(session, weights, near=near, camera=camera, resize=resize)
+        if track and isinstance(model, PolarPose):
+            near = TorchSession(NearPoint(model), device, threads)
+    estimator = PoseEstimator(session, metadata, near=near, camera=camera, resize=resize)
     estimator.warm_up(warm_up)
     return estimator
 
 
-def _read_beside(path: Path, whole: ModelMetadata) -> tuple[Path, ModelMetadata, bytes] | None:
-    """Return path, metadata and bytes of the single looks beside a graph; None without.
-
-    Raises:
-        ffpose.DataError: The file cannot be used, or is of other weights.
-    """
+def _open_graph(
+    path: Path, whole: ModelMetadata | None = None, **options: Any
+) -> tuple[Session, ModelMetadata]:
+    """Open a graph of whole frames, or that of the single looks beside one."""
+    from ffpose.onnx.backends import open_session
     from ffpose.onnx.metadata import read_model
 
-    beside = path.with_suffix(TRACK_SUFFIX)
-    if not beside.is_file():
-        return None
-    graph, data = read_model(beside)
-    if not graph.takes_point or graph.weights_sha256 != whole.weights_sha256:
-        raise DataError(f"expected the single looks of the weights of {path.name}", beside)
-    return beside, graph, data
-
-
-def _open_graph(
-    path: Path,
-    metadata: ModelMetadata,
-    data: bytes,
-    *,
-    backend: Backend | None,
-    threads: int | None,
-    precision: Precision,
-    providers: Sequence[str] | None,
-) -> Session:
-    from ffpose.onnx.backends import open_session
-
-    if backend is None and find_spec("onnxruntime") is None and find_spec("openvino") is not None:
-        backend = "openvino"
-    return open_session(
-        path,
-        metadata.filter,
-        backend="openvino" if backend == "openvino" else "onnxruntime",
-        threads=threads,
-        providers=providers,
-        precision=precision,
-        data=data,
-    )
+    graph, data = read_model(path)
+    if whole is None and graph.takes_point:
+        raise DataError(
+            "expected a graph of whole frames, got one of single looks, which `track` opens beside"
+            " it",
+            path,
+        )
+    if whole is not None and (
+        not graph.takes_point or graph.weights_sha256 != whole.weights_sha256
+    ):
+        name = path.name.removesuffix(TRACK_SUFFIX)
+        raise DataError(f"expected the single looks of the weights of {name}.onnx", path)
+    return open_session(path, graph.filter, data=data, **options), graph

@@ -22,15 +22,10 @@ from ffpose.inference.estimator import PoseEstimator
 
 @dataclass(frozen=True)
 class Prediction:
-    """The pose seen in one image.
+    """The pose seen in one image: of the object, or of the world if the network locates the camera.
 
-    Attributes:
-        image: Path of the image file.
-        pose: The predicted pose of the object or, from a network that locates the camera, of the
-            world in the camera frame.
-        camera: The camera of the image, possibly for another image size; None where unknown.
-        locates: What the network locates.
-        white: Level of an image of more than 8 bits that becomes 255.
+    The camera may be for another image size, and None where unknown; ``white`` is the level of an
+    image of more than 8 bits that becomes 255.
     """
 
     image: Path
@@ -49,9 +44,8 @@ class Prediction:
 
         With predicted uncertainty also covariances in m² and rad², degrees of freedom (null for
         Gaussian errors), the second most likely orientation with the probabilities of both, and the
-        probability in view.
-        Where the network locates the camera, ``locates`` says so, the pose is the world's, and the
-        camera's center in the world is there too.
+        probability in view. Where the network locates the camera, ``locates`` and its center say
+        so.
         """
         document: dict[str, Any] = {
             "image": str(self.image),
@@ -100,12 +94,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Failure:
-    """An image file that has no pose.
-
-    Attributes:
-        image: Path of the image file.
-        error: Why.
-    """
+    """An image file that has no pose, and why."""
 
     image: Path
     error: Exception
@@ -128,35 +117,22 @@ def predict(
     """Predict the pose in each image file, in order, as soon as it is known.
 
     A file that cannot be used, as it is missing, damaged or of another camera, is a `Failure`, and
-    those after it are still predicted.
-
-    Args:
-        estimator: The network.
-        images: Image files.
-        batch: Number of images that are computed together.
-        point: Where the object is expected ``(3,)``, as in `PoseEstimator.run`; None: everywhere.
+    those after it are still predicted. ``batch`` images are computed together; ``point`` is where
+    the object is expected ``(3,)``, as in `PoseEstimator.run`.
 
     Raises:
         ValueError: ``batch`` is below one.
     """
     if batch < 1:
         raise ValueError(f"batch: expected at least 1, got {batch}")
-    return _predictions(estimator, iter(images), batch, point)
-
-
-def _predictions(
-    estimator: PoseEstimator,
-    images: Iterator[Path],
-    batch: int,
-    point: NDArray[np.float64] | None,
-) -> Iterator[Prediction | Failure]:
-    metadata = estimator.metadata
-    while paths := list(islice(images, batch)):
-        for path, answer in zip(paths, _answers(estimator, paths, point), strict=True):
-            if isinstance(answer, Exception):
-                yield Failure(path, answer)
-            else:
-                yield Prediction(path, answer, estimator.camera, metadata.locates, metadata.white)
+    paths, metadata = iter(images), estimator.metadata
+    return (
+        Failure(path, answer)
+        if isinstance(answer, Exception)
+        else Prediction(path, answer, estimator.camera, metadata.locates, metadata.white)
+        for some in iter(lambda: list(islice(paths, batch)), [])
+        for path, answer in zip(some, _answers(estimator, some, point), strict=True)
+    )
 
 
 def _answers(
@@ -172,31 +148,19 @@ def _answers(
             answers[place] = error
         except ValueError as error:
             answers[place] = DataError(str(error), path)
-    if inputs:
+
+    def posed(places: list[int]) -> list[Pose | Exception]:
+        points = None if point is None else np.tile(point, (len(places), 1))
         try:
-            found: Sequence[Pose | Exception] = estimator.estimate(
-                np.stack([*inputs.values()]), _of_each(point, len(inputs))
-            )
-        except ValueError:  # a number that is not finite, of one image or more
-            found = [_alone(estimator, inputs[place], paths[place], point) for place in inputs]
-        answers.update(zip(inputs, found, strict=True))
+            return [*estimator.estimate(np.stack([inputs[each] for each in places]), points)]
+        except ValueError as error:  # a number that is not finite, of one image or more
+            if len(places) == 1:
+                return [DataError(str(error), paths[places[0]])]
+            return [answer for each in places for answer in posed([each])]
+
+    if inputs:
+        answers.update(zip(inputs, posed([*inputs]), strict=True))
     return [answers[place] for place in range(len(paths))]
-
-
-def _of_each(point: NDArray[np.float64] | None, count: int) -> NDArray[np.float64] | None:
-    return None if point is None else np.tile(point, (count, 1))
-
-
-def _alone(
-    estimator: PoseEstimator,
-    inputs: NDArray[np.float32],
-    path: Path,
-    point: NDArray[np.float64] | None,
-) -> Pose | Exception:
-    try:
-        return estimator.estimate(inputs[None], _of_each(point, 1))[0]
-    except ValueError as error:
-        return DataError(str(error), path)
 
 
 def overlay_path(image: Path, folder: Path) -> Path:
@@ -222,8 +186,7 @@ def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
     """Check in advance that no overlay would overwrite another, or an image.
 
     Raises:
-        ValueError: Two images have the same name, or one has the name of another's overlay; the
-            message says which.
+        ValueError: One would; the message says which.
     """
     first: dict[Path, Path] = {}
     known = {image.resolve() for image in images}
@@ -243,14 +206,7 @@ def expect_distinct_overlays(images: Sequence[Path], folder: Path) -> None:
 
 
 def write_overlay(prediction: Prediction, folder: Path) -> Path:
-    """Write the image with the predicted axes drawn on it, or without them if it is flagged.
-
-    Args:
-        prediction: Image, pose and camera.
-        folder: Folder to write `overlay_path` to; created if missing.
-
-    Returns:
-        The path of the file.
+    """Write an image with its axes drawn on it, or without if it is flagged; return its path.
 
     Raises:
         ValueError: The prediction has no camera.

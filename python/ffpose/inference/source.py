@@ -21,29 +21,19 @@ BEST = "best.safetensors"
 
 
 class Source(NamedTuple):
-    """A network's file.
-
-    Attributes:
-        path: The file.
-        is_graph: Whether it is an exported graph; weights otherwise.
-    """
+    """A network's file; weights, if it is no exported graph."""
 
     path: Path
     is_graph: bool
 
 
 def find_source(network: str | Path, backend: Backend | None = None) -> Source:
-    """Find the file of a network.
+    """Find the file of a network, given a weights file, graph, folder with one, or shipped name.
 
     A word without folder and suffix is a name of a shipped network, unless a file has that name, or
     a folder with a network. Names and folders stand for weights where torch computes, which it does
     where it is installed and no other backend is named; elsewhere for graphs. In a folder that has
     only one of these that one is taken, and ``best.safetensors`` goes before other weights.
-
-    Args:
-        network: Weights file, graph (by its suffix ``.onnx``), a folder that holds one, or a name
-            of a shipped network.
-        backend: What is to compute it; of names and folders, this chooses weights or graph.
 
     Raises:
         FileNotFoundError: There is no such file or name, or the folder holds no network.

@@ -13,16 +13,11 @@ from typing import Any
 import numpy as np
 
 from ffpose.errors import require
-from ffpose.onnx.nodes import Nodes, script_op
+from ffpose.onnx.nodes import Nodes, nodes_of, script_op
 
 DOMAIN = "com.microsoft"
 DOMAIN_VERSION = 1
 ATTENTION = "MultiHeadAttention"
-
-
-def attention_of(model: Any) -> list[Any]:
-    """Return the nodes ``com.microsoft::MultiHeadAttention`` of an `onnx_ir.Model`."""
-    return [node for node in model.graph if (node.domain, node.op_type) == (DOMAIN, ATTENTION)]
 
 
 def translate_attention(
@@ -69,7 +64,7 @@ def translate_attention(
 
 def replace_attention(model: Any) -> None:
     """Replace every ``com.microsoft::MultiHeadAttention`` by standard operators, in place."""
-    for node in attention_of(model):
+    for node in nodes_of(model, DOMAIN, ATTENTION):
         heads = node.attributes["num_heads"].as_int()
         scale = np.array(node.attributes["scale"].as_float(), np.float32)
         nodes = Nodes(model.graph, node)

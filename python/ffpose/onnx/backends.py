@@ -84,7 +84,10 @@ class OnnxRuntimeSession:
         data: bytes | None = None,
     ) -> None:
         self.runtime = require("onnxruntime", "onnx")
-        providers = self._known_providers(providers)
+        wanted = list(DEFAULT_PROVIDERS if providers is None else providers)
+        known = self.runtime.get_available_providers()
+        if not wanted or not set(wanted) <= set(known):
+            raise ValueError(f"providers: expected some of {known}, got {wanted}")
         options = self.runtime.SessionOptions()
         # Without it sums of int8 products saturate on x86-64 without VNNI; no effect elsewhere.
         options.add_session_config_entry("session.x64quantprecision", "1")
@@ -98,11 +101,18 @@ class OnnxRuntimeSession:
                 )
             options.add_session_config_entry("mlas.enable_gemm_fastmath_arm64_bfloat16", "1")
         if filter == "custom":
-            self._register(options)
+            library = get_library_path()
+            try:
+                options.register_custom_ops_library(library)
+            except Exception as error:  # of ONNX Runtime, whose classes share no base of their own
+                raise RuntimeError(
+                    f"ONNX Runtime cannot load the custom operator's library {library}, which must"
+                    f" be of this architecture ({platform.machine()}): {error}"
+                ) from error
         try:
             graph = str(model) if data is None else data
-            self.session = self.runtime.InferenceSession(graph, options, providers=providers)
-        except Exception as error:  # of ONNX Runtime, whose classes share no base of their own
+            self.session = self.runtime.InferenceSession(graph, options, providers=wanted)
+        except Exception as error:  # as above
             raise RuntimeError(f"ONNX Runtime cannot load {model}: {error}") from error
         self.inputs = [value.name for value in self.session.get_inputs()]
         self.outputs = [output.name for output in self.session.get_outputs()]
@@ -111,24 +121,6 @@ class OnnxRuntimeSession:
         """Return the graph's outputs by name, for its inputs in order."""
         results = self.session.run(self.outputs, dict(zip(self.inputs, inputs, strict=True)))
         return dict(zip(self.outputs, results, strict=True))
-
-    def _known_providers(self, providers: Sequence[str] | None) -> list[str]:
-        wanted = list(DEFAULT_PROVIDERS if providers is None else providers)
-        known = self.runtime.get_available_providers()
-        unknown = [name for name in wanted if name not in known]
-        if unknown or not wanted:
-            raise ValueError(f"providers: expected some of {known}, got {wanted}")
-        return wanted
-
-    def _register(self, options: Any) -> None:
-        library = get_library_path()
-        try:
-            options.register_custom_ops_library(library)
-        except Exception as error:  # as above
-            raise RuntimeError(
-                f"ONNX Runtime cannot load the custom operator's library {library}, which must be"
-                f" of this architecture ({platform.machine()}): {error}"
-            ) from error
 
 
 class OpenVinoSession:
@@ -177,10 +169,9 @@ class OpenVinoSession:
 def openvino_core() -> Any:
     """Return the one OpenVINO core of the process, which lasts as long as the process.
 
-    A core's CPU plugin sets the thread's alternate signal stack (sigaltstack), and its end sets the
-    one before and unmaps its own. Of two cores that end in the order in which they began, the
-    second sets the unmapped stack of the first, and the next signal that Python handles, such as a
-    DataLoader's SIGCHLD, is a segmentation fault.
+    A core's CPU plugin sets the thread's alternate signal stack, and its end sets the one before
+    and unmaps its own: of two cores that end in the order in which they began, the second sets an
+    unmapped stack, and the next signal, such as a DataLoader's SIGCHLD, is a segmentation fault.
     """
     return require("openvino", "openvino").Core()
 

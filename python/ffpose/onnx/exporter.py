@@ -26,9 +26,10 @@ from ffpose.errors import require
 from ffpose.onnx.attention import replace_attention
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import SCOPES
-from ffpose.onnx.matmul import filters_of, replace_filters
+from ffpose.onnx.matmul import replace_filters
 from ffpose.onnx.metadata import Filter, sealed
-from ffpose.onnx.operators import DOMAIN, translations
+from ffpose.onnx.nodes import nodes_of
+from ffpose.onnx.operators import DOMAIN, SPECTRAL_FILTER, translations
 
 OPSET = 18
 """Opset of the standard operators, supported by ONNX Runtime 1.17, OpenVINO 2024 and later."""
@@ -51,14 +52,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Exported:
-    """An exported graph.
-
-    Attributes:
-        path: Path of the ONNX file.
-        filter: How the graph computes its filters; ``"none"`` where it has none.
-        bytes: Size of the file.
-        differences: Largest difference between graph and module, by output.
-    """
+    """An exported graph: how it computes its filters, size, largest difference by output."""
 
     path: Path
     filter: Filter
@@ -109,7 +103,7 @@ def export(
         path,
         filter,
         lambda _: {},
-        lambda got, expected: relative_differences(got, expected),
+        relative_differences,
         input_names=input_names,
         output_names=output_names,
         tolerance=tolerance,
@@ -131,17 +125,9 @@ def write_graph(
 ) -> Exported:
     """Write a graph, run it on every batch against the module, and rename it to ``path``.
 
-    Args:
-        module: As `export`, and so are the arguments that are not named here.
-        batches: Arguments of forward, of batches of several sizes; the first is exported with.
-        path: As `export`.
-        filter: As `export`.
-        entries: Gives the file's metadata, for how the graph computes its filters.
-        differences: Compares outputs of graph and module, by name, in their order.
-        input_names: As `export`.
-        output_names: As `export`.
-        tolerance: As `export`.
-        say: Is told what is under way.
+    Arguments are as of `export`, but for ``batches``, arguments of forward in several batch sizes,
+    the first of which is exported with; ``entries``, the file's metadata for how the graph computes
+    its filters; ``differences``, which compares outputs of graph and module by name; and ``say``.
     """
     if filter not in get_args(FilterChoice):
         raise ValueError(f"filter: expected one of {get_args(FilterChoice)}, got {filter!r}")
@@ -150,7 +136,7 @@ def write_graph(
     say("recording the graph")
     model = record(module, batches[0], input_names, output_names, filter)
     if filter == "matmul":
-        say(f"replacing {len(filters_of(model))} filters by matrices")
+        say(f"replacing {len(nodes_of(model, DOMAIN, SPECTRAL_FILTER))} filters by matrices")
     data, kind = serialized(model, filter, entries)
     with atomic_write(path) as temporary:
         temporary.write_bytes(data)
@@ -170,10 +156,7 @@ def serialized(
 ) -> tuple[bytes, Filter]:
     """Return the bytes of a recorded graph's file, and how it computes its filters.
 
-    Args:
-        model: An `onnx_ir.Model`; with ``"matmul"`` its filters are replaced in place.
-        filter: As `export`.
-        entries: As `write_graph`.
+    With ``"matmul"`` the filters of the `onnx_ir.Model` are replaced in place.
     """
     ours = any(node.domain == DOMAIN for node in model.graph)
     kind: Filter = filter if ours else "none"

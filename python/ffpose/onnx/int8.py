@@ -9,8 +9,9 @@ QuantizeLinear and DequantizeLinear, which ONNX Runtime and OpenVINO fuse into i
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,18 +36,18 @@ def quantize(
 ) -> list[str]:
     """Write the int8 form of a graph, and return the names of the nodes that were quantized.
 
-    Args:
-        graph: The float32 graph, as torch's exporter names its nodes.
-        out: File to write, in a folder that other files may be written to meanwhile.
-        filter: How the graph computes its filters.
-        inputs: Calibration batches of the graph's first input, at least one.
+    Nodes are to be named as by torch's exporter. Other files may be written beside ``out``
+    meanwhile; ``inputs`` are calibration batches of the graph's first input, at least one.
 
     Raises:
-        MissingExtraError: onnx or onnxruntime is not installed.
         RuntimeError: No node can be quantized.
     """
     onnx, tools = require("onnx", "export"), require("onnxruntime.quantization", "export")
-    wanted = set(_quantizable(onnx.load(str(graph))))
+    wanted = {
+        node.name
+        for node in onnx.load(str(graph)).graph.node
+        if node.op_type in OPERATORS and set(PARTS) & set(_module_path(node))
+    }
     folded = out.with_name("folded.onnx")
     name = _fold(graph, folded, filter)
     model = onnx.load(str(folded))
@@ -69,15 +70,6 @@ def quantize(
     quantizer.quantize_model()
     quantizer.model.save_model_to_file(str(out))
     return nodes
-
-
-def _quantizable(model: Any) -> list[str]:
-    """Return the names of the nodes of an ONNX model whose module lies in one of `PARTS`."""
-    return [
-        node.name
-        for node in model.graph.node
-        if node.op_type in OPERATORS and set(PARTS) & set(_module_path(node))
-    ]
 
 
 def _module_path(node: Any) -> list[str]:
@@ -131,20 +123,9 @@ def _ranges(
     calibrator.infer_session = runtime.InferenceSession(
         str(observed), options, providers=["CPUExecutionProvider"]
     )
-    calibrator.collect_data(_Reader(name, iter(inputs)))
+    batches = ({name: batch} for batch in inputs)
+    calibrator.collect_data(SimpleNamespace(get_next=lambda: next(batches, None)))
     return calibrator.compute_data()
-
-
-class _Reader:
-    """Calibration batches as ONNX Runtime's calibrator asks for them."""
-
-    def __init__(self, name: str, inputs: Iterator[NDArray[np.float32]]) -> None:
-        self.name, self.inputs = name, inputs
-
-    def get_next(self) -> dict[str, NDArray[np.float32]] | None:
-        """Return the next batch by the input's name; None after the last."""
-        batch = next(self.inputs, None)
-        return None if batch is None else {self.name: batch}
 
 
 def session_options(runtime: Any, filter: Filter) -> Any:

@@ -17,9 +17,6 @@ def get_library_path() -> str:
 
     Raises:
         FileNotFoundError: This installation holds no library.
-
-    Examples:
-        ``options.register_custom_ops_library(ffpose.onnx.get_library_path())``
     """
     folder = Path(str(resources.files("ffpose"))) / "onnx"
     path = (folder / NAMES.get(sys.platform, ELF_NAME)).absolute()

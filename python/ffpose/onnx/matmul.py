@@ -13,17 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.onnx.matrices import FilterMatrices, filter_factors, filter_matrices
-from ffpose.onnx.nodes import Nodes
+from ffpose.onnx.nodes import Nodes, nodes_of
 from ffpose.onnx.operators import DOMAIN, SPECTRAL_FILTER
 
 RANK = {"tokens": 2, "grid": 3}
-
-
-def filters_of(model: Any) -> list[Any]:
-    """Return the nodes ``ffpose::SpectralFilter`` of an `onnx_ir.Model`."""
-    return [
-        node for node in model.graph if (node.domain, node.op_type) == (DOMAIN, SPECTRAL_FILTER)
-    ]
 
 
 def replace_filters(model: Any) -> None:
@@ -33,7 +26,7 @@ def replace_filters(model: Any) -> None:
         ValueError: A filter's weight is computed in the graph, or the size of its input is not
             known.
     """
-    for node in filters_of(model):
+    for node in nodes_of(model, DOMAIN, SPECTRAL_FILTER):
         _Replacement(model.graph, node).write()
     model.opset_imports.pop(DOMAIN, None)
 

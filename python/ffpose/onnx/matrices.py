@@ -91,14 +91,12 @@ def filter_factors(weight: Array, split: tuple[int, int]) -> Array:
 
 
 def best_split(rows: int) -> tuple[int, int]:
-    """Return the cheapest ``(N1, N2)`` with product ``rows``; ``(1, rows)`` is a dense DFT."""
+    """Return the cheapest ``(N1, N2)`` with product ``rows``; ``(1, rows)`` is a dense DFT.
+
+    It costs multiplications for each row, both ways, and those for the outer matrices and passes.
+    """
     splits = ((n, rows // n) for n in range(1, rows + 1) if rows % n == 0)
-    return min(splits, key=lambda split: _cost(*split))
-
-
-def _cost(n1: int, n2: int) -> int:
-    """Return multiplications for each row, both ways; those for the outer matrices and passes."""
-    return 12 * n2 + (8 * n1 + 2 * PASS_COST if n1 > 1 else 0)
+    return min(splits, key=lambda s: 12 * s[1] + (8 * s[0] + 2 * PASS_COST if s[0] > 1 else 0))
 
 
 def _wave(turns: Array) -> Array:

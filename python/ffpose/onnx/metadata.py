@@ -49,22 +49,10 @@ Precision = Literal["float32", "int8"]
 class ModelMetadata:
     """Metadata of an exported graph; None where unknown.
 
-    Attributes:
-        config: Configuration of the network.
-        preprocessing: Conversion from image to the input ``images``.
-        filter: How the spectral filters are computed.
-        camera: Camera of the training images.
-        in_view_threshold: Images with a lower probability of the object being in view are flagged.
-        weights_sha256: SHA-256 of the weights file that was exported.
-        version: Version of ffpose that wrote the graph.
-        precision: Precision of convolutions and matrix products.
-        calibration_sha256: SHA-256 of the calibration images of an int8 graph.
-        locates: What the network locates.
-        undistorted: Whether the training images were undistorted.
-        white: Level that became 255 in training images of more than 8 bits.
-        takes_point: Whether the graph looks once, at points that are its input ``point``.
-        tracking: As in the header of weights.
-        symmetry: The rotations that labels of the training were modulo.
+    ``camera`` is that of the training images, ``undistorted`` and ``white`` say how they were read;
+    ``weights_sha256`` is of the weights file that was exported, ``calibration_sha256`` of an int8
+    graph's calibration images; ``takes_point`` says that the graph looks once, at points that are
+    its input ``point``. The rest is as in the header of weights.
     """
 
     config: NetworkConfig
@@ -98,6 +86,10 @@ class ModelMetadata:
             "in_view_threshold": self.in_view_threshold,
             "degrees_of_freedom": self.degrees_of_freedom,
         }
+        int8 = {
+            "precision": self.precision,
+            "calibration_sha256": self.calibration_sha256 or "",
+        }
         decoding = {"undistorted": self.undistorted, "white": self.white}
         return {
             "ffpose_format": str(FORMAT),
@@ -107,7 +99,7 @@ class ModelMetadata:
             "filter": self.filter,
             "weights_sha256": self.weights_sha256 or "",
             "config": self.config.to_json(),
-            **self._int8_entries(),
+            **({} if self.precision == "float32" else int8),
             **({} if self.locates == "object" else {"locates": self.locates}),
             **({"takes_point": "true"} if self.takes_point else {}),
             **({"tracking": json.dumps(self.tracking)} if self.tracking else {}),
@@ -115,11 +107,6 @@ class ModelMetadata:
             **({"decoding": json.dumps(decoding)} if any(decoding.values()) else {}),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
         }
-
-    def _int8_entries(self) -> dict[str, str]:
-        if self.precision == "float32":
-            return {}
-        return {"precision": self.precision, "calibration_sha256": self.calibration_sha256 or ""}
 
     @classmethod
     def from_entries(cls, entries: Mapping[str, str]) -> ModelMetadata:
@@ -129,30 +116,28 @@ class ModelMetadata:
             KeyError: An entry is missing.
             ValueError: An entry has an invalid value.
         """
-        choices = {"quaternion_order": (QUATERNION_ORDER,), "filter": get_args(Filter)}
+        choices = {
+            "quaternion_order": (QUATERNION_ORDER,),
+            "filter": get_args(Filter),
+            "precision": get_args(Precision),
+            "locates": get_args(Target),
+        }
+        told: dict[str, Any] = {"precision": "float32", "locates": "object", **entries}
         for name, known in choices.items():
-            if entries[name] not in known:
-                raise ValueError(f"{name}: expected one of {known}, got {entries[name]!r}")
-        precision: Any = entries.get("precision", "float32")
-        if precision not in get_args(Precision):
-            known = get_args(Precision)
-            raise ValueError(f"precision: expected one of {known}, got {precision!r}")
-        locates: Any = entries.get("locates", "object")
-        if locates not in get_args(Target):
-            raise ValueError(f"locates: expected one of {get_args(Target)}, got {locates!r}")
+            if told[name] not in known:
+                raise ValueError(f"{name}: expected one of {known}, got {told[name]!r}")
         camera = json.loads(entries["camera"])
-        filter: Any = entries["filter"]
         return cls(
             config_type(entries["architecture"]).from_json(entries["config"]),
             Preprocessing.from_dict(json.loads(entries["preprocessing"])),
-            filter,
+            told["filter"],
             None if camera is None else Camera(**camera),
             json.loads(entries["in_view_threshold"]),
             entries["weights_sha256"] or None,
             entries["ffpose_version"],
-            precision,
+            told["precision"],
             entries.get("calibration_sha256") or None,
-            locates,
+            told["locates"],
             takes_point=entries.get("takes_point") == "true",
             tracking=json.loads(entries.get("tracking", "null")),
             symmetry=SymmetryGroup.from_json(json.loads(entries.get("symmetry", "[]"))),
@@ -161,7 +146,7 @@ class ModelMetadata:
 
 
 def read_model_metadata(path: str | Path) -> ModelMetadata:
-    """Read the metadata of an exported graph; checks and errors are those of `read_model`."""
+    """Read the metadata of an exported graph, as `read_model`."""
     return read_model(path)[0]
 
 
@@ -196,7 +181,7 @@ def read_model(path: str | Path) -> tuple[ModelMetadata, bytes]:
         )
     _check_bytes(data, entries.get(CHECKSUM), path)
     try:
-        expect_self_contained(data)
+        expect_self_contained(memoryview(data))
     except ValueError as error:
         raise DataError(str(error), path) from error
     try:

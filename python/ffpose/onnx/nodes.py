@@ -62,6 +62,11 @@ class Nodes:
         )
 
 
+def nodes_of(model: Any, domain: str, kind: str) -> list[Any]:
+    """Return the nodes of an operator in an `onnx_ir.Model`."""
+    return [node for node in model.graph if (node.domain, node.op_type) == (domain, kind)]
+
+
 @cache
 def script_op(
     name: str,
@@ -73,13 +78,8 @@ def script_op(
 ) -> Any:
     """Return an operator, as onnxscript calls it, whose output has the type of its first input.
 
-    Args:
-        name: Of the operator.
-        domain: Its domain.
-        version: Of the domain.
-        inputs: Names of the inputs; each has a type of its own if ``types`` names it.
-        types: By input, the element types it may have; inputs that are not named have the first's.
-        attributes: Names and types, as ``("scale", "FLOAT")``.
+    ``types`` has, by input, the element types that it may have; inputs that are not named have the
+    first's. Attributes are names and types, as ``("scale", "FLOAT")``.
     """
     schemas = require("onnx.defs", "export")
     values = require("onnxscript", "export").values

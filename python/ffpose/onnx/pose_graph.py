@@ -56,24 +56,18 @@ def export_weights(
     say: Say = lambda _: None,
     **fields: Any,
 ) -> Exported:
-    """Write the network of a weights file as an ONNX graph for `ffpose.load`.
+    """Write the network of a weights file, or of a name, as an ONNX graph for `ffpose.load`.
 
-    Args:
-        weights: A weights file, or the name of weights that come with the package.
-        path: The ONNX file to write; its folder must exist.
-        filter: ``"custom"`` or ``"matmul"``, as `ffpose.onnx.export`.
-        takes_point: Write the single look at points that a track expects the object at
-            (`ffpose.models.PolarPose.predict_near`); that of ``X.onnx`` is ``X.track.onnx``.
-        tolerance: Difference of graph and network on random images that is taken for rounding,
-            whatever the network (`ffpose.onnx.export`).
-        say: Is told what is under way.
-        **fields: Fields of the network to change, as in `ffpose.models.load_network`.
+    ``takes_point``: the single look at points that a track expects the object at
+    (`ffpose.models.PolarPose.predict_near`); that of ``X.onnx`` is ``X.track.onnx``. ``fields`` of
+    the network are changed as in `ffpose.models.load_network`; the rest is as of
+    `ffpose.onnx.export`.
 
     Raises:
         FileNotFoundError: No such weights, or the operator's library is not installed.
-        ffpose.DataError: The weights cannot be used.
         ValueError: An unknown filter or field, or the network cannot look at a point.
         RuntimeError: Graph and network differ by more than rounding.
+        ffpose.DataError: The weights cannot be used.
     """
     if Path(path).suffix != ".onnx":
         raise ValueError(f"out: expected a file that ends in .onnx, got {path}")

@@ -42,23 +42,19 @@ def read_entries(data: bytes) -> Iterator[tuple[str, str]]:
             yield parts.get(1, ""), parts.get(2, "")
 
 
-def expect_self_contained(data: bytes) -> None:
+def expect_self_contained(message: memoryview, kind: str = "model", depth: int = 0) -> None:
     """Refuse an ONNX file whose weights are not all in its own bytes, which a checksum covers.
 
     Raises:
         ValueError: A tensor is in another file; or the bytes are no such message, or have too many
             within each other.
     """
-    _search(memoryview(data), "model", 0)
-
-
-def _search(message: memoryview, kind: str, depth: int) -> None:
     if depth > MAX_DEPTH:
         raise ValueError(f"expected at most {MAX_DEPTH} messages within each other, got more")
     fields = HOLDERS[kind]
     for number, part in records(message):
         if number in fields:
-            _search(part, fields[number], depth + 1)
+            expect_self_contained(part, fields[number], depth + 1)
         elif kind == "tensor" and number == EXTERNAL_DATA:
             name = bytes(dict(records(message)).get(8, b"")).decode(errors="replace")
             raise ValueError(

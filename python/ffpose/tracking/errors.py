@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ffpose.geometry import FloatArray
 from ffpose.geometry.rotations import conjugate, multiply, rotation_vector
 from ffpose.geometry.trajectory import Trajectory
-from ffpose.tracking.follow import Followed
+
+if TYPE_CHECKING:
+    from ffpose.tracking.follow import Followed
 
 NEES_BOUNDS = (4.40, 23.34)
 NIS_BOUNDS = (1.24, 14.45)

@@ -1,20 +1,22 @@
-"""A track through the images of a sequence."""
+"""``ffpose track``: from images and times to a trajectory, a report and an overlay."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from ffpose._internal.files import atomic_write
-from ffpose.errors import explain
+from ffpose.errors import DataError, explain
 from ffpose.geometry import Pose
 from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.prediction import Failure, predict
 from ffpose.tracking.frames import Frame
-from ffpose.tracking.tracker import Step, Tracker
+from ffpose.tracking.report import write_overlay, write_report
+from ffpose.tracking.tracker import Settings, Step, Tracker
 
+TRAJECTORY, REPORT, OVERLAY = "trajectory.csv", "report.html", "overlay.webp"
 AXES = "xyz"
 COLUMNS = (
     "time",
@@ -30,14 +32,10 @@ standard deviations of the errors, ``sd_rx`` to ``sd_rz`` in degrees about the o
 
 
 class Followed(NamedTuple):
-    """A frame of a sequence with its pose and the track after it.
+    """A frame of a sequence with its pose, the track after it and the step's outcome.
 
-    Attributes:
-        frame: Image and time.
-        alone: The pose of the image alone, or of a look where the object was expected; None where
-            it has none.
-        step: What the tracker made of it.
-        reason: The step's outcome, or why the image has no pose.
+    ``alone`` is the pose of the image alone, or of a look where the object was expected; None where
+    it has none, and ``reason`` says why.
     """
 
     frame: Frame
@@ -49,16 +47,11 @@ class Followed(NamedTuple):
 def follow(
     estimator: PoseEstimator, frames: Iterable[Frame], tracker: Tracker
 ) -> Iterator[Followed]:
-    """Pose each frame and track the object through them, frame by frame.
+    """Pose each frame and track the object through them, frame by frame, in the order of times.
 
-    An image that cannot be used is coasted over.
-
-    Args:
-        estimator: A network with uncertainty. If its single look was opened, it looks where the
-            object is expected, and searches a whole frame where that is not known
-            (`Tracker.expected`).
-        frames: The frames, in the order of their times.
-        tracker: The tracker; it goes on from where it is.
+    An image that cannot be used is coasted over. If the network's single look was opened, it looks
+    where the object is expected, and searches a whole frame where that is not known
+    (`Tracker.expected`). The tracker goes on from where it is.
 
     Raises:
         ValueError: The network has no uncertainty or locates the camera, or a time is not later
@@ -90,3 +83,47 @@ def write_trajectory(followed: Sequence[Followed], path: Path) -> None:
                 vectors = (one.t, one.q, one.v, one.w, one.standard_deviations)
                 numbers = [float(number) for vector in vectors for number in vector]
             table.writerow([each.frame.time, *numbers, int(each.step.accepted), each.reason])
+
+
+def run(
+    estimator: PoseEstimator,
+    frames: list[Frame],
+    out: Path,
+    *,
+    settings: Settings | None = None,
+    title: str = "Track",
+    said: Callable[[Followed], None] = lambda followed: None,
+) -> list[Followed]:
+    """Track the object through frames, and write `TRAJECTORY`, `REPORT` and `OVERLAY` to a folder.
+
+    Whatever ends the run, Ctrl-C included, the frames until then are in the trajectory. Settings
+    are those of the network (`Settings.of`) unless given; ``said`` is called with each frame.
+
+    Raises:
+        ValueError: The network has no uncertainty or locates the camera.
+        DataError: There was no track in any frame, or images cannot be used; the files are written.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    followed: list[Followed] = []
+    try:
+        settings = settings or Settings.of(estimator.metadata)
+        for each in follow(estimator, frames, Tracker(settings)):
+            followed.append(each)
+            said(each)
+    finally:
+        write_trajectory(followed, out / TRAJECTORY)
+    write_report(followed, out / REPORT, title)
+    if estimator.camera is not None:
+        write_overlay(followed, estimator.camera, out / OVERLAY)
+    lost = [each for each in followed if each.alone is None]
+    if lost:
+        first = f"the first: {lost[0].reason}"
+        raise DataError(f"{len(lost)} of {len(followed)} images have no pose; {first}")
+    if all(each.step.estimate is None for each in followed):
+        flagged = sum(bool(each.alone and each.alone.flagged) for each in followed)
+        poses = len(followed) - flagged
+        rest = "the others' poses do not agree" if poses else "none has a pose"
+        if 0 < poses < settings.agreeing:
+            rest = f"a track needs {settings.agreeing} poses that agree, got {poses}"
+        raise DataError(f"no track: of {len(followed)} frames {flagged} are flagged, and {rest}")
+    return followed

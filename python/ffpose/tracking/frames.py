@@ -14,13 +14,7 @@ TIMES = "frames.csv"
 
 
 class Frame(NamedTuple):
-    """One image of a sequence.
-
-    Attributes:
-        image: Path of its file.
-        time: Middle of the exposure, seconds.
-        pose: The true pose; None where it is not known.
-    """
+    """One image of a sequence: middle of the exposure, seconds, and the true pose, if known."""
 
     image: Path
     time: float
@@ -30,11 +24,9 @@ class Frame(NamedTuple):
 def read_frames(folder: Path, times: Path | None = None) -> list[Frame]:
     """Read the frames of a folder, in the order of their times.
 
-    Args:
-        folder: Folder of the images.
-        times: CSV file with the columns ``image`` (a path within the folder) and ``time`` (seconds)
-            and perhaps ``tx, ty, tz, qw, qx, qy, qz``; None for ``frames.csv`` in the folder, as
-            ``ffpose render approach`` writes it.
+    ``times`` is a CSV file with the columns ``image`` (a path within the folder) and ``time``
+    (seconds) and perhaps ``tx, ty, tz, qw, qx, qy, qz``; None for ``frames.csv`` in the folder, as
+    ``ffpose render approach`` writes it.
 
     Raises:
         FileNotFoundError: There is no such file.

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ffpose._internal.figures import new_figure, style_axes
+from ffpose._internal.figures import embedded, new_figure, style_axes
 from ffpose._internal.files import atomic_write
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, FloatArray
@@ -20,10 +18,11 @@ from ffpose.geometry.rotations import rotation_vector
 from ffpose.imaging.images import read_rgb
 from ffpose.imaging.overlay import draw_axes
 from ffpose.tracking.errors import NEES_BOUNDS, NIS_BOUNDS, TrackErrors, track_errors
-from ffpose.tracking.follow import Followed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ffpose.tracking.follow import Followed
 
 COLORS = ("#d64545", "#2f9e44", "#3b6fd4")
 GROUPS = (
@@ -51,6 +50,9 @@ def write_report(followed: Sequence[Followed], path: Path, title: str) -> None:
         f"<tr><th>{html.escape(name.replace('_', ' '))}</th><td>{_shown(value)}</td></tr>"
         for name, value in rows.items()
     )
+    pictures = "\n".join(
+        f"<p>{embedded(figure, text, format='png', dpi=110)}</p>" for figure, text in figures
+    )
     what = "Errors, true minus estimated" if known else "Estimates, as there are no true poses"
     page = f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>
@@ -62,7 +64,7 @@ td{{text-align:right;font-variant-numeric:tabular-nums}}</style></head>
 <p>{what}, inside their ±3σ. Velocity is along the camera's axes; attitude errors and angular
 velocity are about the object's.</p>
 <table>{table}</table>
-{"".join(_embedded(figure, text) for figure, text in figures)}
+{pictures}
 </body></html>
 """
     with atomic_write(path) as temporary:
@@ -160,10 +162,8 @@ def _consistency(measured: TrackErrors) -> Figure:
     ):
         axes.axhspan(*bounds, color="#3b6fd4", alpha=0.12, linewidth=0)
         axes.plot(measured.times, values, ".", color="#1f2a44", markersize=3)
-        axes.set_yscale("log")
-        axes.set_ylim(0.1, 1000)
+        axes.set(yscale="log", ylim=(0.1, 1000), xlabel="time, s")
         axes.set_title(name, fontsize=10)
-        axes.set_xlabel("time, s")
         style_axes(axes)
     return figure
 
@@ -179,17 +179,9 @@ def _about_target(followed: Sequence[Followed]) -> Figure:
                 way = np.array([-pose.rotation.T @ pose.t for pose in poses])
                 axes.plot(way[:, across], way[:, up], color=color, linewidth=1.2, label=label)
         axes.plot([0], [0], "+", color="#1f2a44")
-        axes.set_xlabel(f"{'xyz'[across]}, m")
-        axes.set_ylabel(f"{'xyz'[up]}, m")
+        axes.set(xlabel=f"{'xyz'[across]}, m", ylabel=f"{'xyz'[up]}, m")
         axes.set_aspect("equal", "datalim")
         style_axes(axes)
     if figure.axes[0].get_legend_handles_labels()[0]:
         figure.axes[0].legend(frameon=False)
     return figure
-
-
-def _embedded(figure: Figure, text: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<p><img alt="{html.escape(text)}" src="data:image/png;base64,{data}"></p>\n'

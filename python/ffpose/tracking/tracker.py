@@ -23,7 +23,7 @@ from ffpose.errors import DataError
 from ffpose.geometry import FloatArray, Pose
 
 if TYPE_CHECKING:
-    from ffpose.inference.network import Description
+    from ffpose.inference.estimator import Description
 
 Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquiring", "lost"]
 """What became of a frame: it corrected the track; it speaks for another attitude, which leads from
@@ -91,11 +91,7 @@ class Settings:
 
     @classmethod
     def of(cls, network: Description, settings: Mapping[str, Any] | None = None) -> Settings:
-        """Return what a network's file says of its errors: their tails, and ``tracking``.
-
-        Args:
-            network: Its metadata.
-            settings: Fields that take the place of what it says.
+        """Return what a network's metadata says of its errors, but for fields of ``settings``.
 
         Raises:
             ValueError: ``tracking`` or ``settings`` has a field that is none.
@@ -258,18 +254,10 @@ class Tracker:
     def expected(
         self, time: float, *, camera_rate: ArrayLike = (0.0, 0.0, 0.0)
     ) -> FloatArray | None:
-        """Return where to look for the object in a frame at a time.
+        """Return where to look for the object in a frame at a time ``(3,)``, meters, camera frame.
 
-        Args:
-            time: Seconds, as for `step`.
-            camera_rate: As for `step`.
-
-        Returns:
-            The expected position ``(3,)``, meters, camera frame; None where the whole frame must be
-            searched, as there is no track, or the last frame did not correct it.
-
-        Raises:
-            ValueError: The shape of ``camera_rate`` is not as above.
+        None where the whole frame must be searched, as there is no track, or the last frame did not
+        correct it. Arguments are as for `step`.
         """
         point = self._tracker.expected(float(time), _turning(camera_rate))
         return None if point is None else np.array(point)
@@ -283,8 +271,7 @@ class Tracker:
     def state(self, model: bytes = b"") -> bytes:
         """Return the tracker as bytes, exact, for `from_state`.
 
-        Args:
-            model: What tells the network from others, as the bytes of its file; its digest is kept.
+        ``model`` tells the network from others, as the bytes of its file; its digest is kept.
         """
         return self._tracker.state(hashlib.sha256(model).digest())
 

@@ -291,7 +291,7 @@ def test_a_process_in_torch_gives_a_pose(tmp_path):
 
 
 def test_the_process_of_a_graph_imports_no_torch():
-    modules = "sys, benchmarks.model.start, ffpose.inference, ffpose.inference.network"
+    modules = "sys, benchmarks.model.start, ffpose.inference, ffpose.inference.estimator"
     code = f"import {modules}; assert 'torch' not in sys.modules"
     assert os.spawnv(os.P_WAIT, sys.executable, [sys.executable, "-c", code]) == 0
 

@@ -210,7 +210,7 @@ def test_the_final_card_shows_the_seed_that_is_kept_for_it_and_is_measured_once(
     assert main(words) == 0
     printed = json.loads(capsys.readouterr().out)
     assert (printed["seed"], printed["final"]) == (FINAL.start, True)
-    monkeypatch.setattr(measurement, "measure", None)
+    monkeypatch.setattr(measurement, "load", None)
     assert main(words) == 0
     assert json.loads(capsys.readouterr().out) == printed
     words[words.index("--count") + 1] = "2"  # another card than that in the folder

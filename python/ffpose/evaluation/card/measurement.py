@@ -12,7 +12,7 @@ import json
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -25,7 +25,7 @@ from ffpose import __version__
 from ffpose._internal.files import atomic_write, read_json, sha256
 from ffpose._internal.seeds import CHOICES, FINAL
 from ffpose.config import looks_twice
-from ffpose.errors import require
+from ffpose.errors import expect, require
 from ffpose.evaluation.baseline import mean_pose
 from ffpose.evaluation.card.pictures import PICTURES, draw_picture
 from ffpose.evaluation.card.seen import picture_seen, seen_in_training
@@ -53,13 +53,7 @@ ONE_RENDERER = "No images of a second renderer; ffpose card --mitsuba adds them.
 
 
 class Shown(NamedTuple):
-    """An image that a network is evaluated on.
-
-    Attributes:
-        condition: Name of the condition.
-        image: RGB image.
-        pose: The true pose; None where the image does not show the object.
-    """
+    """An image that a network is evaluated on; no pose where it does not show the object."""
 
     condition: str
     image: Image.Image
@@ -70,16 +64,9 @@ class Shown(NamedTuple):
 class Plan:
     """The images of a model card.
 
-    Attributes:
-        with_object: Sets with the object, the first as trained.
-        without: Sets without it.
-        pictures: Kinds of out-of-distribution images, names in
-            `ffpose.evaluation.card.pictures.PICTURES`.
-        count: Number of images per condition.
-        size: ``(width, height)`` of the images.
-        seed: Seed of all images.
-        workers: Number of processes that render.
-        keep: Folder that keeps the rendered images; None for none.
+    ``with_object`` are sets with the object, the first as trained, ``without`` sets without it, and
+    ``pictures`` kinds of `ffpose.evaluation.card.pictures.PICTURES`; of each, ``count`` images of
+    ``size`` ``(width, height)``. ``keep`` is a folder that keeps the rendered ones.
     """
 
     with_object: Sequence[Variation]
@@ -89,7 +76,7 @@ class Plan:
     size: tuple[int, int]
     seed: int
     workers: int
-    keep: Path | None = None
+    keep: Path | None
 
     @property
     def trained(self) -> Variation:
@@ -129,6 +116,7 @@ def measure(
     workers: int = 1,
     second_renderer: bool = False,
     keep: Path | None = None,
+    out: Path | None = None,
     progress: bool = False,
 ) -> dict[str, Any]:
     """Measure weights under each condition.
@@ -139,90 +127,90 @@ def measure(
         count: Number of images per condition.
         size: ``(width, height)`` of the images before preprocessing.
         seed: Seed of the scenes, one of `ffpose._internal.seeds.CHOICES`.
-        final: Whether to show scenes of `ffpose._internal.seeds.FINAL`, which no choice has seen,
-            instead.
+        final: Show scenes of `ffpose._internal.seeds.FINAL`, which no choice has seen, instead.
         workers: Number of processes that render.
-        second_renderer: Add images of Mitsuba (`ffpose.render.mitsuba`), which takes seconds for
-            each.
+        second_renderer: Add images of Mitsuba, which takes seconds for each.
         keep: Folder that keeps the rendered images, so that an interrupted run goes on.
+        out: Folder for ``card.json``, and its tables as ``card.md``; a card there that is of these
+            arguments is returned.
         progress: Show progress on standard error.
 
     Returns:
-        A JSON document. ``conditions``: a list, each with ``name``, ``about``, whether training had
-        it (``seen`` and ``seen_how``, of `ffpose.evaluation.card.seen`) and the statistics of
-        `ffpose.evaluation.card.statistics.summarize`. ``mean_pose_baseline``: the same statistics
-        for a constant pose on the scenes as trained. ``without_object``: a list of
-        `ffpose.evaluation.card.statistics.refuse`, with the same, empty for a network without
-        uncertainty. ``notes``: what was left out. ``symmetry``:
-        what rotation errors are modulo, if there is one.
+        A JSON document. ``conditions`` have ``name``, ``about``, whether training had it (``seen``
+        and ``seen_how``) and the statistics of `statistics.summarize`; ``mean_pose_baseline`` has
+        those of a constant pose; ``without_object``, empty for a network without uncertainty,
+        those of `statistics.refuse`; ``notes`` say what was left out.
 
     Raises:
-        FileNotFoundError: ``weights`` is neither a file nor a name of shipped weights.
         ValueError: The weights cannot be used, the set is unknown, ``seed`` is of another purpose,
             or a number is out of range.
         MissingExtraError: The extra `render`, or `mitsuba`, is not installed.
     """
-    _check_numbers(count, seed, workers)
+    expect(count >= 1, "count", "at least 1", count)
+    expect(workers >= 1, "workers", "at least 1", workers)
+    choices = f"{CHOICES.start} to {CHOICES.stop - 1}, as others are not for choices"
+    expect(seed in CHOICES, "seed", choices, seed)
     seed = FINAL.start if final else seed
     if second_renderer:
         require("mitsuba", "mitsuba")
     scene = find_scene(scene)
-    camera = camera_of(scene, size)
-    estimator = load(weights, camera=camera, warm_up=0)
-    metadata = estimator.metadata
-    recipe = metadata.recipe if isinstance(metadata, WeightsMetadata) else None
-    plan = replace(_plan(scene, metadata, count, size, seed, workers, second_renderer), keep=keep)
-    began = time.perf_counter()
-    symmetry = metadata.symmetry
-    shown = answer(estimator, _with_bar(plan, show=progress))
-    answers = {name: folded(each, symmetry) for name, each in shown.items()}
-    return {
-        "weights": str(weights),
+    identity = {
         "sha256": sha256(find_source(weights).path),
         "ffpose": __version__,
         "scene": scene.name,
-        "distance_m": list(scene.distance_m),
         "count": count,
         "size": list(size),
         "seed": seed,
         "final": final,
+        "notes": [] if second_renderer else [ONE_RENDERER],
+    }
+    if out is not None and (out / "card.json").exists():
+        kept: dict[str, Any] = read_json(out / "card.json")
+        if all(kept.get(name) == value for name, value in identity.items()):
+            return kept
+    estimator = load(weights, camera=camera_of(scene, size), warm_up=0)
+    metadata = estimator.metadata
+    recipe = metadata.recipe if isinstance(metadata, WeightsMetadata) else None
+    plan = _plan(scene, metadata, second_renderer, count, size, seed, workers, keep)
+    began = time.perf_counter()
+    symmetry = metadata.symmetry
+    shown = answer(estimator, _with_bar(plan, show=progress))
+    answers = {name: folded(each, symmetry) for name, each in shown.items()}
+    document = {
+        "weights": str(weights),
+        **identity,
+        "distance_m": list(scene.distance_m),
         "in_view_threshold": metadata.in_view_threshold,
         "seconds": time.perf_counter() - began,
         **_results(plan, answers, metadata.in_view_threshold, seen_of(plan, recipe), symmetry),
-        "notes": [] if second_renderer else [ONE_RENDERER],
         **({"symmetry": str(symmetry)} if len(symmetry) > 1 else {}),
     }
+    if out is not None:
+        _write(document, out)
+    return document
 
 
-def _check_numbers(count: int, seed: int, workers: int) -> None:
-    for name, value, least in (("count", count, 1), ("workers", workers, 1)):
-        if value < least:
-            raise ValueError(f"{name}: expected at least {least}, got {value}")
-    if seed not in CHOICES:
-        raise ValueError(
-            f"seed: expected {CHOICES.start} to {CHOICES.stop - 1}, as others are not for"
-            f" choices; got {seed}"
-        )
+def _write(document: dict[str, Any], out: Path) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+    for name, content in (("card.json", text), ("card.md", format_card(document))):
+        with atomic_write(out / name) as path:
+            path.write_text(content, encoding="utf-8")
 
 
 def _plan(
     scene: Scene,
     metadata: WeightsMetadata | ModelMetadata,
-    count: int,
-    size: tuple[int, int],
-    seed: int,
-    workers: int,
     second_renderer: bool,
+    *settings: Any,
 ) -> Plan:
     """Plan the images for a network; only one with a second look is tested for the flag."""
     from ffpose.render.variations import variations, without_object
 
-    config = metadata.config
-    vary = partial(variations, scene, second_renderer=second_renderer)
+    config, vary = metadata.config, partial(variations, scene, second_renderer=second_renderer)
     if not looks_twice(config):
-        return Plan(vary(scene.distance_m[1]), [], [], count, size, seed, workers)
-    with_object, without = vary(config.distance_m[1]), without_object(scene)
-    return Plan(with_object, without, list(PICTURES), count, size, seed, workers)
+        return Plan(vary(scene.distance_m[1]), [], [], *settings)
+    return Plan(vary(config.distance_m[1]), without_object(scene), list(PICTURES), *settings)
 
 
 def _with_bar(plan: Plan, *, show: bool) -> Iterable[Shown]:
@@ -313,52 +301,3 @@ def _mean_pose(scene: Scene) -> Pose:
 
     labels = [label(scene, BASELINE_SEED, index).vector for index in range(BASELINE_LABELS)]
     return Pose.from_vector(mean_pose(np.stack(labels)))
-
-
-def kept_card(
-    out: Path,
-    weights: str | Path,
-    scene: str,
-    *,
-    count: int,
-    size: tuple[int, int],
-    seed: int,
-    final: bool,
-    second_renderer: bool,
-) -> dict[str, Any] | None:
-    """Return the card in a folder, if it is one of these weights with these settings.
-
-    Args:
-        out: Folder that `write_card` wrote, or any other.
-        weights: As for `measure`, and so are the others.
-        scene: Name of the set.
-        count: Number of images per condition.
-        size: ``(width, height)`` of the images.
-        seed: Seed of the scenes, unless final.
-        final: Whether it is of the seed of final figures.
-        second_renderer: Whether it has images of Mitsuba.
-    """
-    path = out / "card.json"
-    if not path.exists():
-        return None
-    card: dict[str, Any] = read_json(path)
-    wanted = {
-        "sha256": sha256(find_source(weights).path),
-        "ffpose": __version__,
-        "scene": scene,
-        "count": count,
-        "size": list(size),
-        "seed": FINAL.start if final else seed,
-        "final": final,
-        "notes": [] if second_renderer else [ONE_RENDERER],
-    }
-    return card if all(card.get(name) == value for name, value in wanted.items()) else None
-
-
-def write_card(document: Mapping[str, Any], out: Path) -> None:
-    """Write ``card.json``, and its tables as ``card.md``, to a folder; created if missing."""
-    out.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out / "card.json") as path:
-        path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    with atomic_write(out / "card.md") as path:
-        path.write_text(format_card(document), encoding="utf-8")

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-FloatArray = NDArray[np.float64]
+from ffpose.geometry import FloatArray
+
 Color = tuple[int, int, int]
 
 LEAVES = 400
@@ -24,12 +24,7 @@ WORDS = ("distance", "error", "epoch", "latency", "median", "throughput", "yaw",
 
 
 def chart(rng: np.random.Generator, size: tuple[int, int]) -> Image.Image:
-    """Draw a chart: axes, a grid, bars or lines of random heights, and words.
-
-    Args:
-        rng: Source of all random numbers.
-        size: ``(width, height)`` in pixels.
-    """
+    """Draw a chart: axes, a grid, bars or lines of random heights, and words."""
     width, height = size
     paper = (30, 30, 34) if rng.random() < 0.2 else (255, 255, 255)
     ink = (255 - paper[0], 255 - paper[1], 255 - paper[2])
@@ -92,13 +87,7 @@ PICTURES: dict[str, tuple[str, Callable[[np.random.Generator, tuple[int, int]], 
 
 
 def draw_picture(kind: str, seed: int, index: int, size: tuple[int, int]) -> Image.Image:
-    """Return image ``index`` of a kind; the same arguments give the same pixels.
-
-    Args:
-        kind: One of `PICTURES`.
-        seed: Seed of the images, at least 0.
-        index: Index of the image, at least 0.
-        size: ``(width, height)`` in pixels.
+    """Return image ``index`` of a kind, ``size`` ``(width, height)``; always the same pixels.
 
     Raises:
         ValueError: ``kind`` is not in `PICTURES`; the message lists the valid kinds.

@@ -26,11 +26,9 @@ AS_OBJECT = f"as the object {BEFORE}"
 
 
 class Seen(NamedTuple):
-    """Whether training had a condition.
+    """Whether training had a condition, and ``how``, for "partly".
 
-    Attributes:
-        answer: "unknown" where the weights do not know their recipe, or that of a set on disk.
-        how: In what way, for "partly"; else empty.
+    "unknown" is said of weights that do not know their recipe, or that of a set on disk.
     """
 
     answer: Answer
@@ -58,10 +56,7 @@ def _known(recipe: Recipe | None) -> Recipe | None:
 def seen_in_training(recipe: Recipe | None, variation: Variation, own: Scene | None = None) -> Seen:
     """Return whether the trainings had a set of rendered scenes, with the object or without.
 
-    Args:
-        recipe: Of the weights' header.
-        variation: The set.
-        own: The set that the variation is of, which none of `SCENES` may be.
+    ``own`` is the set that the variation is of, which none of `SCENES` may be.
     """
     sets = SCENES if own is None else {own.name: own} | SCENES
     craft, recipe = variation.scene.craft, _known(recipe)

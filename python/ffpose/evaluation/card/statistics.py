@@ -6,28 +6,19 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ffpose.evaluation.calibration import auroc, coverages, flag_rates, truth_regions
-from ffpose.evaluation.metrics import SUMMARIZED, PoseErrors, pose_error
-from ffpose.evaluation.significance import median_interval
-from ffpose.geometry import Pose, PoseUncertainty, standard_deviations
+from ffpose.evaluation.metrics import median_intervals, pose_errors, summarized
+from ffpose.geometry import FloatArray, Pose, PoseUncertainty, standard_deviations
 from ffpose.geometry.symmetry import SymmetryGroup
-
-FloatArray = NDArray[np.float64]
 
 LARGE_DEG = 30.0
 """Rotation error above which a pose is a failure, such as a flipped object."""
 
 
 class Answers(NamedTuple):
-    """A network's predictions for the images of one condition.
-
-    Attributes:
-        found: Predicted poses.
-        truth: True poses; empty where the images do not show the object.
-    """
+    """Poses that a network found in images, and the true ones; none where no object is shown."""
 
     found: list[Pose]
     truth: list[Pose]
@@ -54,33 +45,23 @@ def folded(answers: Answers, symmetry: SymmetryGroup) -> Answers:
 def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
     """Return the statistics of images that show the object.
 
-    Args:
-        answers: Predictions with truth, at least one.
-        threshold: Images with a lower probability of the object being in view are flagged; None
-            where the weights have no threshold.
-
-    Returns:
-        ``images``; ``median_`` and ``mean_`` of the errors in
-        `ffpose.evaluation.metrics.SUMMARIZED`, and their ``median_intervals_95``;
-        ``percentile_90_rotation_error_deg``; ``share_over_30_deg``. For a network that predicts its
-        uncertainty also ``translation`` and ``rotation``: coverage of the 50, 90 and 99 %
-        confidence regions; ``median_sigma_distance_m`` and ``median_sigma_rotation_deg``, medians
-        of `ffpose.geometry.standard_deviations`; ``median_in_view``; and ``flagged``, the share of
-        images below the threshold.
+    ``images``; ``median_`` and ``mean_`` of the errors in `ffpose.evaluation.metrics.SUMMARIZED`,
+    and ``median_intervals_95``; ``percentile_90_rotation_error_deg``; ``share_over_30_deg``. For a
+    network that predicts its uncertainty also coverages of ``translation`` and ``rotation``,
+    ``median_sigma_distance_m``, ``median_sigma_rotation_deg``, ``median_in_view``, and with a
+    threshold ``flagged``, the share of images below it.
 
     Raises:
         ValueError: There are no answers, or a covariance is invalid.
     """
-    errors = _errors(answers)
+    if not answers.truth:
+        raise ValueError("answers: expected at least one with the truth, got none")
+    errors = pose_errors(*map(_vectors, answers))
     rotation = errors.rotation_deg.numpy()
-    named = {name: getattr(errors, field).numpy() for name, field in SUMMARIZED.items()}
     return {
         "images": len(rotation),
-        **{f"median_{name}": float(np.median(values)) for name, values in named.items()},
-        **{f"mean_{name}": float(values.mean()) for name, values in named.items()},
-        "median_intervals_95": {
-            f"median_{name}": list(median_interval(values)) for name, values in named.items()
-        },
+        **{n: float(v) for n, v in summarized(errors).items() if not n.endswith("score")},
+        "median_intervals_95": median_intervals(errors),
         "percentile_90_rotation_error_deg": float(np.quantile(rotation, 0.9)),
         f"share_over_{LARGE_DEG:.0f}_deg": float((rotation > LARGE_DEG).mean()),
         **(_trust(answers, threshold) if answers.uncertainties else {}),
@@ -114,16 +95,10 @@ def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
 def refuse(
     with_object: Sequence[Pose], without: Sequence[Pose], threshold: float | None
 ) -> dict[str, Any]:
-    """Return how well images without the object are distinguished from images with it.
+    """Return how well images ``without`` the object are distinguished from those with it.
 
-    Args:
-        with_object: Predictions, with uncertainty, for images that show the object.
-        without: Predictions, with uncertainty, for images that do not.
-        threshold: Probability below which an image is flagged, or None.
-
-    Returns:
-        ``images`` (without the object), their ``median_in_view``, ``auroc``, and, with a threshold,
-        ``false_alarm_rate`` and ``miss_rate`` as in `ffpose.evaluation.calibration.FlagRates`.
+    ``images``, their ``median_in_view``, ``auroc``, and, with a threshold, ``false_alarm_rate`` and
+    ``miss_rate`` as in `ffpose.evaluation.calibration.FlagRates`.
 
     Raises:
         ValueError: ``with_object`` or ``without`` is empty or has no uncertainty.
@@ -141,13 +116,6 @@ def refuse(
         rates = flag_rates(positive, negative, threshold)
         result["false_alarm_rate"], result["miss_rate"] = rates.false_alarm_rate, rates.miss_rate
     return result
-
-
-def _errors(answers: Answers) -> PoseErrors:
-    if not answers.truth:
-        raise ValueError("answers: expected at least one with the truth, got none")
-    found, truth = (torch.from_numpy(_vectors(poses)) for poses in answers)
-    return pose_error(found[:, :3], found[:, 3:], truth[:, :3], truth[:, 3:])
 
 
 def _vectors(poses: Sequence[Pose]) -> FloatArray:

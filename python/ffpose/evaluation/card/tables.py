@@ -47,7 +47,8 @@ def errors_table(document: Mapping[str, Any]) -> str:
     constant = {"name": "constant pose", **document["mean_pose_baseline"]}
     rows = [_errors(first), _intervals(first), *map(_errors, others), _errors(constant)]
     caption = "Medians, where no other is named; in brackets their bootstrap intervals of 95 %."
-    about = f"{_conditions(document['conditions'])} {_partly(document['conditions'])}".rstrip()
+    told = "; ".join(f"{row['name']}: {row['about']}" for row in document["conditions"])
+    about = f"{told}. {_partly(document['conditions'])}".rstrip()
     return f"{markdown_table(header, rows)}\n\n{caption} {about}"
 
 
@@ -84,10 +85,6 @@ def _intervals(row: Row) -> list[str]:
         "",
         between("relative_translation_error", percent),
     ]
-
-
-def _conditions(rows: Sequence[Row]) -> str:
-    return "; ".join(f"{row['name']}: {row['about']}" for row in rows) + "."
 
 
 def _partly(rows: Sequence[Row]) -> str:

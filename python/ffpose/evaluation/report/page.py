@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import io
 from collections.abc import Mapping, Sequence
@@ -10,10 +9,11 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from PIL import Image
 
+from ffpose._internal.figures import embedded, image_tag
 from ffpose._internal.files import atomic_write
 from ffpose.evaluation.evaluate import Evaluation
 from ffpose.evaluation.report.plots import (
@@ -37,9 +37,6 @@ from ffpose.evaluation.report.tables import (
     uncertainty_table,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 GROUP = 8
 """Images of a gallery."""
 
@@ -57,13 +54,8 @@ DISTRIBUTIONS = (
 class Report:
     """Contents of a report page.
 
-    Attributes:
-        title: Heading of the page.
-        subtitle: One sentence below the heading.
-        evaluation: Predictions on held-out images.
-        history: Rows of ``results.csv``; empty without training.
-        facts: Names and values for the table at the end.
-        command: Command that reproduces the report.
+    ``history`` are rows of ``results.csv``, none without training; ``facts`` stand at the end, and
+    ``command`` reproduces the report.
     """
 
     title: str
@@ -95,7 +87,7 @@ def write_report(report: Report, path: Path) -> None:
         galleries="".join(_gallery(evaluation, *group) for group in _groups(evaluation)),
         training=_training(report.history),
         distributions="".join(
-            _embed_figure(draw(evaluation), text) for draw, text in DISTRIBUTIONS
+            embedded(draw(evaluation), text, format="svg") for draw, text in DISTRIBUTIONS
         ),
         facts="".join(
             f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
@@ -112,7 +104,8 @@ def _training(history: Sequence[Mapping[str, float | str]]) -> str:
     if not history:
         return ""
     text = "loss and validation errors over the epochs"
-    return f"<h2>Training</h2>{_embed_figure(training_curves(history), text)}"
+    figure = embedded(training_curves(history), text, format="svg")
+    return f"<h2>Training</h2>{figure}"
 
 
 def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:
@@ -122,7 +115,7 @@ def _uncertainty(evaluation: Evaluation, summary: Mapping[str, Any]) -> str:
     diagram = ""
     if evaluation.region_probabilities:
         text = "share of the truths in the predicted regions over the regions' probability"
-        diagram = _embed_figure(reliability_diagram(evaluation), text)
+        diagram = embedded(reliability_diagram(evaluation), text, format="svg")
     return f"<h2>Predicted uncertainty</h2><table>{uncertainty_table(summary)}</table>{diagram}"
 
 
@@ -149,15 +142,4 @@ def _embed_image(image: Image.Image, text: str) -> str:
     buffer = io.BytesIO()
     image.thumbnail(GALLERY_TILE)
     image.save(buffer, "JPEG", quality=88)
-    return _tag("image/jpeg", buffer.getvalue(), text)
-
-
-def _embed_figure(figure: Figure, text: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg")
-    return _tag("image/svg+xml", buffer.getvalue(), text)
-
-
-def _tag(kind: str, data: bytes, text: str) -> str:
-    encoded = base64.b64encode(data).decode("ascii")
-    return f'<img src="data:{kind};base64,{encoded}" alt="{html.escape(text)}">'
+    return image_tag("jpeg", buffer.getvalue(), text)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
@@ -31,10 +31,7 @@ FAR_DEG = 30.0
 
 
 def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
-    """Plot the loss and the validation errors over the epochs.
-
-    Args:
-        history: Rows of ``results.csv``, in order of the epochs.
+    """Plot loss and validation errors over the epochs, rows of ``results.csv``.
 
     Raises:
         ValueError: ``history`` is empty.
@@ -51,8 +48,7 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
     for axes, (column, title) in zip(figure.subplots(1, 3), panels, strict=True):
         values = [float(row[column]) for row in history]
         axes.plot(epochs, values, color=MODEL_COLOR, marker="." if len(epochs) < 40 else "")
-        axes.set_xlabel("epoch")
-        _title(axes, title)
+        _label(axes, title, xlabel="epoch")
         if column.startswith("val"):
             axes.set_ylim(bottom=0)
     return figure
@@ -61,18 +57,15 @@ def training_curves(history: Sequence[Mapping[str, float | str]]) -> Figure:
 def error_cdf(evaluation: Evaluation) -> Figure:
     """Plot the cumulative distribution of each error, for model and baseline."""
     figure = new_figure(9.0, 6.4)
-    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
-        for values, label, color in (
-            (pair.model, "model", MODEL_COLOR),
-            (pair.baseline, "mean pose", BASELINE_COLOR),
-        ):
+    for axes, name, unit, *pair in _error_panels(figure, evaluation):
+        styles = (("model", MODEL_COLOR), ("mean pose", BASELINE_COLOR))
+        for values, (label, color) in zip(pair, styles, strict=True):
             share = np.arange(1, len(values) + 1) / len(values)
             axes.step(np.sort(values), share, where="post", label=label, color=color)
             axes.plot(np.median(values), 0.5, "o", color=color)
-        axes.set_xlabel(f"{pair.name} error, {pair.unit}")
-        axes.set_ylim(0, 1)
+        title = f"images below a {name} error (dot: median)"
+        _label(axes, title, xlabel=f"{name} error, {unit}", ylim=(0, 1))
         axes.set_xlim(left=0)
-        _title(axes, f"images below a {pair.name} error (dot: median)")
         axes.legend(frameon=False, loc="lower right")
     return figure
 
@@ -80,13 +73,12 @@ def error_cdf(evaluation: Evaluation) -> Figure:
 def error_histograms(evaluation: Evaluation) -> Figure:
     """Plot histograms of the errors, as in the paper's Figure 8."""
     figure = new_figure(9.0, 6.0)
-    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
-        edges = np.linspace(0.0, max(pair.model.max(), pair.baseline.max()), 41)
-        axes.hist(pair.baseline, edges, color=BASELINE_COLOR, alpha=0.55, label="mean pose")
-        axes.hist(pair.model, edges, color=MODEL_COLOR, alpha=0.85, label="model")
-        axes.set_xlabel(f"{pair.name} error, {pair.unit}")
-        axes.set_ylabel("images")
-        _title(axes, f"distribution of the {pair.name} error")
+    for axes, name, unit, model, baseline in _error_panels(figure, evaluation):
+        edges = np.linspace(0.0, max(model.max(), baseline.max()), 41).tolist()
+        axes.hist(baseline, edges, color=BASELINE_COLOR, alpha=0.55, label="mean pose")
+        axes.hist(model, edges, color=MODEL_COLOR, alpha=0.85, label="model")
+        title = f"distribution of the {name} error"
+        _label(axes, title, xlabel=f"{name} error, {unit}", ylabel="images")
         axes.legend(frameon=False, loc="upper right")
     return figure
 
@@ -95,12 +87,11 @@ def errors_by_distance(evaluation: Evaluation) -> Figure:
     """Plot each image's errors over the distance of the object."""
     figure = new_figure(9.0, 6.0)
     distance = np.linalg.norm(evaluation.dataset.poses[:, :3], axis=1)
-    for axes, pair in zip(figure.subplots(2, 2).flat, _error_pairs(evaluation), strict=True):
-        axes.scatter(distance, pair.model, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
-        axes.set_xlabel("true distance, m")
-        axes.set_ylabel(f"{pair.name} error, {pair.unit}")
+    for axes, name, unit, model, _ in _error_panels(figure, evaluation):
+        axes.scatter(distance, model, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
+        labels = {"xlabel": "true distance, m", "ylabel": f"{name} error, {unit}"}
+        _label(axes, f"{name} error over distance", **labels)
         axes.set_ylim(bottom=0)
-        _title(axes, f"{pair.name} error over distance")
     return figure
 
 
@@ -159,9 +150,7 @@ def predicted_angles(evaluation: Evaluation) -> Figure:
         axes.plot([-limit, limit], [-limit, limit], color=BASELINE_COLOR, linewidth=0.8)
         axes.scatter(truth, predicted, s=9, color=MODEL_COLOR, alpha=0.6, linewidths=0)
         axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
-        axes.set_xlabel(f"true {name}, degrees")
-        axes.set_ylabel(f"predicted {name}, degrees")
-        _title(axes, name)
+        _label(axes, name, xlabel=f"true {name}, degrees", ylabel=f"predicted {name}, degrees")
     return figure
 
 
@@ -181,10 +170,9 @@ def reliability_diagram(evaluation: Evaluation) -> Figure:
     ):
         empirical = coverage(probability, CURVE)
         axes.plot(CURVE, empirical, style, color=MODEL_COLOR, marker=".", label=name)
+    across, up = "probability of the predicted region", "share of the truths within it"
+    _label(axes, "reliability of the covariances", xlabel=across, ylabel=up)
     axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
-    axes.set_xlabel("probability of the predicted region")
-    axes.set_ylabel("share of the truths within it")
-    _title(axes, "reliability of the covariances")
     axes.legend(frameon=False, loc="upper left")
     return figure
 
@@ -251,30 +239,24 @@ def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
     return [out / name for name in figures]
 
 
-class _ErrorPair(NamedTuple):
-    """An error of model and baseline, ``(N,)`` each."""
-
-    name: str
-    unit: str
-    model: FloatArray
-    baseline: FloatArray
-
-
-def _error_pairs(evaluation: Evaluation) -> list[_ErrorPair]:
-    """Return the errors that the figures show."""
+def _error_panels(
+    figure: Figure, evaluation: Evaluation
+) -> list[tuple[Axes, str, str, FloatArray, FloatArray]]:
+    """Return a panel for each error: axes, name, unit, and the errors of model and baseline."""
     fields = (
         ("translation", "m", "translation_m"),
         ("rotation", "degrees", "rotation_deg"),
         ("in-plane", "degrees", "in_plane_deg"),
         ("out-of-plane", "degrees", "out_of_plane_deg"),
     )
-    pair = (evaluation.errors, evaluation.baseline_errors)
+    both = evaluation.errors, evaluation.baseline_errors
     return [
-        _ErrorPair(name, unit, *(getattr(errors, field).numpy() for errors in pair))
-        for name, unit, field in fields
+        (axes, name, unit, *(getattr(errors, field).numpy() for errors in both))
+        for axes, (name, unit, field) in zip(figure.subplots(2, 2).flat, fields, strict=True)
     ]
 
 
-def _title(axes: Axes, text: str) -> None:
-    axes.set_title(text, fontsize=10, loc="left")
+def _label(axes: Axes, title: str, **labels: Any) -> None:
+    axes.set(**labels)
+    axes.set_title(title, fontsize=10, loc="left")
     style_axes(axes)

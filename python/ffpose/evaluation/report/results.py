@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffpose._internal.files import atomic_write
 from ffpose.evaluation.evaluate import Evaluation
-
-FloatArray = NDArray[np.float64]
+from ffpose.geometry import FloatArray
 
 VECTOR = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
 

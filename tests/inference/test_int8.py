@@ -17,7 +17,7 @@ from ffpose.onnx.metadata import ModelMetadata, read_model_metadata, sealed
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
-pose_int8 = pytest.importorskip("ffpose.onnx.pose_int8")
+int8 = pytest.importorskip("ffpose.inference.int8")
 
 SIZE = (16, 32)
 CHANNELS = 8
@@ -85,7 +85,7 @@ def images(tmp_path):
 
 def test_the_backbone_is_int8_and_the_head_float(graph, images, tmp_path):
     out = tmp_path / "int8.onnx"
-    quantized = pose_int8.quantize_graph(graph, out, images)
+    quantized = int8.quantize_graph(graph, out, images)
     model = onnx.load(out)
     onnx.checker.check_model(model, full_check=True)
     makers = {output: node for node in model.graph.node for output in node.output}
@@ -106,7 +106,7 @@ def test_the_backbone_is_int8_and_the_head_float(graph, images, tmp_path):
 
 def test_the_loss_is_that_of_the_poses(graph, images, tmp_path):
     out = tmp_path / "int8.onnx"
-    quantized = pose_int8.quantize_graph(graph, out, images)
+    quantized = int8.quantize_graph(graph, out, images)
     single, eight = load(graph), load(out)
     for place, image in enumerate(images):
         a, b = single(image), eight(image)
@@ -119,7 +119,7 @@ def test_the_loss_is_that_of_the_poses(graph, images, tmp_path):
 
 def test_median_and_largest_loss_in_words(tmp_path):
     values = np.array([1.0, 5.0, 2.0])
-    assert pose_int8.Quantized(tmp_path, 0, 0, values, values / 10).lines() == [
+    assert int8.Quantized(tmp_path, 0, 0, values, values / 10).lines() == [
         "int8 against float32, translation: median 2 m, largest 5 m",
         "int8 against float32, rotation: median 0.2 deg, largest 0.5 deg",
     ]
@@ -127,7 +127,7 @@ def test_median_and_largest_loss_in_words(tmp_path):
 
 def test_the_metadata_names_precision_and_images(graph, images, tmp_path):
     out = tmp_path / "int8.onnx"
-    pose_int8.quantize_graph(graph, out, images)
+    int8.quantize_graph(graph, out, images)
     before, after = read_model_metadata(graph), read_model_metadata(out)
     digests = [hashlib.sha256(image.read_bytes()).hexdigest() for image in images]
     digest = hashlib.sha256("".join(digests).encode()).hexdigest()
@@ -147,14 +147,14 @@ def test_what_cannot_be_calibrated_is_refused(graph, images, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"PNG, JPEG or PGM files in .*empty, got none"):
         image_files(tmp_path / "empty", "calibrate")
     with pytest.raises(ValueError, match="images: expected at least 1, got none"):
-        pose_int8.quantize_graph(graph, out, [])
+        int8.quantize_graph(graph, out, [])
     images[1].write_bytes(b"\x89PNG\r\n\x1a\n")
     with pytest.raises(DataError, match=r"b\.PNG"):
-        pose_int8.quantize_graph(graph, out, images)
+        int8.quantize_graph(graph, out, images)
     assert not out.exists()
-    pose_int8.quantize_graph(graph, out, images[:1])
+    int8.quantize_graph(graph, out, images[:1])
     with pytest.raises(ValueError, match="graph: expected float32, got int8"):
-        pose_int8.quantize_graph(out, tmp_path / "again.onnx", images[:1])
+        int8.quantize_graph(out, tmp_path / "again.onnx", images[:1])
 
 
 def rewrite(graph, model):
@@ -181,7 +181,7 @@ def test_a_weight_that_two_nodes_share_is_copied(graph, images, tmp_path):
     model.graph.node.extend([maps, *added, *others])
     rewrite(graph, model)
     out = tmp_path / "int8.onnx"
-    assert pose_int8.quantize_graph(graph, out, images).nodes == 4
+    assert int8.quantize_graph(graph, out, images).nodes == 4
     weights = {
         each.name
         for each in onnx.load(out).graph.initializer
@@ -198,7 +198,7 @@ def test_a_graph_without_a_backbone_is_refused(graph, images, tmp_path):
         del each.metadata_props[:]
     rewrite(graph, model)
     with pytest.raises(RuntimeError, match="int8: expected a graph with Conv, Gemm, MatMul"):
-        pose_int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
+        int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
 
 
 @pytest.mark.parametrize("words", [["--int8"], ["--calibrate", "images"]])
