@@ -717,7 +717,8 @@ def inspect_mesh(options: Namespace) -> None:
         print(
             f"material {number}: {material['triangles']} triangles, color {color},"
             f" roughness {material['roughness']:.2f}, metal {material['metallic']:.2f},"
-            f" textures: {maps}"
+            + (f" alpha {material['alpha']:.2f}," if material["alpha"] < 1 else "")
+            + f" textures: {maps}"
         )
     for kind, looks in (("same", "the same look"), ("near", "nearly the same look")):
         for each in (summary["symmetry"] or {}).get(kind, []):

@@ -60,6 +60,17 @@ def test_what_is_doubtful_is_said(tmp_path, box, scale, doubt):
     assert re.search(doubt, doubts(tmp_path, scale, **box))
 
 
+@pytest.mark.parametrize(("alpha", "said"), [(0.75, True), (1.0, False)])
+def test_a_spacecraft_that_one_sees_through_is_doubted(tmp_path, alpha, said):
+    """Models drawn as holograms have such materials."""
+    path = tmp_path / "box.obj"
+    text = trimesh.exchange.obj.export_obj(trimesh.creation.box((2, 1, 0.5)))
+    path.write_text("mtllib box.mtl\nusemtl glass\n" + text)
+    (tmp_path / "box.mtl").write_text(f"newmtl glass\nKd 0.2 0.5 0.8\nd {alpha}\n")
+    doubts = " ".join(inspect_mesh(load_craft(path), tmp_path / "out")["doubts"])
+    assert ("12 of 12 triangles are of materials that one sees through" in doubts) == said
+
+
 def test_the_bounding_sphere_holds_all_and_is_the_least():
     rng = np.random.default_rng(0)
     for _ in range(5):

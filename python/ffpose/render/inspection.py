@@ -37,6 +37,9 @@ UNITS = {0.001: "millimeters", 0.01: "centimeters", 0.0254: "inches", 0.3048: "f
 INSIDE = 0.02
 """Share of what is seen that may be the inside of surfaces."""
 
+OPAQUE = 0.95
+"""Alpha from which a material counts as solid."""
+
 GRAY = 0.05
 """Light of the background."""
 
@@ -226,6 +229,12 @@ def _doubts(craft: Craft, summary: dict[str, Any]) -> list[str]:
         doubts.append(
             f"the origin lies {summary['origin_offset_m']:.3g} m from the middle of the bounding "
             f"sphere, outside of it (radius {summary['radius_m']:.3g} m): --mesh-center moves it"
+        )
+    thin = sum(each["triangles"] for each in summary["materials"] if each["alpha"] < OPAQUE)
+    if thin > summary["triangles"] / 2:
+        doubts.append(
+            f"{thin} of {summary['triangles']} triangles are of materials that one sees through, "
+            f"alpha below {OPAQUE:g}: if the spacecraft is solid, make them opaque in the file"
         )
     share = summary["inside_seen"]
     if share > INSIDE:
