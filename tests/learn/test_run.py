@@ -186,6 +186,7 @@ def test_a_graph_that_is_missing_or_damaged_is_exported(tmp_path):
     assert not run._exported(tmp_path)
 
 
+@pytest.mark.slow
 def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
     """In small: what it writes is what `ffpose.load` opens; a second run repeats nothing."""
     out = tmp_path / "out"
