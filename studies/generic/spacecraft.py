@@ -14,15 +14,13 @@ from ffpose.render.scene import LAMP, USUAL_RADIUS_M
 from ffpose.render.spacecraft.craft import SHIPPED, Craft, bounding_sphere, build_craft
 from ffpose.render.spacecraft.decoys import bus, fitting, paints, wings
 from ffpose.render.spacecraft.mesh import merge, turn
-from ffpose.training.calibration_images import RANDOMIZATION, TRUNCATED_SHARE
+from ffpose.training.calibration_images import varied
 
 SEED = 700_000
 """Seed of the random spacecraft; those of their views count on from it, ten for each."""
 
-WHOLE_TURN = 360.0
-
-KINDS = {"plain": 0.58, "cut": 0.12, "randomized": 0.2, "dusk": 0.1}
-"""Shares of the views: plain, cut by the border, randomized, in the light of a low sun."""
+KINDS = {"whole": 0.58, "cut": 0.12, "randomized": 0.2, "dusk": 0.1}
+"""Shares of the views: as the set is, cut by the border, randomized, in the light of a low sun."""
 
 
 class Subject(NamedTuple):
@@ -59,7 +57,7 @@ def build_random_spacecraft(index: int) -> Craft:
         size = length * rng.uniform(0.3, 0.8), width * rng.uniform(0.4, 0.9)
         along = (rng.uniform(-0.4, 0.4) * length, 0.0, 0.0)
         second = bus(*size, rng).moved(turn("z", rng.uniform(0, 180)), along)
-        roll = turn("x", rng.uniform(0, WHOLE_TURN))
+        roll = turn("x", rng.uniform(0, 360))
         parts.append(second.moved(roll, (0.0, 0.0, width * rng.uniform(0.2, 0.6))))
     for _ in range(int(rng.integers(0, 3))):
         parts += wings(length, width, rng)
@@ -95,14 +93,9 @@ def subject(number: int) -> Subject:
 
 def parts(scene: Scene, number: int, views: int) -> list[tuple[Scene, int, int]]:
     """Return the sets of spacecraft ``number``, each with its seed and its number of views."""
-    variants = {
-        "plain": scene,
-        "cut": scene.truncated(*TRUNCATED_SHARE),
-        "randomized": scene.randomized(RANDOMIZATION),
-        "dusk": scene.at_dusk(),
-    }
+    variants = varied(scene)
     first = SEED + 10 * number
     return [
-        (variants[kind], first + place, max(1, round(share * views)))
+        (variants[kind][0], first + place, max(1, round(share * views)))
         for place, (kind, share) in enumerate(KINDS.items())
     ]

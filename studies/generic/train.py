@@ -97,7 +97,7 @@ def train_generic(config: GenericConfig) -> None:
     model = new_network()
     load_weights(resolve_initial(config.init), model)
     model.orientation = ManyBinsHead(model, config.spacecraft)
-    model.to(device)
+    model.to(device).train()
     arrays, empty, numbers = opened_views(config, model)
     loss = ManyObjective(model, ObjectLossConfig(angle=5.0, offset=5.0), numbers).to(device)
     preprocessing = backbone_preprocessing(model.config.backbone, model.config.image_size, "resize")
