@@ -10,7 +10,7 @@ import numpy as np
 from ffpose.imaging.patches import PatchSpec
 from ffpose.learn.plan import BEYOND, DEFAULT_CAMERA, FAR_DIAMETERS, NEAR_DIAMETERS, VIEW_MARGIN
 from ffpose.render import Scene
-from ffpose.render.scene import LAMP, USUAL_RADIUS_M
+from ffpose.render.scene import lamp_for
 from ffpose.render.spacecraft.craft import SHIPPED, Craft, bounding_sphere, build_craft
 from ffpose.render.spacecraft.decoys import bus, fitting, paints, wings
 from ffpose.render.spacecraft.mesh import merge, turn
@@ -86,7 +86,7 @@ def subject(number: int) -> Subject:
         far,  # as far off the axis as the frame goes
         attitude_range_deg=(180.0, 90.0, 180.0),
         camera=DEFAULT_CAMERA,
-        lamp=LAMP * (craft.radius / USUAL_RADIUS_M) ** 2,
+        lamp=lamp_for(craft),
     )
     return Subject(scene.scaled(*BEYOND), radius)
 

@@ -27,6 +27,14 @@ LAMP = 30.0
 No real lamp is so strong; the value also stands for a longer exposure."""
 
 
+def lamp_for(craft: Craft) -> float:
+    """Return the lamp of a spacecraft of any size, seen from as many diameters as those of ffpose.
+
+    Light falls with the square of the distance.
+    """
+    return LAMP * (craft.radius / USUAL_RADIUS_M) ** 2
+
+
 @dataclass(frozen=True)
 class Scene:
     """Everything that an image depends on, but for the seed, its index and its size.

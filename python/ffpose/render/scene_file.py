@@ -16,7 +16,7 @@ from typing import Any
 from ffpose._internal.files import read_json, shortened, write_json
 from ffpose.errors import DataError
 from ffpose.geometry import Camera
-from ffpose.render.scene import LAMP, SCENES, USUAL_RADIUS_M, Scene
+from ffpose.render.scene import SCENES, Scene, lamp_for
 from ffpose.render.spacecraft.craft import Craft
 from ffpose.render.spacecraft.meshfile import Up, load_craft
 
@@ -79,8 +79,7 @@ class SceneFile:
             self.distance_m[1],  # as far off the axis as the frame goes
             attitude_range_deg=self.attitude_range_deg,
             camera=self.camera,
-            # Distances are as large as the spacecraft, and light falls with their square.
-            lamp=LAMP * (craft.radius / USUAL_RADIUS_M) ** 2,
+            lamp=lamp_for(craft),
         )
 
     def write(self, path: Path) -> None:
