@@ -33,8 +33,8 @@ LAYERS = ("mask", "depth", "keypoints")
 TOUCH_M = 0.02
 """Occlusion tolerance: a surface less than this in front of a keypoint does not hide it."""
 
-DEPTH_LIMIT_M = 65.535
-"""Largest depth that 16 bits of millimeters can hold, meters."""
+DEPTH_CODES = 65535
+"""Largest code of a depth file, of 16 bits."""
 
 
 class Keypoint(NamedTuple):
@@ -113,6 +113,15 @@ def coordinates_limit(craft: Craft) -> float:
     return math.ceil(round(10 * largest, 6)) / 10  # 10 · 1.1 is more than 11
 
 
+def depth_step(scene: Scene) -> float:
+    """Return the meters of one code of a depth file, so that 16 bits hold the set's largest depth.
+
+    The least power of ten that suffices: 0.001 where the spacecraft stays within 65.535 m.
+    """
+    largest = scene.distance_m[1] + scene.build().radius
+    return 10.0 ** math.ceil(math.log10(largest / DEPTH_CODES))
+
+
 def check_labels(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the names once each, in the order of `LABELS`; a ValueError for another name."""
     unknown = [name for name in labels if name not in LABELS]
@@ -126,13 +135,15 @@ def label_files(index: int, labels: Sequence[str]) -> list[str]:
     return [f"{index}_{LABELS[name]}" for name in labels]
 
 
-def write_layers(folder: Path, index: int, layers: Layers, labels: Sequence[str]) -> None:
+def write_layers(
+    folder: Path, index: int, layers: Layers, labels: Sequence[str], depth_step_m: float
+) -> None:
     """Write the layers of image `index` that `labels` names.
 
-    ``N_mask.png`` is 255 on the spacecraft and 0 elsewhere; ``N_depth.png`` holds millimeters in 16
-    bits, 0 off the spacecraft, or a ValueError beyond 65.535 m; ``N_keypoints.csv`` has a row for
-    each named point; ``N_coordinates.png`` is what `object_coordinates` gives. Its alpha holds the
-    mask: any color, black too, may be a place on the spacecraft.
+    ``N_mask.png`` is 255 on the spacecraft and 0 elsewhere; ``N_depth.png`` holds the depth in
+    steps of `depth_step_m` meters in 16 bits, 0 off the spacecraft; ``N_keypoints.csv`` has a row
+    for each named point; ``N_coordinates.png`` is what `object_coordinates` gives. Its alpha holds
+    the mask: any color, black too, may be a place on the spacecraft.
     """
     from PIL import Image
 
@@ -142,19 +153,11 @@ def write_layers(folder: Path, index: int, layers: Layers, labels: Sequence[str]
             write_csv(folder / file, [Keypoint._fields, *rows], durable=False)
             continue
         if name == "depth":
-            pixels: NDArray[Any] = _millimeters(layers.depth, index)
+            pixels: NDArray[Any] = np.round(layers.depth / depth_step_m).astype(np.uint16)
         else:
             pixels = layers.mask.astype(np.uint8) * 255 if name == "mask" else layers.coordinates
         with atomic_write(folder / file, durable=False) as path:
             Image.fromarray(pixels).save(path)
-
-
-def _millimeters(depth: Floats, index: int) -> NDArray[np.uint16]:
-    if depth.max() > DEPTH_LIMIT_M:
-        raise ValueError(
-            f"depth of image {index}: expected at most {DEPTH_LIMIT_M} m, got {depth.max()}"
-        )
-    return np.round(depth * 1000).astype(np.uint16)
 
 
 def _traced(craft: Craft, pose: Pose, camera: Camera) -> tuple[Window, View] | None:

@@ -17,7 +17,7 @@ from typing import Any
 from ffpose._internal.files import write_json
 from ffpose._internal.machine import package_versions
 from ffpose.errors import DataError
-from ffpose.render.layers import coordinates_limit
+from ffpose.render.layers import coordinates_limit, depth_step
 from ffpose.render.scene import Scene
 
 FILE_NAME = "manifest.json"
@@ -31,8 +31,8 @@ class Manifest:
 
     Attributes:
         parameters: Scene, seed, size, and which layers are written: with the index, all that the
-            files of an image depend on. With the layer `coordinates`, also the meters that its
-            codes stand for (`ffpose.render.coordinates_limit`).
+            files of an image depend on. With the layers `coordinates` and `depth`, also the
+            meters that their codes stand for (`ffpose.render.coordinates_limit`, `depth_step`).
         versions: Version of each of `PACKAGES` when the images were made.
         files: SHA-256 of each file by name; empty until a run has finished.
     """
@@ -54,6 +54,8 @@ class Manifest:
         }
         if "coordinates" in labels:
             parameters["coordinates_limit_m"] = coordinates_limit(scene.build())
+        if "depth" in labels:
+            parameters["depth_step_m"] = depth_step(scene)
         second = ("mitsuba",) if scene.renderer == "mitsuba" else ()
         # Through JSON, so that it compares equal to one that was read.
         return cls(json.loads(json.dumps(parameters)), package_versions(*PACKAGES, *second))

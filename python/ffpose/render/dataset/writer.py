@@ -25,7 +25,13 @@ from ffpose.errors import expect, require
 from ffpose.geometry import Camera
 from ffpose.render.dataset.manifest import FILE_NAME, Manifest, difference, part_name, parts
 from ffpose.render.dataset.tables import conditions_of, write_conditions, write_tables
-from ffpose.render.layers import check_labels, label_files, render_layers, write_layers
+from ffpose.render.layers import (
+    check_labels,
+    depth_step,
+    label_files,
+    render_layers,
+    write_layers,
+)
 from ffpose.render.processes import in_processes
 from ffpose.render.renderer import camera_of, label, render
 from ffpose.render.scene import Scene
@@ -161,7 +167,7 @@ def render_one(job: Job, index: int) -> str:
     if job.labels:
         # Layers first: an image that exists then has its layers.
         layers = render_layers(job.scene, job.seed, index, job.size)
-        write_layers(job.folder, index, layers, job.labels)
+        write_layers(job.folder, index, layers, job.labels, depth_step(job.scene))
     target = job.folder / image_name(index)
     with atomic_write(target, durable=False) as path:  # a later run rerenders damaged files
         Image.fromarray(frame.image).save(path, compress_level=PNG_LEVEL)
