@@ -331,6 +331,22 @@ def test_a_texture_of_specular_reflectances_stands_for_its_mean(tmp_path):
     np.testing.assert_allclose(dim.reflectance, np.multiply(material.reflectance, (0.1, 0.2, 0.3)))
 
 
+def test_a_texture_in_ktx2_alone_is_refused_and_one_with_another_image_is_read(tmp_path):
+    file = textured(QUARTERS)
+    (texture,) = file.header["textures"]
+    other = file.load(tmp_path).materials[0].color_map.image.level(0)
+    texture["extensions"] = {"KHR_texture_basisu": {"source": 1}}
+    file.header["images"].append({"bufferView": 0, "mimeType": "image/ktx2"})
+    (both,) = file.load(tmp_path).materials
+    np.testing.assert_array_equal(both.color_map.image.level(0), other)
+    del texture["source"]
+    with pytest.raises(DataError, match="PNG, JPEG or WebP, got texture 0 in KTX2"):
+        file.load(tmp_path)
+    file.header["textures"] = [{"source": 1}]
+    with pytest.raises(DataError, match="got texture 0 in KTX2"):
+        file.load(tmp_path)
+
+
 def test_metal_and_roughness_come_from_their_channels(tmp_path):
     file = File()
     number = file.texture(np.full((4, 4, 3), (9, 102, 204)))

@@ -189,15 +189,20 @@ class Materials:
         return Texture(self._pyramids[key], sources.setdefault(source, len(sources)))
 
     def _image_number(self, slot: Header | None) -> int | None:
-        """Return the image of a slot; None where there is none that Pillow reads."""
+        """Return the image of a slot; None without one, a DataError for one in KTX2 alone."""
         if slot is None:
             return None
         entry = self._header["textures"][slot["index"]]
-        webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
-        number = webp.get("source", entry.get("source"))
-        if number is None or self._header["images"][number].get("mimeType") == "image/ktx2":
-            return None
-        return int(number)
+        extensions = entry.get("extensions", {})
+        number = extensions.get("EXT_texture_webp", {}).get("source", entry.get("source"))
+        kind = None if number is None else self._header["images"][number].get("mimeType")
+        if kind == "image/ktx2" or (number is None and "KHR_texture_basisu" in extensions):
+            text = (
+                f"expected textures of PNG, JPEG or WebP, got texture {slot['index']} in KTX2 "
+                "(KHR_texture_basisu) alone: convert it to one of those"
+            )
+            raise DataError(text, self._path)
+        return None if number is None else int(number)
 
     def _image(self, number: int) -> Any:
         """Return an image, of which Pillow has read the head."""
