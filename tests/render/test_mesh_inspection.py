@@ -45,6 +45,15 @@ def test_a_sound_mesh_is_measured_and_not_doubted(tmp_path):
         assert len(DIRECTIONS) == 12
 
 
+def test_colors_of_faces_are_those_of_their_material(tmp_path):
+    """Half of the faces red, half white: sRGB codes of 255 and 0 are light of 1 and 0."""
+    mesh = trimesh.creation.box((1.0, 1.0, 1.0))
+    mesh.visual.face_colors = np.where(np.arange(12)[:, None] < 6, (255, 0, 0, 255), (255,) * 4)
+    mesh.export(tmp_path / "box.ply")
+    (material,) = inspect_mesh(load_craft(tmp_path / "box.ply"), tmp_path / "out")["materials"]
+    np.testing.assert_allclose(material["color"], (1, 0.5, 0.5))
+
+
 @pytest.mark.parametrize(
     ("box", "scale", "doubt"),
     [

@@ -194,10 +194,12 @@ def _inside_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> fl
 
 
 def _material(craft: Craft, number: int) -> dict[str, Any]:
-    material = craft.materials[number]
+    material, its = craft.materials[number], craft.mesh.material == number
+    colors = craft.mesh.colors
+    tint = np.ones(3) if colors is None or not its.any() else colors[its, :, :3].mean(axis=(0, 1))
     return {
-        "triangles": int((craft.mesh.material == number).sum()),
-        "color": list(material.color),
+        "triangles": int(its.sum()),
+        "color": (tint * material.color).tolist(),
         "roughness": material.roughness,
         "metallic": material.metallic,
         "alpha": material.alpha,
