@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from torch.autograd import forward_ad
 
 import ffpose
 from ffpose.ops import spectral_filter, weight_shape
@@ -81,6 +82,25 @@ def test_no_gradient_is_lost_in_silence():
         spectral_filter(x, weight.requires_grad_(), out=x)
     with torch.no_grad():
         spectral_filter(x, weight, out=x)
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated")
+@pytest.mark.parametrize("name", ["x", "weight", "out"])
+def test_no_tangent_is_lost_in_silence(name):
+    x, weight = arguments("tokens", (4, 6))
+    given = {"x": x, "weight": weight, "out": torch.zeros_like(x)}
+
+    def write(tensor):
+        return spectral_filter(**{**given, name: tensor})
+
+    tensor = given[name]
+    with pytest.raises(RuntimeError, match=r"out: expected arguments without tangent.*without out"):
+        torch.func.jvp(write, (tensor,), (tensor,))
+    with torch.no_grad(), forward_ad.dual_level():  # torch.no_grad does not end forward mode
+        dual = forward_ad.make_dual(tensor, tensor)
+        with pytest.raises(RuntimeError, match="out: expected arguments without tangent"):
+            write(dual)
+        spectral_filter(**given)
 
 
 def test_opcheck():

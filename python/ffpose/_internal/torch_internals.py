@@ -120,6 +120,12 @@ def primals(tensors: Sequence[Tensor]) -> tuple[Tensor, ...]:
     return tuple(unpack(tensor).primal for tensor in tensors)
 
 
+def have_tangent(*tensors: Tensor) -> bool:
+    """Return whether one of the tensors has a tangent of the present level of forward mode."""
+    unpack: Callable[[Tensor], Any] = forward_ad.unpack_dual
+    return any(unpack(tensor).tangent is not None for tensor in tensors)
+
+
 def register_named_tuple(kind: type[tuple[Any, ...]], name: str) -> None:
     """Let saved programs (`torch.export.save`) refer to a named tuple by ``name``."""
     if _register_named_tuple is not None:

@@ -27,6 +27,7 @@ from torch.autograd.graph import increment_version
 
 from ffpose._internal.torch_internals import (
     below_autograd,
+    have_tangent,
     is_plain,
     is_recording,
     outer_tangents,
@@ -74,8 +75,8 @@ def spectral_filter(
             of its memory with another argument, or a call in another thread writes to memory of
             this one, or uses ``out``.
         TypeError: A dtype is not supported, or the dtypes do not match.
-        RuntimeError: ``out`` is given where a gradient would be recorded, or another thread gave
-            a tensor other memory during the call.
+        RuntimeError: ``out`` is given where a gradient would be recorded or forward mode follows a
+            tangent, or another thread gave a tensor other memory during the call.
     """
     if out is not None:
         out_op(x, weight, layout, out=out)
@@ -274,6 +275,11 @@ def _write_unrecorded(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor)
         raise RuntimeError(
             "spectral_filter with out: expected arguments without gradient, got one that requires"
             " it; call it under torch.no_grad()"
+        )
+    if have_tangent(x, weight, out):
+        raise RuntimeError(
+            "spectral_filter with out: expected arguments without tangent, got one of forward mode;"
+            " call it without out"
         )
     below_autograd(out_op, x, weight, layout, out=out)
     increment_version(out)
