@@ -125,6 +125,7 @@ def test_the_wrong_number_of_arguments_is_refused():
 @pytest.mark.parametrize(
     ("call", "kind", "message"),
     [
+        (lambda: ffpose.spectral_filter(X, W[..., 0] * 1j), TypeError, r"weight.*real.*complex64"),
         (lambda: ffpose.spectral_filter(X, W[:2]), ValueError, r"weight.*\(3, 3, 2\).*\(2, 3, 2\)"),
         (lambda: ffpose.spectral_filter(X[0, 0], W), ValueError, r"x.*\(\.\.\., X, Y\).*\(4,\)"),
         (lambda: ffpose.spectral_filter(X, W, "Grid"), ValueError, '"tokens".*"grid".*"Grid"'),

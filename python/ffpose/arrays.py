@@ -68,6 +68,11 @@ def spectral_filter(
         True
     """
     x, weight = _array(x, "x"), _array(weight, "weight")
+    if weight.dtype.kind == "c":
+        raise TypeError(
+            "weight must have real and imaginary part in a last axis, as"
+            f" np.stack((weight.real, weight.imag), -1), got {weight.dtype}"
+        )
     if out is None:
         return _rust.spectral_filter(x, weight, layout, num_threads)
     if not isinstance(out, np.ndarray):

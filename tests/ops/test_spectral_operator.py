@@ -592,7 +592,8 @@ WEIGHT = torch.zeros(4, 4, 2)
         (X, WEIGHT.bfloat16(), "tokens", TypeError, r"torch.float32 for.*got torch.bfloat16"),
         (X.bfloat16(), WEIGHT.half(), "tokens", TypeError, r"torch.bfloat16 or torch.float32 for"),
         (X.int(), WEIGHT, "tokens", TypeError, r"expected one of torch.float32.*got torch.int32"),
-        (X.cfloat(), WEIGHT, "tokens", TypeError, r"got torch.complex64"),
+        (X.cfloat(), WEIGHT, "tokens", TypeError, r"x: .*torch.float64.*got torch.complex64"),
+        (X, torch.view_as_complex(WEIGHT), "tokens", TypeError, r"view_as_real.*got torch.compl"),
         (X, WEIGHT.to("meta"), "tokens", ValueError, r"expected device cpu.*got meta"),
     ],
 )

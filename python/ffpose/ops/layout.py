@@ -58,6 +58,11 @@ def check_filter(x: Tensor, weight: Tensor, layout: Layout) -> None:
     """
     check_layout(layout)
     check_tensor("x", x)
+    if isinstance(weight, Tensor) and weight.is_complex():
+        raise TypeError(
+            "weight: expected real and imaginary part in a last axis, torch.view_as_real(weight),"
+            f" got {weight.dtype}"
+        )
     check_tensor("weight", weight)
     if weight.dtype not in (x.dtype, arithmetic_dtype(x.dtype)):
         expected = " or ".join(map(str, dict.fromkeys((x.dtype, arithmetic_dtype(x.dtype)))))
