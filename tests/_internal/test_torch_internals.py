@@ -25,6 +25,7 @@ NAMES = [
     (forward_ad, "_current_level"),
     (forward_ad, "_set_fwd_grad_enabled"),
     (_pytree, "_register_namedtuple"),
+    (torch.autograd, "_profiler_enabled"),
 ]
 OF_DISPATCH = ("_dispatch_keys", "_len_torch_dispatch_stack", "_current_level")
 
@@ -88,6 +89,7 @@ def test_without_a_name_a_call_goes_the_slower_way(without, module, name):
     assert torch_internals.is_plain(x) == (name not in OF_DISPATCH)
     assert torch_internals.transforms_at_work() == (name == "_are_functorch_transforms_active")
     assert not torch_internals.is_recording()
+    assert not torch_internals.is_profiled()
 
 
 def test_without_its_name_a_named_tuple_is_not_registered(without):

@@ -294,6 +294,18 @@ def test_a_weight_learns_from_what_inference_mode_made(by):
     torch.testing.assert_close(got, expected)
 
 
+@pytest.mark.parametrize("context", [torch.no_grad, torch.inference_mode])
+def test_a_profile_of_inference_names_the_operator(context):
+    x, weight = arguments("grid", (2, 14, 14, 8), requires_grad=True)
+    with context():
+        expected = spectral_filter(x, weight, "grid")
+        with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profile:
+            y = spectral_filter(x, weight, "grid")
+    assert torch.equal(y, expected)
+    (event,) = (each for each in profile.key_averages() if each.key == "ffpose::spectral_filter")
+    assert event.count == 1
+
+
 def test_a_dispatch_mode_sees_the_operator():
     class Recorder(TorchDispatchMode):
         def __torch_dispatch__(self, func, types, args=(), kwargs=None):

@@ -1,9 +1,10 @@
 """Everything that ffpose asks of torch's private names, which may go without notice.
 
 Each is looked up once. Without it a slower way gives the same numbers: calls go through the
-dispatcher, or a training does without bfloat16. Only three things
+dispatcher, or a training does without bfloat16. Only four things
 are lost: `torch.vmap` of the bare operators ``torch.ops.ffpose``, forward-mode derivatives of
-forward-mode derivatives, and saving an exported program whose result is a named tuple.
+forward-mode derivatives, the filter's name in profiles of inference, and saving an exported program
+whose result is a named tuple.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ _below_autograd = _find("torch._C", "_AutoDispatchBelowAutograd")
 _dispatch_keys = _find("torch._C", "_dispatch_keys")
 _dispatch_modes = _find("torch._C", "_len_torch_dispatch_stack")
 _forward_mode_enabled = _find("torch.autograd.forward_ad", "_set_fwd_grad_enabled")
+_profiler_enabled = _find("torch.autograd", "_profiler_enabled")
 _register_named_tuple = _find("torch.utils._pytree", "_register_namedtuple")
 _transforms_active = _find("torch._C", "_are_functorch_transforms_active")
 _tracing_state = _find("torch._C", "_get_tracing_state") or _find("torch.jit", "is_tracing")
@@ -78,6 +80,11 @@ def is_plain(*tensors: Tensor) -> bool:
 def is_recording() -> bool:
     """Return whether torch.compile, torch.export or torch.jit.trace is recording a graph."""
     return bool(is_compiling() or _tracing_state())
+
+
+def is_profiled() -> bool:
+    """Return whether `torch.profiler` is at work, which sees only what the dispatcher calls."""
+    return _profiler_enabled is not None and bool(_profiler_enabled())
 
 
 def transforms_at_work() -> bool:

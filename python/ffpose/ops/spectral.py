@@ -29,6 +29,7 @@ from ffpose._internal.torch_internals import (
     below_autograd,
     have_tangent,
     is_plain,
+    is_profiled,
     is_recording,
     outer_tangents,
     primals,
@@ -83,6 +84,8 @@ def spectral_filter(
         return out
     plain = is_plain(x, weight)
     if plain and not (torch.is_grad_enabled() and (x.requires_grad or weight.requires_grad)):
+        if is_profiled():
+            return below_autograd(forward_op, x, weight, layout)
         return forward_rust(x, weight, layout)
     if not plain:
         check_filter(x, weight, layout)
