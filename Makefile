@@ -53,8 +53,12 @@ typecheck-here: $(VENV)/.dev
 	$(BIN)/mypy
 	MYPYPATH=python $(BIN)/stubtest ffpose._rust
 
+# The core's tests of its own parts compile the core once more: without AVX-512, whose kernels take half of that time. test-avx512
+# has them.
 test-rust: tools ## the Rust tests, with optimization
-	cargo test --locked --release --workspace
+	cargo test --locked --release --workspace --test '*'
+	cargo test --locked --release -p ffpose-ort -p ffpose-scene -p ffpose-track --lib
+	cargo test --locked --release -p ffpose-core --lib --no-default-features --features avx2
 
 test-python: $(VENV)/.dev ## the Python tests and the examples of the docs
 	$(BIN)/python -m pytest -q $(PARALLEL) -m "not slow"
