@@ -6,6 +6,7 @@ import struct
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from ffpose.errors import DataError
 from ffpose.render import load_craft
@@ -73,6 +74,57 @@ def test_faces_that_are_none_are_named(tmp_path, face, message):
     assert refused(tmp_path, "face.obj", content) == (10, message)
 
 
+HOLED = [(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)]
+
+
+@pytest.mark.parametrize(
+    ("corners", "area"),
+    [
+        ([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], 3),
+        ([(0, 0), (3, 0), (3, 2), (2, 2), (2, 1), (1, 1), (1, 2), (0, 2)], 5),
+        ([(0, 0), (2, 1), (0, 2), (0.5, 1)], 1.5),
+        (HOLED, 12),
+    ],
+)
+def test_a_concave_polygon_is_filled_and_nothing_beside_it(tmp_path, corners, area):
+    """Whatever its first corner, and in any plane; areas are by the shoelace formula."""
+    for first in range(len(corners)):
+        turned = corners[first:] + corners[:first]
+        for place in ("{0} {1} 5", "5 {0} {1}", "{1} 5 {0}", "{1} {0} 5"):
+            text = "".join(f"v {place.format(x, y)}\n" for x, y in turned)
+            text += f"f {' '.join(str(k + 1) for k in range(len(turned)))}\n"
+            found = shape(tmp_path, "concave.obj", text)
+            normals = np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0])
+            assert np.linalg.norm(normals.sum(axis=0)) / 2 == pytest.approx(area)
+            assert np.linalg.norm(normals, axis=1).sum() / 2 == pytest.approx(area)
+
+
+def test_a_cut_polygon_keeps_texture_coordinates_at_its_corners(tmp_path):
+    """An arrow's corners have their places as texture coordinates."""
+    arrow = [(0, 0), (2, 1), (0, 2), (0.5, 1)]
+    paint = "newmtl paint\nmap_Kd paint.png\n"
+    (tmp_path / "paint.mtl").write_text(paint)
+    Image.new("RGB", (2, 2)).save(tmp_path / "paint.png")
+    text = "mtllib paint.mtl\nusemtl paint\n"
+    text += "".join(f"v {x} {y} 0\nvt {x} {y}\n" for x, y in arrow) + "f 1/1 2/2 3/3 4/4\n"
+    (tmp_path / "arrow.obj").write_text(text)
+    mesh = load_craft(tmp_path / "arrow.obj").mesh
+    places = mesh.vertices[mesh.faces][..., :2]
+    np.testing.assert_allclose(mesh.layers[0] * (1, -1) + (0, 1), places, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("point", "message"),
+    [
+        ("v 1,5 0 0", "expected coordinates as 1.5 -2 3e-4, got '1,5 0 0'"),
+        ("v 1 -nan(ind) 0", "expected coordinates as 1.5 -2 3e-4, got '1 -nan(ind) 0'"),
+        ("v 1 0", "expected 3 coordinates, got 2"),
+    ],
+)
+def test_vertices_that_are_none_are_named(tmp_path, point, message):
+    assert refused(tmp_path, "point.obj", f"{POINTS}{point} # a point\n{FACES}") == (5, message)
+
+
 def test_lines_are_counted_with_comments_and_continuations(tmp_path):
     content = f"# in C:\\models\\\n{POINTS}f 1 \\\n2 3\nf 1 2 \\\n9\n"
     line, message = refused(tmp_path, "long.obj", content)
@@ -125,6 +177,34 @@ def test_a_short_row_of_a_ply_text_is_named(tmp_path):
     row = PLY.splitlines().index("7 3 0 3 2") + 1
     line, message = refused(tmp_path, "row.ply", PLY.replace("7 3 0 3 2", "7 3 0"))
     assert (line, message) == (row, "expected 5 values of face, got 3")
+
+
+def binary(text, order):
+    """Return the PLY text of this file in binary."""
+    head, _, body = text.partition("end_header\n")
+    rows = [[float(word) for word in row.split()] for row in body.splitlines()]
+    kinds = [f"{order}3f" if len(row) == 3 else f"{order}BB{len(row) - 2}i" for row in rows]
+    kind = "binary_big_endian" if order == ">" else "binary_little_endian"
+    packed = [
+        struct.pack(form, *(row if "f" in form else map(int, row)))
+        for form, row in zip(kinds, rows, strict=True)
+    ]
+    return (head.replace("ascii", kind) + "end_header\n").encode() + b"".join(packed)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_binary_ply_has_faces_of_different_numbers_of_corners(tmp_path, order):
+    """Blender writes such files; a pyramid on a square has the area of the square, and its own."""
+    text = PLY.replace("vertex 4", "vertex 5").replace("face 4", "face 5")
+    text = text[: text.index("0 0 0\n")] + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n0.5 0.5 1\n"
+    text += "7 4 0 3 2 1\n7 3 0 1 4\n7 3 1 2 4\n7 3 2 3 4\n7 3 3 0 4\n"
+    content = binary(text, order)
+    found = shape(tmp_path, "mixed.ply", content)
+    np.testing.assert_array_equal(found, shape(tmp_path, "text.ply", text))
+    area = np.linalg.norm(np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0]), axis=1)
+    assert area.sum() / 2 == pytest.approx(1 + 5**0.5)
+    assert "got 4: the file is cut short" in refused(tmp_path, "cut.ply", content[:-1])[1]
+    assert "bytes after the head" in refused(tmp_path, "long.ply", content + b"\n\n")[1]
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9, 0.999])

@@ -1,23 +1,37 @@
 """What trimesh does not check of .obj, .ply and .stl files, and reads as something else.
 
 It takes a face of a vertex that does not exist for one of another vertex, leaves out faces that it
-does not understand, and is content with the rows that are left of a file that was cut short.
+does not understand, is content with the rows that are left of a file that was cut short, and fills
+what is outside of a concave polygon. Binary PLY files it reads if all faces have as many corners.
 """
 
 from __future__ import annotations
 
 import codecs
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from ffpose.errors import DataError
 from ffpose.render.spacecraft.meshassets import as_utf8
+from ffpose.render.spacecraft.polygons import folded, triangles
 
 KINDS = {b"v": "vertices", b"vt": "texture coordinates", b"vn": "normals"}
 """What an OBJ file's faces name, in the order in which a corner has them."""
 
 STL_HEAD, STL_TRIANGLE = 84, 50
 """Bytes of a binary STL file before its triangles, and of each of them."""
+
+Properties = list[tuple[str, str]]
+"""Codes of the length of a list, empty where there is none, and of the values of each property."""
+
+PLY_CODES = {b"char": "b", b"short": "h", b"int": "i", b"float": "f", b"double": "d"}
+PLY_CODES |= {b"int8": "b", b"int16": "h", b"int32": "i", b"float32": "f", b"float64": "d"}
+PLY_CODES |= {b"uchar": "B", b"ushort": "H", b"uint": "I"}
+PLY_CODES |= {b"uint8": "B", b"uint16": "H", b"uint32": "I"}
+"""Codes of the module struct for a PLY file's types."""
 
 
 def checked(content: bytes, suffix: str, source: Path) -> bytes:
@@ -29,28 +43,63 @@ def checked(content: bytes, suffix: str, source: Path) -> bytes:
         return _obj(as_utf8(content), source)
     if suffix == ".stl":
         return _stl(content, source)
-    _check_ply(content, source)
-    return content
+    return _ply(content, source)
 
 
 def _obj(content: bytes, source: Path) -> bytes:
-    """Return an OBJ file, the faces of which count from its beginning."""
+    """Return an OBJ file, the faces of which count from its beginning and have no other inside."""
     lines = list(_obj_lines(content))
     before, totals = dict.fromkeys(KINDS, 0), dict.fromkeys(KINDS, 0)
     for _, key, _ in lines:
         if key in totals:
             totals[key] += 1
-    text = []
+    text, points, polygons = list[bytes](), list[list[float]](), dict[int, list[bytes]]()
     for line, key, rest in lines:
         if key in before:
             before[key] += 1
-        elif key == b"f":
-            try:
-                rest = _face(rest.partition(b"#")[0], before, totals)
-            except ValueError as error:
-                raise DataError(str(error), source, line) from None
+        try:
+            if key == b"v":
+                points.append(_point(rest))
+            elif key == b"f":
+                corners = _face(rest.partition(b"#")[0], before, totals)
+                if len(corners) > 3:
+                    polygons[len(text)] = corners
+                rest = b" ".join(corners)
+        except ValueError as error:
+            raise DataError(str(error), source, line) from None
         text.append(key + b" " + rest)
+    for place, faces in _clipped(polygons, points):
+        text[place] = b"\n".join(b"f " + b" ".join(face) for face in faces)
     return b"\n".join(text)
+
+
+def _point(words: bytes) -> list[float]:
+    """Return the coordinates of an OBJ file's vertex."""
+    given = words.partition(b"#")[0].split()[:3]
+    if len(given) < 3:
+        raise ValueError(f"expected 3 coordinates, got {len(given)}")
+    try:
+        return [float(word) for word in given]
+    except ValueError:
+        got = b" ".join(given).decode(errors="replace")
+        raise ValueError(f"expected coordinates as 1.5 -2 3e-4, got {got!r}") from None
+
+
+def _clipped(
+    polygons: dict[int, list[bytes]], points: list[list[float]]
+) -> Iterator[tuple[int, list[list[bytes]]]]:
+    """Yield places and triangles of the polygons that fans from their first corners do not fill."""
+    by_length: dict[int, list[int]] = {}
+    for place, corners in polygons.items():
+        by_length.setdefault(len(corners), []).append(place)
+    vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
+    for places in by_length.values():
+        numbers = [[int(c.partition(b"/")[0]) - 1 for c in polygons[place]] for place in places]
+        shapes = vertices[np.array(numbers)]
+        for k in np.flatnonzero(folded(shapes)):
+            corners = polygons[places[k]]
+            faces = triangles(shapes[k])
+            yield places[k], [[corners[number] for number in face] for face in faces]
 
 
 def named_materials(content: bytes) -> tuple[set[bytes], list[str]]:
@@ -67,7 +116,7 @@ def named_materials(content: bytes) -> tuple[set[bytes], list[str]]:
     return used, libraries
 
 
-def _face(words: bytes, before: dict[bytes, int], totals: dict[bytes, int]) -> bytes:
+def _face(words: bytes, before: dict[bytes, int], totals: dict[bytes, int]) -> list[bytes]:
     """Return the corners of an OBJ file's face, of which negative numbers count from its line."""
     corners = [corner.split(b"/") for corner in words.split()]
     if len(corners) < 3:
@@ -89,7 +138,7 @@ def _face(words: bytes, before: dict[bytes, int], totals: dict[bytes, int]) -> b
             if not 0 < number <= totals[key]:
                 text = f"expected one of {totals[key]} {KINDS[key]}, counted from 1"
                 raise ValueError(f"{text}, got {word.decode()}")
-    return b" ".join(b"/".join(corner) for corner in corners) if counted else words
+    return [b"/".join(corner) for corner in corners] if counted else words.split()
 
 
 def _obj_lines(content: bytes) -> Iterator[tuple[int, bytes, bytes]]:
@@ -136,50 +185,102 @@ def _stl(content: bytes, source: Path) -> bytes:
     raise DataError(text + end, source)
 
 
-def _check_ply(content: bytes, source: Path) -> None:
-    """Raise a DataError unless a text in PLY has as many rows and values as its head states.
+def _ply(content: bytes, source: Path) -> bytes:
+    """Return a PLY file: a text with as many rows and values as its head states, or a binary file.
 
-    Trimesh compares the size of a binary file with its head.
+    A binary file whose faces have different numbers of corners becomes a text.
     """
     head, mark, body = content.partition(b"end_header")
     if not mark:
         raise DataError("expected a head that ends with end_header, got none", source)
     lines = [line.split() for line in head.splitlines()]
-    if [b"format", b"ascii"] not in [words[:2] for words in lines]:
-        return
+    forms = [words[1] for words in lines if words[:1] == [b"format"] and len(words) > 1]
+    if forms[:1] != [b"ascii"]:
+        order = ">" if forms[:1] == [b"binary_big_endian"] else "<"
+        body = body.partition(b"\n")[2]
+        if _all_alike(body, lines, order):
+            return content
+        words = b"\n".join([*_unpacked(body, lines, order, source), b""])
+        return head.replace(forms[0], b"ascii", 1) + mark + b"\n" + words
     rows = [row.split() for row in body.rstrip().split(b"\n")[1:]]
     start = 0
-    for name, count, lists in _ply_elements(lines):
+    for name, count, properties in _ply_elements(lines):
         found = rows[start : start + count]
         if len(found) < count:
             text = f"expected {count} rows of {name}, as stated, got {len(found)}"
             raise DataError(f"{text}: the file is cut short", source)
         for line, row in enumerate(found, len(lines) + 2 + start):
-            expected = _row_length(row, lists)
+            expected = _row_length(row, properties)
             if len(row) < expected:
                 text = f"expected {expected} values of {name}, got {len(row)}"
                 raise DataError(text, source, line)
         start += count
+    return content
 
 
-def _ply_elements(lines: list[list[bytes]]) -> list[tuple[str, int, list[bool]]]:
-    """Return name and number of a PLY head's elements, and which of their properties are lists."""
-    elements: list[tuple[str, int, list[bool]]] = []
+def _ply_elements(lines: list[list[bytes]]) -> list[tuple[str, int, Properties]]:
+    """Return name and number of a PLY head's elements, and codes of their properties."""
+    elements: list[tuple[str, int, Properties]] = []
     for words in lines:
         if words[:1] == [b"element"]:
             elements.append((words[1].decode(), int(words[2]), []))
             if elements[-1][1] < 0:
                 raise ValueError(f"expected at least 0 rows, got {elements[-1][1]}")
         elif words[:1] == [b"property"]:
-            elements[-1][2].append(words[1] == b"list")
+            length = PLY_CODES[words[2]] if words[1] == b"list" else ""
+            elements[-1][2].append((length, PLY_CODES[words[3 if length else 1]]))
     return elements
 
 
-def _row_length(row: list[bytes], lists: list[bool]) -> int:
+def _all_alike(body: bytes, lines: list[list[bytes]], order: str) -> bool:
+    """Return whether all rows of an element in binary are as long as its first one."""
+    at = 0
+    try:
+        for _, count, properties in _ply_elements(lines):
+            if count:
+                at += count * (_binary_row(body, at, properties, order)[1] - at)
+    except struct.error:
+        return False
+    return at == len(body)
+
+
+def _unpacked(body: bytes, lines: list[list[bytes]], order: str, source: Path) -> Iterator[bytes]:
+    """Yield the rows of a binary PLY file as text."""
+    at = 0
+    for name, count, properties in _ply_elements(lines):
+        for row in range(count):
+            try:
+                words, at = _binary_row(body, at, properties, order)
+            except struct.error:
+                text = f"expected {count} rows of {name}, as stated, got {row}"
+                raise DataError(f"{text}: the file is cut short", source) from None
+            yield b" ".join(words)
+    if at < len(body):
+        raise DataError(f"expected {at} bytes after the head, got {len(body)}", source)
+
+
+def _binary_row(
+    body: bytes, at: int, properties: Properties, order: str
+) -> tuple[list[bytes], int]:
+    """Return the words of a row, in which the length of a list precedes it, and where it ends."""
+    words: list[bytes] = []
+    for length, code in properties:
+        number = 1
+        if length:
+            (number,) = struct.unpack_from(order + length, body, at)
+            words.append(b"%d" % number)
+            at += struct.calcsize(order + length)
+        form = f"{order}{number}{code}"
+        words += [repr(value).encode() for value in struct.unpack_from(form, body, at)]
+        at += struct.calcsize(form)
+    return words, at
+
+
+def _row_length(row: list[bytes], properties: Properties) -> int:
     """Return the number of values of a row, in which the length of a list precedes it."""
-    if not any(lists):
-        return len(lists)
-    length = 0
-    for is_list in lists:
-        length += 1 + (int(row[length]) if is_list and length < len(row) else 0)
-    return length
+    if not any(length for length, _ in properties):
+        return len(properties)
+    count = 0
+    for length, _ in properties:
+        count += 1 + (int(row[count]) if length and count < len(row) else 0)
+    return count
