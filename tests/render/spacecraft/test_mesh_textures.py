@@ -267,6 +267,30 @@ def test_an_obj_file_has_several_mtl_files(tmp_path, lines):
     refused(path, "expected '.*two.mtl', which it refers to, got no such file")
 
 
+def test_without_its_mtl_file_an_obj_file_says_how_to_do_without(tmp_path, caplog):
+    """What its error says leads on: without the line the mesh is gray, and a warning says so."""
+    path = tmp_path / "triangle.obj"
+    lines = ["mtllib none.mtl", "usemtl gold", "v 0 0 0", "v 1 0 0", "v 0 1 0", "f 1 2 3"]
+    path.write_text("\n".join(lines))
+    with pytest.raises(DataError, match=r"'none\.mtl'.*delete the line that names it"):
+        load_craft(path)
+    path.write_text("\n".join(lines[1:]))
+    red, green, blue = load_craft(path).materials[0].color
+    assert red == green == blue
+    assert "triangle.obj: no MTL file has 'gold': gray" in caplog.text
+
+
+def test_a_material_that_no_mtl_file_has_is_told(tmp_path, caplog):
+    (tmp_path / "paint.mtl").write_text("newmtl red paint\nKd 1 0 0\n")
+    path = tmp_path / "triangles.obj"
+    path.write_text(
+        "mtllib paint.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n"
+        "usemtl red paint\nf 1 2 3\nusemtl Red Paint\nf 1 3 2\n"
+    )
+    load_craft(path)
+    assert caplog.messages == [f"{path}: no MTL file has 'Red Paint': gray"]
+
+
 def test_textures_of_materials_that_an_obj_file_does_not_use_may_be_missing(tmp_path):
     """Files that several meshes share, and leftovers of a drawing, have such materials."""
     path = write_obj(tmp_path)
@@ -293,8 +317,10 @@ def test_gltf_that_is_none_or_needs_what_is_not_known_is_refused(tmp_path):
     for text in ("{", "[]", '{"images": [{}]}', '{"asset": 3}', '{"asset": {}, "nodes": 3}'):
         path.write_text(text)
         refused(path, r"quads\.gltf: expected a glTF document, got \w+Error")
-    path.write_text(json.dumps({**header, "asset": {"version": "1.0"}}))
-    refused(path, "expected glTF 2.0, got 1.0")
+    old = {"meshes": {"body": {}}, "nodes": {}}
+    for document in ({**header, "asset": {"version": "1.0"}}, old, {**old, "asset": {}}):
+        path.write_text(json.dumps(document))
+        refused(path, "expected glTF 2.0, got 1.0")
 
 
 def test_a_file_outside_of_the_meshs_folder_is_not_read(tmp_path):

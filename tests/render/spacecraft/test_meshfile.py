@@ -1,9 +1,12 @@
 """A user's mesh is rendered with its own frame, size and colors; broken files are one error."""
 
+import gzip
+
 import numpy as np
 import pytest
 import trimesh
 
+from ffpose.errors import DataError
 from ffpose.render import Scene, load_craft, render, render_layers, write_dataset
 
 SIZE = (160, 120)
@@ -112,6 +115,36 @@ def test_broken_files_are_named(tmp_path, name, content):
     (tmp_path / name).write_text(content)
     with pytest.raises(ValueError, match=name):
         load_craft(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (
+            b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 71234\n",
+            "git lfs pull",
+        ),
+        (b"\xef\xbb\xbf\n<!DOCTYPE html>\n<html><body>Sign in</body></html>\n", "a web page"),
+        (b"<html><body>404</body></html>", "a web page"),
+        (b"PK\x03\x04\x14\x00", "a ZIP archive: unpack it"),
+        (gzip.compress(b"v 0 0 0\n"), "a gzip archive: unpack it"),
+        (b"ISO-10303-21;\nHEADER;\n", "a STEP file: export it as triangles"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".glb", ".gltf"])
+def test_what_is_no_mesh_is_told_by_its_kind(tmp_path, suffix, content, message):
+    path = tmp_path / f"satellite{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=f"satellite{suffix}: .*got .*{message}"):
+        load_craft(path)
+
+
+def test_a_file_that_a_mesh_refers_to_is_told_by_its_kind(tmp_path):
+    path = tmp_path / "satellite.obj"
+    path.write_text("mtllib satellite.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "satellite.mtl").write_text("version https://git-lfs.github.com/spec/v1\n")
+    with pytest.raises(DataError, match=r"satellite\.mtl: .*git lfs pull"):
+        load_craft(path)
 
 
 def test_wrong_requests_are_refused(brick, tmp_path):

@@ -152,7 +152,10 @@ class _Document:
         self._most_faces = most_faces
         self._buffers: dict[int, bytes] = {}
         self._views: dict[int, bytes] = {}
-        version = str(self.header["asset"].get("version", "2.0"))
+        if isinstance(self.header.get("meshes"), dict):  # version 1.0 may do without an asset
+            version = "1.0"
+        else:
+            version = str(self.header["asset"].get("version", "2.0"))
         if not version.startswith("2."):
             raise DataError(f"expected glTF 2.0, got {version}", assets.source)
         needed = [str(name) for name in self.header.get("extensionsRequired", [])]

@@ -19,6 +19,19 @@ from ffpose.errors import DataError, require
 MAX_BYTES = 1 << 30
 """Largest size of a mesh file, and of each file that it refers to."""
 
+WEB_PAGE = "a web page: download the file that it shows"
+OTHERS = {
+    b"version https://git-lfs": "a Git LFS pointer: git lfs pull gets the file",
+    b"<!doctype html": WEB_PAGE,
+    b"<html": WEB_PAGE,
+    b"pk\x03\x04": "a ZIP archive: unpack it",
+    b"\x1f\x8b": "a gzip archive: unpack it",
+    b"iso-10303-21": "a STEP file: export it as triangles, as STL or glTF",
+}
+"""What is met in place of a file of its name, by its beginning in small letters."""
+
+NO_MATERIALS = ": put it there, or delete the line that names it for a gray spacecraft"
+
 
 class Assets:
     """The files beside a mesh file, by the names that it gives them: a resolver for trimesh.
@@ -28,6 +41,7 @@ class Assets:
         problems: What was wrong with the files that were asked for.
         used: Names of the materials that an OBJ file uses, of its MTL files'; None for all.
         libraries: Lines that name an OBJ file's MTL files: trimesh asks for the first one alone.
+        defined: Names of the materials of its MTL files.
     """
 
     def __init__(self, source: Path) -> None:
@@ -35,6 +49,7 @@ class Assets:
         self.source = source
         self.used: set[bytes] | None = None
         self.libraries: list[str] = []
+        self.defined: set[bytes] = set()
         self._digests: dict[str, str] = {}
 
     def get(self, name: str) -> bytes:
@@ -46,8 +61,10 @@ class Assets:
         if name not in self.libraries:
             return self._kept(name)
         names = [each for line in self.libraries for each in self._names(line)]
-        texts = [as_utf8(self._kept(each)) for each in dict.fromkeys(names)]
-        return _of_used(b"\n".join(texts), self.used)
+        texts = [as_utf8(self._kept(each, NO_MATERIALS)) for each in dict.fromkeys(names)]
+        content = b"\n".join(texts)
+        self.defined = {name for name in map(_material_name, content.splitlines()) if name}
+        return _of_used(content, self.used)
 
     def _names(self, line: str) -> list[str]:
         """Return the names on a line: several, or one that has spaces."""
@@ -57,10 +74,10 @@ class Assets:
         except DataError:  # one is outside of the folder, which its reading tells
             return [line]
 
-    def _kept(self, name: str) -> bytes:
+    def _kept(self, name: str, missing: str = "") -> bytes:
         """Return the content of a file, and keep its digest, or what is wrong with it."""
         try:
-            content = self._read(name)
+            content = self._read(name, missing)
         except DataError as problem:
             self.problems.append(problem)
             raise
@@ -77,14 +94,16 @@ class Assets:
         listed = json.dumps([own, *sorted(self._digests.items())])
         return hashlib.sha256(listed.encode()).hexdigest()
 
-    def _read(self, name: str) -> bytes:
+    def _read(self, name: str, missing: str) -> bytes:
         path = self._find(name)
         if path is None:
-            raise DataError(f"expected {name!r}, which it refers to, got no such file", self.source)
+            text = f"expected {name!r}, which it refers to, got no such file{missing}"
+            raise DataError(text, self.source)
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise DataError(f"expected at most {MAX_BYTES} bytes, got {size}", path)
         content = path.read_bytes()
+        check_kind(content, path)
         if _is_image(path.name):
             open_image(content, self.source, repr(name))
         return content
@@ -106,6 +125,14 @@ class Assets:
             text = f"expected files in its folder, got {name!r}, which is outside"
             raise DataError(text, self.source)
         return None
+
+
+def check_kind(content: bytes, path: Path) -> None:
+    """Raise a DataError if a file is one of `OTHERS`."""
+    head = content[:64].removeprefix(codecs.BOM_UTF8).lstrip().lower()
+    for beginning, text in OTHERS.items():
+        if head.startswith(beginning):
+            raise DataError(f"expected a file of its name's format, got {text}", path)
 
 
 def _is_image(name: str) -> bool:
@@ -135,12 +162,18 @@ def _of_used(content: bytes, used: set[bytes] | None) -> bytes:
         return content
     kept, keeps = [], True
     for line in content.splitlines():
-        key, *name = line.split() or [b""]
-        if key.lower() == b"newmtl":
-            keeps = b" ".join(name) in used
+        name = _material_name(line)
+        if name is not None:
+            keeps = name in used
         if keeps:
             kept.append(line)
     return b"\n".join(kept)
+
+
+def _material_name(line: bytes) -> bytes | None:
+    """Return the name of the material that begins on a line of an MTL file."""
+    key, *name = line.split() or [b""]
+    return b" ".join(name) if key.lower() == b"newmtl" else None
 
 
 def as_utf8(content: bytes) -> bytes:

@@ -16,7 +16,7 @@ from ffpose.errors import DataError, expect
 from ffpose.geometry.rotations import FloatArray, shortest_turn
 from ffpose.render.spacecraft.craft import Craft, bounding_sphere
 from ffpose.render.spacecraft.gltf import read_gltf
-from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets
+from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, check_kind
 from ffpose.render.spacecraft.parts import joined
 from ffpose.render.spacecraft.trimeshparts import read_trimesh
 
@@ -59,6 +59,7 @@ def load_craft(
     if source.stat().st_size > MAX_BYTES:
         raise DataError(f"expected at most {MAX_BYTES} bytes, got {source.stat().st_size}", source)
     content, assets = source.read_bytes(), Assets(source)
+    check_kind(content, source)
     suffix = source.suffix.lower()
     if suffix in (".glb", ".gltf"):
         parts = read_gltf(content, assets, MAX_FACES)

@@ -6,6 +6,7 @@ Colors of faces, vertices and MTL files are sRGB, as textures are. A surface has
 from __future__ import annotations
 
 import io
+import logging
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ from ffpose.render.spacecraft.meshassets import Assets, one_line, open_image
 from ffpose.render.spacecraft.meshchecks import checked, named_materials
 from ffpose.render.spacecraft.parts import Part, check_shape
 from ffpose.render.spacecraft.textures import Convert, Pyramid, build_pyramid, largest_side, linear
+
+logger = logging.getLogger(__name__)
 
 ROUGHNESS = 0.55
 """Roughness of what has no material."""
@@ -60,6 +63,11 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
         raise problem or DataError(text, source) from error
     if assets.problems:
         raise assets.problems[0]
+    unknown = sorted(
+        name.decode(errors="replace") for name in (assets.used or set()) - assets.defined
+    )
+    if unknown:
+        logger.warning("%s: no MTL file has %s: gray", source, ", ".join(map(repr, unknown)))
     return parts
 
 
