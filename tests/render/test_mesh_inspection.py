@@ -1,6 +1,7 @@
 """A mesh is described before it is learned: what it measures, and what may be wrong with it."""
 
 import json
+import math
 import re
 
 import numpy as np
@@ -67,6 +68,23 @@ def test_colors_of_faces_are_those_of_their_material(tmp_path):
 )
 def test_what_is_doubtful_is_said(tmp_path, box, scale, doubt):
     assert re.search(doubt, doubts(tmp_path, scale, **box))
+
+
+def test_the_share_of_the_disk_is_that_of_the_silhouette(tmp_path):
+    """Views along the edges of a unit cube show 1, those along its diagonals the root of 3."""
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "cube.ply")
+    share = inspect_mesh(load_craft(tmp_path / "cube.ply"), tmp_path / "out")["disk_seen"]
+    assert share == pytest.approx((1 + 3**0.5) / 2 / (math.pi * 0.75), rel=0.1)  # perspective
+
+
+@pytest.mark.parametrize(("far", "said"), [(200.0, True), (10.0, False)])
+def test_parts_that_widen_the_bounding_sphere_are_doubted(tmp_path, far, said):
+    """A cube of a meter and a grain that is so far away."""
+    box, grain = trimesh.creation.box((1, 1, 1)), trimesh.creation.box((0.01, 0.01, 0.01))
+    grain.apply_translation((far, 0, 0))
+    trimesh.util.concatenate([box, grain]).export(tmp_path / "box.ply")
+    summary = inspect_mesh(load_craft(tmp_path / "box.ply"), tmp_path / "out")
+    assert ("--distance NEAR FAR" in " ".join(summary["doubts"])) == said
 
 
 @pytest.mark.parametrize(("alpha", "said"), [(0.75, True), (1.0, False)])

@@ -25,6 +25,9 @@ from ffpose.render.symmetry import find_symmetries
 TILE, COLUMNS, CAPTION = 320, 4, 22
 """Side of a view in pixels, views in a row, and height of the text below each."""
 
+DISK = 0.46
+"""Radius of the bounding sphere in a view, in its sides."""
+
 AWAY = 8.0
 """Distance of the camera in radii of the bounding sphere: nearly a parallel projection."""
 
@@ -36,6 +39,9 @@ UNITS = {0.001: "millimeters", 0.01: "centimeters", 0.0254: "inches", 0.3048: "f
 
 INSIDE = 0.02
 """Share of what is seen that may be the inside of surfaces."""
+
+LEAST_SEEN = 0.01
+"""Share of the bounding sphere's disk below which a spacecraft is hardly seen."""
 
 OPAQUE = 0.95
 """Alpha from which a material counts as solid."""
@@ -75,6 +81,7 @@ def inspect_mesh(craft: Craft, out: str | Path, *, y_up: bool = False) -> dict[s
         The contents of ``summary.json``: ``size_m`` by axis, ``triangles``, ``materials``,
         ``center_m`` and ``radius_m`` of the bounding sphere, ``origin_offset_m`` from its center,
         ``inside_seen``, the share of what twelve views show that is the inside of surfaces,
+        ``disk_seen``, the share that they show of the sphere's disk,
         ``symmetry``, that of `ffpose.render.symmetry.Symmetries`, None where there is no attitude,
         and ``doubts``, sentences that name the option that mends each.
     """
@@ -106,6 +113,7 @@ def _measured(craft: Craft) -> dict[str, Any]:
     """Return what `inspect_mesh` measures."""
     vertices = craft.mesh.vertices[np.unique(craft.mesh.faces)]
     center, radius = bounding_sphere(vertices)
+    inside, disk = _shares_seen(craft, center, radius)
     return {
         "size_m": np.ptp(vertices, axis=0).tolist(),
         "triangles": len(craft.mesh.faces),
@@ -113,7 +121,8 @@ def _measured(craft: Craft) -> dict[str, Any]:
         "center_m": center.tolist(),
         "radius_m": radius,
         "origin_offset_m": float(np.linalg.norm(center)),
-        "inside_seen": _inside_seen(craft, center, radius),
+        "inside_seen": inside,
+        "disk_seen": disk,
     }
 
 
@@ -151,7 +160,7 @@ def _view(name: str, center: NDArray[np.float64], radius: float) -> tuple[Pose, 
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     eye = center + toward * AWAY * radius
-    focal = 0.46 * TILE * math.sqrt(AWAY**2 - 1)
+    focal = DISK * TILE * math.sqrt(AWAY**2 - 1)
     camera = Camera(TILE, TILE, focal, focal, TILE / 2, TILE / 2)
     return Pose(-rotation @ eye, from_matrix(rotation)), camera
 
@@ -178,8 +187,8 @@ def _round_length(length: float) -> float:
     return power * max(factor for factor in (1, 2, 5) if factor * power <= length * (1 + 1e-9))
 
 
-def _inside_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> float:
-    """Return the share of hits, from all views, that are on the back of a face."""
+def _shares_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> tuple[float, float]:
+    """Return, from all views, the shares of hits on the back of a face, and of the disk hit."""
     tracer, normals = Tracer(craft.mesh), craft.mesh.face_normals
     back = count = 0
     for name in DIRECTIONS:
@@ -190,7 +199,7 @@ def _inside_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> fl
         seen = cast_rays(tracer, window, camera, pose, 1)
         facing = np.einsum("ij,ji->i", normals[seen.hits.face], seen.rays)
         back, count = back + int((facing > 0).sum()), count + len(facing)
-    return back / max(count, 1)
+    return back / max(count, 1), count / (len(DIRECTIONS) * math.pi * (DISK * TILE) ** 2)
 
 
 def _material(craft: Craft, number: int) -> dict[str, Any]:
@@ -237,6 +246,12 @@ def _doubts(craft: Craft, summary: dict[str, Any]) -> list[str]:
         doubts.append(
             f"{thin} of {summary['triangles']} triangles are of materials that one sees through, "
             f"alpha below {OPAQUE:g}: if the spacecraft is solid, make them opaque in the file"
+        )
+    if summary["disk_seen"] < LEAST_SEEN:
+        doubts.append(
+            f"the spacecraft covers {summary['disk_seen']:.1%} of its bounding sphere's disk, "
+            "which thin or far parts widen: delete what is no part of it from the file, or let it "
+            "learn nearer, --distance NEAR FAR"
         )
     share = summary["inside_seen"]
     if share > INSIDE:
