@@ -52,3 +52,27 @@ def test_bins_at_the_edge_of_a_mode_are_no_difference():
     for change, found in ((0.004, 0.0), (0.05, 0.05 - EDGE)):
         got = expected | {"probabilities": expected["probabilities"] + change}
         assert pose_differences(got, expected)["probabilities"] == pytest.approx(found)
+
+
+def test_covariances_that_a_bin_at_the_edge_moves_are_no_difference():
+    """Calibration lets them grow with the first mode's doubt, 1 - p: by (1 + 3 (1 - p))² here."""
+    from ffpose.onnx.pose_graph import pose_differences
+
+    def outputs(probability, rotation=1.0):
+        growth = np.square(1 + (1 - probability) * 3)
+        quaternion = np.array([[1.0, 0, 0, 0]])
+        return {
+            "translation": np.zeros((1, 3)),
+            "orientation": quaternion,
+            "translation_covariance": np.eye(3)[None] * 0.5,
+            "rotation_covariance": np.eye(3)[None] * 0.8 * rotation * growth,
+            "alternative": quaternion,
+            "probabilities": np.array([[probability, 0.1]]),
+        }
+
+    doubt_sigma = (0.0, 3.0)
+    moved = pose_differences(outputs(0.203), outputs(0.2), doubt_sigma)
+    assert max(moved.values()) < 1e-12
+    assert pose_differences(outputs(0.203), outputs(0.2))["rotation_covariance"] > 2e-3
+    wrong = pose_differences(outputs(0.203, rotation=1.01), outputs(0.2), doubt_sigma)
+    assert wrong["rotation_covariance"] == pytest.approx(0.8 * 0.01 / 2)

@@ -222,9 +222,6 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     final = train(configured(second, early.folder.best), resume=True)
     _publish(final.folder.best, config.out)
     evaluation = _tested(config, scene_file, processes, say)
-    if not _exported(config.out):
-        say("exporting, and checking the graph against torch")
-        export_weights(config.out / WEIGHTS, config.out / GRAPH)
     if config.card_images > 0:
         say(f"card: {config.card_images} images of each condition")
         card = measure(config.out / WEIGHTS, str(path), count=config.card_images, workers=processes)
@@ -232,6 +229,9 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
             temporary.write_text(format_card(card), encoding="utf-8")
     summary = evaluation.summary()
     _report(config, evaluation, final, radius, scene_file)
+    if not _exported(config.out):
+        say("exporting, and checking the graph against torch")
+        export_weights(config.out / WEIGHTS, config.out / GRAPH)
     say(str(config.out / "report.html"))
     say(verdict(summary))
     return summary

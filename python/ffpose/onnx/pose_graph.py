@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from ffpose._internal.files import sha256
@@ -72,6 +74,8 @@ def export_weights(
     if Path(path).suffix != ".onnx":
         raise ValueError(f"out: expected a file that ends in .onnx, got {path}")
     network, source = open_weights(weights, **fields)
+    config = network.config
+    doubt_sigma = config.doubt_sigma if looks_twice(config) else (0.0, 0.0)
     module: nn.Module = network
     batches: list[tuple[torch.Tensor, ...]] = [
         (random_images(source.preprocessing, count),) for count in BATCHES
@@ -90,7 +94,7 @@ def export_weights(
         path,
         filter,
         graph_entries(weights, source, takes_point=takes_point, **fields),
-        pose_differences,
+        partial(pose_differences, doubt_sigma=doubt_sigma),
         input_names=POINT_NAMES if takes_point else INPUT_NAMES,
         output_names=output_names(source.config),
         tolerance=tolerance,
@@ -153,14 +157,18 @@ def random_images(preprocessing: Preprocessing, count: int) -> torch.Tensor:
     return torch.from_numpy((pixels - mean) / std)
 
 
-def pose_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
+def pose_differences(
+    got: Outputs, expected: Outputs, doubt_sigma: tuple[float, float] = (0.0, 0.0)
+) -> dict[str, float]:
     """Return the largest differences: meters, of quaternions of one sign, and relative ones.
 
     Those of covariances are halved, to be those of the standard deviations, and those of the
     probabilities of modes are beyond `EDGE`: a network that has hardly learned has bins there.
+    Covariances are compared without the growth by the doubt of the first mode, of which the
+    network's calibration says how much (`ffpose.models.second_look.calibrated`).
     """
     quaternions = ("orientation", "alternative") if "alternative" in expected else ("orientation",)
-    aligned = dict(got)
+    aligned, expected = _without_doubt(got, doubt_sigma), _without_doubt(expected, doubt_sigma)
     for name in quaternions:
         sign = np.sign((got[name] * expected[name]).sum(-1, keepdims=True))
         aligned[name] = got[name] * sign
@@ -175,3 +183,14 @@ def pose_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
     if "probabilities" in relative:
         relative["probabilities"] = max(relative["probabilities"] - EDGE, 0.0)
     return relative | absolute
+
+
+def _without_doubt(outputs: Outputs, doubt_sigma: tuple[float, float]) -> dict[str, NDArray[Any]]:
+    """Return outputs whose covariances are those of a network without doubt."""
+    changed = dict(outputs)
+    names = ("translation_covariance", "rotation_covariance")
+    for name, growth in zip(names, doubt_sigma, strict=True):
+        if growth > 0:
+            sigma = 1 + (1 - outputs["probabilities"][:, 0]) * growth
+            changed[name] = outputs[name] / np.square(sigma)[:, None, None]
+    return changed
