@@ -46,6 +46,8 @@ RENDERED = f"--changes {shlex.join(changes_of({'data': SCENES, 'batch_size': 4})
 ON_DISK = "--changes data.workers=0 backbone-weights=none "
 INPUT = {"image_size": [48, 64]}
 
+ONE_LOOK = "--looks 1 --candidates 1"
+
 SMALL = {
     # scenes: tenths of the sizes, and images enough for each split
     "--count 5000": "--count 10 --size 128x96",
@@ -83,6 +85,7 @@ SMALL = {
     # graphs: torch takes a minute to record those of the shipped networks
     "export soyuz --track": "export look.safetensors",  # whose network cannot look at a point
     "export soyuz": "export look.safetensors",
+    "export runs/tuned/best.safetensors": f"export runs/tuned/best.safetensors {ONE_LOOK}",
     "model soyuz": "model look.safetensors",
 }
 """Words of commands, and those that run in their place."""
@@ -188,6 +191,8 @@ def folder(tmp_path, monkeypatch, exported_once):
     monkeypatch.setattr(learn, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
     tiny = (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1))
     monkeypatch.setattr(learn, "plan_trainings", lambda *_: tiny)
+    exported = partial(pose_graph.export_weights, looks=1, candidates=1)
+    monkeypatch.setattr(learn, "export_weights", exported)
     small = partial(learn.LearnConfig, test_images=3, card_images=2, processes=1)
     monkeypatch.setattr(learn, "LearnConfig", lambda *given, **named: small(*given[:7], **named))
     return tmp_path

@@ -4,6 +4,7 @@ import errno
 import json
 import os
 from base64 import b64encode
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +50,9 @@ def mesh(tmp_path):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Nothing is measured, and little is trained."""
+    """Nothing is measured, little is trained, and graphs look once: torch records them sooner."""
+    exported = partial(run.export_weights, looks=1, candidates=1)
+    monkeypatch.setattr(run, "export_weights", exported)
     monkeypatch.setattr(run, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
     monkeypatch.setattr(
         run,
