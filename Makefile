@@ -3,6 +3,8 @@ VENV ?= .venv
 PYTHON ?= python3
 DEMO_OUT ?= runs/demo
 BIN := $(VENV)/bin
+# Python compiles what is imported; pip would compile all of torch and its packages first, for more than a minute.
+PIP := $(BIN)/python -m pip install --quiet --no-compile
 PYTHON_SOURCES := python benchmarks studies tests build_backend.py build_library.py build_licenses.py
 RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -path crates/ffpose-onboard -prune -o -name '*.rs' -print -o -name Cargo.toml -print)
 # A process a core; each takes up to 2 GB. The tests of a file share what they made, so they stay in one process.
@@ -141,11 +143,11 @@ $(BIN)/python: | tools
 # What a user needs, what a developer needs on top of it, and what builds the site. Python sources are used in
 # place; a changed Rust source or dependency installs again, but for the site, which reads Python sources alone.
 $(VENV)/.user: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable '.[export,pose,render]'
+	$(PIP) --editable '.[export,pose,render]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml $(RUST_SOURCES) | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	$(PIP) --editable '.[dev]'
 	@touch $@ $(VENV)/.user
 
 $(VENV)/.wheels: pyproject.toml | $(BIN)/python
