@@ -127,7 +127,7 @@ class PolarPose(BaseNetwork):
         for _ in range(2, self.config.looks):
             output, view = self._second_look(levels, _located(output, view))
         turned = self._second_look(levels, _located(output, view), turned=True)
-        pose = _mean(self._pose(output, view), self._pose(*turned))
+        pose = _mean(self._place(output, view), self._pose(*turned))
         return calibrated(pose, self.config)
 
     def predict_near(self, images: Tensor, points: Tensor) -> UncertainPose:
@@ -173,20 +173,21 @@ class PolarPose(BaseNetwork):
     def _pose(self, output: SecondLookOutput, view: VirtualCamera) -> UncertainPose:
         """Return the poses that the outputs of second looks mean, in the camera's frame."""
         modes = self.orientation.modes(output.orientation)
-        back = view.rotation.transpose(1, 2)
-        orientation, alternative = (
-            matrix_to_quaternion(back @ quaternion_to_matrix(q)) for q in modes[:2]
-        )
         translation, rotation = covariances(output, view)
         return UncertainPose(
             _located(output, view),
-            orientation,
+            _turned_back(modes.orientation, view),
             translation * self.variance_scales[0],
             rotation * self.variance_scales[1],
             output.in_view.sigmoid(),
-            alternative,
+            _turned_back(modes.alternative, view),
             modes.probabilities,
         )
+
+    def _place(self, output: SecondLookOutput, view: VirtualCamera) -> tuple[Tensor, Tensor]:
+        """Return translations and orientations of `_pose`, without all that it finds beside them."""
+        orientation = self.orientation.decode(output.orientation)
+        return _located(output, view), _turned_back(orientation, view)
 
     def view_at(self, points: Tensor, twist: Tensor | None = None) -> VirtualCamera:
         """Return the virtual cameras of second looks at points, as `virtual_camera.turn_to`."""
@@ -237,22 +238,31 @@ class NearPoint(nn.Module):
         return self.network.predict_near(images, point)
 
 
-def _mean(one: UncertainPose, other: UncertainPose) -> UncertainPose:
+def _mean(one: tuple[Tensor, Tensor], other: UncertainPose) -> UncertainPose:
     """Return the mean pose of two looks where they agree, elsewhere the other's; all else is its.
+
+    Of the one there are translations and orientations.
 
     The mean of two unit quaternions that stand for nearly the same rotation, one or the negative of
     one and the other, normalized, is half the rotation between them (Markley et al., "Averaging
     Quaternions", Journal of Guidance, Control, and Dynamics 30(4), 2007).
     """
-    cosine = (one.orientation * other.orientation).sum(-1, keepdim=True)  # of half the angle
-    same = torch.where(cosine < 0, -one.orientation, one.orientation)
+    translation, orientation = one
+    cosine = (orientation * other.orientation).sum(-1, keepdim=True)  # of half the angle
+    same = torch.where(cosine < 0, -orientation, orientation)
     agree = cosine.abs() > math.cos(math.radians(AGREEMENT_DEG) / 2)
     orientation = F.normalize(same + other.orientation, dim=-1)
-    middle = (one.translation + other.translation) / 2
+    middle = (translation + other.translation) / 2
     return other._replace(
         translation=torch.where(agree, middle, other.translation),
         orientation=torch.where(agree, orientation, other.orientation),
     )
+
+
+def _turned_back(orientation: Tensor, view: VirtualCamera) -> Tensor:
+    """Return unit quaternions ``(B, 4)`` of a virtual camera's frame in that of its camera."""
+    back = view.rotation.transpose(1, 2)
+    return matrix_to_quaternion(back @ quaternion_to_matrix(orientation))
 
 
 def _log_likelihood(log_mass: Tensor, output: SecondLookOutput) -> Tensor:
