@@ -55,8 +55,7 @@ typecheck-here: $(VENV)/.dev
 	$(BIN)/mypy
 	MYPYPATH=python $(BIN)/stubtest ffpose._rust
 
-# The core's tests of its own parts compile the core once more: without AVX-512, whose kernels take half of that time. test-avx512
-# has them.
+# The core's tests of its own parts compile the core once more: without AVX-512, with which .ci/test-avx512 runs them.
 test-rust: tools ## the Rust tests, with optimization
 	cargo test --locked --release --workspace --test '*'
 	cargo test --locked --release -p ffpose-ort -p ffpose-scene -p ffpose-track --lib

@@ -185,7 +185,7 @@ class PolarPose(BaseNetwork):
         )
 
     def _place(self, output: SecondLookOutput, view: VirtualCamera) -> tuple[Tensor, Tensor]:
-        """Return translations and orientations of `_pose`, without all that it finds beside them."""
+        """Return the translations and orientations of `_pose` alone."""
         orientation = self.orientation.decode(output.orientation)
         return _located(output, view), _turned_back(orientation, view)
 

@@ -32,10 +32,12 @@ def triangles(points: Floats) -> list[Triangle]:
     ears"). Where there is none, as the polygon crosses itself, a fan of what is left follows.
     """
     flat, area = _unfolded(points)
-    left, found = list(range(len(points))), list[Triangle]()
+    left, found, ear = list(range(len(points))), list[Triangle](), 0
     while len(left) > 3:
-        ear = next((k for k in range(len(left)) if _is_ear(flat, left, k, FLAT * area)), None)
-        if ear is None:
+        # From the last ear on, where the next is likely to be.
+        turn = [*range(ear, len(left)), *range(ear)]
+        ear = next((k for k in turn if _is_ear(flat, left, k, FLAT * area)), -1)
+        if ear < 0:
             break
         found.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
         del left[ear]
