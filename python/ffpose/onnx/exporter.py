@@ -46,6 +46,18 @@ FOLDED = 1 << 26
 FEWEST_HALVED = 1024
 """Fewest numbers of a constant that is stored as float16, as that takes a node more."""
 
+RULES = (
+    *("add_0", "sub_0", "mul_by_1", "div_by_1"),
+    *("no_op_cast", "no_op_expand", "no_op_transpose"),
+    *("cast_cast", "transpose_transpose", "unsqueeze_unsqueeze", "reshape_reshape"),
+    *("collapse_slice", "collapse_slice2", "squeeze_reshape_1d", "materialize_reshape_shape"),
+    *("min_max", "max_min", "normalize_pad_format_conv", "fuse_pad_into_conv"),
+    *("fuse_batchnorm_into_conv", "fuse_batchnorm_into_conv_transpose"),
+    *("fuse_batchnorm_into_gemm", "remove_optional_bias_from_conv"),
+)
+"""Rules of onnxscript that a graph is simplified by: not ``slice_split``, which compares every pair
+of slices and takes longer than all others."""
+
 FilterChoice = Literal["custom", "matmul"]
 Say = Callable[[str], None]
 
@@ -194,8 +206,6 @@ def record(
     With ``"matmul"`` it is written in standard operators but for its filters, which
     `replace_filters` can replace.
     """
-    optimizer = require("onnxscript.optimizer", "export")
-    passes = require("onnx_ir.passes.common", "export")
     shapes = tuple({0: torch.export.Dim.DYNAMIC} for _ in args)
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), torch.no_grad():
         warnings.simplefilter("ignore")  # of torch's exporter, about itself
@@ -212,16 +222,25 @@ def record(
             optimize=False,
         )
         assert program is not None
-        limits = {"input_size_limit": FOLDED, "output_size_limit": FOLDED}
-        # Fewer nodes first: the time of the optimizer's rules grows with their number squared.
-        optimizer.fold_constants(program.model, **limits)
-        passes.RemoveUnusedNodesPass()(program.model)
-        passes.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(program.model)
-        passes.CommonSubexpressionEliminationPass()(program.model)
-        # A second iteration finds next to nothing.
-        optimizer.optimize_ir(program.model, num_iterations=1, **limits)
+        simplify(program.model)
     compact(program.model)
     return program.model
+
+
+def simplify(model: Any) -> None:
+    """Compute constants of an `onnx_ir.Model`, and leave out what does nothing, in place."""
+    optimizer = require("onnxscript.optimizer", "export")
+    rewriter = require("onnxscript.rewriter", "export")
+    rules = require("onnxscript.rewriter.rules.common", "export")
+    passes = require("onnx_ir.passes.common", "export")
+    optimizer.fold_constants(
+        model, onnx_shape_inference=True, input_size_limit=FOLDED, output_size_limit=FOLDED
+    )
+    rewriter.rewrite(model, [getattr(rules, f"{name}_rule") for name in RULES])
+    passes.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
+    passes.DeduplicateInitializersPass()(model)
+    passes.CommonSubexpressionEliminationPass()(model)
+    passes.NameFixPass()(model)
 
 
 def compact(model: Any) -> None:
