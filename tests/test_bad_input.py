@@ -100,6 +100,7 @@ LISTS = [[[1.0, 2.0], [3.0]], [[1.0, 2.0, 3.0, 4.0]], [None], [1, 2, 3, 4], ["a"
 anything = st.one_of(any_arrays(), any_arrays(), st.sampled_from(ODDITIES), st.sampled_from(LISTS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f"{f.__module__}.{f.__name__}")
 @settings(max_examples=100, deadline=None)
 @given(data=st.data())

@@ -50,6 +50,7 @@ def test_train_leaves_what_it_promises(trained):
     assert promised <= names
 
 
+@pytest.mark.slow
 def test_train_again_from_its_own_config_and_resume(trained, image_set, tmp_path, capsys):
     again = ["train", "--config", str(trained / "config.yaml"), "--out", str(tmp_path / "again")]
     assert main(again) == 0
@@ -75,6 +76,7 @@ def test_pretrained_weights_that_cannot_be_had_are_one_line(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_evaluate_prints_one_json_document(trained, image_set, tmp_path, capsys):
     words = ["evaluate", str(trained / "best.safetensors"), *data_words(image_set)]
     assert main([*words, "--out", str(tmp_path), "--json"]) == 0
@@ -85,6 +87,7 @@ def test_evaluate_prints_one_json_document(trained, image_set, tmp_path, capsys)
     assert not (tmp_path / "reliability.png").exists()  # this network does not give a covariance
 
 
+@pytest.mark.slow
 def test_evaluate_prints_a_table(trained, image_set, tmp_path, capsys):
     words = ["evaluate", str(trained / "best.safetensors"), *data_words(image_set)]
     assert main([*words, "--out", str(tmp_path)]) == 0
@@ -261,6 +264,7 @@ def test_weights_of_the_package_go_by_name(trained, image_set, tmp_path, monkeyp
     assert "a name (one of soyuz), got dragon" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_evaluate_refuses_a_set_of_another_camera(image_set, tmp_path, capsys):
     fields = {"image_size": (64, 64), "depth": 1, "dim": 16, "heads": 2}
     fields["camera"] = (32.0, 32.0, 32.0, 32.0)
@@ -273,6 +277,7 @@ def test_evaluate_refuses_a_set_of_another_camera(image_set, tmp_path, capsys):
     assert main([*words, "--reproject"]) == 0
 
 
+@pytest.mark.slow
 def test_inspect(image_set, tmp_path, capsys):
     words = ["inspect", *data_words(image_set), "--out", str(tmp_path)]
     assert main(words) == 0
@@ -614,6 +619,7 @@ def test_width_and_height():
     assert width_and_height("640x480") == (640, 480)
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_ends_the_command_in_silence(trained, image_set):
     """As ``ffpose predict ... | head -n 1``: code 141, a shell's for SIGPIPE."""
     call = [sys.executable, "-m", "ffpose.cli", "predict", str(trained / "best.safetensors")]

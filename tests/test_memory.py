@@ -47,6 +47,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", ["np.float32", "np.float64"])
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
 def test_too_little_memory_is_an_error_at_any_point(case, dtype):

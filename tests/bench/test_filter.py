@@ -44,6 +44,7 @@ def test_the_weight_of_a_network_in_channels_last_may_have_that_layout():
     torch.testing.assert_close(theirs, torch_filter(x, weight, DIMS["grid"]))
 
 
+@pytest.mark.slow
 def test_a_document_a_table_and_a_plot(tmp_path, capsys):
     plot = tmp_path / "filter.png"
     assert main(["bench", "filter", "--quick", "--json", "--plot", str(plot)]) == 0

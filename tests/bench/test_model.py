@@ -44,6 +44,7 @@ def at_once(monkeypatch, graphs):
     monkeypatch.setattr(bench, "export_weights", copied)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("at_once")
 def test_a_document_a_table_and_a_plot(tmp_path, capsys):
     begun = torch.get_num_threads()

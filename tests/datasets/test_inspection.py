@@ -31,6 +31,7 @@ def relabel(root, split, **labels):
     (root / f"{split}_poses_gt.csv").write_text(table(SPLITS[split], rows))
 
 
+@pytest.mark.slow
 def test_the_files_are_there_and_open(tmp_path):
     out = tmp_path / "report" / "inspect"
     summary = inspect_dataset(read(write_set(tmp_path / "set")), out)

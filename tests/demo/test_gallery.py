@@ -27,6 +27,7 @@ run(Path(sys.argv[1]), images=3)
 """
 
 
+@pytest.mark.slow
 def test_images_are_posed_and_shown_without_torch(tmp_path):
     command = [sys.executable, "-c", WITHOUT_TORCH, str(tmp_path)]
     subprocess.run(command, capture_output=True, check=True)

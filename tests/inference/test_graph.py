@@ -89,10 +89,10 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("graphs")
 
 
-SLOW = pytest.param("twice", marks=pytest.mark.slow)  # its export takes longest
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("twice", "polar")]
 
 
-@pytest.fixture(scope="module", params=["tokens", SLOW, "polar"])
+@pytest.fixture(scope="module", params=["tokens", *SLOW])
 def files(request, folder):
     """Weights, and the graph of standard operators that was made of them."""
     torch.manual_seed(0)
@@ -141,6 +141,7 @@ def test_the_pose_is_that_of_torch(files, picture):
         assert expected.uncertainty.degrees_of_freedom == (5.0, 3.5)
 
 
+@pytest.mark.slow
 def test_a_located_camera_is_taken_to_the_origin(tmp_path, picture):
     torch.manual_seed(0)
     weights, graph = tmp_path / "scene.safetensors", tmp_path / "scene.onnx"
@@ -328,6 +329,7 @@ assert main(["predict", graph, picture]) == 0
 """
 
 
+@pytest.mark.slow
 def test_no_torch_is_needed(files, picture):
     weights, graph = files
     command = [sys.executable, "-c", WITHOUT_TORCH, str(graph), str(picture), "onnxruntime"]

@@ -93,6 +93,7 @@ except ImportError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.onnx", "soyuz"])
 def test_a_missing_extra_is_named(name):
     call = [sys.executable, "-c", WITHOUT_PILLOW, name]

@@ -190,28 +190,19 @@ def test_a_graph_that_is_missing_or_damaged_is_exported(tmp_path):
 
 
 @pytest.mark.slow
-def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
-    """In small: what it writes is what `ffpose.load` opens; a second run repeats nothing."""
-    out = tmp_path / "out"
+def test_from_a_mesh_to_a_pose(tmp_path, quick):
+    """In small, of a plain box, which four attitudes show alike; a second run repeats nothing."""
+    mesh, out, said = tmp_path / "box.stl", tmp_path / "out", []
+    trimesh.creation.box((2.0, 1.0, 0.5)).export(mesh)
     config = LearnConfig(mesh, out, processes=1, test_images=6, card_images=0)
-    said = []
     summary = learn(config, said.append)
     assert summary["images"] == 6
-    assert "craft.stl, within" in said[1]
+    assert "box.stl, within" in said[1]
     assert "doubtful" not in said[1]
-    assert {"best.safetensors", "model.onnx", "report.html", "results.json", "scene.json"} <= {
-        path.name for path in out.iterdir()
-    }
-    _, radius = trimesh.nsphere.minimum_nsphere(trimesh.load(mesh))
-    scene = find_scene(str(out / "scene.json"))
-    assert scene.distance_m == pytest.approx((3 * radius, 16 * radius), rel=2e-3)
-    header = read_metadata(out / "best.safetensors")
-    assert header.config.distance_m == pytest.approx(scene.distance_m)
-    assert header.recipe["data"]["scene"] == "craft"
-    assert str(tmp_path) not in json.dumps(header.recipe)
-    of_the_first = header.recipe["init"]
-    assert of_the_first["sha256"] == sha256(out / "first" / "best.safetensors")
-    assert of_the_first["recipe"]["init"]["sha256"] == sha256(resolve_initial("generic"))
+    written = {path.name for path in out.iterdir()}
+    assert {"best.safetensors", "model.onnx", "report.html", "results.json"} <= written
+    _is_learned_from_the_mesh(out, mesh)
+    _is_folded(out, summary, said)
     image = next((out / "test-images").glob("*_rgb.png"))
     for backend in ("torch", "onnxruntime"):
         pose = ffpose.load(out, backend=backend)(image)
@@ -225,13 +216,21 @@ def test_from_a_mesh_to_a_pose(tmp_path, mesh, quick):
         learn(LearnConfig(mesh, out, 9, processes=1, test_images=6, card_images=0))
 
 
-@pytest.mark.slow
-def test_a_symmetric_spacecraft_is_folded_from_labels_to_report(tmp_path, quick):
-    """A plain box: what was found is in the weights, the graph, the test and the report."""
-    trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "box.stl")
-    out, said = tmp_path / "out", []
-    config = LearnConfig(tmp_path / "box.stl", out, processes=1, test_images=4, card_images=0)
-    summary = learn(config, said.append)
+def _is_learned_from_the_mesh(out, mesh):
+    _, radius = trimesh.nsphere.minimum_nsphere(trimesh.load(mesh))
+    scene = find_scene(str(out / "scene.json"))
+    assert scene.distance_m == pytest.approx((3 * radius, 16 * radius), rel=2e-3)
+    header = read_metadata(out / "best.safetensors")
+    assert header.config.distance_m == pytest.approx(scene.distance_m)
+    assert header.recipe["data"]["scene"] == "box"
+    assert str(mesh.parent) not in json.dumps(header.recipe)
+    of_the_first = header.recipe["init"]
+    assert of_the_first["sha256"] == sha256(out / "first" / "best.safetensors")
+    assert of_the_first["recipe"]["init"]["sha256"] == sha256(resolve_initial("generic"))
+
+
+def _is_folded(out, summary, said):
+    """What was found is in the weights, the graph, the test and the report."""
     assert "2-fold about" in said[1]
     assert len(json.loads((out / "symmetry.json").read_text())["axes"]) == 2
     for name in ("best.safetensors", "model.onnx"):
@@ -244,9 +243,9 @@ def test_a_symmetric_spacecraft_is_folded_from_labels_to_report(tmp_path, quick)
     assert "without regard to symmetry" in page
     assert "viewing directions" in page
     words = ["evaluate", str(out), "--data.kind", "urso", "--data.root", str(out / "test-images")]
-    words += ["--data.split", "all", "--out", str(tmp_path / "plain"), "--symmetry", "none"]
+    words += ["--data.split", "all", "--out", str(out / "plain"), "--symmetry", "none"]
     assert main(words) == 0
-    unfolded = json.loads((tmp_path / "plain" / "results.json").read_text())
+    unfolded = json.loads((out / "plain" / "results.json").read_text())
     assert unfolded["mean_rotation_error_deg"] == pytest.approx(plain)
     assert "without_symmetry" not in unfolded
 
@@ -372,6 +371,7 @@ def test_no_write_access_is_one_line(tmp_path, mesh, monkeypatch, capsys):
     assert not out.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["symmetry.json", "learn.json", "last.safetensors", "state.pt"])
 def test_a_disk_that_fills_up_leaves_nothing_half_written(
     tmp_path, mesh, quick, monkeypatch, capsys, name

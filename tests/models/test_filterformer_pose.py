@@ -119,6 +119,7 @@ def test_it_can_learn_a_handful_of_images_by_heart():
     assert losses[-1] < 0.3 * losses[0]
 
 
+@pytest.mark.slow
 def test_compile_and_export_without_graph_break():
     model, images = build(filter="tokens").eval(), torch.randn(2, 3, 48, 64)
     expected = model(images)
@@ -151,6 +152,7 @@ torch.save(tuple(torch.export.load(program).module()(torch.load(images))), poses
 
 
 # torch takes weights that lie channels last for slices; on the CPU they are saved whole.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:No complete tensor found in the group")
 def test_an_exported_network_is_saved_and_runs_in_another_process(tmp_path):
     model, images = build().eval(), torch.randn(2, 3, 48, 64)

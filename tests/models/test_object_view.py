@@ -334,6 +334,7 @@ def test_no_table_is_saved(model):
     assert not {"intrinsics", "translation_mean"} & set(model.state_dict())
 
 
+@pytest.mark.slow
 def test_an_exported_network_takes_batches_of_any_size():
     model = build(looks=1, translation_reduction=4, orientation_reduction=4).eval()
     shapes = ({0: torch.export.Dim("batch")},)

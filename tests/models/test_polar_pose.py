@@ -273,6 +273,7 @@ def test_weights_there_and_back(model, tmp_path):
     assert not [name for name in model.state_dict() if name.endswith(("bins", "turns", "around"))]
 
 
+@pytest.mark.slow
 def test_an_exported_network_takes_batches_of_any_size(model):
     shapes = ({0: torch.export.Dim("batch")},)
     program = torch.export.export(model, (images(2),), dynamic_shapes=shapes).module()

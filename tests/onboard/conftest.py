@@ -15,6 +15,14 @@ from onboard_program import CRATE, ROOT, projections
 TARGET = ROOT / "target" / "onboard"
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """What needs the program waits for Rust's compiler."""
+    for item in items:
+        if "program" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(scope="session")
 def program():
     """The program, as `make onboard` builds it; a build that is up to date takes no time."""

@@ -37,6 +37,7 @@ def computed(path, x):
 FUSED = ("com.microsoft", "MultiHeadAttention")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("filter", "fused"), [("custom", True), ("matmul", False)])
 @pytest.mark.parametrize("scale", [None, 0.3])
 def test_both_ways_give_torchs_numbers(tmp_path, filter, fused, scale):
@@ -48,6 +49,7 @@ def test_both_ways_give_torchs_numbers(tmp_path, filter, fused, scale):
     torch.testing.assert_close(computed(path, x), module(x), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "dtype"),
     [
@@ -64,6 +66,7 @@ def test_what_the_operator_cannot_do_stays_torchs(tmp_path, options, dtype):
     torch.testing.assert_close(computed(path, x), module(x), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_every_block_has_one_and_the_last_has_one_query(tmp_path):
     encoder = Filterformer((3, 4), 8, depth=3, heads=2, filter="none", extra_tokens=1, outputs=1)
     path = tmp_path / "encoder.onnx"

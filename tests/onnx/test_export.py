@@ -171,6 +171,7 @@ class Amplified(nn.Module):
         return torch.sin(1e4 * self.filter(x))
 
 
+@pytest.mark.slow
 def test_a_graph_that_loses_the_digits_its_module_loses_is_written(tmp_path):
     torch.manual_seed(0)
     module, x = Amplified().eval(), torch.randn(2, 36, 8)

@@ -13,6 +13,7 @@ pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ursonet", "posenet"])
 def test_the_graph_gives_the_poses_of_the_network(name, tmp_path, random_image):
     from ffpose.onnx.pose_graph import export_weights

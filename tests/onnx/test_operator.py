@@ -144,6 +144,7 @@ def test_one_session_runs_on_several_threads_at_the_same_time():
         list(threads.map(run, [1, 2, 3, 4] * 20))
 
 
+@pytest.mark.slow
 def test_sessions_come_and_go():
     x, weight = random_case("tokens", (36, 20))
     model, expected = filter_graph("tokens", None, weight), by_torch("tokens", x, weight)

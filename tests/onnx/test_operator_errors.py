@@ -146,6 +146,7 @@ def test_any_input_gives_a_result_or_an_error():
 LAYOUTS = ["tokens", "grid", "", "Tokens", "rows", "tokens\0", "ä" * 300, 1, 0.5, ["tokens"], None]
 
 
+@pytest.mark.slow
 def test_any_node_gives_a_session_or_an_error():
     """Of 1,000 graphs; a good one loads after each."""
     generator, errors = random.Random(1), 0

@@ -73,6 +73,7 @@ def test_it_is_differentiable():
     assert pyramid[0].grad.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "filter",
     [

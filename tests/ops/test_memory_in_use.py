@@ -147,6 +147,7 @@ sys.exit(max(codes, key=abs))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
 def test_a_forked_child_does_not_wait_for_its_parent_s_calls():
     command = [sys.executable, "-W", "ignore", "-c", FORK_DURING_CALLS]

@@ -421,6 +421,7 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
 @pytest.mark.parametrize("code", [FORK_AFTER_USE, FORK_AFTER_TORCH], ids=["ffpose", "torch"])
 def test_fork_after_use_of_several_threads(code):
@@ -699,6 +700,7 @@ except ImportError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("table", "said"),
     [

@@ -46,6 +46,7 @@ def test_a_sound_mesh_is_measured_and_not_doubted(tmp_path):
         assert len(DIRECTIONS) == 12
 
 
+@pytest.mark.slow
 def test_colors_of_faces_are_those_of_their_material(tmp_path):
     """Half of the faces red, half white: sRGB codes of 255 and 0 are light of 1 and 0."""
     mesh = trimesh.creation.box((1.0, 1.0, 1.0))
@@ -55,6 +56,7 @@ def test_colors_of_faces_are_those_of_their_material(tmp_path):
     np.testing.assert_allclose(material["color"], (1, 0.5, 0.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("box", "scale", "doubt"),
     [
@@ -70,6 +72,7 @@ def test_what_is_doubtful_is_said(tmp_path, box, scale, doubt):
     assert re.search(doubt, doubts(tmp_path, scale, **box))
 
 
+@pytest.mark.slow
 def test_the_share_of_the_disk_is_that_of_the_silhouette(tmp_path):
     """Views along the edges of a unit cube show 1, those along its diagonals the root of 3."""
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "cube.ply")
@@ -122,6 +125,7 @@ def test_a_view_shows_the_side_that_its_name_says(tmp_path):
         assert (pixel[0] > pixel[2]) == red
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, capsys):
     path = write_box(tmp_path, shift=(9.0, 0, 0))
     assert main(["inspect", str(path), "--out", str(tmp_path / "out")]) == 0

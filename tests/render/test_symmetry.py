@@ -44,12 +44,14 @@ SHAPES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_group_of_a_shape(tmp_path, shape):
     parts, count = SHAPES[shape]
     assert len(find_symmetries(craft_of(tmp_path, *parts())).group) == count
 
 
+@pytest.mark.slow
 def test_a_mark_on_one_side_breaks_it_and_is_told(tmp_path):
     """A small dark plate on one end: half turns about the axis through it remain."""
     cube = box((1, 1, 1))

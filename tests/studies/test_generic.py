@@ -60,6 +60,7 @@ def small_run(folder, views, **fields):
     )
 
 
+@pytest.mark.slow
 def test_the_loss_moves_the_shared_weights_and_the_heads_of_the_spacecraft_shown(tmp_path, views):
     model = new_network()
     arrays, empty, numbers = opened_views(small_run(tmp_path, views), model)
@@ -84,6 +85,7 @@ def test_the_loss_moves_the_shared_weights_and_the_heads_of_the_spacecraft_shown
     )
 
 
+@pytest.mark.slow
 def test_what_is_written_has_the_shared_weights_and_its_recipe(tmp_path, views, capsys):
     config = small_run(tmp_path, views, epochs=(1, 1))
     train_generic(config)

@@ -54,6 +54,7 @@ def rows_of(out):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_a_study_is_gone_on_with_after_the_runs_that_are_there(tmp_path, sets, trained):
     out = tmp_path / "study"
     assert ablated(out, sets, seeds=1).done == RUNS[:2]
@@ -67,6 +68,7 @@ def test_a_study_is_gone_on_with_after_the_runs_that_are_there(tmp_path, sets, t
     assert outcome.table.read_text().startswith("# Ablation: tiny")
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_taken_up_after_its_last_epoch(tmp_path, sets, monkeypatch):
     def interrupted(config, **options):
         train(replace(config, stages=(Stage("joint", 1),), epochs=None), **options)

@@ -262,6 +262,7 @@ def test_a_track_learns_how_large_errors_are_from_views_that_differ(factor):
     np.testing.assert_allclose(scale, factor**2, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_covariances_are_those_of_the_errors_on_the_models_own_noise():
     settings = replace(PLAIN, velocity=0.05, rate=2.0, angular_acceleration=0.02, asymmetry=0)
     nees, nis = [], []

@@ -63,6 +63,7 @@ def made(config):
     return network, data.kind, data.root.name, data.holdout
 
 
+@pytest.mark.slow
 def test_each_number_of_the_paper_has_its_configuration(tmp_path, capsys):
     """Each variant of the five tables is made by one file, whose first line has its numbers."""
     configs = {}

@@ -78,6 +78,7 @@ def test_a_run_leaves_its_files_and_nothing_else(image_set, tmp_path):
     assert lowest["epoch"] == result.best_epoch
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("workers", "fields"), [(0, {"ema": 0.9, "accumulate": 2}), (2, {})])
 def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
     image_set, tmp_path, workers, fields
@@ -95,6 +96,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
     )
 
 
+@pytest.mark.slow
 def test_a_kill_between_weights_and_state_costs_the_epoch_alone(image_set, tmp_path, monkeypatch):
     whole = train_config(image_set, tmp_path / "whole", epochs=2)
     run_quietly(whole)
@@ -144,6 +146,7 @@ def test_the_wait_for_data_is_measured(image_set, tmp_path):
     assert 2 * waits[1] < waits[0] < 1
 
 
+@pytest.mark.slow
 def test_no_epoch_begins_once_the_time_is_used_up(image_set, tmp_path):
     config = train_config(image_set, tmp_path / "run", epochs=3)
     assert len(run_quietly(config, cpu_minutes=1e-6).history) == 1
@@ -267,6 +270,7 @@ def test_images_are_standardized_as_the_backbone_expects(image_set, tmp_path):
         torch.testing.assert_close(dataset[0].image, expected)
 
 
+@pytest.mark.slow
 def test_frozen_parts_do_not_change(image_set, tmp_path):
     frozen = ("backbone", "orientation_branch")
     stages = (Stage("joint", 1), Stage("translation", 1, frozen))
@@ -302,6 +306,7 @@ def test_a_stage_starts_from_the_best_weights_so_far(image_set, tmp_path, best_a
     assert all(name.startswith("translation_branch") for name in changed)
 
 
+@pytest.mark.slow
 def test_a_run_resumed_between_two_stages_equals_an_uninterrupted_one(
     image_set, tmp_path, best_at_first
 ):

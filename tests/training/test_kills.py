@@ -43,7 +43,7 @@ def epochs_done(folder):
 
 
 def kill_in_the_middle(process, folder, before, seconds):
-    """Kill after some seconds, or, on a machine that has become faster, after an epoch; whether the time was up."""
+    """Kill after some seconds, or once an epoch is done; return whether the time came first."""
     end = time.monotonic() + seconds
     while time.monotonic() < end and epochs_done(folder) <= before:
         time.sleep(0.002)

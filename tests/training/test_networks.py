@@ -39,6 +39,7 @@ def test_the_weights_of_the_losses_are_fixed_or_learned(root, tmp_path, fields):
         torch.testing.assert_close(total, translation + 500.0 * orientation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMPARED)
 def test_it_learns_eight_images(name, root, tmp_path):
     """Images of noise, all attitudes: a constant answer is off by a quarter of a turn."""
@@ -63,6 +64,7 @@ def test_it_learns_eight_images(name, root, tmp_path):
     assert (t_hat - batch.translation).norm(dim=-1).max() < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NETWORKS)
 def test_trained_in_stages_resumed_tested_and_used(name, root, tmp_path):
     stages = (Stage("joint", 1), Stage("translation", 1, ("backbone", "orientation_branch")))

@@ -56,6 +56,7 @@ def test_eight_images_are_learned_by_heart(tmp_path):
     assert found.errors.translation_m.max() < 0.1 < 3 < constant.translation_m.median()
 
 
+@pytest.mark.slow
 def test_the_command_trains_on_64_images(tmp_path, capsys):
     root = rendered(tmp_path / "images", 80)
     words = ["train", "--model", "tiny", "--data.kind", "urso", "--data.root", str(root)]

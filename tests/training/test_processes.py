@@ -38,7 +38,8 @@ def config_of(image_set, out, **fields):
     return replace(config, data=DataConfig("urso", image_set, augment=False))
 
 
-@pytest.mark.parametrize("accumulate", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("accumulate", [1, 2])
 def test_two_processes_are_one_of_twice_the_batch(image_set, tmp_path, accumulate):
     """Their means over halves of a batch have the mean of the whole: in 21 steps here."""
     alone = train(config_of(image_set, tmp_path / "one", batch_size=4), quiet=True)
@@ -56,6 +57,7 @@ def test_two_processes_are_one_of_twice_the_batch(image_set, tmp_path, accumulat
         torch.testing.assert_close(tensor, theirs[name], rtol=1e-4, atol=1e-5, msg=name)
 
 
+@pytest.mark.slow
 def test_what_one_process_cannot_do_ends_all(tmp_path):
     config: TrainConfig = config_of(tmp_path / "nothing", tmp_path / "run", processes=2)
     with pytest.raises((DataError, FileNotFoundError)):

@@ -59,6 +59,7 @@ def rendered(monkeypatch):
     return made
 
 
+@pytest.mark.slow
 def test_a_run_on_scenes_resumes_bit_for_bit_and_renders_once(root, tmp_path, rendered):
     whole = scenes_config(root, tmp_path / "whole")
     train(whole, quiet=True)
@@ -111,6 +112,7 @@ def test_processes_that_train_together_share_the_workers(root, tmp_path):
     assert losses[0] == losses[1]
 
 
+@pytest.mark.slow
 def test_autocast_learns_from_scenes_too(root, tmp_path):
     losses = []
     for kind in ("none", "bfloat16"):
@@ -137,6 +139,7 @@ def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path):
     assert all(bool(part.isfinite().all()) for part in pose)
 
 
+@pytest.mark.slow
 def test_a_polar_second_look_learns_and_is_calibrated_on_the_same_scenes(root, tmp_path, rendered):
     fields = {name: FIELDS[name] for name in ("image_size", "first_stride", "distance_m")}
     small = {"object_size": [16, 48], "first_reduction": 4, "directions": 50, "latent": 16}

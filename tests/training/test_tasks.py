@@ -13,6 +13,7 @@ from ffpose.training.tasks import prefetched
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "head",
     [

@@ -59,6 +59,7 @@ def test_a_missing_folder_is_found_before_the_work(tmp_path, monkeypatch):
         bench.run(plot=tmp_path / "absent" / "filter.png")
 
 
+@pytest.mark.slow
 def test_a_child_is_held_to_what_was_chosen(tmp_path):
     setting = children.Setting("scalar", "kept")
     request = Request([Case("tokens", (4, 6), 1)], 0.001)
@@ -72,6 +73,7 @@ def test_a_child_is_held_to_what_was_chosen(tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_a_child_that_fails_is_quoted(tmp_path):
     setting = children.Setting("none", "default")
     with pytest.raises(RuntimeError, match=r"\(none, allocator default\) failed: .*got .none"):

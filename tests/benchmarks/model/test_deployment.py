@@ -140,6 +140,7 @@ def test_run_prints_tables_or_a_document_and_draws(tmp_path, monkeypatch, capsys
         assert picture.size[0] > 500
 
 
+@pytest.mark.slow
 def test_every_graph_computes_what_it_says(tmp_path):
     """The graph without filters is the network with filters that let everything pass."""
     measured = subject(GFNET, tmp_path)
@@ -188,6 +189,7 @@ def test_operator_shares_by_hand(tmp_path):
     assert found["Conv"] == pytest.approx(2 / 3)
 
 
+@pytest.mark.slow
 def test_pipelines_and_a_new_process_give_one_pose(tmp_path):
     measured = subject("speck", tmp_path)
     graphs = write_graphs(
@@ -251,6 +253,7 @@ def test_what_is_missing_is_a_note(tmp_path, monkeypatch):
         assert any(note.startswith(f"{name} is not measured") for note in plan.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not HAS_LIBRARY, reason="needs the custom operator")
 def test_no_process_is_started_where_none_is_asked_for(monkeypatch):
     monkeypatch.setattr(deployment, "measure_starts", lambda *_: pytest.fail("started"))

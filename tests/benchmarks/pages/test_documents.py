@@ -89,6 +89,7 @@ def test_what_cannot_be_measured_or_written_is_refused(root, monkeypatch, capsys
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_filter_without_its_timings(root, monkeypatch):
     cases = [Case("tokens", (4, 6), 1), Case("tokens", (4, 6), 1, threads=2), *overhead_cases()]
     plan = Plan({instruction_set(): cases, "scalar": cases}, 0.001, ())
