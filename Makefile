@@ -3,8 +3,7 @@ VENV ?= .venv
 PYTHON ?= python3
 DEMO_OUT ?= runs/demo
 BIN := $(VENV)/bin
-# Python compiles what is imported; pip would compile all of torch and its packages first, for more than a minute.
-PIP := $(BIN)/python -m pip install --quiet --no-compile
+PIP := $(BIN)/python -m pip install --quiet
 PYTHON_SOURCES := python benchmarks studies tests build_backend.py build_library.py build_licenses.py
 RUST_SOURCES := Cargo.toml Cargo.lock rust-toolchain.toml $(shell find crates -path crates/ffpose-onboard -prune -o -name '*.rs' -print -o -name Cargo.toml -print)
 # A process a core; each takes up to 2 GB. The tests of a file share what they made, so they stay in one process.
@@ -12,6 +11,8 @@ PARALLEL := --numprocesses auto --maxprocesses 4 --dist loadfile
 ONBOARD := --locked --release --manifest-path crates/ffpose-onboard/Cargo.toml --target-dir target/onboard
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Containers often set it, and every process of the tests, of which there are hundreds, would compile what it imports anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test all format lint lint-rust lint-python typecheck typecheck-here typecheck-windows test-rust test-python test-slow test-python-all test-arm test-onboard docs bench figures ort onboard weights graphs wheel wheels test-wheel-arm clean tools cards
