@@ -329,7 +329,6 @@ assert main(["predict", graph, picture]) == 0
 """
 
 
-@pytest.mark.slow
 def test_no_torch_is_needed(files, picture):
     weights, graph = files
     command = [sys.executable, "-c", WITHOUT_TORCH, str(graph), str(picture), "onnxruntime"]

@@ -117,7 +117,6 @@ def test_without_drops_it_is_torchs():
     torch.testing.assert_close(dropout_attention(query, key, value, 0.0), expected)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("block")
 @pytest.mark.parametrize("rate", [0.0, 0.3])
 def test_gradients_are_the_difference_quotients(rate):

@@ -37,7 +37,6 @@ def computed(path, x):
 FUSED = ("com.microsoft", "MultiHeadAttention")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("filter", "fused"), [("custom", True), ("matmul", False)])
 @pytest.mark.parametrize("scale", [None, 0.3])
 def test_both_ways_give_torchs_numbers(tmp_path, filter, fused, scale):

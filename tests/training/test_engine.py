@@ -270,7 +270,6 @@ def test_images_are_standardized_as_the_backbone_expects(image_set, tmp_path):
         torch.testing.assert_close(dataset[0].image, expected)
 
 
-@pytest.mark.slow
 def test_frozen_parts_do_not_change(image_set, tmp_path):
     frozen = ("backbone", "orientation_branch")
     stages = (Stage("joint", 1), Stage("translation", 1, frozen))

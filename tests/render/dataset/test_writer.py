@@ -85,7 +85,6 @@ def test_written_image_is_what_render_gives(folder):
     np.testing.assert_array_equal(label("soyuz_easy", 7, 3).vector, frame.pose.vector)
 
 
-@pytest.mark.slow
 def test_workers_do_not_change_a_byte(folder, tmp_path):
     write_dataset("soyuz_easy", tmp_path, 12, seed=7, size=SIZE, workers=2)
     assert contents(tmp_path) == contents(folder)
@@ -347,7 +346,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
 def test_workers_end_with_their_parent_and_the_next_run_carries_on(folder, tmp_path, end):
     (tmp_path / "run.py").write_text(RUN)
