@@ -85,8 +85,10 @@ def write_camera(path):
 
 
 def write_mesh(path):
-    """Write a box in millimeters."""
-    trimesh.creation.box((2000, 1500, 3000)).export(path)
+    """Write a box with a wing, no two sides of which look alike, in millimeters."""
+    wing = trimesh.creation.box((600, 3000, 50))
+    wing.apply_translation((300, 2000, 400))
+    trimesh.util.concatenate([trimesh.creation.box((2000, 1500, 3000)), wing]).export(path)
 
 
 def write_csv_set(folder):

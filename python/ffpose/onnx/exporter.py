@@ -233,13 +233,16 @@ def simplify(model: Any) -> None:
     rewriter = require("onnxscript.rewriter", "export")
     rules = require("onnxscript.rewriter.rules.common", "export")
     passes = require("onnx_ir.passes.common", "export")
+    passes.InlinePass()(model)
     optimizer.fold_constants(
         model, onnx_shape_inference=True, input_size_limit=FOLDED, output_size_limit=FOLDED
     )
     rewriter.rewrite(model, [getattr(rules, f"{name}_rule") for name in RULES])
     passes.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0)(model)
     passes.DeduplicateInitializersPass()(model)
+    passes.LiftSubgraphInitializersToMainGraphPass()(model)
     passes.CommonSubexpressionEliminationPass()(model)
+    passes.OutputFixPass()(model)
     passes.NameFixPass()(model)
 
 
