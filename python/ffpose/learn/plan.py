@@ -39,9 +39,13 @@ VIEW_MARGIN = 1.1
 BEYOND = (0.7, 1.4)
 """Training sees distances beyond the nearest and farthest by these factors."""
 
-FIRST_SHARE, RENDER_SHARE, TEST_SHARE = 1 / 6, 0.3, 0.12
-"""Shares of the budget: of the first training; of rendering in each, were nothing rendered before;
-of calibration and test."""
+FIRST_SHARE, RENDER_SHARE = 1 / 6, 0.3
+"""Shares of the budget: of the first training; of rendering in each, were nothing rendered
+before."""
+
+HELD_BACK_VIEWS, HELD_BACK_S, MOST_HELD_BACK = 2500, 120.0, 0.12
+"""What is held back of the budget for images that validate, calibrate and test, and for the report
+and the graph: the time of so many views and so many seconds, and at most such a share of it."""
 
 LEAST_VIEWS, MOST_VIEWS = 200, 48_000
 
@@ -126,11 +130,11 @@ def plan_trainings(
     Examples:
         >>> first, second = plan_trainings(60, Speed(views=30, samples=400))
         >>> first
-        TrainingPlan(name='first', views=4752, epochs=31, rendered=0)
+        TrainingPlan(name='first', views=5107, epochs=31, rendered=0)
         >>> second
-        TrainingPlan(name='second', views=23760, epochs=33, rendered=4752)
+        TrainingPlan(name='second', views=25906, epochs=33, rendered=5107)
     """
-    seconds = 60 * minutes * (1 - TEST_SHARE)
+    seconds = _training_seconds(minutes, speed)
     whole = FIRST_SHARE * seconds
     most = MOST_VIEWS
     if speed.view_bytes:
@@ -139,11 +143,20 @@ def plan_trainings(
     return first, _plan("second", seconds - whole, speed, first.views, most)
 
 
+def _training_seconds(minutes: float, speed: Speed) -> float:
+    """Return the part of a budget that both trainings have."""
+    held_back = HELD_BACK_VIEWS / speed.views + HELD_BACK_S
+    return 60 * minutes - min(held_back, MOST_HELD_BACK * 60 * minutes)
+
+
 def _plan(name: str, seconds: float, speed: Speed, rendered: int, most: int) -> TrainingPlan:
-    views = min(RENDER_SHARE * seconds * speed.views, most)
-    plan = TrainingPlan(name, round(max(views, LEAST_VIEWS, rendered)), 0, rendered)
-    epochs = int((seconds - plan.rendering(speed)) * speed.samples / plan.views)
-    return replace(plan, epochs=min(max(epochs, LEAST_EPOCHS), MOST_EPOCHS))
+    least = max(LEAST_VIEWS, rendered)
+    planned = max(min(RENDER_SHARE * seconds * speed.views, most), least)
+    trained = seconds - (planned - rendered) / speed.views
+    epochs = min(max(int(trained * speed.samples / planned), LEAST_EPOCHS), MOST_EPOCHS)
+    # A part of an epoch that is left is spent on more views.
+    views = (seconds + rendered / speed.views) / (1 / speed.views + epochs / speed.samples)
+    return TrainingPlan(name, int(max(min(views, most), planned)), epochs, rendered)
 
 
 def replanned(
@@ -166,10 +179,10 @@ def replanned(
         >>> replanned(second, first, 40, speed, spent=325).epochs
         60
         >>> replanned(second, first, 40, speed, spent=650).epochs
-        19
+        21
     """
     slower = spent / first.seconds(speed)
-    left = (60 * minutes * (1 - TEST_SHARE) - spent) / slower - second.rendering(speed)
+    left = (_training_seconds(minutes, speed) - spent) / slower - second.rendering(speed)
     epochs = max(int(left * speed.samples / second.views), LEAST_EPOCHS)
     return replace(second, epochs=min(epochs, second.epochs))
 
