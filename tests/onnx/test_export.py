@@ -200,6 +200,26 @@ def test_a_module_without_filters_needs_no_library(tmp_path, monkeypatch):
     assert exported.filter == "none"
 
 
+class Repeated(nn.Module):
+    def forward(self, x):
+        once = x + 1
+        return once, x + 1, once, x
+
+
+def test_outputs_that_are_one_value_keep_their_names(tmp_path):
+    names = ["first", "again", "the same", "input"]
+    x = torch.randn(2, 3)
+    path = tmp_path / "repeated.onnx"
+    exporter.export(Repeated().eval(), (x,), path, output_names=names)
+    session = runtime.InferenceSession(path)
+    assert [output.name for output in session.get_outputs()] == names
+    for got, expected in zip(session.run(None, {"x": x.numpy()}), [x + 1] * 3 + [x], strict=True):
+        np.testing.assert_array_equal(got, expected.numpy())
+    assert len(exporter.export(Repeated().eval(), (x,), path).differences) == 4
+    with pytest.raises(ValueError, match="expected at most 4, got a, b, c, d, e"):
+        exporter.export(Repeated().eval(), (x,), path, output_names=list("abcde"))
+
+
 def test_what_cannot_be_exported_is_refused(tmp_path):
     x = torch.randn(2, 8)
     with pytest.raises(ValueError, match="evaluation mode, got training"):

@@ -102,8 +102,8 @@ def export(
 
     Raises:
         MissingExtraError: onnx, onnxscript or onnxruntime is not installed.
-        ValueError: An unknown filter, a module in training mode, or a filter whose weight or size
-            is not known.
+        ValueError: An unknown filter, a module in training mode, a filter whose weight or size is
+            not known, or more names than outputs.
         FileNotFoundError: The operator's library, which the check needs, is not installed.
         RuntimeError: The graph differs from the module by more than rounding, or torch cannot
             export the module.
@@ -216,7 +216,6 @@ def record(
             verbose=False,
             opset_version=OPSET,
             input_names=input_names,
-            output_names=output_names,
             dynamic_shapes=shapes,
             custom_translation_table=translations(standard=filter == "matmul"),
             optimize=False,
@@ -224,6 +223,7 @@ def record(
         assert program is not None
         simplify(program.model)
     compact(program.model)
+    name_outputs(program.model, output_names or ())
     return program.model
 
 
@@ -242,8 +242,6 @@ def simplify(model: Any) -> None:
     passes.DeduplicateInitializersPass()(model)
     passes.LiftSubgraphInitializersToMainGraphPass()(model)
     passes.CommonSubexpressionEliminationPass()(model)
-    passes.OutputFixPass()(model)
-    passes.NameFixPass()(model)
 
 
 def compact(model: Any) -> None:
@@ -264,6 +262,23 @@ def compact(model: Any) -> None:
             del node.metadata_props[key]
         for output in node.outputs:
             output.metadata_props.clear()
+
+
+def name_outputs(model: Any, names: Sequence[str]) -> None:
+    """Give outputs of an `onnx_ir.Model` names, those that are one value or an input too."""
+    passes = require("onnx_ir.passes.common", "export")
+    if len(names) > len(model.graph.outputs):
+        raise ValueError(
+            f"output_names: expected at most {len(model.graph.outputs)}, got {', '.join(names)}"
+        )
+    inputs = [value.name for value in model.graph.inputs]
+    passes.OutputFixPass()(model)  # an output that is an input takes its name
+    for value, name in (
+        *zip(model.graph.inputs, inputs, strict=True),
+        *zip(model.graph.outputs, names, strict=False),
+    ):
+        value.name = name
+    passes.NameFixPass()(model)
 
 
 def halve(model: Any) -> None:

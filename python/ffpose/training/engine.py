@@ -150,7 +150,9 @@ def _train_in(
     if processes.leads and looks_twice(run.model.config):
         assert run.calibration is not None
         for weights in (folder.best, folder.last):
-            write_calibrated(weights, run.calibration)
+            done_before = read_metadata(weights).calibration or {}
+            if done_before.get("images") != run.calibration.about:
+                write_calibrated(weights, run.calibration)
     processes.wait()
     seconds = sum(float(row["seconds"]) for row in state.history)
     return TrainResult(folder, state.history, state.best_epoch, seconds, processes.leads)
