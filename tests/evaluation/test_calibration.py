@@ -4,16 +4,19 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.spatial.distance import mahalanobis
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, f, mannwhitneyu, multivariate_t
 
 from ffpose.evaluation.calibration import (
     CURVE,
+    OtherMode,
     auroc,
     choose_threshold,
     coverage,
     flag_rates,
+    mixture_probability,
     region_probability,
     squared_mahalanobis,
     summarize_flag,
@@ -84,6 +87,58 @@ def test_regions_of_t_distributed_errors_cover_what_they_say():
     )
     for probability in truth_regions(predicted, true, *covariances, degrees).values():
         np.testing.assert_allclose(coverage(probability, CURVE), CURVE, atol=0.015)
+
+
+@pytest.mark.parametrize("nu", [None, 3.5])
+def test_a_mode_that_is_sure_is_the_only_one(nu):
+    both = np.stack([DISTANCES, DISTANCES[::-1]], axis=1)
+    sure = np.tile([0.7, 0.0], (len(both), 1))
+    np.testing.assert_allclose(
+        mixture_probability(both, sure, nu), region_probability(DISTANCES, nu)
+    )
+
+
+@pytest.mark.parametrize("nu", [None, 5.0])
+def test_the_smaller_region_about_the_less_likely_mode_ends_at_the_same_density(nu):
+    """Of SciPy's densities and distribution functions; the region holds all modes' parts of it."""
+    p, d2 = np.array([0.8, 0.2]), np.array([7.0, 1.0])
+
+    def density(x):
+        if nu is None:
+            return np.exp(-x / 2)
+        shape = np.eye(3) * (nu - 2) / nu  # of covariance one
+        return multivariate_t.pdf([np.sqrt(x), 0, 0], np.zeros(3), shape, nu)
+
+    def within(x):
+        return chi2.cdf(x, 3) if nu is None else f.cdf(x * nu / (3 * (nu - 2)), 3, nu)
+
+    level = max(p[0] * density(d2[0]), p[1] * density(d2[1]))
+    ends = [brentq(lambda x, k=k: p[k] * density(x) - level, 0, 100) for k in (0, 1)]
+    expected = p[0] * within(ends[0]) + p[1] * within(ends[1])
+    assert mixture_probability(d2[None], p[None], nu)[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_regions_of_two_modes_cover_what_they_say():
+    """Attitudes that SciPy draws; about a third are half a turn off, as probabilities say."""
+    count, rng, nu = 20_000, np.random.default_rng(0), 4.0
+    scale = 1e-3 * np.array([[4, 1, 0], [1, 9, 0], [0, 0, 1.0]])
+    turned = multivariate_t.rvs(np.zeros(3), scale, df=nu, size=count, random_state=rng)
+    first = Rotation.random(count, rng=rng)
+    second = first * Rotation.from_rotvec([0, 0, np.pi])
+    probabilities = np.stack([p := rng.uniform(0.5, 0.9, count), 0.95 - p], axis=1)
+    swapped = rng.uniform(0, 0.95, count) > p
+    quaternions = [each.as_quat(scalar_first=True) for each in (first, second)]
+    about = Rotation.from_quat(np.where(swapped[:, None], *quaternions[::-1]), scalar_first=True)
+    true = (Rotation.from_rotvec(turned) * about).as_quat(scalar_first=True)
+    predicted, truth = (
+        np.concatenate([np.zeros((count, 3)), q], 1) for q in (quaternions[0], true)
+    )
+    covariances = np.tile(np.eye(3), (count, 1, 1)), np.tile(scale * nu / (nu - 2), (count, 1, 1))
+    other = OtherMode(quaternions[1], true, probabilities)
+    found = truth_regions(predicted, truth, *covariances, (5.0, nu), other)["rotation"]
+    np.testing.assert_allclose(coverage(found, CURVE), CURVE, atol=0.015)
+    alone = truth_regions(predicted, truth, *covariances, (5.0, nu))["rotation"]
+    assert coverage(alone, [0.99])[0] < 0.8
 
 
 def test_regions_of_the_true_covariance_cover_what_they_say():

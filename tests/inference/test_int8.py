@@ -16,6 +16,7 @@ from ffpose.inference.load import load
 from ffpose.onnx.metadata import ModelMetadata, read_model_metadata, sealed
 
 onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnx.helper")  # without the package `onnx` is this project's tests/onnx
 pytest.importorskip("onnxruntime")
 int8 = pytest.importorskip("ffpose.inference.int8")
 

@@ -156,6 +156,20 @@ def test_the_growths_are_what_doubtful_and_cut_errors_lack(growths):
     assert found[1:3] == pytest.approx(growths, rel=0.05, abs=0.05)
 
 
+def test_errors_about_either_of_two_modes_have_one_distribution():
+    """Three in ten truths are about the second mode; far ones of the first give no scale."""
+    rng, count = np.random.default_rng(4), 20000
+    near = (
+        multivariate_t.rvs(np.zeros(3), np.eye(3), df=5, size=count, random_state=rng) ** 2
+    ).sum(1)
+    d2, none = np.stack([near, np.full(count, 4000.0)], axis=1), np.zeros(count)
+    swapped = rng.uniform(size=count) < 0.3
+    d2[swapped] = d2[swapped, ::-1]
+    found = fit_tails(d2, none, none, np.tile([0.7, 0.3], (count, 1)))
+    assert found.degrees_of_freedom == pytest.approx(5, rel=0.1)
+    assert found.scale == pytest.approx(5 / 3, rel=0.03)
+
+
 def test_gaussian_errors_have_many_degrees_of_freedom():
     samples = np.random.default_rng(0).standard_normal((20000, 3))
     found = fit_tails((samples**2).sum(1), np.zeros(20000), np.zeros(20000))

@@ -4,7 +4,8 @@ A network may predict covariances of translation and rotation, and the probabili
 is in view. The squared Mahalanobis distance ``d² = eᵀ C⁻¹ e`` of errors with a multivariate t
 distribution of ``ν`` degrees of freedom and covariance C has a known distribution, ``d² ν / (3 (ν -
 2))`` being F-distributed with 3 and ν degrees of freedom; that of Gaussian errors is chi-square
-distributed with three. So the 90 % confidence region of a calibrated network contains 90 % of the
+distributed with three. A network may tell two modes of the attitude with their probabilities: its
+regions are of both. So the 90 % confidence region of a calibrated network contains 90 % of the
 truths (its coverage; over all levels, its reliability). The probability of being in view is
 measured as a detector of images that do not show the object.
 """
@@ -105,12 +106,52 @@ def _t_probability(x: FloatArray, nu: float) -> FloatArray:
     return np.asarray(np.minimum(2 * integral * math.exp(-log_beta), 1.0))
 
 
+def mixture_probability(
+    squared_distances: ArrayLike, probabilities: ArrayLike, degrees_of_freedom: float | None = None
+) -> FloatArray:
+    """Return `region_probability` ``(N,)`` for distributions of several modes.
+
+    The smallest region that contains a truth is around each mode where the density is that of the
+    truth or more: nearer to the less likely ones. What a mode adds near another one is neglected.
+
+    Args:
+        squared_distances: Of the truth from each mode ``(N, K)``, by one covariance.
+        probabilities: Of the modes ``(N, K)``, of which the largest is above 0; those of an image
+            are divided by their sum.
+        degrees_of_freedom: As of `region_probability`.
+    """
+    d2, p = np.asarray(squared_distances, np.float64), np.asarray(probabilities, np.float64)
+    p = p / p.sum(axis=1, keepdims=True)
+    with np.errstate(divide="ignore"):
+        log_p = np.log(p)
+    nu = degrees_of_freedom
+    far = d2 / 2 if nu is None else (nu + 3) / 2 * np.log1p(d2 / (nu - 2))
+    below = np.maximum(log_p - (log_p - far).max(axis=1, keepdims=True), 0)  # 0 beyond the region
+    reach = 2 * below if nu is None else (nu - 2) * np.expm1(2 * below / (nu + 3))
+    return np.asarray(np.minimum((p * region_probability(reach, nu)).sum(axis=1), 1.0))
+
+
+class OtherMode(NamedTuple):
+    """A second mode of attitudes.
+
+    Attributes:
+        orientation: ``(N, 4)``.
+        truth: True attitudes ``(N, 4)``, of those of one look the nearest to ``orientation``.
+        probabilities: Of the predicted attitude and of this one ``(N, 2)``.
+    """
+
+    orientation: FloatArray
+    truth: FloatArray
+    probabilities: FloatArray
+
+
 def truth_regions(
     predicted: FloatArray,
     truth: FloatArray,
     translation_covariance: ArrayLike,
     rotation_covariance: ArrayLike,
     degrees_of_freedom: tuple[float, float] | None = None,
+    other: OtherMode | None = None,
 ) -> dict[str, FloatArray]:
     """Return the `region_probability` ``(N,)`` of each truth, for translation and for rotation.
 
@@ -121,6 +162,8 @@ def truth_regions(
         rotation_covariance: ``(N, 3, 3)``, rad², camera frame, of ``r`` with ``R_true = exp([r]x)
             R_predicted``.
         degrees_of_freedom: Of the t distributions of both errors; None for Gaussian errors.
+        other: A second mode of the attitude, whose errors have the same covariance: regions are of
+            both (`mixture_probability`).
     """
     of_translation, of_rotation = degrees_of_freedom or (None, None)
     moved, turned = (
@@ -131,8 +174,19 @@ def truth_regions(
     angular = squared_mahalanobis(turned, rotation_covariance)
     return {
         "translation": region_probability(d2, of_translation),
-        "rotation": region_probability(angular, of_rotation),
+        "rotation": region_probability(angular, of_rotation)
+        if other is None
+        else mixture_probability(
+            np.stack([angular, _distance_from(other, rotation_covariance)], axis=1),
+            other.probabilities,
+            of_rotation,
+        ),
     }
+
+
+def _distance_from(other: OtherMode, covariance: ArrayLike) -> FloatArray:
+    turned = rotation_error_vector(other.orientation, other.truth)
+    return squared_mahalanobis(turned, covariance)
 
 
 def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:

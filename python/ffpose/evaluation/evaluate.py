@@ -35,6 +35,7 @@ from ffpose.datasets import (
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
+    OtherMode,
     check_covariance,
     check_probability,
     summarize_flag,
@@ -53,7 +54,10 @@ from ffpose.inference.load import load
 from ffpose.models import PosePrediction, WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
 
-UNCERTAINTY = ("translation_covariance", "rotation_covariance", "in_view")
+UNCERTAINTY = (
+    *("translation_covariance", "rotation_covariance", "in_view"),
+    *("alternative", "probabilities"),
+)
 """Uncertainty outputs that a network may have besides its poses."""
 
 
@@ -65,7 +69,9 @@ class Evaluation:
     Covariances ``(N, 3, 3)`` are of the translation, m², and of the rotation vector ``r`` with
     ``R_true = exp([r]x) R_predicted``, rad², both in the camera frame; ``in_view`` are
     probabilities ``(N,)`` that the object is in the image, and ``in_view_empty`` those ``(M,)`` of
-    images without it. All of these are None for a network without uncertainty. Errors, of the
+    images without it; ``alternative`` are second most likely attitudes ``(N, 4)``, and
+    ``probabilities (N, 2)`` those of the predicted and of these. All of these are None for a
+    network without uncertainty, the last two for one that tells no second mode too. Errors, of the
     baseline too, are to the nearest attitude of the same look by ``symmetry``.
 
     Raises:
@@ -85,6 +91,8 @@ class Evaluation:
     in_view_empty: FloatArray | None = None
     in_view_threshold: float = 0.5
     symmetry: SymmetryGroup = IDENTITY
+    alternative: FloatArray | None = None
+    probabilities: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name in ("translation_covariance", "rotation_covariance"):
@@ -131,7 +139,15 @@ class Evaluation:
             self.translation_covariance,
             self.rotation_covariance,
             self.degrees_of_freedom,
+            self._other,
         )
+
+    @property
+    def _other(self) -> OtherMode | None:
+        if self.alternative is None or self.probabilities is None:
+            return None
+        truth = self.symmetry.nearest(self.alternative, self.truth[:, 3:])
+        return OtherMode(self.alternative, truth, self.probabilities)
 
     @cached_property
     def ranking(self) -> NDArray[np.intp]:

@@ -4,13 +4,15 @@ Translations are scaled by one factor, such that the median error of the logarit
 is zero. Looks at points about the object tell by how much their offset follows the true one, where
 a network has such looks. The errors of translation, and those of rotation, are taken for
 multivariate t distributed (Lange, Little and Taylor, "Robust Statistical Modeling Using the t
-Distribution", JASA 1989): most are as small as the network says, and now and then it mistakes one
-side of the object for another. Found by maximum likelihood are the degrees of freedom, a scale of
-the covariances, and how the standard deviations grow with the network's own doubt of the attitude,
-the probability that its bins give to attitudes far from the most likely one, and with the share of
-the object's view that the border of the frame cuts off. This is the analog of temperature scaling
-for probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML 2017). The
-covariances are then those of the t distributions, not their scale matrices.
+Distribution", JASA 1989): most are as small as the network says, and some are much larger. Those of
+the rotation are so about either of two modes, where a network tells two with their probabilities:
+it may not know which of two sides that look alike it sees. Found by maximum likelihood are the
+degrees of freedom, a scale of the covariances, and how the standard deviations grow with the
+network's own doubt of the attitude, the probability that its bins give to attitudes far from the
+most likely one, and with the share of the object's view that the border of the frame cuts off. This
+is the analog of temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural
+Networks", ICML 2017). The covariances are then those of the t distributions, not their scale
+matrices.
 """
 
 from __future__ import annotations
@@ -117,8 +119,11 @@ def calibrate(
     sets = [
         _distances(model, each, factor) for each in (seen, _see_all(model, hard, symmetry)) if each
     ]
-    translation, rotation, doubt, cut = map(np.concatenate, zip(*sets, strict=True))
-    tails = [fit_tails(distances, doubt, cut) for distances in (translation, rotation)]
+    translation, rotation, doubt, cut, modes = map(np.concatenate, zip(*sets, strict=True))
+    tails = [
+        fit_tails(distances, doubt, cut, probabilities)
+        for distances, probabilities in ((translation, None), (rotation, modes))
+    ]
     scales, by_doubt, by_cut, degrees = zip(*tails, strict=True)
     return Calibration(
         model.config.distance_scale * factor,
@@ -137,22 +142,38 @@ def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
     return float(np.exp(np.median(np.log(ratios))))
 
 
-def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike, truncation: ArrayLike) -> Tails:
+def fit_tails(
+    squared_distance: ArrayLike,
+    doubt: ArrayLike,
+    truncation: ArrayLike,
+    probabilities: ArrayLike | None = None,
+) -> Tails:
     """Return the t distribution of the largest likelihood of errors in three dimensions.
 
     With a doubt ``p`` and a truncation ``s`` ``(N,)``, 0…1, the scale matrix is that without them
     times ``(1 + k p)² (1 + l s)²``; where all are zero no growth is found. Degrees of freedom are
     `LEAST_DEGREES_OF_FREEDOM` to `ffpose.config.second_look.MOST_DEGREES_OF_FREEDOM`.
 
+    Args:
+        squared_distance: ``eᵀ C⁻¹ e`` of the errors ``(N,)``, or of those from each of several
+            modes ``(N, K)``, about each of which errors have the same distribution.
+        doubt: ``(N,)``.
+        truncation: ``(N,)``.
+        probabilities: Of the modes ``(N, K)``, the first above 0; None for one.
+
     Raises:
-        ValueError: There are no distances ``eᵀ C⁻¹ e``, or one is negative or not finite.
+        ValueError: There are no distances, or one is negative or not finite.
     """
     d2 = np.asarray(squared_distance, np.float64)
     shares = np.stack([np.asarray(each, np.float64) for each in (doubt, truncation)])
-    if d2.ndim != 1 or len(d2) == 0 or not (np.isfinite(d2) & (d2 >= 0)).all():
+    if probabilities is None:
+        d2 = d2[..., None]
+    if d2.ndim != 2 or d2.size == 0 or not (np.isfinite(d2) & (d2 >= 0)).all():
         raise ValueError(
             f"squared distance: expected finite numbers (N,) of at least 0, N > 0, got {d2}"
         )
+    p = np.ones_like(d2) if probabilities is None else np.asarray(probabilities, np.float64)
+    log_p = torch.from_numpy(p / p.sum(axis=1, keepdims=True)).log()
     x = torch.zeros(4, dtype=torch.float64, requires_grad=True)
     search = torch.optim.LBFGS(
         [x],
@@ -161,7 +182,7 @@ def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike, truncation: ArrayLi
         tolerance_change=1e-12,
         line_search_fn="strong_wolfe",
     )
-    begin = math.log(max(float(np.median(d2)), LEAST_DISTANCE))
+    begin = math.log(max(float(np.median(d2.min(axis=1))), LEAST_DISTANCE))
     grows = torch.from_numpy(shares.any(1).astype(np.float64))
 
     def found() -> tuple[Tensor, Tensor, Tensor]:
@@ -171,7 +192,9 @@ def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike, truncation: ArrayLi
 
     def loss() -> Tensor:
         search.zero_grad()
-        value = negative_log_likelihood(torch.from_numpy(d2), torch.from_numpy(shares), *found())
+        value = negative_log_likelihood(
+            torch.from_numpy(d2), log_p, torch.from_numpy(shares), *found()
+        )
         torch.autograd.backward(value)
         return value
 
@@ -183,16 +206,17 @@ def fit_tails(squared_distance: ArrayLike, doubt: ArrayLike, truncation: ArrayLi
 
 
 def negative_log_likelihood(
-    d2: Tensor, shares: Tensor, log_scale: Tensor, growths: Tensor, nu: Tensor
+    d2: Tensor, log_p: Tensor, shares: Tensor, log_scale: Tensor, growths: Tensor, nu: Tensor
 ) -> Tensor:
-    """Return the mean of a multivariate t distribution's, up to a constant, for errors ``(N,)``.
+    """Return the mean of a mixture of multivariate t distributions', up to a constant.
 
+    ``d2`` are errors from each mode ``(N, K)``, ``log_p`` the modes' logarithmic probabilities;
     ``growths (2,)`` belong to ``shares (2, N)``, doubt and truncation.
     """
     log_scales = log_scale + 2 * torch.log1p(growths[:, None] * shares).sum(0)
     normalization = torch.lgamma((nu + 3) / 2) - torch.lgamma(nu / 2) - 1.5 * nu.log()
-    far = (nu + 3) / 2 * torch.log1p(d2 * torch.exp(-log_scales) / nu)
-    return (far + 1.5 * log_scales).mean() - normalization
+    far = (nu + 3) / 2 * torch.log1p(d2 * torch.exp(-log_scales)[:, None] / nu)
+    return (1.5 * log_scales - torch.logsumexp(log_p - far, dim=1)).mean() - normalization
 
 
 def _look_slope(model: PolarPose, measured: FloatArray) -> tuple[float, float]:
@@ -226,16 +250,20 @@ def _see_all(
     if not seen:
         return {}
     found = {name: np.concatenate([each[name] for each in seen]) for name in seen[0]}
-    truth = symmetry.nearest(found["orientation"], found["true_orientation"])
-    return found | {"true_orientation": truth}
+    truth = found["true_orientation"]
+    return found | {
+        "true_orientation": symmetry.nearest(found["orientation"], truth),
+        "true_alternative": symmetry.nearest(found["alternative"], truth),
+    }
 
 
 def _distances(
     model: SecondLookNetwork, seen: Mapping[str, FloatArray], factor: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return squared distances of translation and rotation, without growth; doubt, truncation.
+) -> tuple[FloatArray, ...]:
+    """Return squared distances, without growth; doubt, truncation; probabilities of the modes.
 
-    ``(N,)`` each; predicted translations are multiplied by ``factor``.
+    Those of the translation ``(N,)``, whose prediction is multiplied by ``factor``, and of the
+    rotation from either mode ``(N, 2)``, as the probabilities; else ``(N,)``.
     """
     config, found = model.config, seen["translation"]
     doubt = 1 - seen["probabilities"][:, 0]
@@ -243,16 +271,23 @@ def _distances(
         _array(truncation(torch.from_numpy(t), config)) for t in (found, found * factor)
     )
     moved = seen["true_translation"] - found * factor
-    turned = rotation_error_vector(seen["orientation"], seen["true_orientation"])
+    turned = [
+        rotation_error_vector(seen[name], seen[f"true_{name}"])
+        for name in ("orientation", "alternative")
+    ]
     for_translation, for_rotation = (
         ((1 + by_doubt * doubt) * (1 + by_cut * before)) ** 2
         for by_doubt, by_cut in zip(config.doubt_sigma, config.truncation_sigma, strict=True)
     )
     return (
         squared_mahalanobis(moved, seen["translation_covariance"]) * for_translation,
-        squared_mahalanobis(turned, seen["rotation_covariance"]) * for_rotation,
+        np.stack(
+            [squared_mahalanobis(each, seen["rotation_covariance"]) for each in turned], axis=1
+        )
+        * for_rotation[:, None],
         doubt,
         after,
+        seen["probabilities"],
     )
 
 

@@ -256,10 +256,10 @@ def _results(
     about = plan.about | {"all of them": "each kind as often as the others"}
     return {
         "conditions": [
-            {"name": name, "about": words, **seen[name], **summarize(group, threshold)}
+            {"name": name, "about": words, **seen[name], **summarize(group, threshold, symmetry)}
             for name, words, group in groups
         ],
-        "mean_pose_baseline": summarize(constant, None),
+        "mean_pose_baseline": summarize(constant, None, symmetry),
         "without_object": [
             {
                 "name": name,

@@ -8,10 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ffpose.evaluation.calibration import auroc, coverages, flag_rates, truth_regions
+from ffpose.evaluation.calibration import (
+    OtherMode,
+    auroc,
+    coverages,
+    flag_rates,
+    truth_regions,
+)
 from ffpose.evaluation.metrics import median_intervals, pose_errors, summarized
 from ffpose.geometry import FloatArray, Pose, PoseUncertainty, standard_deviations
-from ffpose.geometry.symmetry import SymmetryGroup
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 
 LARGE_DEG = 30.0
 """Rotation error above which a pose is a failure, such as a flipped object."""
@@ -42,8 +48,10 @@ def folded(answers: Answers, symmetry: SymmetryGroup) -> Answers:
     return answers._replace(truth=[Pose.from_vector(row) for row in truth])
 
 
-def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
-    """Return the statistics of images that show the object.
+def summarize(
+    answers: Answers, threshold: float | None, symmetry: SymmetryGroup = IDENTITY
+) -> dict[str, Any]:
+    """Return the statistics of images that show the object, answers `folded` by ``symmetry``.
 
     ``images``; ``median_`` and ``mean_`` of the errors in `ffpose.evaluation.metrics.SUMMARIZED`,
     and ``median_intervals_95``; ``percentile_90_rotation_error_deg``; ``share_over_30_deg``. For a
@@ -64,19 +72,26 @@ def summarize(answers: Answers, threshold: float | None) -> dict[str, Any]:
         "median_intervals_95": median_intervals(errors),
         "percentile_90_rotation_error_deg": float(np.quantile(rotation, 0.9)),
         f"share_over_{LARGE_DEG:.0f}_deg": float((rotation > LARGE_DEG).mean()),
-        **(_trust(answers, threshold) if answers.uncertainties else {}),
+        **(_trust(answers, threshold, symmetry) if answers.uncertainties else {}),
     }
 
 
-def _trust(answers: Answers, threshold: float | None) -> dict[str, Any]:
+def _trust(answers: Answers, threshold: float | None, symmetry: SymmetryGroup) -> dict[str, Any]:
     found, truth = _vectors(answers.found), _vectors(answers.truth)
     said = answers.uncertainties
+    second = [u.alternative for u in said if u.alternative is not None]
+    other = None
+    if len(second) == len(said):
+        alternative = np.stack(second)
+        nearest = symmetry.nearest(alternative, truth[:, 3:])
+        other = OtherMode(alternative, nearest, np.array([u.probabilities for u in said]))
     regions = truth_regions(
         found,
         truth,
         np.stack([u.translation_covariance for u in said]),
         np.stack([u.rotation_covariance for u in said]),
         said[0].degrees_of_freedom,
+        other,
     )
     result: dict[str, Any] = {name: coverages(each) for name, each in regions.items()}
     pairs = zip(answers.found, said, strict=True)
