@@ -1,7 +1,7 @@
 import csv
 import json
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,13 +9,14 @@ import pytest
 import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from ffpose.datasets import Conditions, Decoding, read_conditions
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.evaluate import Evaluation, evaluate
 from ffpose.evaluation.report.results import format_table, write_results
 from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera
-from ffpose.geometry.symmetry import Axis, SymmetryGroup
+from ffpose.geometry.symmetry import IDENTITY, Axis, SymmetryGroup
 from ffpose.imaging.reprojection import reproject
 from ffpose.models import FilterformerPose, PosePrediction, build_network, read_metadata
 from tiny_runs import SIZE, write_set
@@ -457,6 +458,32 @@ def test_coverage_and_flag_by_hand(uncertain):
         "miss_rate": 0.25,
         "auroc": pytest.approx((3 + 2 * 3.5 + 3 * 4) / 24),
     }
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_regions_are_of_both_modes(uncertain, symmetric):
+    """What is half a turn off, with the second mode where `uncertain` has its only one.
+
+    Gaussian densities of 0.6 and 0.4 times one are the same where d² differs by 2 log 1.5. After
+    half a turn that leaves the look as it is the first mode is as good as the second.
+    """
+    half = Rotation.from_rotvec([0, 0, np.pi])
+    off = uncertain.predicted.copy()
+    off[:, 3:] = (rotations(off) * half).as_quat(scalar_first=True)
+    group = SymmetryGroup((Axis((0, 0, 1), 2),)) if symmetric else IDENTITY
+    both = replace(
+        uncertain,
+        predicted=off,
+        alternative=uncertain.predicted[:, 3:],
+        probabilities=np.tile([0.6, 0.4], (6, 1)),
+        symmetry=group,
+    )
+    d2, apart = np.array([0.5, 1.0, 1.5, 2.0, 2.5, 4.0]) ** 2, 2 * np.log(1.5)
+    first, second = (d2, d2 - apart) if symmetric else (d2 + apart, d2)
+    expected = 0.6 * chi2.cdf(first, 3) + 0.4 * chi2.cdf(second, 3)
+    np.testing.assert_allclose(both.region_probabilities["rotation"], expected, atol=1e-6)
+    alone = replace(both, alternative=None, probabilities=None, symmetry=IDENTITY)
+    assert (alone.region_probabilities["rotation"] == 1).all()
 
 
 def test_uncertainty_stands_in_the_files(uncertain, evaluation, tmp_path):

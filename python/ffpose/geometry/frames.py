@@ -221,8 +221,8 @@ class PoseUncertainty:
     Attributes:
         translation_covariance: ``(3, 3)`` square meters, camera frame; float64.
         rotation_covariance: ``(3, 3)`` square radians, covariance of the rotation vector ``r``,
-            camera frame, with ``R_true = exp([r]x) @ R_predicted``, where ``R_predicted`` is that of
-            the pose and ``alternative`` which the true one is near; float64.
+            camera frame, with ``R_true = exp([r]x) @ R_predicted``, where ``R_predicted`` is the
+            pose's rotation or that of ``alternative``, the one that is near; float64.
         in_view: Probability that the object is in the image at all.
         in_view_threshold: Probability below which the object counts as not in view; None where the
             network has none.

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ffpose.evaluation.card.statistics import Answers, refuse, summarize
+from ffpose.evaluation.card.statistics import Answers, folded, refuse, summarize
 from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.geometry.symmetry import Axis, SymmetryGroup
 
 RNG = np.random.default_rng(0)
 TRANSLATION = np.diag([0.04, 0.09, 0.25])
@@ -41,6 +42,23 @@ def test_regions_of_a_covariance_that_is_too_small_do_not():
     figures = summarize(gaussian_answers(500, said=0.25), None)
     assert figures["translation"]["coverage_90"] < 0.6
     assert figures["rotation"]["coverage_90"] < 0.6
+
+
+def test_regions_are_of_both_modes():
+    """Each truth is at the second mode: within the regions that hold more than the first mode."""
+    half = Rotation.from_rotvec([0, 0, np.pi])
+    attitudes = Rotation.random(10, rng=RNG)
+    found, truth = [], []
+    for attitude in attitudes:
+        modes = {"alternative": wxyz(attitude * half), "probabilities": (0.9, 0.1)}
+        said = PoseUncertainty(TRANSLATION, ROTATION, 0.9, **modes)
+        found.append(Pose([0, 0, 10.0], wxyz(attitude), said))
+        truth.append(Pose([0, 0, 10.0], wxyz(attitude * half)))
+    figures = summarize(Answers(found, truth), None)
+    assert [figures["rotation"][f"coverage_{n}"] for n in (50, 90, 99)] == [0, 1, 1]
+    symmetry = SymmetryGroup((Axis((0, 0, 1), 2),))
+    shown = summarize(folded(Answers(found, truth), symmetry), None, symmetry)
+    assert [shown["rotation"][f"coverage_{n}"] for n in (50, 90, 99)] == [1, 1, 1]
 
 
 def test_standard_deviations_are_those_of_the_covariances():
