@@ -167,15 +167,15 @@ def rewrite(graph, model):
 def test_a_weight_that_two_nodes_share_is_copied(graph, images, tmp_path):
     """ONNX Runtime cannot load shared ones where the CPU has no VNNI."""
     model = onnx.load(graph)
-    mixing = np.random.default_rng(2).normal(size=(SIZE[0], SIZE[0])).astype(np.float32)
+    mixing = np.random.default_rng(2).normal(size=(SIZE[1], SIZE[1])).astype(np.float32)
     model.graph.initializer.append(onnx.numpy_helper.from_array(mixing, "mixing"))
     maps, *others = model.graph.node
     others[0].input[0] = "sum"
     added = [
         node("Conv", ["images", "kernel"], "maps_again", ["backbone"], auto_pad="SAME_UPPER"),
         node("Relu", ["maps_again"], "bright_again", ["backbone"]),
-        node("MatMul", ["mixing", "maps"], "mixed", ["backbone"]),
-        node("MatMul", ["mixing", "bright_again"], "mixed_again", ["backbone"]),
+        node("MatMul", ["maps", "mixing"], "mixed", ["backbone"]),
+        node("MatMul", ["bright_again", "mixing"], "mixed_again", ["backbone"]),
         onnx.helper.make_node("Add", ["mixed", "mixed_again"], ["sum"]),
     ]
     del model.graph.node[:]
@@ -191,6 +191,23 @@ def test_a_weight_that_two_nodes_share_is_copied(graph, images, tmp_path):
     read = [name for each in onnx.load(out).graph.node for name in each.input if name in weights]
     assert sorted(read) == sorted(weights)
     assert len(weights) == 4
+
+
+def test_a_matrix_on_the_left_stays_float(graph, images, tmp_path):
+    """ONNX Runtime before 1.32 refuses the scales of its channels."""
+    model = onnx.load(graph)
+    mixing = np.random.default_rng(2).normal(size=(SIZE[0], SIZE[0])).astype(np.float32)
+    model.graph.initializer.append(onnx.numpy_helper.from_array(mixing, "mixing"))
+    maps, bright, *others = model.graph.node
+    bright.input[0] = "mixed"
+    del model.graph.node[:]
+    mixed = node("MatMul", ["mixing", "maps"], "mixed", ["backbone"])
+    model.graph.node.extend([maps, mixed, bright, *others])
+    rewrite(graph, model)
+    out = tmp_path / "int8.onnx"
+    assert int8.quantize_graph(graph, out, images).nodes == 1
+    kept = {each.name: each.data_type for each in onnx.load(out).graph.initializer}
+    assert kept["mixing"] == onnx.TensorProto.FLOAT
 
 
 def test_a_graph_without_a_backbone_is_refused(graph, images, tmp_path):

@@ -77,6 +77,8 @@ def test_the_matrices_filter_as_the_fft_does(layout, size):
 @pytest.mark.parametrize(("lead", "shape"), [((), ()), ((2, "batch"), (2, 3)), (("batch",), (0,))])
 def test_leading_dimensions_are_kept(lead, shape):
     weight = draw_weight((6, 5))
+    if 0 in shape and tuple(map(int, runtime.__version__.split(".")[:2])) < (1, 32):
+        pytest.skip("ONNX Runtime before 1.32 multiplies no empty batch by a matrix on its left")
     x = np.random.default_rng(1).standard_normal((*shape, 6, 5)).astype(np.float32)
     model = filter_graph("tokens", (6, 5), [weight], lead)
     replace_filters(model)

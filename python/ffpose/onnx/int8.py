@@ -1,8 +1,9 @@
 """Static quantization of the costly operators of a graph to int8.
 
-Convolutions and products with constant matrices of the backbone and of the branches become int8:
-weights by channel, activations by the range that calibration images show. Spectral filters,
-normalizations, heads and the geometry of a second look stay float32. Written as pairs of
+Convolutions and products with constant matrices on the right, in the backbone and the branches,
+become int8: weights by channel, activations by the range that calibration images show. Spectral
+filters, normalizations, heads and the geometry of a second look stay float32; so do products with a
+matrix on the left, which ONNX Runtime before 1.32 cannot scale by channel. Written as pairs of
 QuantizeLinear and DequantizeLinear, which ONNX Runtime and OpenVINO fuse into integer operators.
 """
 
@@ -51,7 +52,10 @@ def quantize(
     folded = out.with_name("folded.onnx")
     name = _fold(graph, folded, filter)
     model = onnx.load(str(folded))
-    nodes = [node.name for node in model.graph.node if node.name in wanted]
+    weights = {tensor.name for tensor in model.graph.initializer}
+    nodes = [
+        node.name for node in model.graph.node if node.name in wanted and node.input[1] in weights
+    ]
     if not nodes:
         raise RuntimeError(f"int8: expected a graph with {', '.join(OPERATORS)} in it, got none")
     _separate_weights(model.graph, wanted)
