@@ -15,6 +15,7 @@ from ffpose.datasets import Conditions, Decoding, read_conditions
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.evaluate import Evaluation, evaluate
 from ffpose.evaluation.report.results import format_table, write_results
+from ffpose.evaluation.report.tables import uncertainty_table
 from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera
 from ffpose.geometry.symmetry import IDENTITY, Axis, SymmetryGroup
 from ffpose.imaging.reprojection import reproject
@@ -461,7 +462,7 @@ def test_coverage_and_flag_by_hand(uncertain):
 
 
 @pytest.mark.parametrize("symmetric", [False, True])
-def test_regions_are_of_both_modes(uncertain, symmetric):
+def test_regions_are_of_both_modes(uncertain, symmetric, tmp_path):
     """What is half a turn off, with the second mode where `uncertain` has its only one.
 
     Gaussian densities of 0.6 and 0.4 times one are the same where d² differs by 2 log 1.5. After
@@ -482,6 +483,14 @@ def test_regions_are_of_both_modes(uncertain, symmetric):
     first, second = (d2, d2 - apart) if symmetric else (d2 + apart, d2)
     expected = 0.6 * chi2.cdf(first, 3) + 0.4 * chi2.cdf(second, 3)
     np.testing.assert_allclose(both.region_probabilities["rotation"], expected, atol=1e-6)
+    modes = both.summary()["uncertainty"]["modes"]
+    assert modes == {"share_over_30_deg": 0 if symmetric else 1, "share_over_30_deg_of_both": 0}
+    write_results(both, tmp_path)
+    with (tmp_path / "predictions.csv").open() as file:
+        row = list(csv.DictReader(file))[5]
+    assert float(row["alternative_rotation_error_deg"]) == pytest.approx(np.degrees(0.04))
+    assert [float(row[f"{name}probability"]) for name in ("", "alternative_")] == [0.6, 0.4]
+    assert "the second most likely one too</td><td>0.0 %" in uncertainty_table(both.summary())
     alone = replace(both, alternative=None, probabilities=None, symmetry=IDENTITY)
     assert (alone.region_probabilities["rotation"] == 1).all()
 

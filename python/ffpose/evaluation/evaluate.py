@@ -42,7 +42,7 @@ from ffpose.evaluation.calibration import (
     summarize_regions,
     truth_regions,
 )
-from ffpose.evaluation.confusion import most_confused
+from ffpose.evaluation.confusion import LARGE_DEG, most_confused
 from ffpose.evaluation.metrics import PoseErrors, median_intervals, pose_errors, summarized
 from ffpose.evaluation.significance import circular_correlation, correlation
 from ffpose.geometry import Camera, FloatArray, Pose
@@ -150,6 +150,13 @@ class Evaluation:
         return OtherMode(self.alternative, truth, self.probabilities)
 
     @cached_property
+    def alternative_errors_deg(self) -> FloatArray | None:
+        """Rotation errors ``(N,)`` of the second most likely attitudes; None where none are."""
+        if self._other is None:
+            return None
+        return np.asarray(arrays.rotation_error(self._other.orientation, self._other.truth))
+
+    @cached_property
     def ranking(self) -> NDArray[np.intp]:
         """Indices of the images from best to worst.
 
@@ -184,7 +191,8 @@ class Evaluation:
         errors are near, ``rotation_vector_deg``, and their ``share`` of all images
         (`ffpose.evaluation.confusion`); ``groups`` the medians by condition
         (`ffpose.evaluation.breakdown`); ``uncertainty``, for a network that predicts it, its
-        calibration (`ffpose.evaluation.calibration`).
+        calibration (`ffpose.evaluation.calibration`), and of one that tells two ``modes`` the share
+        of attitudes over 30 degrees off, and of those that are so from both.
         """
         distance = np.linalg.norm(self.dataset.poses[:, :3], axis=1)
         uncertainty = self._uncertainty()
@@ -249,6 +257,13 @@ class Evaluation:
             result["translation"]["median_sigma_m"] = _median_sigma(self.translation_covariance)
             sigma = _median_sigma(self.rotation_covariance)
             result["rotation"]["median_sigma_deg"] = float(np.degrees(sigma))
+        if self.alternative_errors_deg is not None:
+            rotation = self.errors.rotation_deg.numpy()
+            nearer = np.minimum(rotation, self.alternative_errors_deg)
+            result["modes"] = {
+                "share_over_30_deg": float((rotation > LARGE_DEG).mean()),
+                "share_over_30_deg_of_both": float((nearer > LARGE_DEG).mean()),
+            }
         if self.in_view is not None:
             flag = summarize_flag(self.in_view, self.in_view_empty, self.in_view_threshold)
             result["in_view"] = flag

@@ -66,6 +66,10 @@ def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
         columns |= _deviations("t{}_m", evaluation.translation_covariance)
     if evaluation.rotation_covariance is not None:
         columns |= _deviations("r{}_deg", evaluation.rotation_covariance * np.degrees(1.0) ** 2)
+    if (errors := evaluation.alternative_errors_deg) is not None:
+        assert evaluation.probabilities is not None
+        columns["alternative_rotation_error_deg"] = errors
+        columns["probability"], columns["alternative_probability"] = evaluation.probabilities.T
     if evaluation.in_view is not None:
         columns["in_view"] = evaluation.in_view
     return columns

@@ -133,6 +133,11 @@ def uncertainty_table(summary: Summary) -> str:
         if name in told
         for level in (50, 90, 99)
     ]
+    if modes := told.get("modes"):
+        off = "attitudes that are more than 30° off"
+        rows.append((off, _percent(modes["share_over_30_deg"])))
+        both = f"{off}, the second most likely one too"
+        rows.append((both, _percent(modes["share_over_30_deg_of_both"])))
     if flag := told.get("in_view"):
         rows.append(("flagged as without the object: below", f"{flag['threshold']:.3g}"))
         rows.append(("images with it that are flagged", _percent(flag["false_alarm_rate"])))
