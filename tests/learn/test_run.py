@@ -279,6 +279,10 @@ def test_sides_that_are_taken_for_each_other_are_told():
     turn = {"rotation_vector_deg": [0.0, -90.0, 0.0]}
     told = verdict(summary | {"confusion": turn | {"share": 0.2}})
     assert "20% are taken for what is seen after a turn by 90 degrees about (0.00, -1.00" in told
+    assert "second attitude" not in told
+    modes = {"share_over_30_deg": 0.25, "share_over_30_deg_of_both": 0.05}
+    told = verdict(summary | {"confusion": turn | {"share": 0.2}, "uncertainty": {"modes": modes}})
+    assert "25% are more than 30 degrees off, of which in 80% the second attitude" in told
     assert "taken" not in verdict(summary | {"confusion": turn | {"share": 0.05}})
     # of attitudes in a narrow range a constant pose's errors gather as well
     baseline = summary["mean_pose_baseline"] | {"confusion": {"share": 0.2}}

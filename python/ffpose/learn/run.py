@@ -383,6 +383,12 @@ def verdict(summary: dict[str, Any]) -> str:
             f" degrees about ({axis}): more minutes may tell the two apart, and --symmetry FILE"
             " folds them"
         )
+        if (modes := summary.get("uncertainty", {}).get("modes")) is not None:
+            text += (
+                f"; {modes['share_over_30_deg']:.0%} are more than 30 degrees off, of which in"
+                f" {1 - modes['share_over_30_deg_of_both'] / modes['share_over_30_deg']:.0%} the"
+                " second attitude that poses tell is right"
+            )
     if error <= POOR * constant:
         return text
     return (
