@@ -1,6 +1,10 @@
-"""Draws own_spacecraft.jpg: spacecraft of mesh files, each with the axes that its network predicts.
+"""Draws spacecraft of mesh files, each with the axes that its network predicts.
 
-python docs/images/own_spacecraft.py station landsat hubble    folders that ffpose learn wrote
+Of folders that ffpose learn wrote, and the indices of the images that are shown, sunlit and near, with
+errors about the median:
+
+python docs/images/own_spacecraft.py own_spacecraft.jpg station=2,21,23,31 landsat=14,17,23,35 hubble=2,23,31,35
+python docs/images/own_spacecraft.py own_spacecraft_hour.jpg orion=25,35,31,76 landsat=40,35,72,2
 """
 
 import sys
@@ -19,10 +23,6 @@ DIAMETERS = 1.2
 """Width of the part of an image that is shown, in diameters of the spacecraft."""
 
 
-SHOWN = [(2, 21, 23, 31), (14, 17, 23, 35), (2, 23, 31, 35)]
-"""Indices of each row's images: sunlit and near, with errors about the median."""
-
-
 def rows(folders: list[str]) -> Iterator[tuple[PoseEstimator, Scene, float]]:
     """Return the network, the set and the shown width of each run."""
     for folder in folders:
@@ -34,4 +34,7 @@ def rows(folders: list[str]) -> Iterator[tuple[PoseEstimator, Scene, float]]:
         )
 
 
-write_sheet(Path(__file__).with_suffix(".jpg"), rows(sys.argv[1:]), CHOICES.start, SHOWN)
+name, *runs = sys.argv[1:]
+folders, images = zip(*(run.rsplit("=", 1) for run in runs), strict=True)
+shown = [[int(index) for index in indices.split(",")] for indices in images]
+write_sheet(Path(__file__).with_name(name), rows(folders), CHOICES.start, shown)
