@@ -234,6 +234,7 @@ def _is_learned_from_the_mesh(out, mesh):
     assert header.config.distance_m == pytest.approx(scene.distance_m)
     assert header.recipe["data"]["scene"] == "box"
     assert str(mesh.parent) not in json.dumps(header.recipe)
+    assert "init: generic\n" in (out / "first" / "config.yaml").read_text()
     of_the_first = header.recipe["init"]
     assert of_the_first["sha256"] == sha256(out / "first" / "best.safetensors")
     assert of_the_first["recipe"]["init"]["sha256"] == sha256(resolve_initial("generic"))

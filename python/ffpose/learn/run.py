@@ -238,12 +238,14 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
 
 
 def _initial(init: str) -> Path | None:
-    """Return the path of the initial weights, once they are known to fit the network."""
+    """Return the initial weights, a file or a name, once they are known to fit the network.
+
+    A name stays one: an interrupted run goes on where ffpose is installed in another place.
+    """
     if init == "none":
         return None
-    path = resolve_initial(init)
-    load_weights(path, build_network(NETWORK, backbone_weights="none"))
-    return path
+    load_weights(resolve_initial(init), build_network(NETWORK, backbone_weights="none"))
+    return Path(init)
 
 
 def _inspected(config: LearnConfig) -> tuple[float, SceneFile]:
