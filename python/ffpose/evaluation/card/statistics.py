@@ -15,12 +15,10 @@ from ffpose.evaluation.calibration import (
     flag_rates,
     truth_regions,
 )
+from ffpose.evaluation.confusion import LARGE_DEG
 from ffpose.evaluation.metrics import median_intervals, pose_errors, summarized
 from ffpose.geometry import FloatArray, Pose, PoseUncertainty, standard_deviations
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
-
-LARGE_DEG = 30.0
-"""Rotation error above which a pose is a failure, such as a flipped object."""
 
 
 class Answers(NamedTuple):
