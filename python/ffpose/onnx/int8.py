@@ -58,7 +58,7 @@ def quantize(
     ]
     if not nodes:
         raise RuntimeError(f"int8: expected a graph with {', '.join(OPERATORS)} in it, got none")
-    _separate_weights(model.graph, wanted)
+    _separate_weights(model.graph, set(nodes))
     quantizer = require("onnxruntime.quantization.qdq_quantizer", "export").QDQQuantizer(
         model,
         per_channel=True,
