@@ -15,7 +15,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test all format lint lint-rust lint-python typecheck typecheck-here typecheck-windows test-rust test-python test-slow test-python-all test-arm test-onboard docs bench figures ort onboard weights graphs wheel wheels test-wheel-arm clean tools cards
+.PHONY: help demo test all format lint lint-rust lint-python typecheck typecheck-here typecheck-windows test-rust test-rust-slow test-python test-slow test-python-all test-arm test-onboard docs bench figures ort onboard weights graphs wheel wheels test-wheel-arm clean tools cards
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 14
@@ -27,7 +27,7 @@ test: ## install and run the tests, Rust's and Python's, but for the slow ones
 	$(MAKE) --jobs=2 test-rust $(VENV)/.dev # packages are fetched while crates compile
 	$(MAKE) test-python
 
-all: lint typecheck test-rust test-onboard test-python-all docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
+all: lint typecheck test-rust test-rust-slow test-onboard test-python-all docs ## what CI runs: format, lints, types, tests (the docs' examples are among them), site
 
 format: $(VENV)/.dev ## rewrite the sources in the house format
 	$(BIN)/ruff format $(PYTHON_SOURCES)
@@ -56,10 +56,12 @@ typecheck-here: $(VENV)/.dev
 	$(BIN)/mypy
 	MYPYPATH=python $(BIN)/stubtest ffpose._rust
 
-# The core's tests of its own parts compile the core once more: without AVX-512, with which .ci/test-avx512 runs them.
-test-rust: tools ## the Rust tests, with optimization
+test-rust: tools ## the Rust tests, with optimization, but for the slow ones
 	cargo test --locked --release --workspace --test '*'
 	cargo test --locked --release -p ffpose-ort -p ffpose-scene -p ffpose-track --lib
+
+# They compile the core once more: without AVX-512, with which .ci/test-avx512 runs them.
+test-rust-slow: tools ## the core's tests of its own parts
 	cargo test --locked --release -p ffpose-core --lib --no-default-features --features avx2
 
 test-python: $(VENV)/.dev ## the Python tests and the examples of the docs

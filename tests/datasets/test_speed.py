@@ -128,6 +128,7 @@ def test_a_broken_entry_is_named_by_file_and_line(root, entries, words):
         ("{}", ":1: expected a list of objects"),
         ("[]", ": expected at least one image"),
         ("[\n1]", ":2: expected an object, got 1"),
+        ('[\n{"filename": "a", "filename": "b"}]', ":2: .*each key once, got 'filename' twice"),
         ('[\n{"filename": "a"}', ":2: not JSON: Expecting ',' delimiter"),
         ('[\n{"filename": "a"},', ":2: not JSON: Expecting value"),
         ('[{"filename": "a"},\n]', ":[12]: not JSON"),

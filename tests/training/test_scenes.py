@@ -122,9 +122,10 @@ def test_autocast_learns_from_scenes_too(root, tmp_path):
     assert losses[1] == pytest.approx(losses[0], rel=0.1)
 
 
-def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path):
+def test_the_weights_know_data_camera_and_how_to_look(root, tmp_path, capsys):
     config = scenes_config(root, tmp_path / "run", epochs=1)
-    folder = train(config, quiet=True).folder
+    folder = train(config).folder
+    assert f"{COUNT} images calibrate: fewer than 10 tell little" in capsys.readouterr().err
     metadata = read_metadata(folder.best)
     assert metadata.config.view_camera == find_scene(
         "soyuz_easy", (180.0, 90.0, 180.0)

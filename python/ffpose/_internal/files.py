@@ -106,17 +106,22 @@ def read_json(path: Path) -> Any:
         DataError: The file is not in UTF-8, an object has a key twice, or as in `json_errors`.
     """
     text = read_text(path)
+    with json_errors(path):
+        return distinct_keys(path).decode(text)
+
+
+def distinct_keys(path: Path, line: int | None = None) -> json.JSONDecoder:
+    """Return a decoder that raises a `DataError` where an object of the file has a key twice."""
 
     def distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         values: dict[str, Any] = {}
         for name, value in pairs:
             if name in values:
-                raise DataError(f"expected each key once, got {shortened(name)} twice", path)
+                raise DataError(f"expected each key once, got {shortened(name)} twice", path, line)
             values[name] = value
         return values
 
-    with json_errors(path):
-        return json.loads(text, object_pairs_hook=distinct)
+    return json.JSONDecoder(object_pairs_hook=distinct)
 
 
 @contextmanager

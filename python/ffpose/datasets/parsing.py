@@ -11,7 +11,14 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, TypeVar
 
-from ffpose._internal.files import expect_folder, json_errors, read_json, read_text, shortened
+from ffpose._internal.files import (
+    distinct_keys,
+    expect_folder,
+    json_errors,
+    read_json,
+    read_text,
+    shortened,
+)
 from ffpose.errors import DataError, expect
 
 Made = TypeVar("Made")
@@ -194,12 +201,12 @@ def read_list(path: Path) -> list[Entry]:
     text = read_text(path)
     if not text.lstrip().startswith("["):
         raise DataError("expected a list of objects in JSON", path, 1)
-    entries, decoder = [], json.JSONDecoder()
+    entries: list[Entry] = []
     line, counted, place = 1, 0, _next_member(text, text.index("[") + 1)
     while text[place : place + 1] not in ("]", ""):
         line, counted = line + text.count("\n", counted, place), place
         with json_errors(path, line):
-            values, end = decoder.raw_decode(text, place)
+            values, end = distinct_keys(path, line).raw_decode(text, place)
         if not isinstance(values, dict):
             raise DataError(f"expected an object, got {shortened(values)}", path, line)
         entries.append(Entry(values, path, line))

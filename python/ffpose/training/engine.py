@@ -25,7 +25,7 @@ from ffpose.evaluation.metrics import PoseError
 from ffpose.geometry import Target
 from ffpose.models import read_metadata
 from ffpose.training.averaging import AveragedModel
-from ffpose.training.calibrate_weights import write_calibrated
+from ffpose.training.calibrate_weights import LEAST_IMAGES, write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.memory import keep_freed_memory
@@ -135,6 +135,8 @@ def _train_in(
         Events(config.out, done, wanted=config.tensorboard and processes.leads) as events,
         Reporter(epochs, done, steps, quiet=quiet) as reporter,
     ):
+        if run.calibration and (few := len(run.calibration.whole)) < LEAST_IMAGES:
+            reporter.note(f"{few} images calibrate: fewer than {LEAST_IMAGES} tell little")
         while (epoch := _next_epoch(run, state)) is not None:
             if cpu_minutes is not None and _cpu_seconds_of(state) >= 60 * cpu_minutes:
                 break

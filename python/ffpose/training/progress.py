@@ -51,6 +51,10 @@ class Reporter(Progress):
         self._images = 0
         self._began = time.perf_counter()
 
+    def note(self, text: str) -> None:
+        """Print a line about the run."""
+        self.console.print(text, highlight=False)
+
     def epoch_begins(self, epoch: Epoch) -> None:
         """Show the current epoch, and reset the count of images."""
         self._images, self._began = 0, time.perf_counter()
