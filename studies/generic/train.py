@@ -102,7 +102,9 @@ def train_generic(config: GenericConfig) -> None:
     loss = ManyObjective(model, ObjectLossConfig(angle=5.0, offset=5.0), numbers).to(device)
     preprocessing = backbone_preprocessing(model.config.backbone, model.config.image_size, "resize")
     preprocessing = replace(preprocessing, mean=(0.0, 0.0, 0.0))
-    augmentation = PatchAugmentation(empty=0.08, jpeg=0.1, frames=0.4, look_outliers=0.12)
+    augmentation = PatchAugmentation(
+        empty=0.08, jpeg=0.1, monochrome=0.2, frames=0.4, look_outliers=0.12
+    )
     nothing = np.zeros((0, 3))
     batches = PatchBatches(
         model, arrays, empty, augmentation, preprocessing.std, loss.cells, nothing, device=device

@@ -53,7 +53,7 @@ def test_kept_pictures_are_those_that_were_rendered_and_are_not_rendered_again(
     tried, tmp_path, monkeypatch
 ):
     chosen, frames = tried
-    some = [chosen[name] for name in ("as trained", "blur", "JPEG 50")]
+    some = [chosen[name] for name in ("as trained", "blur", "monochrome", "JPEG 50")]
     some.append(without_object(chosen["as trained"].scene)[0])
     first = [f.image for _, f in render_variations(some, SEED, 2, SIZE, 1, tmp_path)]
     monkeypatch.setattr("ffpose.render.variations.shoot_each", None)
@@ -70,10 +70,18 @@ def test_kept_pictures_are_those_that_were_rendered_and_are_not_rendered_again(
 def test_poses_are_shared_wherever_the_variation_leaves_them(tried):
     _, frames = tried
     poses = {name: np.stack([f.pose.vector for f in found]) for name, found in frames.items()}
-    for name in ("noise doubled", "blur", "JPEG 50", "randomize 0.5"):
+    for name in ("noise doubled", "blur", "monochrome", "JPEG 50", "randomize 0.5"):
         np.testing.assert_array_equal(poses[name], poses["as trained"])
     distance = np.linalg.norm(poses["beyond range"][:, :3], axis=1)
     assert ((distance >= 16.0) & (distance <= 1.3 * 16.0)).all()
+
+
+def test_a_monochrome_picture_has_the_luma_of_the_colored_one(tried):
+    """By the weights of ITU-R BT.601, within a rounding."""
+    _, frames = tried
+    for gray, colored in zip(frames["monochrome"], frames["as trained"], strict=True):
+        luma = colored.image @ [0.299, 0.587, 0.114]
+        np.testing.assert_allclose(gray.image, np.stack([luma] * 3, axis=-1), atol=0.51)
 
 
 def test_attitudes_are_all(tried):

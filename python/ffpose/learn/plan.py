@@ -290,7 +290,7 @@ def training(
             clip_norm=1.0,
         ),
         object_loss=ObjectLossConfig(angle=5.0, offset=5.0),
-        views=PatchAugmentation(empty=0.12, jpeg=0.1, frames=0.4),
+        views=PatchAugmentation(empty=0.12, jpeg=0.1, monochrome=0.2, frames=0.4),
         seed=seed,
         device=device,
         symmetry=symmetry,

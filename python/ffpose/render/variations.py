@@ -51,6 +51,7 @@ class Variation:
         scene: the set.
         blur_px: standard deviation of a Gaussian blur of the finished picture, in pixels of an
             image 640 wide.
+        monochrome: the finished picture has no colors (ITU-R BT.601's luma).
         empty: the spacecraft is left out.
     """
 
@@ -58,6 +59,7 @@ class Variation:
     about: str
     scene: Scene
     blur_px: float = 0.0
+    monochrome: bool = False
     empty: bool = False
 
     @property
@@ -97,6 +99,7 @@ def variations(
             scene,
             blur_px=BLUR_PX,
         ),
+        Variation("monochrome", "the colors' luma alone", scene, monochrome=True),
         Variation(f"JPEG {JPEG_QUALITY}", "through a JPEG file", replace(scene, sensor=jpeg)),
         Variation(
             f"randomize {RANDOMIZATION}",
@@ -182,7 +185,7 @@ def _render_item(
     sensors = [variation.scene.sensor for variation in together]
     scene, empty = together[0].scene, together[0].empty
     frames = [
-        frame._replace(image=blurred(frame.image, variation.blur_px))
+        frame._replace(image=finished(frame.image, variation))
         for variation, frame in zip(
             together, shoot_each(scene, seed, number, camera, sensors, empty=empty), strict=True
         )
@@ -196,8 +199,17 @@ def _render_item(
 
 def _folder(variation: Variation, seed: int, size: tuple[int, int]) -> str:
     depends = [variation.scene.parameters(), variation.blur_px, variation.empty, seed, size]
+    depends += ["monochrome"] * variation.monochrome
     digest = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()
     return f"{variation.name.replace(' ', '-')}-{digest[:16]}"
+
+
+def finished(image: Bytes, variation: Variation) -> Bytes:
+    """Do to a finished picture (H, W, 3) what the variation does."""
+    image = blurred(image, variation.blur_px)
+    if not variation.monochrome:
+        return image
+    return np.asarray(Image.fromarray(image).convert("L").convert("RGB"))
 
 
 def blurred(image: Bytes, sigma: float) -> Bytes:

@@ -309,6 +309,8 @@ class PatchAugmentation:
         blur: Largest weight of a copy at half the resolution that is blended in.
         jpeg: Fraction of the second look's images that went through a JPEG file, of a quality from
             30 to 90.
+        monochrome: Fraction of the images of either look that are as a camera without colors has
+            them: of three random weights of the colors each, noise included.
         empty: Fraction of samples without the object.
         frames: Fraction of samples whose frame trains the first look, which learns sooner.
     """
@@ -322,6 +324,7 @@ class PatchAugmentation:
     noise: float = 0.04
     blur: float = 0.5
     jpeg: float = 0.0
+    monochrome: float = 0.0
     empty: float = 0.1
     frames: float = 0.25
 

@@ -1,4 +1,4 @@
-"""What a camera does to brightness, sharpness and noise, varied at random for training."""
+"""What a camera does to color, brightness, sharpness and noise, varied at random for training."""
 
 from __future__ import annotations
 
@@ -37,12 +37,15 @@ class Photometry:
     def one(self, image: Tensor, generator: torch.Generator) -> Tensor:
         """Vary an image ``(1, 3, h, w)`` on a CPU, and do no more than its draws ask for."""
         a = self.augmentation
+        if a.monochrome > 0 and draw(generator) < a.monochrome:
+            image = _monochrome(image, torch.rand(1, 3, generator=generator))
+        noisy = image.shape
         stops = a.brightness * float(torch.randn((), generator=generator))
         image = image * (self.scale * 2**stops)
         if a.blur > 0 and (share := a.blur * draw(generator) ** 2) > LEAST_BLUR:
             image = torch.lerp(image, _smooth(image), share)
         if a.noise > 0 and (sigma := a.noise * draw(generator) ** 2) > LEAST_NOISE:
-            noise = self._normal(image.shape, generator)
+            noise = self._normal(noisy, generator)
             image = torch.addcmul(image, noise, sigma * self.unit)
         return image
 
@@ -54,6 +57,11 @@ class Photometry:
             return sample[:, None, None, None]
 
         count = (len(images),)
+        without = torch.zeros(count, dtype=torch.bool, device=device)
+        if a.monochrome > 0:
+            without = torch.rand(count, generator=generator, device=device) < a.monochrome
+            weights = torch.rand(len(images), 3, generator=generator, device=device)
+            images = torch.where(drawn(without), _monochrome(images, weights), images)
         stops = a.brightness * torch.randn(count, generator=generator, device=device)
         images = images * (self.scale * drawn(2**stops))
         if a.blur > 0:
@@ -62,6 +70,7 @@ class Photometry:
         if a.noise > 0:
             sigma = a.noise * torch.rand(count, generator=generator, device=device).square()
             noise = torch.randn(images.shape, generator=generator, device=device)
+            noise = torch.where(drawn(without), noise[:, :1], noise)
             images = torch.addcmul(images, noise, drawn(sigma) * self.unit)
         return images
 
@@ -84,6 +93,12 @@ def compressed(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     file = io.BytesIO()
     Image.fromarray(image).save(file, "JPEG", quality=quality)
     return np.array(Image.open(file))
+
+
+def _monochrome(images: Tensor, weights: Tensor) -> Tensor:
+    """Return the means ``(B, 1, h, w)`` of images' colors by positive weights ``(B, 3)``."""
+    shares = weights / weights.sum(1, keepdim=True)
+    return (images * shares[:, :, None, None]).sum(1, keepdim=True)
 
 
 def _smooth(images: Tensor) -> Tensor:

@@ -36,6 +36,7 @@ def test_plain_scenes_are_seen_as_trained_and_by_augmentation(tmp_path):
         "as trained": "yes",
         "noise doubled": "partly",
         "blur": "partly",
+        "monochrome": "no",
         "JPEG 50": "no",
         "randomize 0.5": "no",
         "cut by the border": "no",

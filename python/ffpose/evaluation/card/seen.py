@@ -114,6 +114,8 @@ def _had(recipe: Recipe, variation: Variation, sets: Mapping[str, Scene]) -> See
         return Seen("no")
     if variation.blur_px > 0:
         return _augmented(views["blur"], "half the resolution blended in")
+    if variation.monochrome:
+        return _augmented(views.get("monochrome", 0), "a part of the images without colors")
     if scene.sensor.jpeg_quality != trained[0].sensor.jpeg_quality:
         return _augmented(views.get("jpeg", 0), "JPEG files of a part of the image")
     if scene.sensor != trained[0].sensor:
