@@ -231,6 +231,20 @@ def test_predict_asks_for_the_camera_of_another_image(trained, square, capsys):
         assert "t = (" in capsys.readouterr().out
 
 
+def test_predict_takes_the_camera_that_lies_beside_the_images(trained, image_set, square, capsys):
+    words = ["predict", str(trained / "best.safetensors"), str(square / "square.png"), "--json"]
+    assert main([*words, "--camera", str(square / "square.json")]) == 0
+    expected = capsys.readouterr().out
+    (square / "camera.json").write_bytes((square / "square.json").read_bytes())
+    assert main(words) == 0
+    assert capsys.readouterr().out == expected
+    assert main([*words, "--resize"]) == 0
+    assert capsys.readouterr().out != expected
+    assert main([*words, str(image_set / "0_rgb.png")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "camera: expected one beside all images, got Camera(width=30" in line
+
+
 def test_predict_takes_one_camera_or_a_resize(trained, square, capsys):
     words = ["predict", str(trained / "best.safetensors"), str(square / "square.png")]
     assert main([*words, "--resize", "--camera", str(square / "square.json")]) == 2

@@ -102,6 +102,7 @@ OUT = {"--out": (Path, ..., "folder to write")}
 MESH = "your spacecraft: .glb, .gltf, .obj, .ply, .stl"
 CAMERA = "JSON file: width, height, fx, fy, cx, cy"
 RESIZE = "resize images of any camera to the network's input"
+WHITE = "level that becomes white in images of more than 8 bits, or percentile such as p99.5"
 ANGLES: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("ROLL", "PITCH", "YAW")}
 
 
@@ -353,12 +354,11 @@ def train(options: Namespace) -> None:
 def data_arguments(parser: ArgumentParser, *, required: bool = True) -> None:
     """Declare the arguments that choose a command's images."""
     kinds = "urso, speed, speedplus, cambridge, sevenscenes or csv"
-    white = "level that becomes white in images of more than 8 bits, or percentile such as p99.5"
     options = {
         "--data.kind": (str, ... if required else None, f"layout of the image set: {kinds}"),
         "--data.root": (Path, ... if required else None, "folder of the image set"),
         "--data.undistort": (bool, False, "undistort images of cameras with distortion"),
-        "--data.white": (float | str, None, white),
+        "--data.white": (float | str, None, WHITE),
     }
     declare(parser, options)
 
@@ -479,13 +479,14 @@ def predict_arguments(parser: ArgumentParser) -> None:
     weights_argument(parser)
     text = "image files, folders of PNG, JPEG and PGM files, and patterns such as 'set/*/*.png'"
     parser.add_argument("images", nargs="+", help=text)
-    camera = "of the images, as a set's camera.json, to reproject them to the network's view"
+    camera = "of the images (default: camera.json beside them, or that of the weights)"
     options = {
         "--json": (bool, False, "print a line of JSON for each image"),
         "--batch": (int, 1, "images computed together"),
         "--overlay": (Path, None, "folder for images with the axes drawn"),
         "--camera": (Path, None, camera),
         "--resize": (bool, False, RESIZE),
+        "--white": (float | str, None, WHITE),
     }
     declare(parser, options)
 
@@ -494,13 +495,15 @@ def predict(options: Namespace) -> None:
     """Print the pose seen in each image, as soon as it is known.
 
     An image that cannot be used is told, the others are still predicted, and the exit code is 1.
-    Images are those of the weights' camera, or --camera or --resize says what becomes of them.
+    Images are those of the camera of --camera, of camera.json beside them, or of the weights; of
+    another than the weights' they are reprojected, or --resize takes them as they are.
     """
     from ffpose.geometry import Camera
     from ffpose.imaging.images import find_images
     from ffpose.inference.load import load
     from ffpose.inference.prediction import (
         Failure,
+        camera_beside,
         expect_axes,
         expect_distinct_overlays,
         write_overlay,
@@ -511,14 +514,19 @@ def predict(options: Namespace) -> None:
     if options.overlay is not None:
         expect_writable(options.overlay)
         expect_distinct_overlays(images, options.overlay)
-    camera = None if options.camera is None else Camera.read(options.camera)
+    named = None if options.camera is None else Camera.read(options.camera)
     estimator = load(
-        options.weights, camera=camera, resize=options.resize, device=options.device, warm_up=0
+        options.weights,
+        camera=named or (None if options.resize else camera_beside(images)),
+        resize=options.resize,
+        white=options.white,
+        device=options.device,
+        warm_up=0,
     )
     told = estimator.metadata
     if options.overlay is not None:
         expect_axes(estimator)
-    elif camera is not None and told.camera is None and not told.undistorted:
+    elif named is not None and told.camera is None and not told.undistorted:
         raise ValueError("camera: expected with --overlay, for these weights know no camera")
     failures = []
     for answer in run(estimator, images, batch=options.batch):
@@ -549,6 +557,7 @@ def track_arguments(parser: ArgumentParser) -> None:
         "--times": (Path, None, times),
         "--camera": (Path, None, camera),
         "--resize": (bool, False, RESIZE),
+        "--white": (float | str, None, WHITE),
         "--whole": (bool, False, "search each frame as a whole, as if without a track"),
         "--settings": (Path, None, "JSON file of fields of ffpose.tracking.Settings"),
     }
@@ -572,6 +581,7 @@ def track(options: Namespace) -> None:
         options.weights,
         camera=None if path is None else Camera.read(path),
         resize=options.resize,
+        white=options.white,
         device=options.device,
         track=not options.whole,
         warm_up=0,

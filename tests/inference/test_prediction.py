@@ -419,6 +419,18 @@ def test_levels_are_scaled_as_in_training(tmp_path):
     assert (drawn == 62).all(axis=-1).any()
 
 
+def test_white_is_stated_for_weights_that_know_none(weights, tmp_path):
+    deep, plain = tmp_path / "deep.png", tmp_path / "plain.png"
+    Image.fromarray(np.full((64, 64), 1000, np.uint16)).save(deep)
+    Image.fromarray(np.full((64, 64), 62, np.uint8)).save(plain)
+    one, other = predict(load(weights, white=4095), [deep, plain])
+    assert one.pose == other.pose
+    (refused,) = predict(load(weights), [deep])
+    assert str(refused).endswith("got I;16, and no white level (white)")
+    with pytest.raises(ValueError, match="white: expected a positive level, .* got 0"):
+        load(weights, white=0)
+
+
 def test_an_object_is_described_as_ever(weights, picture):
     (found,) = predict(load(weights), [picture])
     assert list(found.to_dict()) == [

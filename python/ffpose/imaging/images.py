@@ -173,7 +173,9 @@ def to_rgb(image: Image.Image, path: Path, white: float | str | None = None) -> 
     if white is not None:
         return _scaled(image, path, white)
     if image.mode not in MODES:
-        raise DataError(f"expected pixels of mode {', '.join(MODES)}, got {image.mode}", path)
+        level = ", and no white level (white)" if image.mode in DEEP_MODES else ""
+        got = image.mode + level
+        raise DataError(f"expected pixels of mode {', '.join(MODES)}, got {got}", path)
     # A palette may hold transparency, which Pillow only drops by way of RGBA.
     return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
 

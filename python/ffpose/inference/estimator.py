@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ffpose.geometry import Camera, Pose, poses
-from ffpose.imaging.images import read_rgb
+from ffpose.imaging.images import check_white, read_rgb
 from ffpose.imaging.reprojection import expect_aspect, for_images
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ class PoseEstimator:
         camera: Camera of the images, which are reprojected to the network's view if it is another
             than that of training; None for that of training.
         resize: Resize any image to the network's input, as if taken by the camera of training.
+        white: White level of monochrome images of more than 8 bits, as for
+            `ffpose.imaging.images.to_rgb`; None for that of training.
 
     Attributes:
         preprocessing: Conversion from image to network input.
@@ -43,7 +45,7 @@ class PoseEstimator:
 
     Raises:
         ValueError: Both ``camera`` and ``resize`` are given, or neither for a network that was
-            trained on undistorted images.
+            trained on undistorted images; or ``white`` is no level.
 
     Examples:
         ``ffpose.load("soyuz")("image.png").t``
@@ -57,11 +59,15 @@ class PoseEstimator:
         near: Session | None = None,
         camera: Camera | None = None,
         resize: bool = False,
+        white: float | str | None = None,
     ) -> None:
+        if white is not None:
+            check_white("white", white)
         self.session = session
         self.near = near
         self.metadata = metadata
         self.camera = camera or metadata.camera
+        self.white = metadata.white if white is None else white
         self.preprocessing, self._expected = for_images(
             metadata.preprocessing,
             metadata.config.view_camera,
@@ -104,7 +110,7 @@ class PoseEstimator:
 
     def preprocess(self, image: ImageLike) -> NDArray[np.float32]:
         """Return the network's input ``(3, h, w)`` for an image; raises as for its pose."""
-        picture = as_image(image, self.metadata.white)
+        picture = as_image(image, self.white)
         expect_aspect(self._expected, *picture.size)
         return self.preprocessing.array(picture)
 

@@ -25,6 +25,7 @@ def load(
     threads: int | None = None,
     camera: Camera | None = None,
     resize: bool = False,
+    white: float | str | None = None,
     device: str = "auto",
     precision: Precision = "float32",
     providers: Sequence[str] | None = None,
@@ -44,6 +45,9 @@ def load(
         camera: Camera of the images, which are reprojected to the network's view if it is another
             than that of training; None for that of training.
         resize: Resize any image to the network's input, as if taken by the camera of training.
+        white: White level of files of monochrome images of more than 8 bits, 4095 for 12 bits, or
+            the percentile of each image's own levels that is white, such as ``"p99.5"``; None for
+            that of training, without which they are refused.
         device: Of torch: ``"auto"`` (a GPU if there is one) or a device that torch knows. Graphs
             run on the CPU.
         precision: Of a graph: ``"float32"``, or ``"bfloat16"`` where backend and CPU support it.
@@ -62,7 +66,7 @@ def load(
             version.
         ValueError: The backend or this CPU cannot do what is asked for, a folder holds several
             networks, or both ``camera`` and ``resize`` are given, or neither for a network that was
-            trained on undistorted images.
+            trained on undistorted images; or ``white`` is no level.
         TypeError: ``camera`` is no `Camera`, as the path of its file.
         RuntimeError: The runtime cannot load the graph or the library.
 
@@ -108,7 +112,9 @@ def load(
         session = TorchSession(model, device, threads)
         if track and isinstance(model, PolarPose):
             near = TorchSession(NearPoint(model), device, threads)
-    estimator = PoseEstimator(session, metadata, near=near, camera=camera, resize=resize)
+    estimator = PoseEstimator(
+        session, metadata, near=near, camera=camera, resize=resize, white=white
+    )
     estimator.warm_up(warm_up)
     return estimator
 

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from ffpose._internal.files import atomic_write
 from ffpose.arrays import quaternion_to_euler
 from ffpose.errors import DataError, explain
-from ffpose.geometry import Camera, FloatArray, Pose, Target, standard_deviations
+from ffpose.geometry import (
+    CAMERA_FILE,
+    Camera,
+    FloatArray,
+    Pose,
+    Target,
+    standard_deviations,
+)
 from ffpose.imaging.images import read_rgb
 from ffpose.imaging.overlay import draw_axes
 from ffpose.inference.estimator import PoseEstimator
@@ -129,7 +136,7 @@ def predict(
     return (
         Failure(path, answer)
         if isinstance(answer, Exception)
-        else Prediction(path, answer, estimator.camera, metadata.locates, metadata.white)
+        else Prediction(path, answer, estimator.camera, metadata.locates, estimator.white)
         for some in iter(lambda: list(islice(paths, batch)), [])
         for path, answer in zip(some, _answers(estimator, some, point), strict=True)
     )
@@ -161,6 +168,27 @@ def _answers(
     if inputs:
         answers.update(zip(inputs, posed([*inputs]), strict=True))
     return [answers[place] for place in range(len(paths))]
+
+
+def camera_beside(images: Iterable[Path]) -> Camera | None:
+    """Return the camera of the file ``camera.json`` beside images; None where there is none.
+
+    Raises:
+        ValueError: Some images lie beside that of another camera, or beside none.
+        ffpose.DataError: The file does not describe a camera.
+    """
+    found = {
+        folder: Camera.read(folder / CAMERA_FILE) if (folder / CAMERA_FILE).is_file() else None
+        for folder in dict.fromkeys(image.parent for image in images)
+    }
+    first = next(iter(found), Path())
+    for folder, camera in found.items():
+        if camera != found[first]:
+            raise ValueError(
+                f"camera: expected one beside all images, got {found[first]} in {first} and"
+                f" {camera} in {folder}; --camera FILE names one"
+            )
+    return found.get(first)
 
 
 def overlay_path(image: Path, folder: Path) -> Path:

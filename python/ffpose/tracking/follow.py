@@ -114,7 +114,7 @@ def run(
         write_trajectory(followed, out / TRAJECTORY)
     write_report(followed, out / REPORT, title)
     if estimator.camera is not None:
-        write_overlay(followed, estimator.camera, out / OVERLAY)
+        write_overlay(followed, estimator.camera, out / OVERLAY, estimator.white)
     lost = [each for each in followed if each.alone is None]
     if lost:
         first = f"the first: {lost[0].reason}"

@@ -71,13 +71,15 @@ velocity are about the object's.</p>
         temporary.write_text(page, encoding="utf-8")
 
 
-def write_overlay(followed: Sequence[Followed], camera: Camera, path: Path) -> None:
+def write_overlay(
+    followed: Sequence[Followed], camera: Camera, path: Path, white: float | str | None = None
+) -> None:
     """Write the frames with the track's axes as an animation (WebP).
 
-    Frames that did not correct the track have a colored border. Files that cannot be read are left
-    out.
+    Frames that did not correct the track have a colored border. Files that cannot be read, with
+    ``white`` as of `read_rgb`, are left out.
     """
-    pictures = _pictures(followed, camera)
+    pictures = _pictures(followed, camera, white)
     first = next(pictures, None)
     if first is None:
         return
@@ -96,10 +98,12 @@ def write_overlay(followed: Sequence[Followed], camera: Camera, path: Path) -> N
         )
 
 
-def _pictures(followed: Sequence[Followed], camera: Camera) -> Iterator[Image.Image]:
+def _pictures(
+    followed: Sequence[Followed], camera: Camera, white: float | str | None
+) -> Iterator[Image.Image]:
     for each in followed:
         try:
-            image = read_rgb(each.frame.image)
+            image = read_rgb(each.frame.image, white)
         except (OSError, DataError):
             continue
         height = round(camera.height * OVERLAY_WIDTH / camera.width)
