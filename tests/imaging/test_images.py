@@ -33,7 +33,7 @@ def test_eight_bits_a_channel_keep_their_values(tmp_path):
 @pytest.mark.parametrize(
     ("pixels", "name", "mode"),
     [
-        ((RAMP * 5000).astype(np.uint16), "deep.png", "I;16"),
+        ((RAMP * 5000).astype(np.uint16), "deep.png", r"I;16, and no white level \(white\)"),
         ((RAMP / 11).astype(np.float32), "real.tiff", "F"),
         (RAMP % 2 == 0, "bits.png", "1"),
     ],

@@ -5,6 +5,8 @@ import pytest
 from PIL import Image
 
 from ffpose.geometry import Camera, DistortedCamera
+from ffpose.imaging import undistortion
+from ffpose.imaging.images import decode_all
 from ffpose.imaging.undistortion import undistort
 
 LENS = (-0.22, 0.51, -0.0007, -0.0002, -0.13)
@@ -98,3 +100,12 @@ def test_a_lens_that_folds_the_image_is_refused():
 def test_bad_coefficients_are_refused(lens):
     with pytest.raises(ValueError, match="distortion: expected"):
         DistortedCamera(320, 200, 160.0, 162.0, 158.0, 103.0, lens)
+
+
+def test_many_threads_make_the_table_of_a_camera_once():
+    """Each takes 64 bytes a pixel, and longer than an image."""
+    image = Image.new("RGB", (320, 200), "white")
+    undistortion._corners.cache_clear()
+    seen = list(decode_all(lambda camera: undistort(image, camera), [CAMERA] * 20))
+    assert len(seen) == 20
+    assert undistortion._corners.cache_info().misses == 1

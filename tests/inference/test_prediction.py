@@ -427,7 +427,7 @@ def test_white_is_stated_for_weights_that_know_none(weights, tmp_path):
     assert one.pose == other.pose
     (refused,) = predict(load(weights), [deep])
     assert str(refused).endswith("got I;16, and no white level (white)")
-    with pytest.raises(ValueError, match="white: expected a positive level, .* got 0"):
+    with pytest.raises(ValueError, match=r"white: expected a positive level, .* got 0"):
         load(weights, white=0)
 
 

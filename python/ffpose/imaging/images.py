@@ -41,9 +41,13 @@ WAITING = 256
 
 
 def decode_all(decode: Callable[[Item], Decoded], items: Sequence[Item]) -> Iterator[Decoded]:
-    """Decode images on all cores and yield them in order; Pillow works without the GIL."""
+    """Decode images on all cores and yield them in order; Pillow works without the GIL.
+
+    The first is decoded alone: what all of them need, as a table to undistort by, is made once.
+    """
+    yield from map(decode, items[:1])
     with ThreadPoolExecutor() as pool:
-        for start in range(0, len(items), WAITING):
+        for start in range(1, len(items), WAITING):
             yield from pool.map(decode, items[start : start + WAITING])
 
 
