@@ -41,7 +41,16 @@ class AsOnCuda(TorchDispatchMode):
         if func.namespace != "ffpose":
             return func(*args, **(kwargs or {}))
         self.calls.add(str(func))
-        return func.redispatch(self.KEYS, *args, **(kwargs or {}))
+        with WithoutIndices():
+            return func.redispatch(self.KEYS, *args, **(kwargs or {}))
+
+
+class WithoutIndices(TorchDispatchMode):
+    """Refuses lists of indices, which are copied to the device and which it waits for."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        assert "aten::index" not in func.name()
+        return func(*args, **(kwargs or {}))
 
 
 def results(layer, x):

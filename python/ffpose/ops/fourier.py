@@ -77,6 +77,9 @@ def _correlate(spectrum: Tensor, x: Tensor, layout: Layout) -> Tensor:
     return torch.view_as_real(total).contiguous()
 
 
-def _lone_columns(width: int) -> list[int]:
-    """Return the columns of a half spectrum without a conjugate partner: DC, Nyquist if any."""
-    return [0] if width % 2 else [0, width // 2]
+def _lone_columns(width: int) -> slice:
+    """Return the columns of a half spectrum without a conjugate partner: DC, Nyquist if any.
+
+    A list would be copied to a GPU each time.
+    """
+    return slice(0, 1) if width % 2 else slice(0, None, width // 2)
