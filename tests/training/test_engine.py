@@ -1,3 +1,4 @@
+import shutil
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from PIL import Image
 from safetensors.torch import load_file
 
 from ffpose.errors import DataError
+from ffpose.geometry import Camera
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training import DataConfig, OptimizerConfig, Stage
 from ffpose.training.checkpoint import RunFolder, read_results
@@ -210,6 +212,29 @@ def test_a_run_that_is_refused_leaves_no_folder(tmp_path):
     with pytest.raises(FileNotFoundError):
         run_quietly(train_config(tmp_path / "no such set", tmp_path / "run"))
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_resumes_with_the_same_images_in_another_folder(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    moved = replace(config.data, root=shutil.copytree(image_set, tmp_path / "moved"))
+    assert len(run_quietly(replace(config, data=moved, epochs=2), resume=True).history) == 2
+
+
+@pytest.mark.parametrize(
+    ("fields", "focal_length"),
+    [({"seed": 1}, 0), ({"train": 11}, 0), ({}, 50.0)],
+    ids=["labels", "one more", "camera"],
+)
+def test_resume_refuses_other_images_labels_and_cameras(image_set, tmp_path, fields, focal_length):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    other = write_set(tmp_path / "other", **fields)
+    if focal_length:
+        Camera(64, 48, focal_length, focal_length, 32.0, 24.0).write(other / "camera.json")
+    data = replace(config.data, root=other)
+    with pytest.raises(ValueError, match=r"data: expected 10 images .* got 1[01] images .*--init"):
+        run_quietly(replace(config, data=data, epochs=2), resume=True)
 
 
 def test_tuples_among_the_model_fields_resume(image_set, tmp_path):
