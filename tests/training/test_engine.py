@@ -99,17 +99,21 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
 
 
 @pytest.mark.slow
-def test_a_kill_between_weights_and_state_costs_the_epoch_alone(image_set, tmp_path, monkeypatch):
-    whole = train_config(image_set, tmp_path / "whole", epochs=2)
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_kill_between_weights_and_state_costs_the_epoch_alone(
+    image_set, tmp_path, monkeypatch, before
+):
+    whole = train_config(image_set, tmp_path / "whole", epochs=before + 1)
     run_quietly(whole)
     killed = replace(whole, out=tmp_path / "killed")
-    run_quietly(replace(killed, epochs=1))
+    if before:
+        run_quietly(replace(killed, epochs=before))
 
     def kill(*_):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(RunFolder, "save_state", kill)
+        patch.setattr(RunFolder, "save_results", kill)
         with pytest.raises(KeyboardInterrupt):
             run_quietly(killed, resume=True)
     run_quietly(killed, resume=True)
@@ -178,6 +182,18 @@ def test_a_run_is_not_overwritten(image_set, tmp_path):
     run_quietly(config)
     with pytest.raises(FileExistsError, match="holds a training run"):
         run_quietly(config)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("kept", ["best", "last"])
+def test_weights_without_a_state_are_not_overwritten(image_set, tmp_path, kept, resume):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    config.out.mkdir()
+    weights = config.out / f"{kept}.safetensors"
+    weights.write_bytes(b"trained for a week")
+    with pytest.raises(FileExistsError, match=r"holds weights without state\.pt"):
+        run_quietly(config, resume=resume)
+    assert weights.read_bytes() == b"trained for a week"
 
 
 def test_resume_refuses_another_configuration(image_set, tmp_path):

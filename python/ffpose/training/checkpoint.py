@@ -3,7 +3,8 @@
 Every file is written under a temporary name and then renamed, and `RunFolder.save_state` comes last
 in an epoch: an epoch counts as finished once its state is saved. A run killed at any moment is
 therefore resumed after its last finished epoch, whose files are complete or are rewritten with the
-same contents.
+same contents. The first epoch saves a state without history before its weights, so that weights
+without a state are those of a run that cannot be resumed.
 """
 
 from __future__ import annotations
@@ -83,11 +84,16 @@ class RunFolder:
         """Load the state to start from, a new run's without history; `begin` writes.
 
         Raises:
-            FileExistsError: The folder holds a run, and ``resume`` is false.
+            FileExistsError: The folder holds a run, and ``resume`` is false; or its weights alone.
             ValueError: ``config`` differs from that of the run to resume.
             ffpose.DataError: A file of that run cannot be read.
         """
         if not self.state.exists():
+            if self.best.exists() or self.last.exists():
+                raise FileExistsError(
+                    f"{self.root} holds weights without {self.state.name}, which a run resumes "
+                    "from: write to another folder"
+                )
             return TrainState()
         if not resume:
             raise FileExistsError(

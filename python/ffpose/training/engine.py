@@ -89,7 +89,7 @@ def train(
         The run's files and results.
 
     Raises:
-        FileExistsError: ``config.out`` holds a run, and ``resume`` is false.
+        FileExistsError: ``config.out`` holds a run, and ``resume`` is false; or its weights alone.
         ValueError: A name in ``config`` is unknown, or ``config``, the training labels or their
             camera differ from those of the run to resume.
         ffpose.DataError: An image or a label cannot be used.
@@ -243,6 +243,8 @@ def cpu_seconds() -> float:
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``, the checkpoint last."""
     header = _header(run)
+    if len(state.history) == 1:
+        folder.save_state(TrainState())
     if state.best_epoch == len(state.history):
         run.average.model.save_pretrained(folder.best, **header)
     run.average.model.save_pretrained(folder.last, **header)
