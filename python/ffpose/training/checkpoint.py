@@ -130,12 +130,13 @@ class RunFolder:
         return TrainState(**torch.load(io.BytesIO(contents), map_location="cpu", weights_only=True))
 
     def save_results(self, history: list[Row]) -> None:
-        """Write the table of results; NaN where an older version's rows lack a column."""
+        """Write the table of the last row's columns; NaN where an older version's rows lack one."""
         with (
             atomic_write(self.results) as path,
             path.open("w", newline="", encoding="utf-8") as file,
         ):
-            writer = csv.DictWriter(file, fieldnames=list(history[-1]), restval="nan")
+            columns = list(history[-1])
+            writer = csv.DictWriter(file, columns, restval="nan", extrasaction="ignore")
             writer.writeheader()
             writer.writerows(history)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ffpose._internal.files import atomic_write
 from ffpose.evaluation.evaluate import Evaluation
+from ffpose.evaluation.metrics import defined
 from ffpose.geometry import FloatArray
 
 VECTOR = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
@@ -61,7 +62,7 @@ def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
     """Return the columns ``(N,)`` of ``predictions.csv`` after the name."""
     columns = dict(zip(VECTOR, evaluation.dataset.poses.T, strict=True))
     columns |= {f"predicted_{n}": c for n, c in zip(VECTOR, evaluation.predicted.T, strict=True)}
-    columns |= {n: getattr(evaluation.errors, field).numpy() for n, field in ERRORS.items()}
+    columns |= {n: each.numpy() for n, each in defined(evaluation.errors, ERRORS).items()}
     if evaluation.translation_covariance is not None:
         columns |= _deviations("t{}_m", evaluation.translation_covariance)
     if evaluation.rotation_covariance is not None:
