@@ -32,6 +32,7 @@ from ffpose.datasets import (
     open_dataset,
     read_conditions,
 )
+from ffpose.datasets.records import expect_in_front
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
@@ -309,6 +310,7 @@ def evaluate(
     decoding = (decoding or Decoding()).completed(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.expect_target(metadata.locates)
+    expect_in_front(dataset.records, dataset.target)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     if baseline is None:
