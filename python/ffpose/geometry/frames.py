@@ -51,8 +51,8 @@ class Camera:
     def __post_init__(self) -> None:
         size = self.width, self.height
         if not all(each >= 1 and float(each).is_integer() for each in size):
-            expected = "a size of whole pixels, 1 or more"
-            raise ValueError(f"camera: expected {expected}, got {self.width}x{self.height}")
+            got = f"{self.width}x{self.height}"
+            raise ValueError(f"camera: expected a positive size in whole pixels, got {got}")
         for name in ("width", "height", "fx", "fy", "cx", "cy"):  # NumPy's numbers are none of JSON
             kind = int if name in ("width", "height") else float
             object.__setattr__(self, name, kind(getattr(self, name)))
