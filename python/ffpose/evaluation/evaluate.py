@@ -108,7 +108,7 @@ class Evaluation:
     @cached_property
     def errors(self) -> PoseErrors:
         """Errors of the predictions, image by image."""
-        return pose_errors(self.predicted, self.truth, self.dataset.target)
+        return pose_errors(self.predicted, self.truth, target=self.dataset.target)
 
     @cached_property
     def truth(self) -> FloatArray:
@@ -118,7 +118,7 @@ class Evaluation:
     @cached_property
     def baseline_errors(self) -> PoseErrors:
         """Errors of the baseline, image by image."""
-        return pose_errors(self._constant, self._truth_for_constant, self.dataset.target)
+        return pose_errors(self._constant, self._truth_for_constant, target=self.dataset.target)
 
     @cached_property
     def angles(self) -> tuple[FloatArray, FloatArray]:
@@ -228,7 +228,7 @@ class Evaluation:
     def _without_symmetry(self) -> dict[str, Any]:
         if len(self.symmetry) == 1:
             return {}
-        plain = figures(pose_errors(self.predicted, self.dataset.poses, self.dataset.target))
+        plain = figures(pose_errors(self.predicted, self.dataset.poses, target=self.dataset.target))
         errors = {name: value for name, value in plain.items() if name.endswith("error_deg")}
         return {"without_symmetry": {"axes": self.symmetry.to_json(), **errors}}
 

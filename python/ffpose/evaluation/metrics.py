@@ -69,7 +69,7 @@ class PoseErrors(NamedTuple):
 
 
 def pose_error(
-    t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor, target: Target = "object"
+    t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor, *, target: Target = "object"
 ) -> PoseErrors:
     """Return the errors of each prediction, computed in float64.
 
@@ -109,7 +109,7 @@ def pose_error(
 
 
 def pose_errors(
-    predicted: NDArray[np.float64], truth: NDArray[np.float64], target: Target = "object"
+    predicted: NDArray[np.float64], truth: NDArray[np.float64], *, target: Target = "object"
 ) -> PoseErrors:
     """Return the errors of poses ``(N, 7)``, ``[t, q]``, as `pose_error`."""
     t_hat, q_hat, t, q = (
@@ -117,7 +117,7 @@ def pose_errors(
         for poses in (predicted, truth)
         for part in (poses[:, :3], poses[:, 3:])
     )
-    return pose_error(t_hat, q_hat, t, q, target)
+    return pose_error(t_hat, q_hat, t, q, target=target)
 
 
 def defined(errors: PoseErrors, fields: Mapping[str, str]) -> dict[str, Tensor]:
@@ -162,7 +162,7 @@ class PoseError(Metric):
 
     def update(self, t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> None:
         """Add a batch; arguments and errors are those of `pose_error`."""
-        errors = pose_error(t_hat, q_hat, t, q, self.target)
+        errors = pose_error(t_hat, q_hat, t, q, target=self.target)
         for name, error in zip(PoseErrors._fields, errors, strict=True):
             getattr(self, name).append(error.to(self.device))
 
