@@ -118,8 +118,8 @@ def _row(result: Result, cpu_seconds: float) -> dict[str, Any]:
     test, epoch = result["test"], epoch_within(result["history"], cpu_seconds) or {}
     return {
         **{name: result[name] for name in ("variant", "seed", "scene", *COSTS)},
-        **{key: test[key] for key in errors},
-        **{f"constant_{key}": test["mean_pose_baseline"][key] for key in errors},
+        **{key: test.get(key, "") for key in errors},
+        **{f"constant_{key}": test["mean_pose_baseline"].get(key, "") for key in errors},
         "equal_cpu_seconds": cpu_seconds,
         "equal_cpu_samples": epoch.get("samples", ""),
         **{f"equal_cpu_val_{key}": epoch.get(f"val_{key}", "") for key in errors},
@@ -201,7 +201,8 @@ def _published_ms(variant: Variant) -> str:
 
 
 def _said(rows: Sequence[Any], error: Error, prefix: str = "") -> str:
-    values = [error.scale * float(row[prefix + error.key]) for row in rows]
+    key = prefix + error.key  # that labels of a camera may lack
+    values = [error.scale * float(row[key]) for row in rows if key in row]
     return spread(values, error.unit)
 
 

@@ -67,6 +67,18 @@ def test_an_interruption_leaves_what_was_there(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
 
 
+def test_a_link_stays_and_its_file_is_replaced(tmp_path):
+    (tmp_path / "there").mkdir()
+    target, link = tmp_path / "there" / "best", tmp_path / "link.json"
+    target.write_text("old")
+    link.symlink_to("there/best")
+    with atomic_write(link) as temporary:
+        temporary.write_text("new")
+        assert temporary.suffix == ".json"
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+
+
 KILLED = """
 import os, sys
 from ffpose._internal.files import atomic_write

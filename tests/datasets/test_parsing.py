@@ -55,6 +55,15 @@ def test_a_camera_that_no_float_holds_is_named(tmp_path, name):
         Camera.read(path)
 
 
+def test_blank_lines_may_end_a_table_and_not_interrupt_it(tmp_path):
+    path = tmp_path / "train.csv"
+    path.write_text("image,tx\r\na.png,1\r\n\r\n  \n")
+    assert [entry.values for entry in read_table(path)[1]] == [{"image": "a.png", "tx": "1"}]
+    path.write_text("image,tx\n\na.png,1\n")
+    with pytest.raises(DataError, match=r"train\.csv:2: expected 2 fields, got 0"):
+        read_table(path)
+
+
 def test_a_long_value_is_not_repeated_whole(tmp_path):
     path = tmp_path / "train.json"
     path.write_text(json.dumps([{"x": "a" * 100_000}]))

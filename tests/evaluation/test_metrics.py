@@ -73,6 +73,21 @@ def test_the_parts_are_those_about_the_true_viewing_ray():
         assert float(errors.relative_translation) == pytest.approx(5 / 9)
 
 
+def test_a_camera_at_the_origin_of_its_world_has_the_errors_that_need_no_ray():
+    metric = PoseError("camera")
+    metric.update(torch.tensor([[3.0, 4.0, 0.0]]), turned_by(90), torch.zeros(1, 3), IDENTITY)
+    assert {name: float(value) for name, value in metric.compute().items()} == pytest.approx(
+        {
+            "mean_translation_error_m": 5,
+            "median_translation_error_m": 5,
+            "mean_rotation_error_deg": 90,
+            "median_rotation_error_deg": 90,
+        }
+    )
+    with pytest.raises(ValueError, match="above zero"):
+        PoseError().update(torch.zeros(1, 3), IDENTITY, torch.zeros(1, 3), IDENTITY)
+
+
 def test_both_signs_are_one_pose():
     t_hat, q_hat, t, q = batch()
     both = pose_error(t_hat, q_hat, t, q), pose_error(t_hat, -q_hat, t, q)

@@ -215,7 +215,10 @@ def test_a_cropped_camera_counts_from_the_crops_corner():
 
 @pytest.mark.parametrize(
     "change",
-    [{"width": 0}, {"height": -1}, {"fx": 0.0}, {"fy": -640.463}, {"cx": np.nan}, {"fx": np.inf}],
+    [
+        *({"width": 0}, {"height": -1}, {"width": 4.5}, {"width": np.nan}, {"height": np.inf}),
+        *({"fx": 0.0}, {"fy": -640.463}, {"cx": np.nan}, {"fx": np.inf}),
+    ],
 )
 def test_a_bad_camera_is_refused(change):
     fields = {"width": 4, "height": 3, "fx": 1.0, "fy": 1.0, "cx": 2.0, "cy": 1.5}
@@ -233,6 +236,19 @@ def test_a_bad_camera_is_refused(change):
 def test_a_camera_file_holds_the_camera(tmp_path, camera):
     camera.write(tmp_path / "camera.json")
     assert Camera.read(tmp_path / "camera.json") == camera
+
+
+def test_a_camera_of_numpys_numbers_can_be_written(tmp_path):
+    size, intrinsics = np.array([64, 48]), np.array([32, 33.5, 30, 24.25], np.float32)
+    Camera(*size, *intrinsics).write(tmp_path / "camera.json")
+    assert Camera.read(tmp_path / "camera.json") == Camera(64, 48, 32.0, 33.5, 30.0, 24.25)
+
+
+@pytest.mark.parametrize("shape", [(1, 5), (5, 1)])
+def test_distortion_may_have_opencvs_shapes(shape):
+    values = (-0.2, 0.05, 1e-3, -2e-3, 0.0)
+    camera = DistortedCamera(64, 48, 32.0, 33.5, 30.0, 24.25, np.reshape(values, shape))
+    assert camera.distortion == values
 
 
 def test_a_size_of_a_camera_file_may_be_written_as_a_fraction(tmp_path):

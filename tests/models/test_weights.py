@@ -4,6 +4,7 @@ import hashlib
 import json
 import struct
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,6 +80,20 @@ def test_there_and_back(model, path):
     images = torch.randn(2, 3, 64, 96)
     for got, expected in zip(loaded(images), model(images), strict=True):
         assert torch.equal(got, expected)
+
+
+@pytest.mark.parametrize("linked", [(), (".sha256",)], ids=["weights", "checksum too"])
+def test_weights_written_through_a_link_are_those_of_both_names(model, path, tmp_path, linked):
+    link = tmp_path / "link.safetensors"
+    for suffix in ("", *linked):
+        Path(f"{link}{suffix}").symlink_to(f"{path.name}{suffix}")
+    model.save_pretrained(link, preprocessing=replace(PREPROCESSING, mode="resize"))
+    assert link.is_symlink()
+    for each in (path, link):
+        assert read_metadata(each).preprocessing.mode == "resize"
+        FilterformerPose.from_pretrained(each)  # which verifies the checksum
+    names = [checksum_path(each).read_text().split()[1] for each in (path, link)]
+    assert names == [path.name, path.name if linked else link.name]
 
 
 def test_metadata(model, path):

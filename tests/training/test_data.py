@@ -14,7 +14,14 @@ from ffpose.datasets import patches
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import CONFIGS, read_metadata
-from ffpose.training.config import DataConfig, ObjectLossConfig, PatchAugmentation, TrainConfig
+from ffpose.training.calibration_images import open_calibration
+from ffpose.training.config import (
+    CalibrationImages,
+    DataConfig,
+    ObjectLossConfig,
+    PatchAugmentation,
+    TrainConfig,
+)
 from ffpose.training.data import open_training_data
 from ffpose.training.engine import train
 from ffpose.training.run import build_run
@@ -67,6 +74,24 @@ def test_held_out_images_validate_and_do_not_train(own):
     assert data.train_set.names == ["1.png", "2.png", "4.png", "5.png"]
     assert data.val_set.augmentation is None
     np.testing.assert_array_equal(data.poses[:, 2], [6, 7, 9, 10])
+
+
+@pytest.mark.parametrize(("split", "z"), [("train", -5), ("val", 0)])
+def test_an_object_that_is_not_in_front_of_the_camera_is_refused(own, tmp_path, split, z):
+    (own / "val.csv").write_text((own / "train.csv").read_text())
+    config = DataConfig("csv", own)
+    weights = train(train_config(own, tmp_path / "run", data=config, epochs=1), quiet=True)
+    table = own / f"{split}.csv"
+    table.write_text(table.read_text().replace(",7,1,", f",{z},1,"))
+    expected = rf"{split}\.csv:4: .*2\.png: expected an object in front of .* got z = {z}"
+    images = CalibrationImages("csv", own, split=split)
+    for work in (
+        lambda: opened(config),
+        lambda: open_calibration(images, Preprocessing((32, 32))),
+        lambda: evaluate(weights.folder.last, "csv", own, split),
+    ):
+        with pytest.raises(DataError, match=expected):
+            work()
 
 
 def test_a_set_that_validates_on_nothing_is_refused(own):

@@ -1,3 +1,4 @@
+import shutil
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from PIL import Image
 from safetensors.torch import load_file
 
 from ffpose.errors import DataError
+from ffpose.geometry import Camera
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training import DataConfig, OptimizerConfig, Stage
 from ffpose.training.checkpoint import RunFolder, read_results
@@ -97,17 +99,21 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
 
 
 @pytest.mark.slow
-def test_a_kill_between_weights_and_state_costs_the_epoch_alone(image_set, tmp_path, monkeypatch):
-    whole = train_config(image_set, tmp_path / "whole", epochs=2)
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_kill_between_weights_and_state_costs_the_epoch_alone(
+    image_set, tmp_path, monkeypatch, before
+):
+    whole = train_config(image_set, tmp_path / "whole", epochs=before + 1)
     run_quietly(whole)
     killed = replace(whole, out=tmp_path / "killed")
-    run_quietly(replace(killed, epochs=1))
+    if before:
+        run_quietly(replace(killed, epochs=before))
 
     def kill(*_):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(RunFolder, "save_state", kill)
+        patch.setattr(RunFolder, "save_results", kill)
         with pytest.raises(KeyboardInterrupt):
             run_quietly(killed, resume=True)
     run_quietly(killed, resume=True)
@@ -178,6 +184,18 @@ def test_a_run_is_not_overwritten(image_set, tmp_path):
         run_quietly(config)
 
 
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("kept", ["best", "last"])
+def test_weights_without_a_state_are_not_overwritten(image_set, tmp_path, kept, resume):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    config.out.mkdir()
+    weights = config.out / f"{kept}.safetensors"
+    weights.write_bytes(b"trained for a week")
+    with pytest.raises(FileExistsError, match=r"holds weights without state\.pt"):
+        run_quietly(config, resume=resume)
+    assert weights.read_bytes() == b"trained for a week"
+
+
 def test_resume_refuses_another_configuration(image_set, tmp_path):
     config = train_config(image_set, tmp_path / "run", epochs=1)
     run_quietly(config)
@@ -210,6 +228,29 @@ def test_a_run_that_is_refused_leaves_no_folder(tmp_path):
     with pytest.raises(FileNotFoundError):
         run_quietly(train_config(tmp_path / "no such set", tmp_path / "run"))
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_resumes_with_the_same_images_in_another_folder(image_set, tmp_path):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    moved = replace(config.data, root=shutil.copytree(image_set, tmp_path / "moved"))
+    assert len(run_quietly(replace(config, data=moved, epochs=2), resume=True).history) == 2
+
+
+@pytest.mark.parametrize(
+    ("fields", "focal_length"),
+    [({"seed": 1}, 0), ({"train": 11}, 0), ({}, 50.0)],
+    ids=["labels", "one more", "camera"],
+)
+def test_resume_refuses_other_images_labels_and_cameras(image_set, tmp_path, fields, focal_length):
+    config = train_config(image_set, tmp_path / "run", epochs=1)
+    run_quietly(config)
+    other = write_set(tmp_path / "other", **fields)
+    if focal_length:
+        Camera(64, 48, focal_length, focal_length, 32.0, 24.0).write(other / "camera.json")
+    data = replace(config.data, root=other)
+    with pytest.raises(ValueError, match=r"data: expected 10 images .* got 1[01] images .*--init"):
+        run_quietly(replace(config, data=data, epochs=2), resume=True)
 
 
 def test_tuples_among_the_model_fields_resume(image_set, tmp_path):

@@ -1,8 +1,10 @@
 """Several processes that train together do what one does on the same batches."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from itertools import chain
 
@@ -81,6 +83,37 @@ def test_one_process_is_alone_and_starts_none(monkeypatch):
     with started(1, None), joined("cpu") as processes:
         assert processes == Processes(0, 1)
         assert not torch.distributed.is_initialized()
+
+
+LEADER = """
+import os, sys, time
+from pathlib import Path
+from ffpose.training.processes import started
+
+def follow(path):
+    Path(path).write_text(f"{os.getpid()}\\n")
+    time.sleep(600)
+
+if __name__ == "__main__":
+    with started(2, follow, sys.argv[1]):
+        time.sleep(600)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM ends a process at once")
+def test_where_the_leader_is_terminated_the_others_end(tmp_path):
+    (tmp_path / "leader.py").write_text(LEADER)
+    told = tmp_path / "follower"
+    with subprocess.Popen([sys.executable, tmp_path / "leader.py", told]) as leader:
+        until = time.monotonic() + 120
+        while not (told.exists() and told.read_text().endswith("\n")):
+            assert time.monotonic() < until
+            time.sleep(0.1)
+        leader.terminate()
+        assert leader.wait(60) == 128 + signal.SIGTERM
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(told.read_text()), 0)
 
 
 WORKER = """

@@ -32,16 +32,17 @@ def atomic_write(path: str | Path, *, durable: bool = True) -> Iterator[Path]:
 
     The temporary file has the same name as ``path``, whose folder must exist, and lies in a new
     folder beside it, so that writers can choose a format by the suffix and the rename stays within
-    one file system. If the block raises, nothing remains and an older file is unchanged. A killed
-    process leaves the temporary folder behind (`remove_leftovers`).
+    one file system. Of a symbolic link, the file that it names is replaced. If the block raises,
+    nothing remains and an older file is unchanged. A killed process leaves the temporary folder
+    behind (`remove_leftovers`).
 
     ``durable``: the contents are flushed to disk before the rename and the folder after it, so that
     a power loss leaves either the old file or the new one. Without it a file, that is checked and
     can be made again, takes some milliseconds less.
     """
-    target = Path(path)
+    target = Path(path).resolve()
     with tempfile.TemporaryDirectory(prefix=_PREFIX, dir=target.parent) as folder:
-        temporary = Path(folder) / target.name
+        temporary = Path(folder) / Path(path).name
         yield temporary
         if durable:
             _sync(temporary)

@@ -32,6 +32,7 @@ from ffpose.geometry.trajectory import Trajectory
 TARGET: Target = "object"
 
 POSE = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
+KEYPOINT = ("name", "x", "y", "z")
 FIRST = ("train", "val", "test")
 """Splits that stand before others."""
 
@@ -40,10 +41,17 @@ def splits(root: Path) -> list[str]:
     """Return the splits of the set: train, val, test, then others by name."""
     expect_set(root, "CSV")
     tables = (path for path in root.glob("*.csv") if path.is_file() and path.name != CONDITIONS)
-    found = sorted(path.stem for path in tables if not path.name.startswith("."))
+    shown = (path for path in tables if not path.name.startswith("."))
+    found = sorted(path.stem for path in shown if not _has_keypoints(path))
     if not found:
         raise FileNotFoundError(f"CSV set: expected a file such as train.csv in {root}, got none")
     return sorted(found, key=lambda split: FIRST.index(split) if split in FIRST else len(FIRST))
+
+
+def _has_keypoints(path: Path) -> bool:
+    """Return whether a table's header is that of `read_keypoints`."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        return {name.strip() for name in file.readline().split(",")} == set(KEYPOINT)
 
 
 def read(root: Path, split: str) -> list[Record]:
@@ -128,11 +136,10 @@ def read_keypoints(path: Path) -> FloatArray:
             error names file and line.
     """
     header, entries = read_table(path)
-    columns = ("name", "x", "y", "z")
-    if set(header) != set(columns):
-        expected = f"expected the columns {', '.join(columns)}"
+    if set(header) != set(KEYPOINT):
+        expected = f"expected the columns {', '.join(KEYPOINT)}"
         raise DataError(f"{expected}, got {', '.join(header)}", path, 1)
     names = Names()
     for entry in entries:
         names.once(entry, entry.text("name"))
-    return np.array([entry.parsed(columns[1:]) for entry in entries])
+    return np.array([entry.parsed(KEYPOINT[1:]) for entry in entries])

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from itertools import cycle, islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -43,7 +44,7 @@ _AXIS_LENGTH = 3.0
 _NORM_TOLERANCE = 1e-5
 """Tolerated deviation of a quaternion's norm from one, for labels printed with five digits."""
 _COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
-"""Colors of the splits, distinguishable with color blindness (Okabe and Ito)."""
+"""Colors of the splits in turns, distinguishable with color blindness (Okabe and Ito)."""
 
 
 class _Quantity(NamedTuple):
@@ -75,7 +76,7 @@ def inspect_folder(
     """Check all splits of a dataset on disk, as `inspect_dataset`.
 
     Raises:
-        ValueError: ``kind`` is unknown, or the set has no labels at all, or more than seven splits.
+        ValueError: ``kind`` is unknown, or the set has no labels at all.
         FileNotFoundError: The folder, or a file that lists a split, does not exist.
         DataError: A file is invalid; nothing is written.
     """
@@ -103,7 +104,7 @@ def inspect_dataset(
     ``samples_{split}.png``. Every image is decoded as in training, on all cores.
 
     Args:
-        datasets: The labeled splits by name, at most seven.
+        datasets: The labeled splits by name.
         out: The folder to write; created if missing.
         sheet_images: Number of images on each sheet, spread evenly over the split.
         unlabeled: The splits without labels by name, whose images are counted and decoded.
@@ -117,11 +118,10 @@ def inspect_dataset(
         (files in more than one split) and ``files``.
 
     Raises:
-        ValueError: There are no splits or more than seven, or ``sheet_images`` is less than one.
+        ValueError: There are no splits, or ``sheet_images`` is less than one.
         DataError: An image is damaged, or its size differs from the camera's; nothing is written.
     """
-    if not 1 <= len(datasets) <= len(_COLORS):
-        raise ValueError(f"datasets: expected 1 to {len(_COLORS)} splits, got {len(datasets)}")
+    expect(len(datasets) >= 1, "datasets", "at least 1 split", len(datasets))
     expect(sheet_images >= 1, "sheet_images", "at least 1", sheet_images)
     splits = {name: dataset.records for name, dataset in datasets.items()} | {**unlabeled}
     for records in splits.values():
@@ -246,7 +246,7 @@ def _write_histograms(
             bins=24 if quantity.edges is None else quantity.edges,
             stacked=True,
             label=[f"{name} ({len(split)})" for name, split in values.items()],
-            color=_COLORS[: len(values)],
+            color=list(islice(cycle(_COLORS), len(values))),
         )
         if quantity.edges is not None:
             axes.set_xticks(quantity.edges[::4])
@@ -254,5 +254,6 @@ def _write_histograms(
         style_axes(axes, grid=None)
     figure.axes[0].set_ylabel("images")
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+    columns = min(len(labels), len(_COLORS))
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns, frameon=False)
     save_figure(figure, path, dpi=150)

@@ -183,12 +183,12 @@ def read_table(path: Path) -> tuple[list[str], list[Entry]]:
 
 
 def read_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of a CSV file, each one line, with its number.
+    """Yield the rows of a CSV file, each one line, with its number; blank lines may end the file.
 
     A DataError if a line is not CSV: a quote stays open, or closes within a field, or a field is
     longer than `csv.field_size_limit`.
     """
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    for number, line in enumerate(read_text(path).rstrip().splitlines(), start=1):
         try:  # Line by line: an open quote must not take the next lines for its field.
             fields = next(csv.reader([line], strict=True), [])
         except csv.Error as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +10,7 @@ from pathlib import Path
 from PIL import Image
 
 from ffpose.errors import DataError
-from ffpose.geometry import CAMERA_FILE, Camera, DistortedCamera, Pose
+from ffpose.geometry import CAMERA_FILE, Camera, DistortedCamera, Pose, Target
 from ffpose.imaging.images import DEEP_MODES, MODES, check_white, open_image, to_rgb
 from ffpose.imaging.undistortion import undistort
 
@@ -169,3 +169,14 @@ def read_camera(root: Path, first: Record, published: Camera) -> Camera:
             f"where there is no {path.name}, got {width}x{height}"
         )
     return published.resized(width, height)
+
+
+def expect_in_front(records: Iterable[Record], target: Target) -> None:
+    """Refuse labels that place an object at the camera or behind it.
+
+    Raises:
+        DataError: Such a label; the error names file and line that list its image.
+    """
+    for record in records:
+        if target == "object" and (depth := record.label.t[2]) <= 0:
+            raise record.error(f"expected an object in front of the camera, z > 0, got z = {depth}")

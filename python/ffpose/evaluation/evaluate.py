@@ -32,6 +32,7 @@ from ffpose.datasets import (
     open_dataset,
     read_conditions,
 )
+from ffpose.datasets.records import expect_in_front
 from ffpose.evaluation.baseline import mean_pose, oracles
 from ffpose.evaluation.breakdown import breakdown
 from ffpose.evaluation.calibration import (
@@ -107,7 +108,7 @@ class Evaluation:
     @cached_property
     def errors(self) -> PoseErrors:
         """Errors of the predictions, image by image."""
-        return pose_errors(self.predicted, self.truth)
+        return pose_errors(self.predicted, self.truth, target=self.dataset.target)
 
     @cached_property
     def truth(self) -> FloatArray:
@@ -117,7 +118,7 @@ class Evaluation:
     @cached_property
     def baseline_errors(self) -> PoseErrors:
         """Errors of the baseline, image by image."""
-        return pose_errors(self._constant, self._truth_for_constant)
+        return pose_errors(self._constant, self._truth_for_constant, target=self.dataset.target)
 
     @cached_property
     def angles(self) -> tuple[FloatArray, FloatArray]:
@@ -182,13 +183,14 @@ class Evaluation:
     def summary(self) -> dict[str, Any]:
         """Return the metrics of the model, the baseline and the oracles.
 
-        Metrics are named as in `PoseError`. ``median_intervals_95`` holds bootstrap intervals of
-        the medians; ``mean_pose_baseline`` the metrics of the constant pose; ``oracles`` the
-        rotation errors of `ffpose.evaluation.baseline.oracles`; ``correlation`` the correlation of
-        predicted and true roll, pitch and yaw (circular for roll and yaw; None where one is
-        constant); ``without_symmetry``, where errors are modulo one, its ``axes`` and the rotation
-        errors to the labels as they are; ``confusion`` the turn of the object that most large
-        errors are near, ``rotation_vector_deg``, and their ``share`` of all images
+        Metrics are named as in `PoseError`, which has fewer where labels locate the camera.
+        ``median_intervals_95`` holds bootstrap intervals of the medians; ``mean_pose_baseline`` the
+        metrics of the constant pose; ``oracles`` the rotation errors of
+        `ffpose.evaluation.baseline.oracles`; ``correlation`` the correlation of predicted and true
+        roll, pitch and yaw (circular for roll and yaw; None where one is constant);
+        ``without_symmetry``, where errors are modulo one, its ``axes`` and the rotation errors to
+        the labels as they are; ``confusion`` the turn of the object that most large errors are
+        near, ``rotation_vector_deg``, and their ``share`` of all images
         (`ffpose.evaluation.confusion`); ``groups`` the medians by condition
         (`ffpose.evaluation.breakdown`); ``uncertainty``, for a network that predicts it, its
         calibration (`ffpose.evaluation.calibration`), and of one that tells two ``modes`` the share
@@ -198,12 +200,12 @@ class Evaluation:
         uncertainty = self._uncertainty()
         return {
             "images": len(self.dataset),
-            **figures(self.predicted, self.truth),
+            **figures(self.errors),
             "median_intervals_95": median_intervals(self.errors),
             "seconds_per_image": self.seconds_per_image,
             "mean_pose_baseline": {
                 "pose": self.baseline.tolist(),
-                **figures(self._constant, self._truth_for_constant),
+                **figures(self.baseline_errors),
                 "median_intervals_95": median_intervals(self.baseline_errors),
                 "confusion": _confusion(self._constant, self._truth_for_constant),
             },
@@ -226,15 +228,19 @@ class Evaluation:
     def _without_symmetry(self) -> dict[str, Any]:
         if len(self.symmetry) == 1:
             return {}
-        plain = figures(self.predicted, self.dataset.poses)
+        plain = figures(pose_errors(self.predicted, self.dataset.poses, target=self.dataset.target))
         errors = {name: value for name, value in plain.items() if name.endswith("error_deg")}
         return {"without_symmetry": {"axes": self.symmetry.to_json(), **errors}}
 
     def _oracles(self) -> dict[str, dict[str, float]]:
+        if self.dataset.target == "camera":  # whose ray to the origin means nothing
+            return {}
         truth = self._truth_for_constant
         return {
             name: {
-                key: value for key, value in figures(answer, truth).items() if key.endswith("_deg")
+                key: value
+                for key, value in figures(pose_errors(answer, truth)).items()
+                if key.endswith("_deg")
             }
             for name, answer in oracles(self.baseline, truth).items()
         }
@@ -304,6 +310,7 @@ def evaluate(
     decoding = (decoding or Decoding()).completed(metadata.undistorted, metadata.white)
     dataset = open_dataset(kind, root, split, metadata.preprocessing, decoding=decoding)
     dataset.expect_target(metadata.locates)
+    expect_in_front(dataset.records, dataset.target)
     dataset.preprocessing = choose_preprocessing(metadata, dataset.camera, reproject=reproject)
     baseline = metadata.mean_pose if isinstance(metadata, WeightsMetadata) else None
     if baseline is None:
@@ -335,9 +342,9 @@ def evaluate(
     return Evaluation(dataset, predicted, baseline, seconds, conditions, **told)
 
 
-def figures(predicted: FloatArray, truth: FloatArray) -> dict[str, float]:
-    """Return means, medians and scores of predictions ``(N, 7)``, as `PoseError`."""
-    return {n: float(value) for n, value in summarized(pose_errors(predicted, truth)).items()}
+def figures(errors: PoseErrors) -> dict[str, float]:
+    """Return means, medians and scores of errors, as `PoseError`."""
+    return {name: float(value) for name, value in summarized(errors).items()}
 
 
 def _confusion(predicted: FloatArray, truth: FloatArray) -> dict[str, Any]:

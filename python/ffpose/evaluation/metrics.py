@@ -8,11 +8,15 @@
 * SPEED+ score (2021): as the ESA score, but an error below the calibration's accuracy (0.002173
   relative, 0.169 degrees) counts as zero.
 
+Where labels locate the camera, the ray to the world's origin and its length mean nothing: only the
+translation and rotation errors are there.
+
 The paper's Tables 1-4 are means and Table 5 medians; both are always computed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +29,7 @@ from torchmetrics.utilities import dim_zero_cat
 from ffpose import arrays
 from ffpose.evaluation.attitude import rotation_parts
 from ffpose.evaluation.significance import median_interval
+from ffpose.geometry import Target
 
 SUMMARIZED = {
     "translation_error_m": "translation_m",
@@ -35,9 +40,14 @@ SUMMARIZED = {
 }
 """Errors of which mean and median are computed: name, and field of `PoseErrors`."""
 
+SCORES = {"esa_score": "esa_score", "speed_plus_score": "speed_plus_score"}
+"""Scores of which the mean is computed: name, and field of `PoseErrors`."""
+
 
 class PoseErrors(NamedTuple):
     """Errors of each sample, float64 ``(N,)`` on the CPU.
+
+    All but the first two are NaN where labels locate the camera.
 
     Attributes:
         translation_m: Translation error, meters.
@@ -58,7 +68,9 @@ class PoseErrors(NamedTuple):
     out_of_plane_deg: Tensor
 
 
-def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors:
+def pose_error(
+    t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor, *, target: Target = "object"
+) -> PoseErrors:
     """Return the errors of each prediction, computed in float64.
 
     Args:
@@ -66,11 +78,12 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
         q_hat: Predicted quaternions ``(N, 4)``, ``(w, x, y, z)``.
         t: True translations ``(N, 3)``.
         q: True quaternions ``(N, 4)``.
+        target: What the poses locate.
 
     Raises:
         TypeError: An argument is no tensor, or not of floating dtype.
         ValueError: A shape is wrong, a value is NaN or infinite, a quaternion is zero, or a true
-            translation is zero, for which no relative error exists.
+            translation of an object is zero, for which no relative error exists.
     """
     named = {"t_hat": t_hat, "q_hat": q_hat, "t": t, "q": q}
     for name, tensor in named.items():
@@ -83,6 +96,9 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
     }
     translation = torch.from_numpy(arrays.translation_error(pairs["t_hat"], pairs["t"]))
     rotation = torch.from_numpy(arrays.rotation_error(pairs["q_hat"], pairs["q"]))
+    if target == "camera":
+        undefined = torch.full_like(translation, torch.nan)
+        return PoseErrors(translation, rotation, *[undefined] * (len(PoseErrors._fields) - 2))
     esa_score = torch.from_numpy(arrays.esa_score(**pairs))
     speed_plus_score = torch.from_numpy(arrays.speed_plus_score(**pairs))
     distance = torch.linalg.vector_norm(torch.from_numpy(pairs["t"]), dim=1)
@@ -92,19 +108,27 @@ def pose_error(t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> PoseErrors
     )
 
 
-def pose_errors(predicted: NDArray[np.float64], truth: NDArray[np.float64]) -> PoseErrors:
+def pose_errors(
+    predicted: NDArray[np.float64], truth: NDArray[np.float64], *, target: Target = "object"
+) -> PoseErrors:
     """Return the errors of poses ``(N, 7)``, ``[t, q]``, as `pose_error`."""
     t_hat, q_hat, t, q = (
         torch.from_numpy(part.copy())  # torch warns of what is read-only
         for poses in (predicted, truth)
         for part in (poses[:, :3], poses[:, 3:])
     )
-    return pose_error(t_hat, q_hat, t, q)
+    return pose_error(t_hat, q_hat, t, q, target=target)
+
+
+def defined(errors: PoseErrors, fields: Mapping[str, str]) -> dict[str, Tensor]:
+    """Return errors ``(N,)`` by name, for ``fields`` by name, without those that are NaN."""
+    values = {name: getattr(errors, field) for name, field in fields.items()}
+    return {name: each for name, each in values.items() if not bool(each.isnan().any())}
 
 
 def named_errors(errors: PoseErrors) -> dict[str, NDArray[np.float64]]:
     """Return the errors ``(N,)`` whose means and medians are computed, by name (`SUMMARIZED`)."""
-    return {name: getattr(errors, field).numpy() for name, field in SUMMARIZED.items()}
+    return {name: values.numpy() for name, values in defined(errors, SUMMARIZED).items()}
 
 
 def median_intervals(errors: PoseErrors) -> dict[str, list[float]]:
@@ -129,15 +153,16 @@ class PoseError(Metric):
     is_differentiable = False
     full_state_update = False
 
-    def __init__(self, **kwargs: Any) -> None:
-        """Build an empty metric; the arguments are those of `torchmetrics.Metric`."""
+    def __init__(self, target: Target = "object", **kwargs: Any) -> None:
+        """Build an empty metric of poses that locate ``target``; see `torchmetrics.Metric`."""
         super().__init__(**kwargs)
+        self.target = target
         for name in PoseErrors._fields:
             self.add_state(name, default=[], dist_reduce_fx="cat")
 
     def update(self, t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor) -> None:
         """Add a batch; arguments and errors are those of `pose_error`."""
-        errors = pose_error(t_hat, q_hat, t, q)
+        errors = pose_error(t_hat, q_hat, t, q, target=self.target)
         for name, error in zip(PoseErrors._fields, errors, strict=True):
             getattr(self, name).append(error.to(self.device))
 
@@ -145,7 +170,8 @@ class PoseError(Metric):
         """Return the metrics over all samples so far, scalar tensors.
 
         ``esa_score`` and ``speed_plus_score``, and ``mean_`` and ``median_`` of each of
-        `SUMMARIZED`. The median of an even number of samples is the mean of the middle two.
+        `SUMMARIZED`, without those that are NaN. The median of an even number of samples is the
+        mean of the middle two.
 
         Raises:
             ValueError: There are no samples.
@@ -160,12 +186,8 @@ def summarized(errors: PoseErrors) -> dict[str, Tensor]:
     return {
         **{
             f"{statistic}_{name}": value
-            for name, field in SUMMARIZED.items()
-            for statistic, value in (
-                ("mean", getattr(errors, field).mean()),
-                ("median", getattr(errors, field).quantile(0.5)),
-            )
+            for name, values in defined(errors, SUMMARIZED).items()
+            for statistic, value in (("mean", values.mean()), ("median", values.quantile(0.5)))
         },
-        "esa_score": errors.esa_score.mean(),
-        "speed_plus_score": errors.speed_plus_score.mean(),
+        **{name: values.mean() for name, values in defined(errors, SCORES).items()},
     }

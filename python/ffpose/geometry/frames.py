@@ -49,8 +49,13 @@ class Camera:
     cy: float
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"camera: expected a positive size, got {self.width}x{self.height}")
+        size = self.width, self.height
+        if not all(each >= 1 and float(each).is_integer() for each in size):
+            got = f"{self.width}x{self.height}"
+            raise ValueError(f"camera: expected a positive size in whole pixels, got {got}")
+        for name in ("width", "height", "fx", "fy", "cx", "cy"):  # NumPy's numbers are none of JSON
+            kind = int if name in ("width", "height") else float
+            object.__setattr__(self, name, kind(getattr(self, name)))
         if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))):
             raise ValueError(f"camera: expected finite intrinsics, got {self}")
         if self.fx <= 0 or self.fy <= 0:
@@ -158,7 +163,8 @@ class DistortedCamera(Camera):
     The polynomial was fitted to the image: far outside, it may bend points back into view.
 
     Attributes:
-        distortion: ``(k1, k2, p1, p2, k3)``, the order of OpenCV.
+        distortion: ``(k1, k2, p1, p2, k3)``, the order of OpenCV, whose shapes ``(1, 5)`` and
+            ``(5, 1)`` are taken too.
 
     Raises:
         ValueError: Two parts of the undistorted image would be seen at the same pixels.
@@ -168,7 +174,7 @@ class DistortedCamera(Camera):
 
     def __post_init__(self) -> None:
         Camera.__post_init__(self)
-        values = real_array("distortion", self.distortion, 5).tolist()
+        values = real_array("distortion", np.ravel(self.distortion), 5).tolist()
         object.__setattr__(self, "distortion", tuple(values))
         self._check_folds()
 

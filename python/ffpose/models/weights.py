@@ -151,20 +151,25 @@ def checksum_path(path: str | Path) -> Path:
 def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: WeightsMetadata) -> None:
     """Write a state dict and its checksum atomically; the same ones are the same bytes.
 
+    Where ``path`` is a link, the file that it names is written, and a checksum beside each.
+
     Raises:
         TypeError: The metadata cannot be represented in JSON.
         ValueError: The metadata contain a number that is not finite.
     """
     header = _to_header(metadata)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
+    sidecars = {checksum_path(each).resolve() for each in (path, Path(path).resolve())}
     with atomic_write(path) as temporary:
         content = _in_order(save(tensors, header))
         temporary.write_bytes(content)  # safetensors' own file would deny others to read it
         digest = sha256(temporary)
         # Between the two renames a kill leaves weights without a checksum, never with a wrong one.
-        checksum_path(path).unlink(missing_ok=True)
-    with atomic_write(checksum_path(path)) as temporary:
-        temporary.write_text(f"{digest}  {Path(path).name}\n", encoding="utf-8")
+        for sidecar in sidecars:
+            sidecar.unlink(missing_ok=True)
+    for sidecar in sidecars:
+        with atomic_write(sidecar) as temporary:
+            temporary.write_text(f"{digest}  {sidecar.stem}\n", encoding="utf-8")
 
 
 def _in_order(content: bytes) -> bytes:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from ffpose._internal.seeds import CALIBRATION, matching
 from ffpose.datasets import Decoding, PoseDataset, find_target, read_records
+from ffpose.datasets.records import expect_in_front
 from ffpose.datasets.scenes import open_frames, open_strangers
 from ffpose.imaging.patches import Bytes
 from ffpose.imaging.preprocessing import Preprocessing
@@ -75,6 +76,7 @@ def open_calibration(config: CalibrationImages, preprocessing: Preprocessing) ->
         "count": len(chosen),
     }
     target = find_target(config.kind)
+    expect_in_front(chosen, target)
     return CalibrationSet(config, [about], PoseDataset(chosen, preprocessing, target=target))
 
 

@@ -3,7 +3,8 @@
 Every file is written under a temporary name and then renamed, and `RunFolder.save_state` comes last
 in an epoch: an epoch counts as finished once its state is saved. A run killed at any moment is
 therefore resumed after its last finished epoch, whose files are complete or are rewritten with the
-same contents.
+same contents. The first epoch saves a state without history before its weights, so that weights
+without a state are those of a run that cannot be resumed.
 """
 
 from __future__ import annotations
@@ -83,11 +84,16 @@ class RunFolder:
         """Load the state to start from, a new run's without history; `begin` writes.
 
         Raises:
-            FileExistsError: The folder holds a run, and ``resume`` is false.
+            FileExistsError: The folder holds a run, and ``resume`` is false; or its weights alone.
             ValueError: ``config`` differs from that of the run to resume.
             ffpose.DataError: A file of that run cannot be read.
         """
         if not self.state.exists():
+            if self.best.exists() or self.last.exists():
+                raise FileExistsError(
+                    f"{self.root} holds weights without {self.state.name}, which a run resumes "
+                    "from: write to another folder"
+                )
             return TrainState()
         if not resume:
             raise FileExistsError(
@@ -124,12 +130,13 @@ class RunFolder:
         return TrainState(**torch.load(io.BytesIO(contents), map_location="cpu", weights_only=True))
 
     def save_results(self, history: list[Row]) -> None:
-        """Write the table of results; NaN where an older version's rows lack a column."""
+        """Write the table of the last row's columns; NaN where an older version's rows lack one."""
         with (
             atomic_write(self.results) as path,
             path.open("w", newline="", encoding="utf-8") as file,
         ):
-            writer = csv.DictWriter(file, fieldnames=list(history[-1]), restval="nan")
+            columns = list(history[-1])
+            writer = csv.DictWriter(file, columns, restval="nan", extrasaction="ignore")
             writer.writeheader()
             writer.writerows(history)
 

@@ -19,6 +19,7 @@ from ffpose.datasets import (
 )
 from ffpose.datasets.csv_set import read_keypoints
 from ffpose.datasets.patches import dataset_patches
+from ffpose.datasets.records import expect_in_front
 from ffpose.datasets.scenes import open_frames, rendered_patches
 from ffpose.errors import hint
 from ffpose.geometry import Camera, DistortedCamera
@@ -126,6 +127,7 @@ def _open_splits(
         val = val[::2]
     augmentation = _augmentation(config)
     target, cache = find_target(kind), config.cache
+    expect_in_front([*train, *val], target)
     train_set = PoseDataset(train, preprocessing, augmentation, cache, target)
     val_set = PoseDataset(val, preprocessing, None, cache, target)
     trained, validated = train_set.camera, val_set.camera

@@ -23,7 +23,7 @@ from ffpose.config import looks_twice
 from ffpose.errors import require
 from ffpose.evaluation.metrics import PoseError
 from ffpose.geometry import Target
-from ffpose.models import read_metadata
+from ffpose.models import WeightsMetadata, read_metadata
 from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibrate_weights import LEAST_IMAGES, write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
@@ -89,9 +89,9 @@ def train(
         The run's files and results.
 
     Raises:
-        FileExistsError: ``config.out`` holds a run, and ``resume`` is false.
-        ValueError: A name in ``config`` is unknown, or ``config`` differs from that of the run to
-            resume.
+        FileExistsError: ``config.out`` holds a run, and ``resume`` is false; or its weights alone.
+        ValueError: A name in ``config`` is unknown, or ``config``, the training labels or their
+            camera differ from those of the run to resume.
         ffpose.DataError: An image or a label cannot be used.
         ffpose.MissingExtraError: TensorBoard is asked for and not installed.
         NonFiniteLossError: The loss is infinite or NaN.
@@ -125,8 +125,8 @@ def _train_in(
     state = folder.open(config, resume=resume)
     resumed = read_metadata(folder.last) if state.history else None
     run = build_run(config, processes, resumed=resumed)
-    if state.history:
-        _restore(run, state)
+    if resumed is not None:
+        _restore(run, state, resumed)
     if processes.leads:
         folder.begin(config)
     done, steps = len(state.history), run.task.steps
@@ -201,9 +201,19 @@ def _return_to_best(run: Run, state: TrainState) -> None:
     run.average = AveragedModel(run.model, run.config.ema)
 
 
-def _restore(run: Run, state: TrainState) -> None:
-    """Restore ``run`` from ``state``, and check that the stages agree with its history."""
+def _restore(run: Run, state: TrainState, resumed: WeightsMetadata) -> None:
+    """Restore ``run`` from ``state``, and check that stages and data agree with its history."""
     _next_epoch(run, state)
+    now = run.task.describe(run.config.data), run.model.config.camera
+    expected, got = (
+        f"{data.get('count')} images of digest {str(data.get('digest'))[:12]} and camera {camera}"
+        for data, camera in ((resumed.data or {}, resumed.config.camera), now)
+    )
+    if expected != got:
+        raise ValueError(
+            f"data: expected {expected}, which the run began with, got {got}; train on others in a "
+            "new folder (--out), from these weights (--init) or from none"
+        )
     run.model.load_state_dict(state.model)
     run.average.load_state_dict(state.average)
     run.task.loss.load_state_dict(state.loss)
@@ -233,6 +243,8 @@ def cpu_seconds() -> float:
 def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     """Write the files of the last epoch in ``state``, the checkpoint last."""
     header = _header(run)
+    if len(state.history) == 1:
+        folder.save_state(TrainState())
     if state.best_epoch == len(state.history):
         run.average.model.save_pretrained(folder.best, **header)
     run.average.model.save_pretrained(folder.last, **header)
@@ -358,7 +370,7 @@ def validate(run: Run) -> Row:
     """
     run.processes.agree(run.average.model)
     model = run.average.model.eval()
-    metric = PoseError()
+    metric = PoseError(run.task.val_set.target)
     for batch in run.task.validation():
         pose = model(batch.image.to(run.device))
         t_hat, q_hat = pose.translation.cpu(), pose.orientation.cpu()

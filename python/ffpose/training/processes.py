@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import socket
+import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -157,7 +160,8 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     """Start ``count - 1`` processes beside this one, which leads, for as long as the block runs.
 
     The environment says of each what ``torchrun`` would, and torch's threads are shared out. The
-    others call ``work``, a function of a module.
+    others call ``work``, a function of a module. They end where the block raises, and where SIGTERM
+    ends this process, which then exits with code 143.
     """
     if count == 1:
         yield
@@ -176,7 +180,8 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     own = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        yield
+        with _exit_on_sigterm():
+            yield
     except BaseException:
         for process in others:
             process.terminate()
@@ -189,6 +194,19 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
             os.environ.pop(name, None)
             if value is not None:
                 os.environ[name] = value
+
+
+@contextmanager
+def _exit_on_sigterm() -> Iterator[None]:
+    """Let SIGTERM raise SystemExit in the block; only a main thread may handle signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _follow(

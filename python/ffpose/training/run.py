@@ -112,7 +112,7 @@ def build_run(
     if (c := data.camera) is not None:
         fields.setdefault("camera", (c.fx, c.fy, c.cx, c.cy))
     if config.normalize_translation and not object_view:
-        fields |= translation_statistics(data.poses)
+        fields |= translation_statistics(data.poses) if resumed is None else scaled_as(resumed)
     torch.manual_seed(config.seed)
     backbone_weights = config.backbone_weights if resumed is None else "none"
     model = build_network(config.model, backbone_weights=backbone_weights, **fields).to(device)
@@ -194,6 +194,11 @@ def translation_statistics(poses: NDArray[np.float64]) -> dict[str, tuple[float,
         "translation_mean": tuple(mean.tolist()),
         "translation_std": tuple(spread.tolist()),
     }
+
+
+def scaled_as(weights: WeightsMetadata) -> dict[str, tuple[float, ...]]:
+    """Return the model's fields of `translation_statistics`, as weights were trained with them."""
+    return {name: getattr(weights.config, name) for name in ("translation_mean", "translation_std")}
 
 
 def build_optimizer(

@@ -1,4 +1,5 @@
 import copy
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from cambridge_sets import write_landmarks
 from ffpose._internal.figures import save_figure
 from ffpose.datasets import open_dataset
 from ffpose.evaluation.evaluate import Evaluation
@@ -23,6 +25,7 @@ from ffpose.evaluation.report.plots import (
     worst_gallery,
     write_evaluation_figures,
 )
+from ffpose.evaluation.report.results import format_table, write_results
 from ffpose.imaging.preprocessing import Preprocessing
 from tiny_runs import write_set
 
@@ -37,6 +40,22 @@ def evaluation(tmp_path):
     predicted = dataset.poses.copy()
     predicted[:, 0] += OFFSETS
     return Evaluation(dataset, predicted, dataset.poses.mean(axis=0), 0.0)
+
+
+def test_a_camera_at_the_origin_of_its_world_is_evaluated(tmp_path):
+    write_landmarks(tmp_path / "set")
+    dataset = open_dataset("cambridge", tmp_path / "set", "test", Preprocessing())
+    dataset.poses[0] = (0, 0, 0, 1, 0, 0, 0)
+    predicted = dataset.poses.copy()
+    predicted[:, 0] += OFFSETS
+    evaluation = Evaluation(dataset, predicted, dataset.poses[1], 0.0)
+    write_evaluation_figures(evaluation, tmp_path)
+    write_results(evaluation, tmp_path)
+    told = json.loads((tmp_path / "results.json").read_text(), parse_constant=pytest.fail)
+    assert told["mean_translation_error_m"] == pytest.approx(OFFSETS.mean())
+    assert "esa_score" not in told
+    assert "in_plane" not in (tmp_path / "predictions.csv").read_text()
+    assert "relative" not in format_table(told)
 
 
 def history(epochs):

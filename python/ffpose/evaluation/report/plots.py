@@ -243,16 +243,19 @@ def _error_panels(
     figure: Figure, evaluation: Evaluation
 ) -> list[tuple[Axes, str, str, FloatArray, FloatArray]]:
     """Return a panel for each error: axes, name, unit, and the errors of model and baseline."""
-    fields = (
+    fields = [
         ("translation", "m", "translation_m"),
         ("rotation", "degrees", "rotation_deg"),
         ("in-plane", "degrees", "in_plane_deg"),
         ("out-of-plane", "degrees", "out_of_plane_deg"),
-    )
+    ]
     both = evaluation.errors, evaluation.baseline_errors
+    if evaluation.dataset.target == "camera":
+        fields = fields[:2]  # the others are NaN
+    grid = figure.subplots(len(fields) // 2, 2, squeeze=False).flat
     return [
         (axes, name, unit, *(getattr(errors, field).numpy() for errors in both))
-        for axes, (name, unit, field) in zip(figure.subplots(2, 2).flat, fields, strict=True)
+        for axes, (name, unit, field) in zip(grid, fields, strict=True)
     ]
 
 

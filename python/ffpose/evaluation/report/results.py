@@ -61,14 +61,15 @@ def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
     """Return the columns ``(N,)`` of ``predictions.csv`` after the name."""
     columns = dict(zip(VECTOR, evaluation.dataset.poses.T, strict=True))
     columns |= {f"predicted_{n}": c for n, c in zip(VECTOR, evaluation.predicted.T, strict=True)}
-    columns |= {n: getattr(evaluation.errors, field).numpy() for n, field in ERRORS.items()}
+    errors = {name: getattr(evaluation.errors, field).numpy() for name, field in ERRORS.items()}
+    columns |= {name: each for name, each in errors.items() if not np.isnan(each).any()}
     if evaluation.translation_covariance is not None:
         columns |= _deviations("t{}_m", evaluation.translation_covariance)
     if evaluation.rotation_covariance is not None:
         columns |= _deviations("r{}_deg", evaluation.rotation_covariance * np.degrees(1.0) ** 2)
-    if (errors := evaluation.alternative_errors_deg) is not None:
+    if (other := evaluation.alternative_errors_deg) is not None:
         assert evaluation.probabilities is not None
-        columns["alternative_rotation_error_deg"] = errors
+        columns["alternative_rotation_error_deg"] = other
         columns["probability"], columns["alternative_probability"] = evaluation.probabilities.T
     if evaluation.in_view is not None:
         columns["in_view"] = evaluation.in_view
