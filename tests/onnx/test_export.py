@@ -228,6 +228,30 @@ def test_what_cannot_be_exported_is_refused(tmp_path):
         ffpose.onnx.export(nn.Tanh().eval(), (x,), tmp_path / "a.onnx", "fft")
 
 
+class Varied(nn.Module):
+    """A filter, and something after it."""
+
+    def __init__(self, then):
+        super().__init__()
+        self.filter, self.drop, self.then = GlobalFilter(8, h=6, w=4), nn.Dropout(), then
+
+    def forward(self, x):
+        return self.then(self.drop(self.filter(x)))
+
+
+@pytest.mark.parametrize("then", [nn.functional.dropout, lambda y: y + torch.randn_like(y)])
+def test_a_module_that_draws_numbers_is_refused(then, tmp_path):
+    with pytest.raises(ValueError, match="module: expected one that gives the same result twice"):
+        ffpose.onnx.export(Varied(then).eval(), (torch.randn(2, 36, 8),), tmp_path / "a.onnx")
+
+
+def test_a_part_in_training_mode_is_named(tmp_path):
+    module = Varied(torch.tanh).eval()
+    module.drop.train()
+    with pytest.raises(ValueError, match=r"^module\.drop: expected evaluation mode, got training"):
+        ffpose.onnx.export(module, (torch.randn(2, 36, 8),), tmp_path / "a.onnx")
+
+
 def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setattr("ffpose.onnx.library.ELF_NAME", "nowhere.so")
     monkeypatch.setattr("ffpose.onnx.library.NAMES", {})

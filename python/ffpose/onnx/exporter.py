@@ -102,8 +102,9 @@ def export(
 
     Raises:
         MissingExtraError: onnx, onnxscript or onnxruntime is not installed.
-        ValueError: An unknown filter, a module in training mode, a filter whose weight or size is
-            not known, or more names than outputs.
+        ValueError: An unknown filter, a module in training mode, or a part of it, a module that
+            draws random numbers, a filter whose weight or size is not known, or more names than
+            outputs.
         FileNotFoundError: The operator's library, which the check needs, is not installed.
         RuntimeError: The graph differs from the module by more than rounding, or torch cannot
             export the module.
@@ -143,8 +144,10 @@ def write_graph(
     """
     if filter not in get_args(FilterChoice):
         raise ValueError(f"filter: expected one of {get_args(FilterChoice)}, got {filter!r}")
-    if module.training:
-        raise ValueError("module: expected evaluation mode, got training; call module.eval()")
+    for name, child in module.named_modules(prefix="module"):
+        if child.training:
+            raise ValueError(f"{name}: expected evaluation mode, got training; call module.eval()")
+    _expect_repeatable(module, batches, tolerance)
     say("recording the graph")
     model = record(module, batches[0], input_names, output_names, filter)
     if filter == "matmul":
@@ -332,6 +335,23 @@ def _compare(
         return differences(got, dict(zip(got, _outputs(module, args), strict=True)))
 
     return _largest_of(map(compared, batches))
+
+
+def _expect_repeatable(
+    module: nn.Module, batches: Sequence[tuple[Tensor, ...]], tolerance: float
+) -> None:
+    """Refuse a module that gives something else when it is run again, as one that draws numbers."""
+
+    def run(args: tuple[Tensor, ...]) -> Outputs:
+        return {str(place): values for place, values in enumerate(_outputs(module, args))}
+
+    apart = _largest_of(relative_differences(run(args), run(args)) for args in batches)
+    largest = max(apart.values(), default=0.0)
+    if not largest <= tolerance:
+        raise ValueError(
+            "module: expected one that gives the same result twice, got a difference of"
+            f" {largest:.3g}; dropout by a function needs training=self.training"
+        )
 
 
 def _rounding(
