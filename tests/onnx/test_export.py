@@ -245,6 +245,31 @@ def test_a_module_that_draws_numbers_is_refused(then, tmp_path):
         ffpose.onnx.export(Varied(then).eval(), (torch.randn(2, 36, 8),), tmp_path / "a.onnx")
 
 
+def test_what_is_not_finite_differs_from_all_but_itself():
+    inf, nan = np.inf, np.nan
+    cases = [
+        ([-inf, inf, nan, 4.0], [-inf, inf, nan, 5.0], 0.2),
+        ([0.25, -inf], [0.5, -inf], 0.25),
+        ([inf, 0.0], [-inf, 0.0], inf),
+        ([nan, 0.0], [1.0, 0.0], inf),
+        ([1.0, 0.0], [nan, 0.0], inf),
+        ([1e30], [inf], inf),
+        ([], [], 0.0),
+    ]
+    for got, expected, difference in cases:
+        pair = ({"y": np.array(values, np.float32)} for values in (got, expected))
+        assert exporter.relative_differences(*pair)["y"] == pytest.approx(difference)
+
+
+def test_masked_logits_are_exported_and_infinite_differences_are_no_rounding(tmp_path):
+    x = torch.randn(2, 36, 8)
+    masked = Varied(lambda y: torch.where(torch.arange(8) < 3, -torch.inf, y)).eval()
+    (found,) = ffpose.onnx.export(masked, (x,), tmp_path / "a.onnx", "matmul").differences.values()
+    assert found < 1e-5
+    with pytest.raises(RuntimeError, match="got y inf"):
+        exporter._expect_rounding({"y": (np.inf, np.inf)}, exporter.TOLERANCE)
+
+
 def test_a_part_in_training_mode_is_named(tmp_path):
     module = Varied(torch.tanh).eval()
     module.drop.train()
