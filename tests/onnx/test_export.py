@@ -270,6 +270,26 @@ def test_masked_logits_are_exported_and_infinite_differences_are_no_rounding(tmp
         exporter._expect_rounding({"y": (np.inf, np.inf)}, exporter.TOLERANCE)
 
 
+def test_outputs_of_bool_and_whole_numbers_are_compared_and_none_is_left_out(tmp_path):
+    x = torch.randn(2, 36, 8)
+    module = Varied(lambda y: {"logits": y, "loss": None, "seen": (y > 0, y.argmax(-1), None)})
+    exported = ffpose.onnx.export(module.eval(), (x,), tmp_path / "a.onnx", "matmul")
+    found, seen, place = exported.differences.values()
+    assert found < 1e-5
+    assert (seen, place) == (0.0, 0.0)
+
+
+def test_a_dtype_that_numpy_has_not_is_named(tmp_path):
+    x = torch.randn(2, 36, 8)
+    for then, args, name, dtype in (
+        (torch.tanh, (x.bfloat16(),), r"args\[0\]", torch.bfloat16),
+        (lambda y: (y, y.bfloat16()), (x,), "output 1", torch.bfloat16),
+        (torch.fft.rfft, (x,), "output 0", torch.complex64),
+    ):
+        with pytest.raises(TypeError, match=f"^{name}: expected float16, float32 .* got {dtype}$"):
+            ffpose.onnx.export(Varied(then).eval(), args, tmp_path / "a.onnx")
+
+
 def test_a_part_in_training_mode_is_named(tmp_path):
     module = Varied(torch.tanh).eval()
     module.drop.train()

@@ -58,6 +58,12 @@ RULES = (
 """Rules of onnxscript that a graph is simplified by: not ``slice_split``, which compares every pair
 of slices and takes longer than all others."""
 
+DTYPES = (
+    *(torch.float16, torch.float32, torch.float64, torch.bool, torch.uint8),
+    *(torch.int8, torch.int16, torch.int32, torch.int64),
+)
+"""Dtypes of a graph's inputs and outputs: those of NumPy, by which it is compared."""
+
 FilterChoice = Literal["custom", "matmul"]
 Say = Callable[[str], None]
 
@@ -102,6 +108,7 @@ def export(
 
     Raises:
         MissingExtraError: onnx, onnxscript or onnxruntime is not installed.
+        TypeError: A dtype of inputs or outputs that NumPy has not, such as bfloat16.
         ValueError: An unknown filter, a module in training mode, or a part of it, a module that
             draws random numbers, a filter whose weight or size is not known, or more names than
             outputs.
@@ -109,6 +116,8 @@ def export(
         RuntimeError: The graph differs from the module by more than rounding, or torch cannot
             export the module.
     """
+    for place, arg in enumerate(args):
+        _expect_dtype(f"args[{place}]", arg)
     batches = [tuple(args), tuple(torch.cat([arg, arg]) for arg in args)]
     return write_graph(
         module,
@@ -317,9 +326,14 @@ def halve(model: Any) -> None:
 
 
 def tensors_of(result: Any) -> list[Tensor]:
-    """Return the tensors of a module's result, however tuples, lists and dicts nest them."""
+    """Return the tensors of a module's result, however tuples, lists and dicts nest them.
+
+    None is left out, as torch's exporter does.
+    """
     if isinstance(result, Tensor):
         return [result]
+    if result is None:
+        return []
     members = result.values() if isinstance(result, Mapping) else result
     return [tensor for member in members for tensor in tensors_of(member)]
 
@@ -383,7 +397,18 @@ def _rounding(
 
 def _outputs(module: nn.Module, args: Iterable[Tensor]) -> list[NDArray[Any]]:
     with torch.no_grad():
-        return [leaf.numpy() for leaf in tensors_of(module(*args))]
+        leaves = tensors_of(module(*args))
+    for place, leaf in enumerate(leaves):
+        _expect_dtype(f"output {place}", leaf)
+    return [leaf.numpy() for leaf in leaves]
+
+
+def _expect_dtype(name: str, tensor: Tensor) -> None:
+    if tensor.dtype not in DTYPES:
+        raise TypeError(
+            f"{name}: expected float16, float32 or float64, whole numbers or bool, got"
+            f" {tensor.dtype}"
+        )
 
 
 def _largest_of(differences: Iterable[Mapping[str, float]]) -> dict[str, float]:
