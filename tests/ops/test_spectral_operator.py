@@ -254,6 +254,28 @@ def test_nothing_in_nothing_out(layout, shape, device):
         assert not filter_backward_by_fft(x, x, weight, layout, True, True)[1].any()
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16, torch.float16])
+def test_elements_at_any_address_are_read(dtype):
+    """As of a file that is mapped, or of a buffer received."""
+
+    def moved(tensor):
+        values = torch.frombuffer(bytearray(tensor.nbytes + 1), dtype=tensor.dtype, offset=1)
+        return values.view(tensor.shape).copy_(tensor.detach())
+
+    x, weight = arguments("tokens", (2, 6, 5), dtype, requires_grad=True)
+    grad = torch.randn(2, 6, 5).to(dtype)
+    y = spectral_filter(x, weight)
+    expected = [y, *torch.autograd.grad(y, (x, weight), grad)]
+    inputs = [moved(x).requires_grad_(), moved(weight).requires_grad_()]
+    y = spectral_filter(*inputs)
+    torch.testing.assert_close([y, *torch.autograd.grad(y, inputs, moved(grad))], expected)
+    with torch.no_grad():
+        assert torch.equal(spectral_filter(inputs[0], weight), y)
+        if dtype != torch.float16:  # which is written to by torch
+            with pytest.raises(ValueError, match="out must be aligned"):
+                spectral_filter(x, weight, out=moved(x))
+
+
 def test_meta_device_gives_shape_and_dtype():
     x, weight = (t.to("meta") for t in arguments("grid", (2, 5, 6, 3), torch.bfloat16))
     y = spectral_filter(x, weight, "grid")
