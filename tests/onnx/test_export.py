@@ -290,6 +290,17 @@ def test_a_dtype_that_numpy_has_not_is_named(tmp_path):
             ffpose.onnx.export(Varied(then).eval(), args, tmp_path / "a.onnx")
 
 
+@pytest.mark.parametrize("shape", [(2, 36, 8), (2, 3, 36, 8)])
+def test_matrices_take_half_precision_with_a_float32_weight(shape, tmp_path):
+    module, x = SpectralFilter((36, 8), std=1.0).eval(), torch.randn(shape).half()
+    exported = ffpose.onnx.export(module, (x,), tmp_path / "a.onnx", "matmul")
+    session = runtime.InferenceSession(exported.path, providers=["CPUExecutionProvider"])
+    (got,) = session.run(None, {session.get_inputs()[0].name: x.numpy()})
+    expected = module.double()(x.double()).detach().numpy()
+    assert got.dtype == np.float16
+    np.testing.assert_allclose(got, expected, rtol=2**-11, atol=1e-5)
+
+
 def test_a_part_in_training_mode_is_named(tmp_path):
     module = Varied(torch.tanh).eval()
     module.drop.train()
