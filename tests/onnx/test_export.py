@@ -220,6 +220,49 @@ def test_outputs_that_are_one_value_keep_their_names(tmp_path):
         exporter.export(Repeated().eval(), (x,), path, output_names=list("abcde"))
 
 
+X = torch.zeros(2, 8)
+
+
+@pytest.mark.parametrize(
+    ("args", "names", "error", "text"),
+    [
+        (X, {}, TypeError, "args: expected a sequence of tensors, got Tensor"),
+        (X.numpy(), {}, TypeError, "args: expected a sequence of tensors, got ndarray"),
+        (None, {}, TypeError, "args: expected a sequence of tensors, got NoneType"),
+        ((), {}, ValueError, r"args: expected at least one tensor, got \(\)"),
+        ((X, (4, 2)), {}, TypeError, r"args\[1\]: expected a torch.Tensor, got tuple"),
+        ((X.numpy(),), {}, TypeError, r"args\[0\]: expected a torch.Tensor, got ndarray"),
+        ((torch.tensor(2.0),), {}, ValueError, r"args\[0\]: expected a batch .*, got \(\)"),
+        ((X,), {"input_names": "x"}, TypeError, "input_names: .* got the one string 'x'"),
+        ((X,), {"input_names": ["x", "y"]}, ValueError, "input_names: .* most 1, got x, y"),
+        ((X,), {"output_names": "logits"}, TypeError, "output_names: .* the one string 'logits'"),
+        ((X,), {"output_names": ["y", "y"]}, ValueError, "output_names: .* each, got x, y, y"),
+        ((X,), {"output_names": ["x"]}, ValueError, "output_names: .* each, got x, x"),
+    ],
+)
+def test_wrong_arguments_are_named(args, names, error, text, tmp_path):
+    with pytest.raises(error, match=text):
+        ffpose.onnx.export(Repeated().eval(), args, tmp_path / "a.onnx", **names)
+
+
+def test_a_wrong_place_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(exporter, "record", None)
+    with pytest.raises(FileNotFoundError, match=r"existing folder for .*nowhere/a\.onnx"):
+        ffpose.onnx.export(nn.Tanh().eval(), (X,), tmp_path / "nowhere" / "a.onnx")
+    with pytest.raises(OSError, match="expected a file to write"):
+        ffpose.onnx.export(nn.Tanh().eval(), (X,), tmp_path)
+
+
+def test_a_compiled_module_is_exported(tmp_path):
+    module = nn.Linear(8, 3).eval()
+    exported = ffpose.onnx.export(torch.compile(module), (X + 1,), tmp_path / "a.onnx")
+    session = runtime.InferenceSession(exported.path, providers=["CPUExecutionProvider"])
+    x = torch.randn(5, 8)
+    (got,) = session.run(None, {session.get_inputs()[0].name: x.numpy()})
+    expected = module.double()(x.double()).detach().numpy()
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
+
+
 def test_what_cannot_be_exported_is_refused(tmp_path):
     x = torch.randn(2, 8)
     with pytest.raises(ValueError, match="evaluation mode, got training"):

@@ -21,8 +21,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ffpose._internal.files import atomic_write
-from ffpose.errors import require
+from ffpose._internal.files import atomic_write, expect_place
+from ffpose._internal.torch_internals import uncompiled
+from ffpose.errors import expect, require
 from ffpose.onnx.attention import replace_attention
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import SCOPES
@@ -108,19 +109,30 @@ def export(
 
     Raises:
         MissingExtraError: onnx, onnxscript or onnxruntime is not installed.
-        TypeError: A dtype of inputs or outputs that NumPy has not, such as bfloat16.
+        TypeError: Arguments that are no sequence of tensors, one string as names, or a dtype of
+            inputs or outputs that NumPy has not, such as bfloat16.
         ValueError: An unknown filter, a module in training mode, or a part of it, a module that
-            draws random numbers, a filter whose weight or size is not known, or more names than
-            outputs.
-        FileNotFoundError: The operator's library, which the check needs, is not installed.
+            draws random numbers, a filter whose weight or size is not known, an argument without a
+            batch, more names than inputs or outputs, or one name twice.
+        OSError: The file cannot be written there.
+        FileNotFoundError: The folder does not exist, or the operator's library, which the check
+            needs, is not installed.
         RuntimeError: The graph differs from the module by more than rounding, or torch cannot
             export the module.
     """
+    if not isinstance(args, Sequence):
+        raise TypeError(f"args: expected a sequence of tensors, got {type(args).__name__}")
+    expect(len(args) > 0, "args", "at least one tensor", args)
     for place, arg in enumerate(args):
-        _expect_dtype(f"args[{place}]", arg)
+        name = f"args[{place}]"
+        if not isinstance(arg, Tensor):
+            raise TypeError(f"{name}: expected a torch.Tensor, got {type(arg).__name__}")
+        _expect_dtype(name, arg)
+        expect(arg.dim() > 0, name, "a batch as the first dimension", tuple(arg.shape))
+    _expect_names("input_names", input_names, len(args))
     batches = [tuple(args), tuple(torch.cat([arg, arg]) for arg in args)]
     return write_graph(
-        module,
+        uncompiled(module),
         batches,
         path,
         filter,
@@ -153,6 +165,7 @@ def write_graph(
     """
     if filter not in get_args(FilterChoice):
         raise ValueError(f"filter: expected one of {get_args(FilterChoice)}, got {filter!r}")
+    expect_place(Path(path))
     for name, child in module.named_modules(prefix="module"):
         if child.training:
             raise ValueError(f"{name}: expected evaluation mode, got training; call module.eval()")
@@ -283,11 +296,8 @@ def compact(model: Any) -> None:
 def name_outputs(model: Any, names: Sequence[str]) -> None:
     """Give outputs of an `onnx_ir.Model` names, those that are one value or an input too."""
     passes = require("onnx_ir.passes.common", "export")
-    if len(names) > len(model.graph.outputs):
-        raise ValueError(
-            f"output_names: expected at most {len(model.graph.outputs)}, got {', '.join(names)}"
-        )
     inputs = [value.name for value in model.graph.inputs]
+    _expect_names("output_names", names, len(model.graph.outputs), taken=inputs)
     passes.OutputFixPass()(model)  # an output that is an input takes its name
     for value, name in (
         *zip(model.graph.inputs, inputs, strict=True),
@@ -295,6 +305,20 @@ def name_outputs(model: Any, names: Sequence[str]) -> None:
     ):
         value.name = name
     passes.NameFixPass()(model)
+
+
+def _expect_names(
+    name: str, names: Sequence[str] | None, most: int, taken: Sequence[str] = ()
+) -> None:
+    if isinstance(names, str):
+        raise TypeError(f"{name}: expected a sequence of names, got the one string {names!r}")
+    names = names or ()
+    if len(names) > most:
+        raise ValueError(f"{name}: expected at most {most}, got {', '.join(names)}")
+    if len({*taken, *names}) < len(taken) + len(names):
+        raise ValueError(
+            f"{name}: expected names of one value each, got {', '.join((*taken, *names))}"
+        )
 
 
 def halve(model: Any) -> None:
