@@ -107,6 +107,31 @@ def test_derivatives_of_first_and_second_order(layout, shape):
     assert torch.autograd.gradgradcheck(function, inputs, check_fwd_over_rev=True, **checks)
 
 
+@pytest.mark.parametrize("by", [spectral_filter, forward_op])
+@pytest.mark.parametrize("of", [0, 1], ids=["x", "weight"])
+def test_an_argument_may_change_before_the_only_gradient_which_does_not_need_it(of, by):
+    inputs = arguments("grid", (2, 6, 5, 3))
+    needed = inputs[of].requires_grad_()
+    (expected,) = torch.autograd.grad(by_definition(*inputs, "grid").sum(), needed)
+    y = by(*inputs, "grid")
+    with torch.no_grad():
+        needed.zero_()
+    torch.testing.assert_close(torch.autograd.grad(y.sum(), needed)[0], expected)
+
+
+@pytest.mark.parametrize("of", [0, 1], ids=["x", "weight"])
+def test_derivatives_of_one_argument_alone(of):
+    inputs = arguments("grid", (2, 6, 5, 3))
+    inputs[of].requires_grad_()
+
+    def function(x, weight):
+        return spectral_filter(x, weight, "grid").pow(2)
+
+    checks = {"check_batched_grad": True}
+    assert torch.autograd.gradcheck(function, inputs, check_forward_ad=True, **checks)
+    assert torch.autograd.gradgradcheck(function, inputs, check_fwd_over_rev=True, **checks)
+
+
 # opcheck reads `.grad` of a tensor that is no leaf, and torch warns of that.
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")
 @pytest.mark.parametrize("needs", [(True, True), (True, False), (False, True)])
