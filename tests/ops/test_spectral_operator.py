@@ -13,6 +13,7 @@ import pytest
 import torch
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from torch._dynamo import compiled_autograd
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from ffpose import _rust
@@ -611,6 +612,20 @@ def test_compile_with_inductor():
     compiled = torch.compile(lambda x: spectral_filter(x + 1, weight) * 2, fullgraph=True)
     expected = by_definition(x + 1, weight, "tokens").float() * 2
     torch.testing.assert_close(compiled(x), expected)
+
+
+# Compiled autograd reads `.grad` of a tensor that is no leaf, and torch warns of that.
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")
+@pytest.mark.parametrize("needs", [(True, True), (True, False), (False, True)])
+def test_backward_of_an_uncompiled_layer_is_compiled_whole(needs):
+    inputs = arguments("tokens", (2, 6, 5))
+    for each, need in zip(inputs, needs, strict=True):
+        each.requires_grad_(need)
+    leaves = [each for each in inputs if each.requires_grad]
+    expected = torch.autograd.grad(by_definition(*inputs, "tokens").pow(2).sum(), leaves)
+    with compiled_autograd._enable(torch.compile(backend="aot_eager", fullgraph=True)):
+        spectral_filter(*inputs).pow(2).sum().backward()
+    torch.testing.assert_close([each.grad for each in leaves], [*expected])
 
 
 def test_export_keeps_the_operator():

@@ -116,7 +116,8 @@ def _gradients(
     arguments = (grad, x, weight, layout, need_x, need_weight)
     if not torch.is_grad_enabled() and is_plain(grad, x, weight):
         return backward_rust(*arguments)
-    for_x, for_weight = _SpectralFilterBackward.apply(*arguments)
+    run = backward_op if is_recording() else _SpectralFilterBackward.apply
+    for_x, for_weight = run(*arguments)
     return for_x if need_x else None, for_weight if need_weight else None
 
 
