@@ -1,5 +1,8 @@
 """What a filter at another size must do: the same to an image, as far as both sizes allow."""
 
+import re
+
+import numpy as np
 import pytest
 import torch
 from scipy import ndimage
@@ -150,3 +153,33 @@ def test_the_copy_is_one_of_its_own(module, size):
 def test_wrong_sizes(module, arguments, text):
     with pytest.raises(ValueError, match=text):
         module.resized(*arguments)
+
+
+WRONG = [1.5, (1.5, 2), None, "ab", ([4], 4)]
+
+
+@pytest.mark.parametrize("size", WRONG, ids=str)
+def test_sizes_that_are_no_whole_numbers_are_refused(size):
+    text = re.escape(f"size: expected whole numbers, got {size!r}")
+    with pytest.raises(TypeError, match=f"^{text}"):
+        SpectralFilter((4, 6)).resized(size)
+    filter = GlobalFilter(2, 4, 3)
+    with pytest.raises(TypeError, match=f"^{text}"):
+        filter.resized(size)
+    with pytest.raises(TypeError, match=r"^length: expected whole numbers, got"):
+        SequenceFilter(4, 2).resized(size)
+    if size is not None:
+        with pytest.raises(TypeError, match=f"^spatial_{text}"):
+            filter(torch.zeros(1, 16, 2), size)
+
+
+@pytest.mark.parametrize("of", [np.array, torch.tensor], ids=["NumPy", "torch"])
+def test_whole_numbers_of_others_are_kept_as_int(of):
+    size, length = of([8, 6]), of([9])[0]
+    made = (SpectralFilter(size), SpectralFilter((4, 6)).resized(size))
+    assert [type(n) for module in made for n in module.size] == [int] * 4
+    made = (SequenceFilter(length, 2), SequenceFilter(4, 2).resized(length))
+    assert [type(module.length) for module in made] == [int] * 2
+    grid = GlobalFilter(2, 4, 3).resized(size)
+    assert (type(grid.h), type(grid.w)) == (int, int)
+    assert grid(torch.zeros(1, 48, 2), size).shape == (1, 48, 2)

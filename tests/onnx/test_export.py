@@ -220,12 +220,135 @@ def test_outputs_that_are_one_value_keep_their_names(tmp_path):
         exporter.export(Repeated().eval(), (x,), path, output_names=list("abcde"))
 
 
+X = torch.zeros(2, 8)
+
+
+@pytest.mark.parametrize(
+    ("args", "names", "error", "text"),
+    [
+        (X, {}, TypeError, "args: expected a sequence of tensors, got Tensor"),
+        (X.numpy(), {}, TypeError, "args: expected a sequence of tensors, got ndarray"),
+        (None, {}, TypeError, "args: expected a sequence of tensors, got NoneType"),
+        ((), {}, ValueError, r"args: expected at least one tensor, got \(\)"),
+        ((X, (4, 2)), {}, TypeError, r"args\[1\]: expected a torch.Tensor, got tuple"),
+        ((X.numpy(),), {}, TypeError, r"args\[0\]: expected a torch.Tensor, got ndarray"),
+        ((torch.tensor(2.0),), {}, ValueError, r"args\[0\]: expected a batch .*, got \(\)"),
+        ((X,), {"input_names": "x"}, TypeError, "input_names: .* got the one string 'x'"),
+        ((X,), {"input_names": ["x", "y"]}, ValueError, "input_names: .* most 1, got x, y"),
+        ((X,), {"output_names": "logits"}, TypeError, "output_names: .* the one string 'logits'"),
+        ((X,), {"output_names": ["y", "y"]}, ValueError, "output_names: .* each, got x, y, y"),
+        ((X,), {"output_names": ["x"]}, ValueError, "output_names: .* each, got x, x"),
+    ],
+)
+def test_wrong_arguments_are_named(args, names, error, text, tmp_path):
+    with pytest.raises(error, match=text):
+        ffpose.onnx.export(Repeated().eval(), args, tmp_path / "a.onnx", **names)
+
+
+def test_a_wrong_place_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(exporter, "record", None)
+    with pytest.raises(FileNotFoundError, match=r"existing folder for .*nowhere/a\.onnx"):
+        ffpose.onnx.export(nn.Tanh().eval(), (X,), tmp_path / "nowhere" / "a.onnx")
+    with pytest.raises(OSError, match="expected a file to write"):
+        ffpose.onnx.export(nn.Tanh().eval(), (X,), tmp_path)
+
+
+def test_a_compiled_module_is_exported(tmp_path):
+    module = nn.Linear(8, 3).eval()
+    exported = ffpose.onnx.export(torch.compile(module), (X + 1,), tmp_path / "a.onnx")
+    session = runtime.InferenceSession(exported.path, providers=["CPUExecutionProvider"])
+    x = torch.randn(5, 8)
+    (got,) = session.run(None, {session.get_inputs()[0].name: x.numpy()})
+    expected = module.double()(x.double()).detach().numpy()
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
+
+
 def test_what_cannot_be_exported_is_refused(tmp_path):
     x = torch.randn(2, 8)
     with pytest.raises(ValueError, match="evaluation mode, got training"):
         ffpose.onnx.export(nn.Tanh(), (x,), tmp_path / "a.onnx")
     with pytest.raises(ValueError, match=r"filter: expected one of .*, got 'fft'"):
         ffpose.onnx.export(nn.Tanh().eval(), (x,), tmp_path / "a.onnx", "fft")
+
+
+class Varied(nn.Module):
+    """A filter, and something after it."""
+
+    def __init__(self, then):
+        super().__init__()
+        self.filter, self.drop, self.then = GlobalFilter(8, h=6, w=4), nn.Dropout(), then
+
+    def forward(self, x):
+        return self.then(self.drop(self.filter(x)))
+
+
+@pytest.mark.parametrize("then", [nn.functional.dropout, lambda y: y + torch.randn_like(y)])
+def test_a_module_that_draws_numbers_is_refused(then, tmp_path):
+    with pytest.raises(ValueError, match="module: expected one that gives the same result twice"):
+        ffpose.onnx.export(Varied(then).eval(), (torch.randn(2, 36, 8),), tmp_path / "a.onnx")
+
+
+def test_what_is_not_finite_differs_from_all_but_itself():
+    inf, nan = np.inf, np.nan
+    cases = [
+        ([-inf, inf, nan, 4.0], [-inf, inf, nan, 5.0], 0.2),
+        ([0.25, -inf], [0.5, -inf], 0.25),
+        ([inf, 0.0], [-inf, 0.0], inf),
+        ([nan, 0.0], [1.0, 0.0], inf),
+        ([1.0, 0.0], [nan, 0.0], inf),
+        ([1e30], [inf], inf),
+        ([], [], 0.0),
+    ]
+    for got, expected, difference in cases:
+        pair = ({"y": np.array(values, np.float32)} for values in (got, expected))
+        assert exporter.relative_differences(*pair)["y"] == pytest.approx(difference)
+
+
+def test_masked_logits_are_exported_and_infinite_differences_are_no_rounding(tmp_path):
+    x = torch.randn(2, 36, 8)
+    masked = Varied(lambda y: torch.where(torch.arange(8) < 3, -torch.inf, y)).eval()
+    (found,) = ffpose.onnx.export(masked, (x,), tmp_path / "a.onnx", "matmul").differences.values()
+    assert found < 1e-5
+    with pytest.raises(RuntimeError, match="got y inf"):
+        exporter._expect_rounding({"y": (np.inf, np.inf)}, exporter.TOLERANCE)
+
+
+def test_outputs_of_bool_and_whole_numbers_are_compared_and_none_is_left_out(tmp_path):
+    x = torch.randn(2, 36, 8)
+    module = Varied(lambda y: {"logits": y, "loss": None, "seen": (y > 0, y.argmax(-1), None)})
+    exported = ffpose.onnx.export(module.eval(), (x,), tmp_path / "a.onnx", "matmul")
+    found, seen, place = exported.differences.values()
+    assert found < 1e-5
+    assert (seen, place) == (0.0, 0.0)
+
+
+def test_a_dtype_that_numpy_has_not_is_named(tmp_path):
+    x = torch.randn(2, 36, 8)
+    for then, args, name, dtype in (
+        (torch.tanh, (x.bfloat16(),), r"args\[0\]", torch.bfloat16),
+        (lambda y: (y, y.bfloat16()), (x,), "output 1", torch.bfloat16),
+        (torch.fft.rfft, (x,), "output 0", torch.complex64),
+    ):
+        with pytest.raises(TypeError, match=f"^{name}: expected float16, float32 .* got {dtype}$"):
+            ffpose.onnx.export(Varied(then).eval(), args, tmp_path / "a.onnx")
+
+
+@pytest.mark.parametrize("shape", [(2, 36, 8), (2, 3, 36, 8)])
+def test_matrices_take_half_precision_with_a_float32_weight(shape, tmp_path):
+    module, x = SpectralFilter((36, 8), std=1.0).eval(), torch.randn(shape).half()
+    exported = ffpose.onnx.export(module, (x,), tmp_path / "a.onnx", "matmul")
+    session = runtime.InferenceSession(exported.path, providers=["CPUExecutionProvider"])
+    (got,) = session.run(None, {session.get_inputs()[0].name: x.numpy()})
+    expected = module.double()(x.double()).detach().numpy()
+    assert got.dtype == np.float16
+    np.testing.assert_allclose(got, expected, rtol=2**-11, atol=1e-5)
+
+
+def test_a_part_in_training_mode_is_named(tmp_path):
+    module = Varied(torch.tanh).eval()
+    module.drop.train()
+    with pytest.raises(ValueError, match=r"^module\.drop: expected evaluation mode, got training"):
+        ffpose.onnx.export(module, (torch.randn(2, 36, 8),), tmp_path / "a.onnx")
 
 
 def test_a_missing_library_is_named(monkeypatch):

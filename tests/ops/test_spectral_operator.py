@@ -13,6 +13,7 @@ import pytest
 import torch
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from torch._dynamo import compiled_autograd
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from ffpose import _rust
@@ -101,6 +102,31 @@ def test_derivatives_of_first_and_second_order(layout, shape):
 
     def function(x, weight):
         return spectral_filter(x, weight, layout)
+
+    checks = {"check_batched_grad": True}
+    assert torch.autograd.gradcheck(function, inputs, check_forward_ad=True, **checks)
+    assert torch.autograd.gradgradcheck(function, inputs, check_fwd_over_rev=True, **checks)
+
+
+@pytest.mark.parametrize("by", [spectral_filter, forward_op])
+@pytest.mark.parametrize("of", [0, 1], ids=["x", "weight"])
+def test_an_argument_may_change_before_the_only_gradient_which_does_not_need_it(of, by):
+    inputs = arguments("grid", (2, 6, 5, 3))
+    needed = inputs[of].requires_grad_()
+    (expected,) = torch.autograd.grad(by_definition(*inputs, "grid").sum(), needed)
+    y = by(*inputs, "grid")
+    with torch.no_grad():
+        needed.zero_()
+    torch.testing.assert_close(torch.autograd.grad(y.sum(), needed)[0], expected)
+
+
+@pytest.mark.parametrize("of", [0, 1], ids=["x", "weight"])
+def test_derivatives_of_one_argument_alone(of):
+    inputs = arguments("grid", (2, 6, 5, 3))
+    inputs[of].requires_grad_()
+
+    def function(x, weight):
+        return spectral_filter(x, weight, "grid").pow(2)
 
     checks = {"check_batched_grad": True}
     assert torch.autograd.gradcheck(function, inputs, check_forward_ad=True, **checks)
@@ -252,6 +278,28 @@ def test_nothing_in_nothing_out(layout, shape, device):
     if device == "cpu":
         assert not weight.grad.any()
         assert not filter_backward_by_fft(x, x, weight, layout, True, True)[1].any()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16, torch.float16])
+def test_elements_at_any_address_are_read(dtype):
+    """As of a file that is mapped, or of a buffer received."""
+
+    def moved(tensor):
+        values = torch.frombuffer(bytearray(tensor.nbytes + 1), dtype=tensor.dtype, offset=1)
+        return values.view(tensor.shape).copy_(tensor.detach())
+
+    x, weight = arguments("tokens", (2, 6, 5), dtype, requires_grad=True)
+    grad = torch.randn(2, 6, 5).to(dtype)
+    y = spectral_filter(x, weight)
+    expected = [y, *torch.autograd.grad(y, (x, weight), grad)]
+    inputs = [moved(x).requires_grad_(), moved(weight).requires_grad_()]
+    y = spectral_filter(*inputs)
+    torch.testing.assert_close([y, *torch.autograd.grad(y, inputs, moved(grad))], expected)
+    with torch.no_grad():
+        assert torch.equal(spectral_filter(inputs[0], weight), y)
+        if dtype != torch.float16:  # which is written to by torch
+            with pytest.raises(ValueError, match="out must be aligned"):
+                spectral_filter(x, weight, out=moved(x))
 
 
 def test_meta_device_gives_shape_and_dtype():
@@ -564,6 +612,20 @@ def test_compile_with_inductor():
     compiled = torch.compile(lambda x: spectral_filter(x + 1, weight) * 2, fullgraph=True)
     expected = by_definition(x + 1, weight, "tokens").float() * 2
     torch.testing.assert_close(compiled(x), expected)
+
+
+# Compiled autograd reads `.grad` of a tensor that is no leaf, and torch warns of that.
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")
+@pytest.mark.parametrize("needs", [(True, True), (True, False), (False, True)])
+def test_backward_of_an_uncompiled_layer_is_compiled_whole(needs):
+    inputs = arguments("tokens", (2, 6, 5))
+    for each, need in zip(inputs, needs, strict=True):
+        each.requires_grad_(need)
+    leaves = [each for each in inputs if each.requires_grad]
+    expected = torch.autograd.grad(by_definition(*inputs, "tokens").pow(2).sum(), leaves)
+    with compiled_autograd._enable(torch.compile(backend="aot_eager", fullgraph=True)):
+        spectral_filter(*inputs).pow(2).sum().backward()
+    torch.testing.assert_close([each.grad for each in leaves], [*expected])
 
 
 def test_export_keeps_the_operator():

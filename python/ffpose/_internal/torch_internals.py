@@ -1,10 +1,10 @@
 """Everything that ffpose asks of torch's private names, which may go without notice.
 
 Each is looked up once. Without it a slower way gives the same numbers: calls go through the
-dispatcher, or a training does without bfloat16. Only four things
+dispatcher, or a training does without bfloat16. Only five things
 are lost: `torch.vmap` of the bare operators ``torch.ops.ffpose``, forward-mode derivatives of
-forward-mode derivatives, the filter's name in profiles of inference, and saving an exported program
-whose result is a named tuple.
+forward-mode derivatives, the filter's name in profiles of inference, saving an exported program
+whose result is a named tuple, and ONNX graphs of modules that `torch.compile` returned.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 from torch.compiler import is_compiling
-from torch.nn import Parameter
+from torch.nn import Module, Parameter
 
 Result = TypeVar("Result")
 
@@ -137,6 +137,12 @@ def register_named_tuple(kind: type[tuple[Any, ...]], name: str) -> None:
     """Let saved programs (`torch.export.save`) refer to a named tuple by ``name``."""
     if _register_named_tuple is not None:
         _register_named_tuple(kind, serialized_type_name=name)
+
+
+def uncompiled(module: Module) -> Module:
+    """Return the module that `torch.compile` was given, or the one that is not of it."""
+    original: Module = getattr(module, "_orig_mod", module)
+    return original
 
 
 def multiplies_bfloat16() -> bool:

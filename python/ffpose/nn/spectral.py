@@ -61,10 +61,10 @@ class SpectralFilter(nn.Module):
     ) -> None:
         super().__init__()
         if not isinstance(size, int):  # `weight_shape` refuses the one number
-            _expect_whole("size", size)
+            size = _whole("size", size)
         shape = weight_shape(size, layout)
         if min(size) < 1:
-            raise ValueError(f"size: expected each at least 1, got {tuple(size)}")
+            raise ValueError(f"size: expected each at least 1, got {size}")
         self.size = tuple(size)
         self.layout = layout
         self.std = std
@@ -94,8 +94,9 @@ class SpectralFilter(nn.Module):
 
         Raises:
             ValueError: ``size`` has the wrong length, an entry below one, or other channels.
+            TypeError: ``size`` holds no whole numbers.
         """
-        size = _as_tuple(size)
+        size = _whole("size", size)
         if len(size) != len(self.size) or min(size) < 1 or size[2:] != self.size[2:]:
             wanted = ", ".join(["rows", "columns", *map(str, self.size[2:])])
             raise ValueError(f"size: expected ({wanted}), each at least 1, got {size}")
@@ -146,7 +147,7 @@ class SequenceFilter(nn.Module):
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
-        _expect_whole("length, dim", (length, dim))
+        length, dim = _whole("length, dim", (length, dim))
         if min(length, dim) < 1:
             raise ValueError(f"length, dim: expected each at least 1, got {(length, dim)}")
         self.length, self.dim = length, dim
@@ -175,7 +176,9 @@ class SequenceFilter(nn.Module):
 
         Raises:
             ValueError: ``length`` is below one.
+            TypeError: ``length`` is no whole number.
         """
+        (length,) = _whole("length", (length,))
         if length < 1:
             raise ValueError(f"length: expected at least 1, got {length}")
         grid = (1, self.length, self.dim)
@@ -211,7 +214,7 @@ class GlobalFilter(nn.Module):
 
     def __init__(self, dim: int, h: int = 14, w: int = 8) -> None:
         super().__init__()
-        _expect_whole("dim, h, w", (dim, h, w))
+        dim, h, w = _whole("dim, h, w", (dim, h, w))
         if min(dim, h, w) < 1:
             raise ValueError(f"dim, h, w: expected each at least 1, got {(dim, h, w)}")
         self.dim, self.h, self.w = dim, h, w
@@ -234,7 +237,8 @@ class GlobalFilter(nn.Module):
 
         Raises:
             ValueError: The grid does not fit the weight, or ``x`` does not fit the grid.
-            TypeError: ``x`` is no tensor, or its dtype does not match the weight's.
+            TypeError: ``x`` is no tensor, its dtype does not match the weight's, or
+                ``spatial_size`` holds no whole numbers.
         """
         rows, columns = self._grid(spatial_size)
         wanted = (rows * columns, self.dim)
@@ -257,9 +261,10 @@ class GlobalFilter(nn.Module):
         Raises:
             ValueError: An entry of ``size`` is below one, or ``spatial_size`` does not match the
                 weight.
+            TypeError: One of them holds no whole numbers.
         """
         rows, columns = self._grid(spatial_size)
-        size_to_be = _as_tuple(size)
+        size_to_be = _whole("size", size)
         if len(size_to_be) != 2 or min(size_to_be) < 1:
             raise ValueError(f"size: expected (rows, columns), each at least 1, got {size_to_be}")
         grid = (rows, columns, self.dim)
@@ -271,7 +276,7 @@ class GlobalFilter(nn.Module):
 
     def _grid(self, spatial_size: tuple[int, int] | None) -> tuple[int, int]:
         """Return rows and columns of the grid, a square when None, checked against the weight."""
-        size = (self.h, self.h) if spatial_size is None else _as_tuple(spatial_size)
+        size = (self.h, self.h) if spatial_size is None else _whole("spatial_size", spatial_size)
         if len(size) != 2:
             raise ValueError(f"spatial_size: expected (rows, columns), got {spatial_size}")
         rows, columns = size
@@ -287,15 +292,16 @@ class GlobalFilter(nn.Module):
         return f"{self.dim}, h={self.h}, w={self.w}"
 
 
-def _expect_whole(name: str, values: Sequence[int]) -> None:
-    """Check that all values are whole numbers.
+def _whole(name: str, values: Sequence[int] | int) -> tuple[int, ...]:
+    """Return whole numbers as int; a single one gives length one, which is rejected later.
 
     Raises:
         TypeError: One is not, or there are no values.
     """
     try:
-        for value in values:
-            index(value)
+        given = (values,) if isinstance(values, int) else values
+        # `index` of a size that is being recorded would make a constant of it.
+        return tuple(v if type(v) in (int, torch.SymInt) else index(v) for v in given)
     except TypeError as error:
         raise TypeError(f"{name}: expected whole numbers, got {values!r}") from error
 
@@ -305,11 +311,6 @@ def _wrong(x: object, shape: str) -> Exception:
     if not isinstance(x, Tensor):
         return TypeError(f"x: expected a torch.Tensor, got {type(x).__name__}")
     return ValueError(f"x: expected shape {shape}, got {tuple(x.shape)}")
-
-
-def _as_tuple(size: Sequence[int] | int) -> tuple[int, ...]:
-    """Return ``size`` as a tuple; a single number gives length one, which is rejected later."""
-    return (size,) if isinstance(size, int) else tuple(size)
 
 
 def _new_parameter(

@@ -21,8 +21,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ffpose._internal.files import atomic_write
-from ffpose.errors import require
+from ffpose._internal.files import atomic_write, expect_place
+from ffpose._internal.torch_internals import uncompiled
+from ffpose.errors import expect, require
 from ffpose.onnx.attention import replace_attention
 from ffpose.onnx.backends import open_session
 from ffpose.onnx.int8 import SCOPES
@@ -57,6 +58,12 @@ RULES = (
 )
 """Rules of onnxscript that a graph is simplified by: not ``slice_split``, which compares every pair
 of slices and takes longer than all others."""
+
+DTYPES = (
+    *(torch.float16, torch.float32, torch.float64, torch.bool, torch.uint8),
+    *(torch.int8, torch.int16, torch.int32, torch.int64),
+)
+"""Dtypes of a graph's inputs and outputs: those of NumPy, by which it is compared."""
 
 FilterChoice = Literal["custom", "matmul"]
 Say = Callable[[str], None]
@@ -102,15 +109,30 @@ def export(
 
     Raises:
         MissingExtraError: onnx, onnxscript or onnxruntime is not installed.
-        ValueError: An unknown filter, a module in training mode, a filter whose weight or size is
-            not known, or more names than outputs.
-        FileNotFoundError: The operator's library, which the check needs, is not installed.
+        TypeError: Arguments that are no sequence of tensors, one string as names, or a dtype of
+            inputs or outputs that NumPy has not, such as bfloat16.
+        ValueError: An unknown filter, a module in training mode, or a part of it, a module that
+            draws random numbers, a filter whose weight or size is not known, an argument without a
+            batch, more names than inputs or outputs, or one name twice.
+        OSError: The file cannot be written there.
+        FileNotFoundError: The folder does not exist, or the operator's library, which the check
+            needs, is not installed.
         RuntimeError: The graph differs from the module by more than rounding, or torch cannot
             export the module.
     """
+    if not isinstance(args, Sequence):
+        raise TypeError(f"args: expected a sequence of tensors, got {type(args).__name__}")
+    expect(len(args) > 0, "args", "at least one tensor", args)
+    for place, arg in enumerate(args):
+        name = f"args[{place}]"
+        if not isinstance(arg, Tensor):
+            raise TypeError(f"{name}: expected a torch.Tensor, got {type(arg).__name__}")
+        _expect_dtype(name, arg)
+        expect(arg.dim() > 0, name, "a batch as the first dimension", tuple(arg.shape))
+    _expect_names("input_names", input_names, len(args))
     batches = [tuple(args), tuple(torch.cat([arg, arg]) for arg in args)]
     return write_graph(
-        module,
+        uncompiled(module),
         batches,
         path,
         filter,
@@ -143,8 +165,11 @@ def write_graph(
     """
     if filter not in get_args(FilterChoice):
         raise ValueError(f"filter: expected one of {get_args(FilterChoice)}, got {filter!r}")
-    if module.training:
-        raise ValueError("module: expected evaluation mode, got training; call module.eval()")
+    expect_place(Path(path))
+    for name, child in module.named_modules(prefix="module"):
+        if child.training:
+            raise ValueError(f"{name}: expected evaluation mode, got training; call module.eval()")
+    _expect_repeatable(module, batches, tolerance)
     say("recording the graph")
     model = record(module, batches[0], input_names, output_names, filter)
     if filter == "matmul":
@@ -182,16 +207,20 @@ def serialized(
 
 
 def relative_differences(got: Outputs, expected: Outputs) -> dict[str, float]:
-    """Return the largest differences by output, over its largest number where that exceeds 1."""
-    return {
-        name: _largest(got[name] - values) / max(1.0, _largest(values))
-        for name, values in expected.items()
-    }
+    """Return the largest differences by output, over its largest number where that exceeds 1.
+
+    An infinity or NaN has no difference from itself, and an infinite one from all else.
+    """
+    return {name: _relative(got[name], values) for name, values in expected.items()}
 
 
-def _largest(values: NDArray[Any]) -> float:
-    """Return the largest magnitude; NaN where there is one, 0 of nothing."""
-    return float(np.max(np.abs(values), initial=0.0))
+def _relative(got: NDArray[Any], expected: NDArray[Any]) -> float:
+    got, expected = got.astype(np.float64), expected.astype(np.float64)
+    equal = (got == expected) | (np.isnan(got) & np.isnan(expected))
+    apart = np.subtract(got, expected, out=np.zeros_like(got), where=~equal)
+    apart[np.isnan(apart)] = np.inf
+    scale = np.max(np.abs(expected), where=np.isfinite(expected), initial=1.0)
+    return float(np.max(np.abs(apart), initial=0.0) / scale)
 
 
 def record(
@@ -267,11 +296,8 @@ def compact(model: Any) -> None:
 def name_outputs(model: Any, names: Sequence[str]) -> None:
     """Give outputs of an `onnx_ir.Model` names, those that are one value or an input too."""
     passes = require("onnx_ir.passes.common", "export")
-    if len(names) > len(model.graph.outputs):
-        raise ValueError(
-            f"output_names: expected at most {len(model.graph.outputs)}, got {', '.join(names)}"
-        )
     inputs = [value.name for value in model.graph.inputs]
+    _expect_names("output_names", names, len(model.graph.outputs), taken=inputs)
     passes.OutputFixPass()(model)  # an output that is an input takes its name
     for value, name in (
         *zip(model.graph.inputs, inputs, strict=True),
@@ -279,6 +305,20 @@ def name_outputs(model: Any, names: Sequence[str]) -> None:
     ):
         value.name = name
     passes.NameFixPass()(model)
+
+
+def _expect_names(
+    name: str, names: Sequence[str] | None, most: int, taken: Sequence[str] = ()
+) -> None:
+    if isinstance(names, str):
+        raise TypeError(f"{name}: expected a sequence of names, got the one string {names!r}")
+    names = names or ()
+    if len(names) > most:
+        raise ValueError(f"{name}: expected at most {most}, got {', '.join(names)}")
+    if len({*taken, *names}) < len(taken) + len(names):
+        raise ValueError(
+            f"{name}: expected names of one value each, got {', '.join((*taken, *names))}"
+        )
 
 
 def halve(model: Any) -> None:
@@ -310,9 +350,14 @@ def halve(model: Any) -> None:
 
 
 def tensors_of(result: Any) -> list[Tensor]:
-    """Return the tensors of a module's result, however tuples, lists and dicts nest them."""
+    """Return the tensors of a module's result, however tuples, lists and dicts nest them.
+
+    None is left out, as torch's exporter does.
+    """
     if isinstance(result, Tensor):
         return [result]
+    if result is None:
+        return []
     members = result.values() if isinstance(result, Mapping) else result
     return [tensor for member in members for tensor in tensors_of(member)]
 
@@ -332,6 +377,23 @@ def _compare(
         return differences(got, dict(zip(got, _outputs(module, args), strict=True)))
 
     return _largest_of(map(compared, batches))
+
+
+def _expect_repeatable(
+    module: nn.Module, batches: Sequence[tuple[Tensor, ...]], tolerance: float
+) -> None:
+    """Refuse a module that gives something else when it is run again, as one that draws numbers."""
+
+    def run(args: tuple[Tensor, ...]) -> Outputs:
+        return {str(place): values for place, values in enumerate(_outputs(module, args))}
+
+    apart = _largest_of(relative_differences(run(args), run(args)) for args in batches)
+    largest = max(apart.values(), default=0.0)
+    if not largest <= tolerance:
+        raise ValueError(
+            "module: expected one that gives the same result twice, got a difference of"
+            f" {largest:.3g}; dropout by a function needs training=self.training"
+        )
 
 
 def _rounding(
@@ -359,7 +421,18 @@ def _rounding(
 
 def _outputs(module: nn.Module, args: Iterable[Tensor]) -> list[NDArray[Any]]:
     with torch.no_grad():
-        return [leaf.numpy() for leaf in tensors_of(module(*args))]
+        leaves = tensors_of(module(*args))
+    for place, leaf in enumerate(leaves):
+        _expect_dtype(f"output {place}", leaf)
+    return [leaf.numpy() for leaf in leaves]
+
+
+def _expect_dtype(name: str, tensor: Tensor) -> None:
+    if tensor.dtype not in DTYPES:
+        raise TypeError(
+            f"{name}: expected float16, float32 or float64, whole numbers or bool, got"
+            f" {tensor.dtype}"
+        )
 
 
 def _largest_of(differences: Iterable[Mapping[str, float]]) -> dict[str, float]:
@@ -376,7 +449,7 @@ def _expect_rounding(found: Mapping[str, tuple[float, float]], tolerance: float)
     got = [
         f"{name} {value:.3g} (the module from float64: {rounding:.3g})"
         for name, (value, rounding) in found.items()
-        if not value <= ROUNDINGS * rounding
+        if not value <= ROUNDINGS * rounding < np.inf
     ]
     if got:
         raise RuntimeError(

@@ -1,7 +1,8 @@
 """Replaces ``ffpose::SpectralFilter`` in a graph by standard operators (`ffpose.onnx.matrices`).
 
 Of each filter remain MatMul, Mul, one Transpose, and Reshape, which moves nothing. Filters of one
-size share their matrices.
+size share their matrices. The arithmetic is of the weight's dtype, to which x is cast where it has
+another.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class _Replacement(Nodes):
         self.x, self.weight_value = node.inputs
         self.weight = _constant(self.weight_value)
         self.shape = _sizes(self.x, RANK[self.layout])
-        self.dtype = self.weight.dtype
+        self.dtype, self.kind = self.weight.dtype, self.weight_value.dtype
 
     def write(self) -> None:
         """Write the nodes, and put them in the filter's place."""
@@ -54,9 +55,16 @@ class _Replacement(Nodes):
         y = self.op("Transpose", y, perm=[0, 2, 1, 3])  # (B, rows, re/im, columns)
         y = self.reshape(y, (0, rows, 2 * half, *channels))
         y = self._columns(y, matrices.columns_back, f"{name}_columns_back")
-        self.replace(self._like_x(y))
+        self.replace(self._cast(self._like_x(y), self.x.dtype))
         if not self.weight_value.uses():
             self.graph.initializers.pop(self.weight_value.name)
+
+    def _cast(self, y: Any, dtype: Any) -> Any:
+        if self.x.dtype == self.kind:
+            return y
+        cast = self.op("Cast", y, to=dtype)
+        cast.dtype = dtype
+        return cast
 
     def _rows(self, y: Any, matrices: FilterMatrices, columns: int, name: str) -> Any:
         """Write steps 2 to 4, for the spectrum's columns and channels as one axis."""
@@ -87,9 +95,10 @@ class _Replacement(Nodes):
 
     def _batched(self) -> Any:
         """Return x ``(B, 1, *size)``: an axis for the real and imaginary part to come."""
+        x = self._cast(self.x, self.kind)
         if self.x.shape.rank() == 1 + len(self.shape):
-            return self.op("Unsqueeze", self.x, self.integers([1]))
-        return self.reshape(self.x, (-1, 1, *self.shape))
+            return self.op("Unsqueeze", x, self.integers([1]))
+        return self.reshape(x, (-1, 1, *self.shape))
 
     def _like_x(self, y: Any) -> Any:
         """Give the result ``(B, *size)`` the shape of x."""

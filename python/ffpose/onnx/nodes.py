@@ -17,19 +17,20 @@ class Nodes:
 
     Args:
         graph: The graph.
-        node: The node whose place they take; their values have the type of its first input.
+        node: The node whose place they take; their values have the type of its first input,
+            unless ``kind`` is given another.
     """
 
     def __init__(self, graph: Any, node: Any) -> None:
         self.ir = require("onnx_ir", "export")
-        self.graph, self.node = graph, node
+        self.graph, self.node, self.kind = graph, node, node.inputs[0].dtype
         self.nodes: list[Any] = []
 
     def op(self, kind: str, *inputs: Any, **attributes: Any) -> Any:
         """Add a node, and return its output."""
         node = self.ir.node(kind, inputs, attributes)
         node.outputs[0].name = f"{self.node.outputs[0].name}/{len(self.nodes)}"
-        node.outputs[0].dtype = self.node.inputs[0].dtype
+        node.outputs[0].dtype = self.kind
         self.nodes.append(node)
         return node.outputs[0]
 

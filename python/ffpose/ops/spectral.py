@@ -116,8 +116,16 @@ def _gradients(
     arguments = (grad, x, weight, layout, need_x, need_weight)
     if not torch.is_grad_enabled() and is_plain(grad, x, weight):
         return backward_rust(*arguments)
-    for_x, for_weight = _SpectralFilterBackward.apply(*arguments)
+    run = backward_op if is_recording() else _SpectralFilterBackward.apply
+    for_x, for_weight = run(*arguments)
     return for_x if need_x else None, for_weight if need_weight else None
+
+
+def _save_needed(ctx: Any, x: Tensor, weight: Tensor, layout: Layout) -> None:
+    """Save what gradients are computed from: the weight for that of x, and x for the weight's."""
+    need_x, need_weight, _ = ctx.needs_input_grad
+    ctx.save_for_backward(x if need_weight else None, weight if need_x else None)
+    ctx.layout, ctx.weight_shape, ctx.weight_dtype = layout, weight.shape, weight.dtype
 
 
 class _SpectralFilter(Function):
@@ -129,14 +137,18 @@ class _SpectralFilter(Function):
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
-        x, weight, ctx.layout = inputs
-        ctx.save_for_backward(x, weight)
+        x, weight, layout = inputs
+        _save_needed(ctx, x, weight, layout)
         ctx.save_for_forward(x, weight)
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         x, weight = ctx.saved_tensors
         need_x, need_weight, _ = ctx.needs_input_grad
+        if x is None:
+            x = grad
+        if weight is None:
+            weight = grad.new_empty(ctx.weight_shape, dtype=ctx.weight_dtype)
         gradients = _gradients(grad, x, weight, ctx.layout, need_x=need_x, need_weight=need_weight)
         return *gradients, None
 
@@ -170,8 +182,7 @@ class _SpectralFilterOnCpu(Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, weight: Tensor, layout: Layout) -> Tensor:
-        ctx.save_for_backward(x, weight)
-        ctx.layout = layout
+        _save_needed(ctx, x, weight, layout)
         return forward_rust(x, weight, layout)
 
     backward = _SpectralFilter.backward

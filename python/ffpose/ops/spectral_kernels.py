@@ -47,8 +47,9 @@ backward_op: Callable[..., tuple[Tensor, Tensor]] = (
 def forward_rust(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor | None = None) -> Tensor:
     """Filter CPU tensors; arguments and errors are those of `ffpose.ops.spectral_filter`.
 
-    Rust checks the arguments, so that a valid call needs no second check in Python. It refuses
-    float16, which is rare on CPUs: torch converts that to float32 and back.
+    Rust checks the arguments, so that a valid call needs no second check in Python. It refuses what
+    is rare on CPUs: float16, which torch converts to float32 and back, and elements at an address
+    that is no multiple of their size, which are copied.
     """
     x, weight = x.contiguous(), weight.contiguous()
     y = torch.empty_like(x) if out is None else out
@@ -58,6 +59,8 @@ def forward_rust(x: Tensor, weight: Tensor, layout: Layout, *, out: Tensor | Non
         check_filter(x, weight, layout)  # raises the same error as on other devices
         if isinstance(error, TypeError) and x.dtype == torch.float16:
             return y.copy_(forward_rust(x.float(), weight.float(), layout))
+        if not _are_aligned(x, weight):
+            return forward_rust(x.clone(), weight.clone(), layout, out=out)
         raise
     return y
 
@@ -94,8 +97,15 @@ def backward_rust(
             wide = (grad.float(), x.float(), weight.float())
             for_x, for_weight = backward_rust(*wide, layout, need_x, need_weight)
             return _narrowed(for_x, x.dtype), _narrowed(for_weight, weight.dtype)
+        if not _are_aligned(grad, x, weight):
+            copies = (grad.clone(), x.clone(), weight.clone())
+            return backward_rust(*copies, layout, need_x, need_weight)
         raise
     return grad_x, grad_weight
+
+
+def _are_aligned(*tensors: Tensor) -> bool:
+    return not any(tensor.data_ptr() % tensor.element_size() for tensor in tensors)
 
 
 def _narrowed(grad: Tensor | None, dtype: torch.dtype) -> Tensor | None:
