@@ -4,7 +4,7 @@ Of folders that ffpose learn wrote, and the indices of the images that are shown
 errors about the median:
 
 python docs/images/own_spacecraft.py own_spacecraft.jpg station=2,21,23,31 landsat=14,17,23,35 hubble=2,23,31,35
-python docs/images/own_spacecraft.py own_spacecraft_hour.jpg orion=25,35,31,76 landsat=40,35,72,2
+python docs/images/own_spacecraft.py own_spacecraft_hour.jpg iss=187,152,12,203 landsat=40,35,72,2 orion=25,35,31,76
 """
 
 import sys
