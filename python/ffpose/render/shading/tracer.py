@@ -73,7 +73,7 @@ class Tracer:
         Textures are averaged over ``spread``, the angle between neighboring rays, radians.
         """
         directions = np.ascontiguousarray(directions)
-        hits = self._hits(origin, directions, np.zeros(len(directions), np.float32))
+        hits = self._hits(origin, directions, None)
         if self._alpha_test is None:
             return hits
         kept = []
@@ -91,15 +91,14 @@ class Tracer:
         together = Hits(*(np.concatenate(each, axis=-1) for each in zip(*kept, strict=True)))
         return _some(together, np.argsort(together.ray, kind="stable"))
 
-    def _hits(self, origin: Floats, directions: Floats, start: Floats) -> Hits:
+    def _hits(self, origin: Floats, directions: Floats, start: Floats | None) -> Hits:
         """Find the first hits of rays that begin at distances (N,) from their origin."""
-        hits, normals = _traced(self._scene, origin, directions, start)
-        backs = np.einsum("ij,ij->i", normals, directions[hits.ray]) > 0
-        if not backs.any():
+        hits, backs = _traced(self._scene, origin, directions, start)
+        if not backs.size:
             return hits
-        aside = normals @ np.asarray(ASIDE, np.float32) > 0
+        aside = self._aside[hits.face[backs]]
         for half, (scene, numbers) in zip((~aside, aside), self._halves, strict=True):
-            some = np.flatnonzero(backs & half)
+            some = backs[half]
             distance = hits.distance[some]
             before = distance * np.float32(1 - STEP) - np.float32(STEP)
             fronts, _ = _traced(scene, origin, directions[hits.ray[some]], before)
@@ -111,12 +110,16 @@ class Tracer:
         return hits
 
     @cached_property
+    def _aside(self) -> NDArray[np.bool_]:
+        """Whether each face (F,) is on the side of `ASIDE`."""
+        return np.asarray(self._mesh.face_normals @ ASIDE > 0)
+
+    @cached_property
     def _halves(self) -> list[tuple[Any, NDArray[np.intp]]]:
         """BVHs of the faces on the side of `ASIDE` and of the others, and the faces' numbers."""
-        aside = self._mesh.face_normals @ ASIDE > 0
         return [
             (_scene(self._mesh.vertices, self._mesh.faces[some]), np.flatnonzero(some))
-            for some in (aside, ~aside)
+            for some in (self._aside, ~self._aside)
         ]
 
     def blocked(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
@@ -135,18 +138,23 @@ def _scene(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:
     return scene
 
 
-def _traced(scene: Any, origin: Floats, directions: Floats, start: Floats) -> tuple[Hits, Floats]:
-    """Return first hits of rays that begin at distances (N,), and normals (H, 3) of any length."""
-    starts = origin + directions * start[:, None]
-    found = scene.run(starts.astype(np.float32), directions, output=1)
+def _traced(
+    scene: Any, origin: Floats, directions: Floats, start: Floats | None
+) -> tuple[Hits, NDArray[np.intp]]:
+    """Return first hits of rays that begin at distances (N,), and which of them are on backs."""
+    starts = np.broadcast_to(origin, directions.shape)
+    if start is not None:
+        starts = starts + directions * start[:, None]
+    found = scene.run(np.ascontiguousarray(starts, np.float32), directions, output=1)
     ray = np.flatnonzero(found["primID"] >= 0)
+    distance = found["tfar"][ray]
     hits = Hits(
         ray,
         found["primID"][ray],
-        start[ray] + found["tfar"][ray],
+        distance if start is None else start[ray] + distance,
         np.stack([found["u"][ray], found["v"][ray]]),
     )
-    return hits, found["Ng"][ray]
+    return hits, np.flatnonzero(np.einsum("ij,ij->i", found["Ng"], directions)[ray] > 0)
 
 
 def _behind(distance: Floats) -> Floats:
