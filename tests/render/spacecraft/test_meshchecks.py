@@ -246,3 +246,46 @@ def test_an_stl_text_is_read(tmp_path, code):
     np.testing.assert_array_equal(shape(tmp_path, "text.stl", content), triangles)
     assert "cut short" in refused(tmp_path, "cut.stl", content[:-20])[1]
     assert "cut short" in refused(tmp_path, "second.stl", content + content[:-20])[1]
+
+
+def test_faces_without_texture_coordinates_leave_the_others_theirs(tmp_path):
+    Image.new("RGB", (2, 2), "red").save(tmp_path / "red.png")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd red.png\n")
+    given = "mtllib a.mtl\n" + POINTS + "vt 0 0\nvt 1 0\nvt 0.25 0.5\nvn 0 0 1\nusemtl a\n"
+    (tmp_path / "a.obj").write_text(given + "f 1/1 3/2 2/3\nf 1//1 2//1 4//1\nf 1 4 3\n")
+    (layer,) = load_craft(tmp_path / "a.obj").mesh.layers
+    assert layer[0].tolist() == [[0, 1], [1, 1], [0.25, 0.5]]  # from the upper left
+    assert layer[1:].tolist() == [[[0, 1]] * 3] * 2
+
+
+def test_a_texture_without_coordinates_is_told(tmp_path, caplog):
+    Image.new("RGB", (2, 2), "red").save(tmp_path / "red.png")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd red.png\n")
+    shape(tmp_path, "a.obj", "mtllib a.mtl\nusemtl a\n" + TETRAHEDRON)
+    assert "material 'a' has a texture and no texture coordinates" in caplog.text
+
+
+def test_comments_end_the_lines_of_an_obj_file(tmp_path):
+    plain = shape(tmp_path, "plain.obj", TETRAHEDRON)
+    text = TETRAHEDRON.replace("v 1 0 0", "v 1 0 0 # 1").replace("f 1 3 2", "f 1 3 2 # base")
+    np.testing.assert_array_equal(shape(tmp_path, "told.obj", text), plain)
+
+
+def test_a_mesh_without_area_is_refused(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"
+    expected = "expected triangles that have an area, got 0 together"
+    assert refused(tmp_path, "line.obj", text) == (None, expected)
+
+
+def test_a_type_that_ply_files_do_not_have_is_named(tmp_path):
+    text = "ply\nformat ascii 1.0\nelement vertex 0\nproperty int64 x\nend_header\n"
+    assert refused(tmp_path, "a.ply", text) == (None, "expected a type of PLY files, got int64")
+
+
+def test_vertices_that_no_face_uses_move_nothing(tmp_path):
+    (tmp_path / "plain.obj").write_text(TETRAHEDRON)
+    shifted = "v 90 0 0\n" + POINTS + "f 2 4 3\nf 2 3 5\nf 2 5 4\nf 3 4 5\n"
+    (tmp_path / "stray.obj").write_text(shifted)
+    plain, stray = (load_craft(tmp_path / f"{n}.obj", center=True) for n in ("plain", "stray"))
+    np.testing.assert_array_equal(stray.mesh.vertices, plain.mesh.vertices)
+    assert stray.radius == plain.radius

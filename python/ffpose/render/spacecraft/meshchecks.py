@@ -47,35 +47,60 @@ def checked(content: bytes, suffix: str, source: Path) -> bytes:
 
 
 def _obj(content: bytes, source: Path) -> bytes:
-    """Return an OBJ file, the faces of which count from its beginning and have no other inside."""
+    """Return an OBJ file, the faces of which count from its beginning and have no other inside.
+
+    Where some faces of a material have texture coordinates, all have: trimesh would leave out all.
+    """
     lines = list(_obj_lines(content))
     before, totals = dict.fromkeys(KINDS, 0), dict.fromkeys(KINDS, 0)
     for _, key, _ in lines:
         if key in totals:
             totals[key] += 1
     text, points, polygons = list[bytes](), list[list[float]](), dict[int, list[bytes]]()
+    material, mapped, bare = b"", set[bytes](), dict[int, bytes]()
     for line, key, rest in lines:
         if key in before:
             before[key] += 1
+        if key in KINDS or key == b"f":
+            rest = rest.partition(b"#")[0]
+        elif key == b"usemtl":
+            material = rest
         try:
             if key == b"v":
                 points.append(_point(rest))
             elif key == b"f":
-                corners = _face(rest.partition(b"#")[0], before, totals)
+                corners = _face(rest, before, totals)
                 if len(corners) > 3:
                     polygons[len(text)] = corners
+                if all(corner.split(b"/")[1:2] > [b""] for corner in corners):
+                    mapped.add(material)
+                else:
+                    bare[len(text)] = material
                 rest = b" ".join(corners)
         except ValueError as error:
             raise DataError(str(error), source, line) from None
         text.append(key + b" " + rest)
+    text.append(b"vt 0 0")
+    for place, its in bare.items():
+        if its in mapped:
+            corners = [_mapped(c, totals[b"vt"] + 1) for c in text[place].split()[1:]]
+            text[place] = b"f " + b" ".join(corners)
+            if place in polygons:
+                polygons[place] = corners
     for place, faces in _clipped(polygons, points):
         text[place] = b"\n".join(b"f " + b" ".join(face) for face in faces)
     return b"\n".join(text)
 
 
+def _mapped(corner: bytes, number: int) -> bytes:
+    """Return a corner of an OBJ file with the texture coordinates of a number if it has none."""
+    vertex, own, *normal = [*corner.split(b"/"), b""][:3] if b"/" in corner else [corner, b""]
+    return b"/".join([vertex, own or b"%d" % number, *filter(None, normal)])
+
+
 def _point(words: bytes) -> list[float]:
     """Return the coordinates of an OBJ file's vertex."""
-    given = words.partition(b"#")[0].split()[:3]
+    given = words.split()[:3]
     if len(given) < 3:
         raise ValueError(f"expected 3 coordinates, got {len(given)}")
     try:
@@ -198,13 +223,13 @@ def _ply(content: bytes, source: Path) -> bytes:
     if forms[:1] != [b"ascii"]:
         order = ">" if forms[:1] == [b"binary_big_endian"] else "<"
         body = body.partition(b"\n")[2]
-        if _all_alike(body, lines, order):
+        if _all_alike(body, lines, order, source):
             return content
         words = b"\n".join([*_unpacked(body, lines, order, source), b""])
         return head.replace(forms[0], b"ascii", 1) + mark + b"\n" + words
     rows = [row.split() for row in body.rstrip().split(b"\n")[1:]]
     start = 0
-    for name, count, properties in _ply_elements(lines):
+    for name, count, properties in _ply_elements(lines, source):
         found = rows[start : start + count]
         if len(found) < count:
             text = f"expected {count} rows of {name}, as stated, got {len(found)}"
@@ -218,7 +243,7 @@ def _ply(content: bytes, source: Path) -> bytes:
     return content
 
 
-def _ply_elements(lines: list[list[bytes]]) -> list[tuple[str, int, Properties]]:
+def _ply_elements(lines: list[list[bytes]], source: Path) -> list[tuple[str, int, Properties]]:
     """Return name and number of a PLY head's elements, and codes of their properties."""
     elements: list[tuple[str, int, Properties]] = []
     for words in lines:
@@ -227,16 +252,21 @@ def _ply_elements(lines: list[list[bytes]]) -> list[tuple[str, int, Properties]]
             if elements[-1][1] < 0:
                 raise ValueError(f"expected at least 0 rows, got {elements[-1][1]}")
         elif words[:1] == [b"property"]:
-            length = PLY_CODES[words[2]] if words[1] == b"list" else ""
-            elements[-1][2].append((length, PLY_CODES[words[3 if length else 1]]))
+            kinds = words[2:4] if words[1] == b"list" else words[1:2]
+            for kind in kinds:
+                if kind not in PLY_CODES:
+                    got = kind.decode(errors="replace")
+                    raise DataError(f"expected a type of PLY files, got {got}", source)
+            length = PLY_CODES[kinds[0]] if kinds[1:] else ""
+            elements[-1][2].append((length, PLY_CODES[kinds[-1]]))
     return elements
 
 
-def _all_alike(body: bytes, lines: list[list[bytes]], order: str) -> bool:
+def _all_alike(body: bytes, lines: list[list[bytes]], order: str, source: Path) -> bool:
     """Return whether all rows of an element in binary are as long as its first one."""
     at = 0
     try:
-        for _, count, properties in _ply_elements(lines):
+        for _, count, properties in _ply_elements(lines, source):
             if count:
                 at += count * (_binary_row(body, at, properties, order)[1] - at)
     except struct.error:
@@ -247,7 +277,7 @@ def _all_alike(body: bytes, lines: list[list[bytes]], order: str) -> bool:
 def _unpacked(body: bytes, lines: list[list[bytes]], order: str, source: Path) -> Iterator[bytes]:
     """Yield the rows of a binary PLY file as text."""
     at = 0
-    for name, count, properties in _ply_elements(lines):
+    for name, count, properties in _ply_elements(lines, source):
         for row in range(count):
             try:
                 words, at = _binary_row(body, at, properties, order)
