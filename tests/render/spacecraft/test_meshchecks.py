@@ -289,3 +289,16 @@ def test_vertices_that_no_face_uses_move_nothing(tmp_path):
     plain, stray = (load_craft(tmp_path / f"{n}.obj", center=True) for n in ("plain", "stray"))
     np.testing.assert_array_equal(stray.mesh.vertices, plain.mesh.vertices)
     assert stray.radius == plain.radius
+
+
+def test_textures_are_found_beside_their_mtl_file_and_behind_options(tmp_path, caplog):
+    (tmp_path / "paint").mkdir()
+    Image.new("RGB", (4, 2), "red").save(tmp_path / "paint" / "solar panel.png")
+    Image.new("RGB", (2, 2), "red").save(tmp_path / "panel.png")
+    line = "newmtl a\nmap_Kd -s 2 -0.5 1 -clamp on solar panel.png\n"
+    (tmp_path / "paint" / "a.mtl").write_text(line)
+    text = "mtllib paint/a.mtl\n" + POINTS + "vt 0 0\nusemtl a\nf 1/1 3/1 2/1\nf 1/1 2/1 4/1\n"
+    (tmp_path / "a.obj").write_text(text)
+    image = load_craft(tmp_path / "a.obj").materials[0].color_map.image
+    assert (image.width, image.height) == (4, 2)
+    assert "options of textures are left out: -s 2 -0.5 1 -clamp on solar panel.png" in caplog.text
