@@ -164,7 +164,7 @@ def open_image(content: bytes, path: Path, name: str) -> Any:
 def one_line(error: BaseException) -> str:
     """Return an error's kind and text on one line."""
     if isinstance(error, KeyError):
-        return f"none with {error}"
+        return f"one without {error}"
     return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
 
 
