@@ -302,3 +302,30 @@ def test_textures_are_found_beside_their_mtl_file_and_behind_options(tmp_path, c
     image = load_craft(tmp_path / "a.obj").materials[0].color_map.image
     assert (image.width, image.height) == (4, 2)
     assert "options of textures are left out: -s 2 -0.5 1 -clamp on solar panel.png" in caplog.text
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_polygons_of_ply_files_keep_their_colors_and_their_shape(tmp_path, binary):
+    """A green square, and a red arrowhead, whose fan would fill more."""
+    form = "binary_little_endian" if binary else "ascii"
+    head = f"ply\nformat {form} 1.0\nelement vertex 8\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += "element face 2\nproperty list uchar int vertex_indices\n"
+    head += "".join(f"property uchar {color}\n" for color in ("red", "green", "blue"))
+    points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    points += [(2, 0, 1), (0.25, 0.25, 1), (0, 2, 1), (0, 0, 1)]
+    rows = [((0, 1, 2, 3), (0, 255, 0)), ((4, 5, 6, 7), (255, 0, 0))]
+    if binary:
+        body = b"".join(struct.pack("<3f", *point) for point in points)
+        body += b"".join(struct.pack("<B4i3B", 4, *face, *color) for face, color in rows)
+    else:
+        lines = [*points] + [(4, *face, *color) for face, color in rows]
+        body = "".join(" ".join(map(str, line)) + "\n" for line in lines).encode()
+    path = tmp_path / "two.ply"
+    path.write_bytes(head.encode() + b"end_header\n" + body)
+    mesh = load_craft(path).mesh
+    area = np.linalg.norm(mesh.face_normals, axis=1) / 2
+    green, red = (mesh.colors[:, 0, k] == 1 for k in (1, 0))
+    assert area[green].sum() == pytest.approx(1)
+    assert area[red].sum() == pytest.approx(0.5)  # two triangles of base 2 and height 1/4
+    assert len(area) == 4

@@ -8,8 +8,9 @@ what is outside of a concave polygon. Binary PLY files it reads if all faces hav
 from __future__ import annotations
 
 import codecs
+import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -213,7 +214,7 @@ def _stl(content: bytes, source: Path) -> bytes:
 def _ply(content: bytes, source: Path) -> bytes:
     """Return a PLY file: a text with as many rows and values as its head states, or a binary file.
 
-    A binary file whose faces have different numbers of corners becomes a text.
+    A binary file of polygons becomes a text, and polygons become triangles.
     """
     head, mark, body = content.partition(b"end_header")
     if not mark:
@@ -225,11 +226,13 @@ def _ply(content: bytes, source: Path) -> bytes:
         body = body.partition(b"\n")[2]
         if _all_alike(body, lines, order, source):
             return content
-        words = b"\n".join([*_unpacked(body, lines, order, source), b""])
-        return head.replace(forms[0], b"ascii", 1) + mark + b"\n" + words
+        head = head.replace(forms[0], b"ascii", 1)
+        body = b"\n".join([b"", *_unpacked(body, lines, order, source)])
     rows = [row.split() for row in body.rstrip().split(b"\n")[1:]]
-    start = 0
+    names = iter([words[-1] for words in lines if words[:1] == [b"property"]])
+    start, points, cut = 0, list[list[float]](), list[list[bytes]]()
     for name, count, properties in _ply_elements(lines, source):
+        its = [next(names) for _ in properties]
         found = rows[start : start + count]
         if len(found) < count:
             text = f"expected {count} rows of {name}, as stated, got {len(found)}"
@@ -240,7 +243,46 @@ def _ply(content: bytes, source: Path) -> bytes:
                 text = f"expected {expected} values of {name}, got {len(row)}"
                 raise DataError(text, source, line)
         start += count
-    return content
+        if name == "vertex":
+            places = [its.index(axis) for axis in (b"x", b"y", b"z")]
+            points = [[float(row[place]) for place in places] for row in found]
+        if name == "face":
+            found = [part for row in found for part in _cut(row, properties, points)]
+            head = re.sub(rb"(element\s+face\s+)\d+", rb"\g<1>%d" % len(found), head)
+        cut += found
+    return head + mark + b"\n" + b"\n".join([*map(b" ".join, cut), b""])
+
+
+def _cut(
+    row: list[bytes], properties: Properties, points: list[list[float]]
+) -> Iterator[list[bytes]]:
+    """Yield the rows of a polygon's triangles: trimesh would leave their colors to the polygon."""
+    cells, at = list[list[bytes]](), 0
+    for length, _ in properties:
+        size = 1 + int(row[at]) if length else 1
+        cells.append(row[at : at + size])
+        at += size
+    first = next(k for k, (length, _) in enumerate(properties) if length)
+    number = len(cells[first]) - 1
+    if number <= 3:
+        yield row
+        return
+    faces = [(0, k, k + 1) for k in range(1, number - 1)]
+    corners = [int(word) for word in cells[first][1:]]
+    if min(corners) >= 0 and max(corners) < len(points):  # what else is told of the triangles
+        shape = np.array([points[corner] for corner in corners])
+        faces = triangles(shape) if folded(shape[None])[0] else faces
+    for face in faces:
+        yield [word for cell in cells for word in _of_face(cell, number, face)]
+
+
+def _of_face(cell: list[bytes], number: int, face: Sequence[int]) -> list[bytes]:
+    """Return a triangle's share of a property: of a list by corners the values of its own."""
+    width, rest = divmod(len(cell) - 1, number)
+    if not width or rest:
+        return cell
+    values = [cell[1 + k * width + i] for k in face for i in range(width)]
+    return [b"%d" % len(values), *values]
 
 
 def _ply_elements(lines: list[list[bytes]], source: Path) -> list[tuple[str, int, Properties]]:
@@ -263,12 +305,16 @@ def _ply_elements(lines: list[list[bytes]], source: Path) -> list[tuple[str, int
 
 
 def _all_alike(body: bytes, lines: list[list[bytes]], order: str, source: Path) -> bool:
-    """Return whether all rows of an element in binary are as long as its first one."""
+    """Return whether all rows of an element are as long as its first, and faces triangles."""
     at = 0
     try:
-        for _, count, properties in _ply_elements(lines, source):
+        for name, count, properties in _ply_elements(lines, source):
             if count:
-                at += count * (_binary_row(body, at, properties, order)[1] - at)
+                words, end = _binary_row(body, at, properties, order)
+                first = next((k for k, (length, _) in enumerate(properties) if length), None)
+                if name == "face" and first is not None and words[first] != b"3":
+                    return False
+                at += count * (end - at)
     except struct.error:
         return False
     return at == len(body)
