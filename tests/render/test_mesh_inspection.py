@@ -137,3 +137,19 @@ def test_the_command(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["doubts"] == []
     assert main(["inspect", "--out", str(tmp_path / "out")]) == 2
     assert "expected a mesh file, or --data.kind" in capsys.readouterr().err
+
+
+def test_a_spacecraft_that_is_invisible_is_doubted_and_not_symmetric(tmp_path):
+    mesh = trimesh.creation.box((2.0, 1.0, 0.5))
+    mesh.visual = trimesh.visual.TextureVisuals(
+        np.zeros((8, 2)),
+        trimesh.visual.material.PBRMaterial(
+            baseColorTexture=Image.new("RGBA", (2, 2), (255, 255, 255, 0)), alphaMode="BLEND"
+        ),
+    )
+    mesh.export(tmp_path / "box.glb")
+    summary = inspect_mesh(load_craft(tmp_path / "box.glb"), tmp_path / "out")
+    assert summary["disk_seen"] == 0
+    assert summary["symmetry"] is None
+    assert "covers 0.0%" in summary["doubts"][0]
+    assert "transparent" in summary["doubts"][-1]

@@ -14,7 +14,7 @@ from ffpose._internal.files import atomic_write, write_json
 from ffpose.geometry import Camera, Pose
 from ffpose.geometry.rotations import from_matrix
 from ffpose.imaging.overlay import draw_axes, tiled
-from ffpose.render.renderer import draw_alone
+from ffpose.render.renderer import draw_alone, prepared
 from ffpose.render.shading.rays import cast_rays, find_window
 from ffpose.render.shading.reflection import Light
 from ffpose.render.shading.tracer import Tracer
@@ -190,7 +190,7 @@ def _round_length(length: float) -> float:
 def _shares_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> tuple[float, float]:
     """Return, from all views, the shares of hits on the back of a face, and of the disk hit."""
     tracer, normals = Tracer(craft.mesh), craft.mesh.face_normals
-    back = count = 0
+    back = count = shown = 0
     for name in DIRECTIONS:
         pose, camera = _view(name, center, radius)
         window = find_window(craft.corners, pose, camera)
@@ -199,7 +199,8 @@ def _shares_seen(craft: Craft, center: NDArray[np.float64], radius: float) -> tu
         seen = cast_rays(tracer, window, camera, pose, 1)
         facing = np.einsum("ij,ji->i", normals[seen.hits.face], seen.rays)
         back, count = back + int((facing > 0).sum()), count + len(facing)
-    return back / max(count, 1), count / (len(DIRECTIONS) * math.pi * (DISK * TILE) ** 2)
+        shown += len(cast_rays(prepared(craft)[0], window, camera, pose, 1).hits.ray)
+    return back / max(count, 1), shown / (len(DIRECTIONS) * math.pi * (DISK * TILE) ** 2)
 
 
 def _material(craft: Craft, number: int) -> dict[str, Any]:

@@ -118,7 +118,7 @@ def find_symmetries(craft: Craft) -> Symmetries:
 
     Raises:
         ValueError: The spacecraft looks the same from all sides, as a sphere, so it has no
-            attitude; or it is flat, so from the side there is nothing to see.
+            attitude; it is flat, so from the side there is nothing to see; or it is invisible.
     """
     points, area, normals = _surface(craft)
     center = area @ points / area.sum()
@@ -236,6 +236,10 @@ class _Renders:
         self.before = [
             self._render(q, sun) for q, sun in zip(self.attitudes, self.suns, strict=True)
         ]
+        if not any(view.any() for view in self.before):
+            raise ValueError(
+                "mesh: expected a spacecraft that is seen, got one that is transparent or black"
+            )
 
     def compare(self, axis: Axis) -> Symmetry | None:
         """Return how different the looks are after turns about an axis; None if not nearly same."""

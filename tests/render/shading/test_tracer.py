@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from ffpose.geometry import Camera, Pose
+from ffpose.render.renderer import prepared
 from ffpose.render.shading.rays import cast_rays, find_window
 from ffpose.render.shading.reflection import LIFT_M
 from ffpose.render.shading.tracer import Tracer
-from ffpose.render.spacecraft.mesh import ball, box, dish, lathe, merge, tube, turn
+from ffpose.render.spacecraft.craft import Craft
+from ffpose.render.spacecraft.materials import Material
+from ffpose.render.spacecraft.mesh import Mesh, ball, box, dish, lathe, merge, tube, turn
 
 CAMERA = Camera(64, 48, 32.0, 32.0, 32.0, 24.0)
 
@@ -79,3 +82,31 @@ def test_merge_keeps_every_face_where_it_was():
         np.concatenate([part.vertices[part.faces] for part in parts]),
     )
     assert set(whole.material) == {1, 2, 3}
+
+
+def plates(material):
+    """Build a square meter at z = 0 twice: up, and then down, cut along the other diagonal."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float) - (0.5, 0.5, 0)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [1, 0, 3], [3, 2, 1]], np.int32)
+    mesh = Mesh(vertices, faces, np.zeros((4, 3, 2)), np.zeros(4, np.int32))
+    return Craft("plates", mesh.moved(turn("x", 30), (0.1, 0.2, 0.3)), (material,))
+
+
+@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize(("side", "faces"), [(1, {0, 1}), (-1, {2, 3})])
+def test_of_plates_in_one_place_each_side_shows_the_one_that_faces_it(two_sided, side, faces):
+    craft = plates(Material((1, 1, 1), two_sided=two_sided))
+    tracer = prepared(craft)[0]
+    grid = np.stack(np.meshgrid(*[np.linspace(-0.49, 0.49, 40)] * 2), axis=-1).reshape(-1, 2)
+    places = np.pad(grid, ((0, 0), (0, 1))) @ turn("x", 30).T + (0.1, 0.2, 0.3)
+    for away in (2, 50):
+        eye = turn("x", 30) @ (0.3, 0.1, side * away) + (0.1, 0.2, 0.3)
+        distance = np.linalg.norm(places - eye, axis=1)
+        rays = ((places - eye) / distance[:, None]).astype(np.float32)
+        hits = tracer.first_hits(eye.astype(np.float32), rays)
+        assert hits.ray.tolist() == list(range(1600))
+        assert set(hits.face) == faces
+        np.testing.assert_allclose(hits.distance, distance, rtol=1e-5)
+        corners = craft.mesh.vertices[craft.mesh.faces[hits.face]]
+        seen = np.einsum("kn,nkj->nj", hits.weights, corners)
+        np.testing.assert_allclose(seen, places, atol=1e-4)

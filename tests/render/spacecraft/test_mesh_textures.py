@@ -316,7 +316,7 @@ def test_gltf_that_is_none_or_needs_what_is_not_known_is_refused(tmp_path):
     refused(path, "expected glTF extensions that are known, got one that needs ACME_curved_space")
     for text in ("{", "[]", '{"images": [{}]}', '{"asset": 3}', '{"asset": {}, "nodes": 3}'):
         path.write_text(text)
-        refused(path, r"quads\.gltf: expected a glTF document, got \w+Error")
+        refused(path, r"quads\.gltf: expected a glTF document, got (\w+Error|one without 'asset')")
     old = {"meshes": {"body": {}}, "nodes": {}}
     for document in ({**header, "asset": {"version": "1.0"}}, old, {**old, "asset": {}}):
         path.write_text(json.dumps(document))

@@ -246,3 +246,86 @@ def test_an_stl_text_is_read(tmp_path, code):
     np.testing.assert_array_equal(shape(tmp_path, "text.stl", content), triangles)
     assert "cut short" in refused(tmp_path, "cut.stl", content[:-20])[1]
     assert "cut short" in refused(tmp_path, "second.stl", content + content[:-20])[1]
+
+
+def test_faces_without_texture_coordinates_leave_the_others_theirs(tmp_path):
+    Image.new("RGB", (2, 2), "red").save(tmp_path / "red.png")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd red.png\n")
+    given = "mtllib a.mtl\n" + POINTS + "vt 0 0\nvt 1 0\nvt 0.25 0.5\nvn 0 0 1\nusemtl a\n"
+    (tmp_path / "a.obj").write_text(given + "f 1/1 3/2 2/3\nf 1//1 2//1 4//1\nf 1 4 3\n")
+    (layer,) = load_craft(tmp_path / "a.obj").mesh.layers
+    assert layer[0].tolist() == [[0, 1], [1, 1], [0.25, 0.5]]  # from the upper left
+    assert layer[1:].tolist() == [[[0, 1]] * 3] * 2
+
+
+def test_a_texture_without_coordinates_is_told(tmp_path, caplog):
+    Image.new("RGB", (2, 2), "red").save(tmp_path / "red.png")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd red.png\n")
+    shape(tmp_path, "a.obj", "mtllib a.mtl\nusemtl a\n" + TETRAHEDRON)
+    assert "material 'a' has a texture and no texture coordinates" in caplog.text
+
+
+def test_comments_end_the_lines_of_an_obj_file(tmp_path):
+    plain = shape(tmp_path, "plain.obj", TETRAHEDRON)
+    text = TETRAHEDRON.replace("v 1 0 0", "v 1 0 0 # 1").replace("f 1 3 2", "f 1 3 2 # base")
+    np.testing.assert_array_equal(shape(tmp_path, "told.obj", text), plain)
+
+
+def test_a_mesh_without_area_is_refused(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"
+    expected = "expected triangles that have an area, got 0 together"
+    assert refused(tmp_path, "line.obj", text) == (None, expected)
+
+
+def test_a_type_that_ply_files_do_not_have_is_named(tmp_path):
+    text = "ply\nformat ascii 1.0\nelement vertex 0\nproperty int64 x\nend_header\n"
+    assert refused(tmp_path, "a.ply", text) == (None, "expected a type of PLY files, got int64")
+
+
+def test_vertices_that_no_face_uses_move_nothing(tmp_path):
+    (tmp_path / "plain.obj").write_text(TETRAHEDRON)
+    shifted = "v 90 0 0\n" + POINTS + "f 2 4 3\nf 2 3 5\nf 2 5 4\nf 3 4 5\n"
+    (tmp_path / "stray.obj").write_text(shifted)
+    plain, stray = (load_craft(tmp_path / f"{n}.obj", center=True) for n in ("plain", "stray"))
+    np.testing.assert_array_equal(stray.mesh.vertices, plain.mesh.vertices)
+    assert stray.radius == plain.radius
+
+
+def test_textures_are_found_beside_their_mtl_file_and_behind_options(tmp_path, caplog):
+    (tmp_path / "paint").mkdir()
+    Image.new("RGB", (4, 2), "red").save(tmp_path / "paint" / "solar panel.png")
+    Image.new("RGB", (2, 2), "red").save(tmp_path / "panel.png")
+    line = "newmtl a\nmap_Kd -s 2 -0.5 1 -clamp on solar panel.png\n"
+    (tmp_path / "paint" / "a.mtl").write_text(line)
+    text = "mtllib paint/a.mtl\n" + POINTS + "vt 0 0\nusemtl a\nf 1/1 3/1 2/1\nf 1/1 2/1 4/1\n"
+    (tmp_path / "a.obj").write_text(text)
+    image = load_craft(tmp_path / "a.obj").materials[0].color_map.image
+    assert (image.width, image.height) == (4, 2)
+    assert "options of textures are left out: -s 2 -0.5 1 -clamp on solar panel.png" in caplog.text
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_polygons_of_ply_files_keep_their_colors_and_their_shape(tmp_path, binary):
+    """A green square, and a red arrowhead, whose fan would fill more."""
+    form = "binary_little_endian" if binary else "ascii"
+    head = f"ply\nformat {form} 1.0\nelement vertex 8\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += "element face 2\nproperty list uchar int vertex_indices\n"
+    head += "".join(f"property uchar {color}\n" for color in ("red", "green", "blue"))
+    points = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    points += [(2, 0, 1), (0.25, 0.25, 1), (0, 2, 1), (0, 0, 1)]
+    rows = [((0, 1, 2, 3), (0, 255, 0)), ((4, 5, 6, 7), (255, 0, 0))]
+    if binary:
+        body = b"".join(struct.pack("<3f", *point) for point in points)
+        body += b"".join(struct.pack("<B4i3B", 4, *face, *color) for face, color in rows)
+    else:
+        lines = [*points] + [(4, *face, *color) for face, color in rows]
+        body = "".join(" ".join(map(str, line)) + "\n" for line in lines).encode()
+    path = tmp_path / "two.ply"
+    path.write_bytes(head.encode() + b"end_header\n" + body)
+    mesh = load_craft(path).mesh
+    area = np.linalg.norm(mesh.face_normals, axis=1) / 2
+    green, red = (mesh.colors[:, 0, k] == 1 for k in (1, 0))
+    assert area[green].sum() == pytest.approx(1)
+    assert area[red].sum() == pytest.approx(0.5)  # two triangles of base 2 and height 1/4
+    assert len(area) == 4

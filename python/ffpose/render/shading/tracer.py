@@ -6,6 +6,7 @@ bounding volume hierarchy (BVH) is built once for a spacecraft and serves every 
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,10 @@ DEPTH = 8
 """Most surfaces that a ray passes through; the next one stops it."""
 
 STEP = 1e-5
-"""How far behind a surface a ray goes on, relative to its length."""
+"""How far behind a surface a ray goes on, relative to its length; nearer ones are in one place."""
+
+ASIDE = (0.48, 0.6, 0.64)
+"""Unit vector whose side tells a face from its opposite one: hardly a face is parallel to it."""
 
 
 class Hits(NamedTuple):
@@ -47,12 +51,16 @@ class Hits(NamedTuple):
 
 
 class Tracer:
-    """Embree's BVH of one mesh, with a test of what rays pass through; None is nothing."""
+    """Embree's BVH of one mesh, with a test of what rays pass through; None is nothing.
+
+    Of faces in one place, back to back, a ray hits the one that it sees from the front.
+    """
 
     def __init__(self, mesh: Mesh, alpha_test: AlphaTest | None = None) -> None:
         require("embreex", "render")
 
         self._alpha_test = alpha_test if alpha_test is not None and alpha_test.needed else None
+        self._mesh = mesh
         self._scene = self._shadows = _scene(mesh.vertices, mesh.faces)
         if self._alpha_test is not None:
             casters = self._alpha_test.shadow_casters
@@ -65,7 +73,7 @@ class Tracer:
         Textures are averaged over ``spread``, the angle between neighboring rays, radians.
         """
         directions = np.ascontiguousarray(directions)
-        hits = self._hits(np.broadcast_to(origin, directions.shape), directions)
+        hits = self._hits(origin, directions, None)
         if self._alpha_test is None:
             return hits
         kept = []
@@ -77,29 +85,42 @@ class Tracer:
             hits = _some(hits, through)
             if not hits.ray.size:
                 break
-            start = hits.distance * np.float32(1 + STEP) + np.float32(STEP)
-            toward = directions[hits.ray]
-            further = self._hits(origin + toward * start[:, None], toward)
-            hits = Hits(
-                hits.ray[further.ray],
-                further.face,
-                start[further.ray] + further.distance,
-                further.barycentric,
-            )
+            further = self._hits(origin, directions[hits.ray], _behind(hits.distance))
+            hits = further._replace(ray=hits.ray[further.ray])
         kept.append(hits)
         together = Hits(*(np.concatenate(each, axis=-1) for each in zip(*kept, strict=True)))
         return _some(together, np.argsort(together.ray, kind="stable"))
 
-    def _hits(self, origins: Floats, directions: Floats) -> Hits:
-        start = np.ascontiguousarray(origins, dtype=np.float32)
-        found = self._scene.run(start, np.ascontiguousarray(directions), output=1)
-        ray = np.flatnonzero(found["primID"] >= 0)
-        return Hits(
-            ray,
-            found["primID"][ray],
-            found["tfar"][ray],
-            np.stack([found["u"][ray], found["v"][ray]]),
-        )
+    def _hits(self, origin: Floats, directions: Floats, start: Floats | None) -> Hits:
+        """Find the first hits of rays that begin at distances (N,) from their origin."""
+        hits, backs = _traced(self._scene, origin, directions, start)
+        if not backs.size:
+            return hits
+        aside = self._aside[hits.face[backs]]
+        for half, (scene, numbers) in zip((~aside, aside), self._halves, strict=True):
+            some = backs[half]
+            distance = hits.distance[some]
+            before = distance * np.float32(1 - STEP) - np.float32(STEP)
+            fronts, _ = _traced(scene, origin, directions[hits.ray[some]], before)
+            fronts = _some(fronts, fronts.distance < _behind(distance[fronts.ray]))
+            at = some[fronts.ray]
+            hits.face[at] = numbers[fronts.face]
+            hits.distance[at] = fronts.distance
+            hits.barycentric[:, at] = fronts.barycentric
+        return hits
+
+    @cached_property
+    def _aside(self) -> NDArray[np.bool_]:
+        """Whether each face (F,) is on the side of `ASIDE`."""
+        return np.asarray(self._mesh.face_normals @ ASIDE > 0)
+
+    @cached_property
+    def _halves(self) -> list[tuple[Any, NDArray[np.intp]]]:
+        """BVHs of the faces on the side of `ASIDE` and of the others, and the faces' numbers."""
+        return [
+            (_scene(self._mesh.vertices, self._mesh.faces[some]), np.flatnonzero(some))
+            for some in (self._aside, ~self._aside)
+        ]
 
     def blocked(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
         """Return which rays (N,) from points (N, 3) in directions (N, 3) or (3,) hit anything."""
@@ -115,6 +136,31 @@ def _scene(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:
     scene = EmbreeScene(robust=True)
     TriangleMesh(scene, vertices.astype(np.float32), np.ascontiguousarray(faces))
     return scene
+
+
+def _traced(
+    scene: Any, origin: Floats, directions: Floats, start: Floats | None
+) -> tuple[Hits, NDArray[np.intp]]:
+    """Return first hits of rays that begin at distances (N,), and which of them are on backs."""
+    starts = np.broadcast_to(origin, directions.shape)
+    if start is not None:
+        starts = starts + directions * start[:, None]
+    found = scene.run(np.ascontiguousarray(starts, np.float32), directions, output=1)
+    ray = np.flatnonzero(found["primID"] >= 0)
+    distance = found["tfar"][ray]
+    hits = Hits(
+        ray,
+        found["primID"][ray],
+        distance if start is None else start[ray] + distance,
+        np.stack([found["u"][ray], found["v"][ray]]),
+    )
+    return hits, np.flatnonzero(np.einsum("ij,ij->i", found["Ng"], directions)[ray] > 0)
+
+
+def _behind(distance: Floats) -> Floats:
+    """Return the distances at which rays go on behind surfaces."""
+    result: Floats = distance * np.float32(1 + STEP) + np.float32(STEP)
+    return result
 
 
 def _some(hits: Hits, at: NDArray[np.bool_] | NDArray[np.intp]) -> Hits:

@@ -2,15 +2,16 @@
 
 Of all sets of texture coordinates, sparse values, fractions as whole numbers, transformed textures
 and copies of nodes trimesh reads some at most, so it is not used here. Sections are those of the
-specification (Khronos Group, "glTF 2.0 Specification", 2021). Skins are drawn in their pose of
-rest, animations and morph targets as they are at the start; occlusion textures are left out, as
-light is traced.
+specification (Khronos Group, "glTF 2.0 Specification", 2021). Skins are drawn where their
+node is, without joints, animations and morph targets as they are at the start; occlusion textures
+are left out, as light is traced.
 """
 
 from __future__ import annotations
 
 import base64
 import json
+import logging
 import struct
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -23,6 +24,8 @@ from ffpose.render.spacecraft.gltfchecks import check_numbers
 from ffpose.render.spacecraft.gltfmaterials import Materials
 from ffpose.render.spacecraft.meshassets import MAX_BYTES, Assets, one_line
 from ffpose.render.spacecraft.parts import Part, check_shape
+
+logger = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
 Header = dict[str, Any]
@@ -191,6 +194,8 @@ class _Document:
             stack += [(child, place) for child in reversed(node.get("children", []))]
             if "mesh" not in node:
                 continue
+            if "skin" in node:
+                logger.warning("%s: joints of a skin are left out: node %d", self.source, number)
             copies = self._instances(extensions.get("EXT_mesh_gpu_instancing"))
             for primitive in range(len(self.header["meshes"][node["mesh"]]["primitives"])):
                 for copy in copies:
@@ -243,6 +248,9 @@ class _Document:
             order = np.arange(len(points))
             if "indices" in primitive:
                 order = self.values(primitive["indices"])[:, 0]
+            if primitive.get("mode", TRIANGLES) == TRIANGLES and len(order) % CORNERS:
+                text = f"expected triangles of {CORNERS} corners, got {len(order)} corners"
+                raise DataError(text, self.source)
             faces = _triangles(order, primitive.get("mode", TRIANGLES))
         check_shape(points, faces, self.source)
         return shape | {"faces": faces}

@@ -10,11 +10,15 @@ import codecs
 import hashlib
 import io
 import json
+import logging
+import re
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
 from ffpose.errors import DataError, require
+
+logger = logging.getLogger(__name__)
 
 MAX_BYTES = 1 << 30
 """Largest size of a mesh file, and of each file that it refers to."""
@@ -29,6 +33,9 @@ OTHERS = {
     b"iso-10303-21": "a STEP file: export it as triangles, as STL or glTF",
 }
 """What is met in place of a file of its name, by its beginning in small letters."""
+
+OPTIONS = re.compile(r"^(-[a-z]+(\s+([-+.\d][-+.\de]*|on|off|[rgbmlz]))+\s+)+")
+"""What stands before a texture's name in an MTL file: ``map_Kd -s 2 2 1 solar panel.png``."""
 
 NO_MATERIALS = ": put it there, or delete the line that names it for a gray spacecraft"
 
@@ -51,6 +58,7 @@ class Assets:
         self.libraries: list[str] = []
         self.defined: set[bytes] = set()
         self._digests: dict[str, str] = {}
+        self._folders = [source.parent.resolve()]
 
     def get(self, name: str) -> bytes:
         """Return the content of a file, and keep its digest; that of all MTL files for the first.
@@ -62,6 +70,7 @@ class Assets:
             return self._kept(name)
         names = [each for line in self.libraries for each in self._names(line)]
         texts = [as_utf8(self._kept(each, NO_MATERIALS)) for each in dict.fromkeys(names)]
+        self._folders += [path.parent for each in names if (path := self._find(each))]
         content = b"\n".join(texts)
         self.defined = {name for name in map(_material_name, content.splitlines()) if name}
         return _of_used(content, self.used)
@@ -81,6 +90,8 @@ class Assets:
         except DataError as problem:
             self.problems.append(problem)
             raise
+        if OPTIONS.match(name):
+            logger.warning("%s: options of textures are left out: %s", self.source, name)
         self._digests[name] = hashlib.sha256(content).hexdigest()
         return content
 
@@ -111,16 +122,15 @@ class Assets:
     def _find(self, name: str) -> Path | None:
         """Return the file of a name: a URI, a path, or one of a computer where it was written."""
         plain = unquote(name).strip().replace("\\", "/")
-        # Options stand before the file's name in an MTL file: ``map_Kd -s 2 2 1 panel.png``.
-        last = plain.split()[-1] if plain.startswith("-") else plain
-        folder = self.source.parent.resolve()
+        last = OPTIONS.sub("", plain)
         outside = False
-        for candidate in (name.strip(), plain, last, last.rsplit("/", 1)[-1]):
-            path = folder / candidate
-            if candidate and path.is_file():
-                if path.resolve().is_relative_to(folder):
-                    return path
-                outside = True
+        for folder in self._folders:
+            for candidate in (name.strip(), plain, last, last.rsplit("/", 1)[-1]):
+                path = folder / candidate
+                if candidate and path.is_file():
+                    if path.resolve().is_relative_to(self._folders[0]):
+                        return path
+                    outside = True
         if outside:
             text = f"expected files in its folder, got {name!r}, which is outside"
             raise DataError(text, self.source)
@@ -153,6 +163,8 @@ def open_image(content: bytes, path: Path, name: str) -> Any:
 
 def one_line(error: BaseException) -> str:
     """Return an error's kind and text on one line."""
+    if isinstance(error, KeyError):
+        return f"one without {error}"
     return f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
 
 

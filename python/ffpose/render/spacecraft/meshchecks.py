@@ -8,8 +8,9 @@ what is outside of a concave polygon. Binary PLY files it reads if all faces hav
 from __future__ import annotations
 
 import codecs
+import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -47,35 +48,60 @@ def checked(content: bytes, suffix: str, source: Path) -> bytes:
 
 
 def _obj(content: bytes, source: Path) -> bytes:
-    """Return an OBJ file, the faces of which count from its beginning and have no other inside."""
+    """Return an OBJ file, the faces of which count from its beginning and have no other inside.
+
+    Where some faces of a material have texture coordinates, all have: trimesh would leave out all.
+    """
     lines = list(_obj_lines(content))
     before, totals = dict.fromkeys(KINDS, 0), dict.fromkeys(KINDS, 0)
     for _, key, _ in lines:
         if key in totals:
             totals[key] += 1
     text, points, polygons = list[bytes](), list[list[float]](), dict[int, list[bytes]]()
+    material, mapped, bare = b"", set[bytes](), dict[int, bytes]()
     for line, key, rest in lines:
         if key in before:
             before[key] += 1
+        if key in KINDS or key == b"f":
+            rest = rest.partition(b"#")[0]
+        elif key == b"usemtl":
+            material = rest
         try:
             if key == b"v":
                 points.append(_point(rest))
             elif key == b"f":
-                corners = _face(rest.partition(b"#")[0], before, totals)
+                corners = _face(rest, before, totals)
                 if len(corners) > 3:
                     polygons[len(text)] = corners
+                if all(corner.split(b"/")[1:2] > [b""] for corner in corners):
+                    mapped.add(material)
+                else:
+                    bare[len(text)] = material
                 rest = b" ".join(corners)
         except ValueError as error:
             raise DataError(str(error), source, line) from None
         text.append(key + b" " + rest)
+    text.append(b"vt 0 0")
+    for place, its in bare.items():
+        if its in mapped:
+            corners = [_mapped(c, totals[b"vt"] + 1) for c in text[place].split()[1:]]
+            text[place] = b"f " + b" ".join(corners)
+            if place in polygons:
+                polygons[place] = corners
     for place, faces in _clipped(polygons, points):
         text[place] = b"\n".join(b"f " + b" ".join(face) for face in faces)
     return b"\n".join(text)
 
 
+def _mapped(corner: bytes, number: int) -> bytes:
+    """Return a corner of an OBJ file with the texture coordinates of a number if it has none."""
+    vertex, own, *normal = [*corner.split(b"/"), b""][:3] if b"/" in corner else [corner, b""]
+    return b"/".join([vertex, own or b"%d" % number, *filter(None, normal)])
+
+
 def _point(words: bytes) -> list[float]:
     """Return the coordinates of an OBJ file's vertex."""
-    given = words.partition(b"#")[0].split()[:3]
+    given = words.split()[:3]
     if len(given) < 3:
         raise ValueError(f"expected 3 coordinates, got {len(given)}")
     try:
@@ -188,7 +214,7 @@ def _stl(content: bytes, source: Path) -> bytes:
 def _ply(content: bytes, source: Path) -> bytes:
     """Return a PLY file: a text with as many rows and values as its head states, or a binary file.
 
-    A binary file whose faces have different numbers of corners becomes a text.
+    A binary file of polygons becomes a text, and polygons become triangles.
     """
     head, mark, body = content.partition(b"end_header")
     if not mark:
@@ -198,13 +224,15 @@ def _ply(content: bytes, source: Path) -> bytes:
     if forms[:1] != [b"ascii"]:
         order = ">" if forms[:1] == [b"binary_big_endian"] else "<"
         body = body.partition(b"\n")[2]
-        if _all_alike(body, lines, order):
+        if _all_alike(body, lines, order, source):
             return content
-        words = b"\n".join([*_unpacked(body, lines, order, source), b""])
-        return head.replace(forms[0], b"ascii", 1) + mark + b"\n" + words
+        head = head.replace(forms[0], b"ascii", 1)
+        body = b"\n".join([b"", *_unpacked(body, lines, order, source)])
     rows = [row.split() for row in body.rstrip().split(b"\n")[1:]]
-    start = 0
-    for name, count, properties in _ply_elements(lines):
+    names = iter([words[-1] for words in lines if words[:1] == [b"property"]])
+    start, points, cut = 0, list[list[float]](), list[list[bytes]]()
+    for name, count, properties in _ply_elements(lines, source):
+        its = [next(names) for _ in properties]
         found = rows[start : start + count]
         if len(found) < count:
             text = f"expected {count} rows of {name}, as stated, got {len(found)}"
@@ -215,10 +243,49 @@ def _ply(content: bytes, source: Path) -> bytes:
                 text = f"expected {expected} values of {name}, got {len(row)}"
                 raise DataError(text, source, line)
         start += count
-    return content
+        if name == "vertex":
+            places = [its.index(axis) for axis in (b"x", b"y", b"z")]
+            points = [[float(row[place]) for place in places] for row in found]
+        if name == "face":
+            found = [part for row in found for part in _cut(row, properties, points)]
+            head = re.sub(rb"(element\s+face\s+)\d+", rb"\g<1>%d" % len(found), head)
+        cut += found
+    return head + mark + b"\n" + b"\n".join([*map(b" ".join, cut), b""])
 
 
-def _ply_elements(lines: list[list[bytes]]) -> list[tuple[str, int, Properties]]:
+def _cut(
+    row: list[bytes], properties: Properties, points: list[list[float]]
+) -> Iterator[list[bytes]]:
+    """Yield the rows of a polygon's triangles: trimesh would leave their colors to the polygon."""
+    cells, at = list[list[bytes]](), 0
+    for length, _ in properties:
+        size = 1 + int(row[at]) if length else 1
+        cells.append(row[at : at + size])
+        at += size
+    first = next(k for k, (length, _) in enumerate(properties) if length)
+    number = len(cells[first]) - 1
+    if number <= 3:
+        yield row
+        return
+    faces = [(0, k, k + 1) for k in range(1, number - 1)]
+    corners = [int(word) for word in cells[first][1:]]
+    if min(corners) >= 0 and max(corners) < len(points):  # what else is told of the triangles
+        shape = np.array([points[corner] for corner in corners])
+        faces = triangles(shape) if folded(shape[None])[0] else faces
+    for face in faces:
+        yield [word for cell in cells for word in _of_face(cell, number, face)]
+
+
+def _of_face(cell: list[bytes], number: int, face: Sequence[int]) -> list[bytes]:
+    """Return a triangle's share of a property: of a list by corners the values of its own."""
+    width, rest = divmod(len(cell) - 1, number)
+    if not width or rest:
+        return cell
+    values = [cell[1 + k * width + i] for k in face for i in range(width)]
+    return [b"%d" % len(values), *values]
+
+
+def _ply_elements(lines: list[list[bytes]], source: Path) -> list[tuple[str, int, Properties]]:
     """Return name and number of a PLY head's elements, and codes of their properties."""
     elements: list[tuple[str, int, Properties]] = []
     for words in lines:
@@ -227,18 +294,27 @@ def _ply_elements(lines: list[list[bytes]]) -> list[tuple[str, int, Properties]]
             if elements[-1][1] < 0:
                 raise ValueError(f"expected at least 0 rows, got {elements[-1][1]}")
         elif words[:1] == [b"property"]:
-            length = PLY_CODES[words[2]] if words[1] == b"list" else ""
-            elements[-1][2].append((length, PLY_CODES[words[3 if length else 1]]))
+            kinds = words[2:4] if words[1] == b"list" else words[1:2]
+            for kind in kinds:
+                if kind not in PLY_CODES:
+                    got = kind.decode(errors="replace")
+                    raise DataError(f"expected a type of PLY files, got {got}", source)
+            length = PLY_CODES[kinds[0]] if kinds[1:] else ""
+            elements[-1][2].append((length, PLY_CODES[kinds[-1]]))
     return elements
 
 
-def _all_alike(body: bytes, lines: list[list[bytes]], order: str) -> bool:
-    """Return whether all rows of an element in binary are as long as its first one."""
+def _all_alike(body: bytes, lines: list[list[bytes]], order: str, source: Path) -> bool:
+    """Return whether all rows of an element are as long as its first, and faces triangles."""
     at = 0
     try:
-        for _, count, properties in _ply_elements(lines):
+        for name, count, properties in _ply_elements(lines, source):
             if count:
-                at += count * (_binary_row(body, at, properties, order)[1] - at)
+                words, end = _binary_row(body, at, properties, order)
+                first = next((k for k, (length, _) in enumerate(properties) if length), None)
+                if name == "face" and first is not None and words[first] != b"3":
+                    return False
+                at += count * (end - at)
     except struct.error:
         return False
     return at == len(body)
@@ -247,7 +323,7 @@ def _all_alike(body: bytes, lines: list[list[bytes]], order: str) -> bool:
 def _unpacked(body: bytes, lines: list[list[bytes]], order: str, source: Path) -> Iterator[bytes]:
     """Yield the rows of a binary PLY file as text."""
     at = 0
-    for name, count, properties in _ply_elements(lines):
+    for name, count, properties in _ply_elements(lines, source):
         for row in range(count):
             try:
                 words, at = _binary_row(body, at, properties, order)

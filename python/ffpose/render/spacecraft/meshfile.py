@@ -71,8 +71,12 @@ def load_craft(
     if total > MAX_FACES:
         raise DataError(f"expected at most {MAX_FACES} triangles, got {total}", source)
     mesh, materials = joined(parts)
-    if not np.ptp(mesh.vertices[mesh.faces.reshape(-1)], axis=0).any():
+    if not np.ptp(mesh.vertices, axis=0).any():
         raise DataError("expected a mesh of some size, got a single point", source)
+    with np.errstate(over="ignore", invalid="ignore"):
+        area = float(np.linalg.norm(mesh.face_normals, axis=1).sum() / 2)
+    if not 0 < area < np.inf:
+        raise DataError(f"expected triangles that have an area, got {area:g} together", source)
     mesh = replace(mesh, vertices=mesh.vertices * scale).moved(_raised(up))
     if center:
         mesh = mesh.moved(shift=-bounding_sphere(mesh.vertices)[0])

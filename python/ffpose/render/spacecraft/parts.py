@@ -37,7 +37,7 @@ class Part(NamedTuple):
 
 
 def joined(parts: Sequence[Part]) -> tuple[Mesh, tuple[Material, ...]]:
-    """Join parts into one mesh, and list its materials."""
+    """Join parts into one mesh of the vertices that faces use, and list its materials."""
     materials = tuple(dict.fromkeys(part.material for part in parts))
     numbers = {material: number for number, material in enumerate(materials)}
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
@@ -45,9 +45,12 @@ def joined(parts: Sequence[Part]) -> tuple[Mesh, tuple[Material, ...]]:
     counts = [len(part.faces) for part in parts]
     depth = max(len(part.layers) for part in parts)
     normals = [_of_corners(part, part.normals, (np.nan,) * 3) for part in parts]
+    vertices, together = np.concatenate([part.vertices for part in parts]), np.concatenate(faces)
+    used = np.zeros(len(vertices), np.bool_)
+    used[together] = True
     mesh = Mesh(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate(faces).astype(np.int32),
+        vertices[used],
+        (np.cumsum(used) - 1)[together].astype(np.int32),
         np.zeros((sum(counts), 3, 2)),
         np.repeat([numbers[part.material] for part in parts], counts).astype(np.int32),
         None if all(part.normals is None for part in parts) else np.concatenate(normals),

@@ -41,7 +41,9 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
     A DataError if it is broken, or refers to a file that is missing or cannot be used.
     """
     trimesh = require("trimesh", "render")
-    source = assets.source
+    source, log = assets.source, logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)  # errors are told here, once
     try:
         content = checked(content, suffix, source)
         if suffix == ".obj":
@@ -61,6 +63,8 @@ def read_trimesh(content: bytes, suffix: str, assets: Assets) -> list[Part]:
         problem = assets.problems[0] if assets.problems else None
         text = f"expected a triangle mesh, got {one_line(error)}"
         raise problem or DataError(text, source) from error
+    finally:
+        log.setLevel(level)
     if assets.problems:
         raise assets.problems[0]
     unknown = sorted(
@@ -93,6 +97,8 @@ def _part(mesh: Any, paints: _Paints) -> Part:
         layers: tuple[NDArray[np.float32], ...] = ()
         if material.maps:
             uv = np.zeros((len(vertices), 2)) if visual.uv is None else np.asarray(visual.uv)
+            if visual.uv is None:
+                paints.miss(visual.material)
             if not np.isfinite(uv).all():
                 raise ValueError("expected finite texture coordinates, got NaN or infinity")
             layers = (np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1).astype(np.float32),)
@@ -137,6 +143,11 @@ class _Paints:
         if id(material) not in self._made:
             self._made[id(material)] = self._make(material)
         return self._made[id(material)]
+
+    def miss(self, material: Any) -> None:
+        """Warn of a texture without coordinates, of which one point colors everything."""
+        text = "%s: material %r has a texture and no texture coordinates: of one color"
+        logger.warning(text, self._assets.source, material.name)
 
     def _make(self, material: Any) -> Material:
         if hasattr(material, "to_simple"):  # of a .ply file that names a texture
