@@ -117,9 +117,9 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
 
     class Estimator:
         class metadata:
-            locates, white = "object", None
+            locates = "object"
 
-        near, camera = True, None
+        near, camera, white = True, None, None
 
         def preprocess(self, path):
             return np.full((3, 1, 1), float(path.stem), np.float32)

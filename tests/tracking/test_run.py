@@ -23,10 +23,10 @@ class Estimator:
 
     class metadata:
         locates = "object"
-        white = tracking = degrees_of_freedom = None
+        tracking = degrees_of_freedom = None
 
     camera = CAMERA
-    near = None
+    near = white = None
 
     def __init__(self, poses):
         self.poses = poses

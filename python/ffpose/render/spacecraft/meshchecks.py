@@ -262,13 +262,13 @@ def _cut(
         size = 1 + int(row[at]) if length else 1
         cells.append(row[at : at + size])
         at += size
-    first = next(k for k, (length, _) in enumerate(properties) if length)
-    number = len(cells[first]) - 1
+    listed: list[bytes] = next((cell[1:] for cell in cells if len(cell) > 1), [])
+    number = len(listed)
     if number <= 3:
         yield row
         return
     faces = [(0, k, k + 1) for k in range(1, number - 1)]
-    corners = [int(word) for word in cells[first][1:]]
+    corners = [int(word) for word in listed]
     if min(corners) >= 0 and max(corners) < len(points):  # what else is told of the triangles
         shape = np.array([points[corner] for corner in corners])
         faces = triangles(shape) if folded(shape[None])[0] else faces
