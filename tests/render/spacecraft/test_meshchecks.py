@@ -329,3 +329,12 @@ def test_polygons_of_ply_files_keep_their_colors_and_their_shape(tmp_path, binar
     assert area[green].sum() == pytest.approx(1)
     assert area[red].sum() == pytest.approx(0.5)  # two triangles of base 2 and height 1/4
     assert len(area) == 4
+
+
+def test_vertices_without_coordinates_are_told(tmp_path):
+    path = tmp_path / "flat.ply"
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    path.write_text(f"{head}{faces}0 0\n1 0\n0 1\n3 0 1 2\n")
+    with pytest.raises(DataError, match=r"flat\.ply: expected x, y and z .*, got none of z"):
+        load_craft(path)

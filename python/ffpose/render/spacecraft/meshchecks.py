@@ -244,6 +244,9 @@ def _ply(content: bytes, source: Path) -> bytes:
                 raise DataError(text, source, line)
         start += count
         if name == "vertex":
+            if missing := {b"x", b"y", b"z"}.difference(its):
+                text = ", ".join(sorted(axis.decode() for axis in missing))
+                raise DataError(f"expected x, y and z of each vertex, got none of {text}", source)
             places = [its.index(axis) for axis in (b"x", b"y", b"z")]
             points = [[float(row[place]) for place in places] for row in found]
         if name == "face":
