@@ -123,8 +123,8 @@ class LearnConfig:
             raise ValueError(f"minutes: expected more than 0, got {self.minutes}")
         if isinstance(self.camera, DistortedCamera):
             raise ValueError(
-                "camera: expected one without distortion, got a distorted one; a network is learned"
-                " on undistorted images, which --data.undistort makes of yours"
+                "camera: expected one without distortion, got a distorted one; leave out the key"
+                " distortion here, and give the whole file to ffpose predict --camera"
             )
         if self.distance_m is not None and not 0 < self.distance_m[0] < self.distance_m[1]:
             raise ValueError(f"distance: expected 0 < near < far, got {self.distance_m}")

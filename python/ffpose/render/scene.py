@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from ffpose.errors import check_choices, expect
-from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera
 from ffpose.render.shading.randomization import Randomization
 from ffpose.render.shading.sensor import Sensor
 from ffpose.render.spacecraft.craft import Craft, build_craft
@@ -76,6 +76,11 @@ class Scene:
 
     def __post_init__(self) -> None:
         check_choices(self)
+        if isinstance(self.camera, DistortedCamera):
+            raise ValueError(
+                "camera: expected one without distortion, got a distorted one; images are rendered"
+                " through a pinhole"
+            )
         if self.renderer == "mitsuba" and self.randomization.materials > 0:
             raise ValueError("renderer: expected ffpose for randomized materials, got 'mitsuba'")
         least, most = self.distance_m

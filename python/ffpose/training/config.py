@@ -267,11 +267,12 @@ class ObjectLossConfig:
         angle: Weight of the sine of half the rotation error of the decoded attitude. It reduces
             errors smaller than the width of the soft labels, which those hardly distinguish.
         offset: Weight of the second look's position error.
-        sigma: Weight of the Gaussian likelihoods, which train the uncertainty.
+        sigma: Weight of the likelihoods of both errors (t distributions), which train uncertainty.
         in_view: Weight of the classification of presence.
         coordinates: Weight of the object coordinates, dense supervision by the renderer's labels.
         mask: Weight of the silhouette, from the same labels.
-        keypoints: Weight of the keypoints' heatmaps, dense supervision that needs poses alone.
+        keypoints: Weight of the heatmaps of the object's keypoints (`data.keypoints`), dense
+            supervision that needs no masks.
     """
 
     location: float = 10.0
@@ -364,9 +365,7 @@ class TrainConfig:
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions; "auto"
             is that on a GPU, and on a processor that has instructions for it: on another, which
             has to convert, steps take several times as long.
-        init: Weights to start from, a file or a name such as soyuz: of the same architecture, or of
-            one without the extra blocks (`ffpose.models.compact_resnet`), which are initialized to
-            their skip connection.
+        init: Weights to start from, a file or a name such as soyuz, of the same architecture.
         optimizer: Optimizer and learning rate schedule.
         loss: Loss of a network that looks at the frame alone.
         object_loss: Loss of a network with a second look.
