@@ -27,7 +27,7 @@ class CalibrationImages:
 
     Attributes:
         kind: Layout of the image set, as in `DataConfig`, or "scenes" for rendered ones: of each
-            kind (whole, cut by the border, randomized, without the object) ``count`` are rendered.
+            kind (whole, cut, randomized, low sun, other spacecraft) ``count`` are rendered.
         root: Folder of the image set; for kind "scenes" that which keeps the images.
         scene: For kind "scenes": name of the rendered set; None for the first that the weights were
             trained on, and what is below of it as in that training.
@@ -35,6 +35,7 @@ class CalibrationImages:
         count: For kind "scenes": number of images of each kind, 2 or more.
         cut: For kind "scenes": objects that the border cuts too.
         randomized: For kind "scenes": domain randomization of light, materials and backgrounds too.
+        dusk: For kind "scenes": the light of a low sun over dark ground too.
         distance: For kind "scenes": factors on the least and the greatest distance of the set.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
         split: Name of the split of a set on disk.
@@ -52,6 +53,7 @@ class CalibrationImages:
     count: int = 200
     cut: bool = False
     randomized: bool = False
+    dusk: bool = False
     distance: tuple[float, float] = (1.0, 1.0)
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
     split: str = "val"
@@ -195,6 +197,7 @@ class DataConfig:
                 count=self.calibration,
                 cut=self.cut > 0,
                 randomized=self.randomized > 0,
+                dusk=self.dusk > 0,
                 distance=self.distance,
             )
         if self.holdout:
