@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ffpose.config.network import NetworkConfig, is_whole
 from ffpose.errors import expect
@@ -41,16 +40,6 @@ class SecondLookConfig(NetworkConfig):
         looks: Number of times that the virtual camera is pointed; 2 looks again at the position
             that the first of these looks refined.
     """
-
-    TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
-        "object_size": 2,
-        "distance_m": 2,
-        "doubt_sigma": 2,
-        "truncation_sigma": 2,
-        "degrees_of_freedom": 2,
-    }
-    OPTIONAL: ClassVar[tuple[str, ...]] = (*NetworkConfig.OPTIONAL, "degrees_of_freedom")
-    COUNTS: ClassVar[tuple[str, ...]] = ("first_stride", "looks")
 
     first_stride: int = 4
     object_size: tuple[int, int] = (64, 64)
