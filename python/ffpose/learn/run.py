@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ffpose import __version__
-from ffpose._internal.files import atomic_write, read_json, sha256
+from ffpose._internal.files import atomic_write, read_json, sha256, write_json, write_text
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
 from ffpose._internal.zoo import resolve_initial
@@ -225,8 +225,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     if config.card_images > 0:
         say(f"card: {config.card_images} images of each condition")
         card = measure(config.out / WEIGHTS, str(path), count=config.card_images, workers=processes)
-        with atomic_write(config.out / "card.md") as temporary:
-            temporary.write_text(format_card(card), encoding="utf-8")
+        write_text(config.out / "card.md", format_card(card))
     summary = evaluation.summary()
     _report(config, evaluation, final, radius, scene_file)
     if not _exported(config.out):
@@ -484,5 +483,4 @@ class _Record:
         return cls(settings, (one, two), autocast, speed)
 
     def write(self, out: Path) -> None:
-        with atomic_write(out / RECORD) as temporary:
-            temporary.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+        write_json(out / RECORD, asdict(self), 1)
