@@ -215,14 +215,13 @@ def gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) ->
 
 def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
     """Write all figures of an evaluation to the folder ``out`` and return their paths."""
-    worst = evaluation.ranking[::-1].tolist()
     figures: dict[str, Callable[[Evaluation], Figure]] = {
         "error_cdf.png": error_cdf,
         "error_histograms.png": error_histograms,
         "errors_by_distance.png": errors_by_distance,
         "predicted_angles.png": predicted_angles,
         "typical.png": lambda each: gallery(each, each.typical(8)),
-        "worst.png": lambda each: gallery(each, worst[:16]),
+        "worst.png": lambda each: gallery(each, each.ranking[::-1][:16].tolist()),
     }
     if evaluation.region_probabilities:
         figures["reliability.png"] = reliability_diagram

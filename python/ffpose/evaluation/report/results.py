@@ -9,7 +9,6 @@ import numpy as np
 
 from ffpose._internal.files import write_csv, write_json
 from ffpose.evaluation.evaluate import Evaluation
-from ffpose.evaluation.metrics import SCORES, SUMMARIZED, PoseErrors, defined
 from ffpose.geometry import FloatArray
 
 VECTOR = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
@@ -42,9 +41,7 @@ def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
     """Return the columns ``(N,)`` of ``predictions.csv`` after the name."""
     columns = dict(zip(VECTOR, evaluation.dataset.poses.T, strict=True))
     columns |= {f"predicted_{n}": c for n, c in zip(VECTOR, evaluation.predicted.T, strict=True)}
-    names = {field: name for name, field in (SUMMARIZED | SCORES).items()}
-    errors = defined(evaluation.errors, {names[field]: field for field in PoseErrors._fields})
-    columns |= {name: values.numpy() for name, values in errors.items()}
+    columns |= evaluation.errors.named()
     if evaluation.translation_covariance is not None:
         columns |= _deviations("t{}_m", evaluation.translation_covariance)
     if evaluation.rotation_covariance is not None:
