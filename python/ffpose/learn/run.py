@@ -19,7 +19,7 @@ from ffpose._internal.files import atomic_write, read_json, sha256, write_json, 
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
 from ffpose._internal.zoo import resolve_initial
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 from ffpose.evaluation.card.measurement import measure
 from ffpose.evaluation.card.tables import format_card
 from ffpose.evaluation.evaluate import Evaluation, evaluate
@@ -119,8 +119,7 @@ class LearnConfig:
     init: str = DEFAULT_INIT
 
     def __post_init__(self) -> None:
-        if not 0 < self.minutes < math.inf:
-            raise ValueError(f"minutes: expected more than 0, got {self.minutes}")
+        expect(0 < self.minutes < math.inf, "minutes", "more than 0", self.minutes)
         if isinstance(self.camera, DistortedCamera):
             raise ValueError(
                 "camera: expected one without distortion, got a distorted one; a network is learned"
@@ -128,8 +127,7 @@ class LearnConfig:
             )
         if self.distance_m is not None and not 0 < self.distance_m[0] < self.distance_m[1]:
             raise ValueError(f"distance: expected 0 < near < far, got {self.distance_m}")
-        if self.processes < 0:
-            raise ValueError(f"processes: expected 0 or more, got {self.processes}")
+        expect(self.processes >= 0, "processes", "0 or more", self.processes)
 
 
 def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
