@@ -15,8 +15,8 @@ from PIL import Image
 from ffpose import __version__
 from ffpose.cli import COMMANDS, build_parser, main, width_and_height
 from ffpose.models import FilterformerPose
-from ffpose.training.checkpoint import read_results
 from option_words import options_of
+from studies.table import read_results
 from tiny_runs import MODEL_FIELDS, write_set
 
 

@@ -406,26 +406,11 @@ def learn(options: Namespace) -> None:
     from ffpose.learn.run import learn as run
 
     expect_writable(options.out)
-    run(
-        LearnConfig(
-            options.mesh,
-            options.out,
-            options.minutes,
-            options.mesh_scale,
-            Camera.read(options.camera) if options.camera else DEFAULT_CAMERA,
-            tuple(options.distance) if options.distance else None,
-            tuple(options.attitude_range),
-            options.processes,
-            options.seed,
-            options.device,
-            mesh_up=options.mesh_up,
-            mesh_center=options.mesh_center,
-            mesh_two_sided=options.mesh_two_sided,
-            symmetry=options.symmetry,
-            init=options.init,
-        ),
-        say,
-    )
+    values = vars(options)
+    values["camera"] = Camera.read(options.camera) if options.camera else DEFAULT_CAMERA
+    distance, angles = values.pop("distance"), values.pop("attitude_range")
+    values |= {"distance_m": distance and tuple(distance), "attitude_range_deg": tuple(angles)}
+    run(LearnConfig(**values), say)
 
 
 def evaluate_arguments(parser: ArgumentParser) -> None:

@@ -243,6 +243,10 @@ class OptimizerConfig:
         check_choices(self, "optimizer.")
 
 
+ADAMW = OptimizerConfig("adamw", 2e-3, eps=1e-8, clip_norm=1.0, schedule="cosine")
+"""Optimizer of networks with a second look, to which the trainings add their warm-up."""
+
+
 @dataclass(frozen=True)
 class LossConfig:
     """Pose loss of a network that looks at the frame alone (paper, Eq. 9-11).
