@@ -12,10 +12,10 @@ from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-type_hints = cache(get_type_hints)
-"""The types of a class's fields by name, computed once."""
+type_hints: Any = cache(get_type_hints)  # mypy takes a class for unhashable
+"""Function that returns the types of a class's fields by name, computed once for each."""
 
 
 class DataError(ValueError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,16 +73,13 @@ class SecondLookConfig(NetworkConfig):
     def object_width(self) -> int:
         """Width of the virtual camera's view in its pixels."""
 
-    def growth(self, doubt: Any, cut: Any) -> tuple[Any, Any]:
-        """Return the factors on the standard deviations of translation and rotation.
+    def growth(self, doubt: Any, cut: Any) -> Iterator[Any]:
+        """Yield the factors on the standard deviations of translation and rotation.
 
         Of probabilities (`doubt_sigma`) and shares (`truncation_sigma`), arrays or tensors.
         """
-        translation, rotation = (
-            (1 + doubt * by_doubt) * (1 + cut * by_cut)
-            for by_doubt, by_cut in zip(self.doubt_sigma, self.truncation_sigma, strict=True)
-        )
-        return translation, rotation
+        for by_doubt, by_cut in zip(self.doubt_sigma, self.truncation_sigma, strict=True):
+            yield (1 + doubt * by_doubt) * (1 + cut * by_cut)
 
     def _check_values(self) -> None:
         super()._check_values()

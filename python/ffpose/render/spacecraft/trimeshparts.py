@@ -13,14 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ffpose.errors import DataError, require
-from ffpose.render.spacecraft.gltfmaterials import (
-    LEAST_ROUGHNESS,
-    color_of,
-    normals_of,
-    three,
-    values_of,
-)
-from ffpose.render.spacecraft.materials import Material, Texture
+from ffpose.render.spacecraft.gltfmaterials import color_of, normals_of, three, values_of
+from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
 from ffpose.render.spacecraft.meshassets import Assets, one_line, open_image
 from ffpose.render.spacecraft.meshchecks import checked, named_materials
 from ffpose.render.spacecraft.parts import Part, check_shape
