@@ -221,7 +221,8 @@ impl Tracker {
         self.motion(self.best(|place| Some(place) != self.leading)?)
     }
 
-    /// Moves a hypothesis on, and compares it with the frame; it ends where too little speaks for it.
+    /// Moves a hypothesis on, and compares it with the frame; it ends where too little speaks for it, and unseen where it has
+    /// believed none for too long.
     fn follow(
         &mut self,
         place: usize,
@@ -231,9 +232,14 @@ impl Tracker {
     ) {
         let Some(hypothesis) = &mut self.hypotheses[place] else { return };
         let parameters = &self.parameters;
+        if frame.time - hypothesis.last > parameters.coasting {
+            // so little is known after a long silence that nearly any frame would pass the gate
+            self.hypotheses[place] = None;
+            return;
+        }
         let turned = hypothesis.filter.predict(elapsed, &self.camera_rate, parameters);
         let news = OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle);
-        let mut ends = frame.time - hypothesis.last > parameters.coasting;
+        let mut ends = false;
         if let Some(measurement) = measurement {
             let found = closest(&hypothesis.filter, measurement, parameters);
             let accepted = found.filter(|(_, _, innovation)| innovation.nis <= parameters.gate);
@@ -247,10 +253,9 @@ impl Tracker {
                 hypothesis.agreed += 1.0;
                 hypothesis.last = frame.time;
                 frame.explained[*mode] = true;
-                ends = false;
             } else {
                 hypothesis.score -= news;
-                ends |= hypothesis.score <= 0.0;
+                ends = hypothesis.score <= 0.0;
             }
             hypothesis.score = hypothesis.score.clamp(0.0, MOST);
             if self.leading == Some(place) {

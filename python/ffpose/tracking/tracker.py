@@ -62,7 +62,8 @@ class Settings:
         ordinary_nis: Mean `Step.nis` of frames whose errors are as large as the network says: below
             six, as what is new in a frame is counted larger than it is.
         agreeing: Frames in agreement that make a track.
-        coasting: Seconds without a believed frame after which the track is lost.
+        coasting: Seconds without a believed frame after which the track is lost, whether steps
+            without a pose tell them or none.
         orbital_rate: The orbit's angular velocity, deg/s along the camera's axes, of a camera that
             keeps its attitude to the Earth: position and velocity then move as Clohessy and
             Wiltshire's equations say. Zero for straight lines.
