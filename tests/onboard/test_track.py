@@ -1,6 +1,7 @@
 """Tracks of the program and of its C library: those of Python, kept through a restart, in time."""
 
 import ctypes
+import hashlib
 import json
 import re
 import shutil
@@ -12,6 +13,7 @@ import pytest
 
 from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.inference.load import load
 from ffpose.onnx.metadata import read_model_metadata, sealed
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.tracker import read_settings
@@ -24,8 +26,9 @@ pytest.importorskip("onnx")
 def models(tmp_path):
     """A model X.onnx with the looks of a track, which are ten times as sure, beside it."""
     path = tmp_path / "x.onnx"
-    path.write_bytes(sealed(steady(1e-3)))
-    path.with_suffix(".track.onnx").write_bytes(sealed(steady(1e-4, takes_point=True)))
+    beside = sealed(steady(1e-4, takes_point=True))
+    path.with_suffix(".track.onnx").write_bytes(beside)
+    path.write_bytes(sealed(steady(1e-3, track_sha256=hashlib.sha256(beside).hexdigest())))
     return path
 
 
@@ -110,6 +113,41 @@ def test_a_state_is_taken_up_again(run, models, frames, tmp_path):
     code, documents, (error,) = run(models, "--track", "--state", state, lines=lines)
     assert (code, documents) == (1, [])
     assert "state: expected one of this model, got that of another" in error
+
+
+def test_looks_that_were_changed_on_purpose_are_refused(run, models, opened, library):
+    """The digest of X.onnx covers X.track.onnx, which it records the digest of."""
+
+    def digest(path):
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+
+    def starts(message, *arguments):
+        code, _, errors = run(models, "--track", *arguments)
+        assert (code, " ".join(errors)) == (0, "") if message is None else code == 1
+        assert message is None or message in errors[0]
+
+    beside = models.with_suffix(".track.onnx")
+    starts(None, "--sha256", digest(models))
+    assert opened(sha256=digest(models).encode())[0] == 0
+    beside.write_bytes(sealed(steady(1e-5, takes_point=True)))
+    other = f"{beside}: expected SHA-256 {read_model_metadata(models).track_sha256} (of the model"
+    for arguments in ((), ("--sha256", digest(models))):
+        starts(other, *arguments)
+    assert opened(sha256=digest(models).encode())[0] == 2
+    assert other.encode() in library.ffpose_error()
+    with pytest.raises(DataError, match="expected SHA-256"):
+        load(models, track=True)
+    # an earlier export records none, and its digest is of itself alone
+    models.write_bytes(sealed(steady(1e-3)))
+    starts(None)
+    load(models, track=True)
+    starts("expected a model that records the SHA-256 of these looks", "--sha256", digest(models))
+    # of no weights that are known
+    for path, graph in ((models, {}), (beside, {"takes_point": True})):
+        path.write_bytes(sealed(steady(1e-3, weights_sha256=None, **graph)))
+    starts("expected a track's looks of the weights of the model beside it")
+    with pytest.raises(DataError, match="expected the single looks of the weights of"):
+        load(models, track=True)
 
 
 def settings_file(folder, **settings):

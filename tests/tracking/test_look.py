@@ -6,6 +6,7 @@ import torch
 from PIL import Image
 
 from benchmarks.look import median_slopes
+from ffpose._internal.files import sha256
 from ffpose.cli import main
 from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
@@ -81,6 +82,7 @@ def test_the_graph_beside_gives_the_looks_of_torch(weights, graph):
     beside = graph.with_suffix(".track.onnx")
     assert read_model_metadata(beside).takes_point
     assert not read_model_metadata(graph).takes_point
+    assert read_model_metadata(graph).track_sha256 == sha256(beside)
     network, ours = (load(each, track=True, warm_up=1) for each in (weights, graph))
     x = np.stack([network.preprocess(picture(seed)) for seed in range(3)])
     points = np.array([[1.0, -0.5, 14.0], [0.0, 0.0, 9.0], [-3.0, 2.0, 30.0]])

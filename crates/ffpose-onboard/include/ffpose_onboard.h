@@ -44,7 +44,7 @@ typedef struct {
   const char *operators; /* libffpose_ort.so, for models with filters */
   const char *camera;    /* JSON of the camera that takes the images, if another than the model's */
   const char *track;     /* JSON of a track's settings */
-  const char *sha256;    /* that the model's file must have, 64 hexadecimal digits */
+  const char *sha256;    /* that the model's file must have, 64 hexadecimal digits; it covers X.track.onnx, whose own X.onnx records */
   uint32_t threads;      /* that an image is computed with, up to 1,024; 0: ONNX Runtime's choice */
   uint32_t resize;       /* other than 0: images of any aspect ratio, as if the model's camera had taken them */
 } ffpose_settings;

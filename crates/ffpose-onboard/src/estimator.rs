@@ -49,7 +49,7 @@ impl Estimator {
     /// # Errors
     /// The model, ONNX Runtime, the library of the operator or the camera's file cannot be used.
     pub fn open(setup: &Setup) -> Result<Self> {
-        let mut model = Model::read(&setup.model, setup.sha256.as_deref())?;
+        let mut model = Model::read(&setup.model, setup.sha256.as_deref(), "--sha256")?;
         if model.metadata.takes_point {
             let found = "expected a model of whole frames, got that of a track's looks";
             return Err(Error::new(found).of(setup.model.display()));
@@ -128,13 +128,26 @@ impl Estimator {
 }
 
 /// Opens the looks beside a model, `X.track.onnx` of `X.onnx`; None where there are none.
+///
+/// They are those whose digest the model records. One that records none takes any of its weights, but for where its own digest is
+/// given: that would not cover them.
 fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
     let path = setup.model.with_extension("track.onnx");
     if !files::exists(&path)? {
         return Ok(None);
     }
-    let beside = Model::read(&path, None)?;
-    let is_its = beside.metadata.weights_sha256 == whole.metadata.weights_sha256;
+    let recorded = whole.metadata.track_sha256.as_deref();
+    if recorded.is_none() && setup.sha256.is_some() {
+        return Err(Error::new(format!(
+            "expected a model that records the SHA-256 of these looks, which --sha256 then covers, got {} without: export it anew \
+             with --track, or move this file away",
+            setup.model.display()
+        ))
+        .of(path.display()));
+    }
+    let beside = Model::read(&path, recorded, "of the model beside it")?;
+    let weights = &beside.metadata.weights_sha256;
+    let is_its = !weights.is_empty() && *weights == whole.metadata.weights_sha256;
     if !beside.metadata.takes_point || !is_its {
         let expected = "expected a track's looks of the weights of the model beside it";
         return Err(Error::new(expected).of(path.display()));
