@@ -27,7 +27,7 @@ typedef enum {
 
 typedef enum {
   FFPOSE_ACCEPTED = 0, /* the frame corrected the track */
-  FFPOSE_SWITCHED = 1, /* it speaks for another attitude, which leads from now on */
+  FFPOSE_SWITCHED = 1, /* another attitude leads from now on: the frame speaks for it, or none has for the one before (is_accepted) */
   FFPOSE_GATED = 2,    /* it is too far from what was expected; the track goes on without it */
   FFPOSE_COASTED = 3,  /* there was no frame, or not in time */
   FFPOSE_FLAGGED = 4,  /* it shows no spacecraft */
@@ -72,6 +72,7 @@ typedef struct {
   double time_s;
   int32_t outcome;   /* ffpose_outcome */
   int32_t has_track; /* 0: the numbers below are NaN */
+  int32_t is_accepted; /* 1: the frame corrected the track; 0 of FFPOSE_SWITCHED: another leads, which the frame did not correct */
   double position_m[3];
   double orientation_wxyz[4];
   double velocity_m_s[3];          /* camera axes */

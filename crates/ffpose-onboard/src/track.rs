@@ -194,7 +194,7 @@ fn measurement(outputs: &Outputs) -> Result<Measurement> {
 fn told(step: &Step, reason: &str) -> Map<String, Value> {
     let mut line = Map::new();
     let mut put = |name: &str, value: Value| line.insert(name.into(), value);
-    put("accepted", json!(matches!(step.outcome, Outcome::Accepted | Outcome::Switched)));
+    put("accepted", json!(step.accepted));
     put("reason", json!(reason));
     if let Some(one) = &step.estimate {
         let Estimate { position, orientation, velocity, rate, covariance } = one;

@@ -31,7 +31,7 @@ const SAME_POSITION: f64 = 0.05;
 pub enum Outcome {
     /// It has corrected the track.
     Accepted,
-    /// It speaks for another attitude, which leads from now on.
+    /// Another attitude leads from now on: it speaks for that one, or nothing has spoken for the one before ([`Step::accepted`]).
     Switched,
     /// It is too far from what was expected, and the track goes on without it.
     Gated,
@@ -64,6 +64,8 @@ pub struct Estimate {
 pub struct Step {
     /// What became of the frame.
     pub outcome: Outcome,
+    /// Whether the frame has corrected the track that leads.
+    pub accepted: bool,
     /// The motion; None without a track.
     pub estimate: Option<Estimate>,
     /// Squared Mahalanobis distance (6 degrees of freedom) of the frame from the track; None without either.
@@ -176,7 +178,12 @@ impl Tracker {
         self.camera_rate = Vector3::from(camera_rate);
 
         let before = self.leading;
-        let mut frame = Frame { time, explained: [false; crate::MODES], of_leader: None };
+        let mut frame = Frame {
+            time,
+            explained: [false; crate::MODES],
+            corrected: [false; HYPOTHESES],
+            of_leader: None,
+        };
         for place in 0..HYPOTHESES {
             self.follow(place, elapsed, measurement, &mut frame);
         }
@@ -184,8 +191,11 @@ impl Tracker {
         self.leading = self.leading.filter(|place| self.hypotheses[*place].is_some());
         let kept = self.leading;
         if let Some(measurement) = measurement {
-            for (_, pose) in measurement.modes().filter(|(mode, _)| !frame.explained[*mode]) {
-                self.propose(pose, time);
+            let explained = frame.explained;
+            for (_, pose) in measurement.modes().filter(|(mode, _)| !explained[*mode]) {
+                if let Some(place) = self.propose(pose, time) {
+                    frame.corrected[place] = true;
+                }
             }
         }
         self.unite();
@@ -253,6 +263,7 @@ impl Tracker {
                 hypothesis.agreed += 1.0;
                 hypothesis.last = frame.time;
                 frame.explained[*mode] = true;
+                frame.corrected[place] = true;
             } else {
                 hypothesis.score -= news;
                 ends = hypothesis.score <= 0.0;
@@ -268,8 +279,8 @@ impl Tracker {
         }
     }
 
-    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on.
-    fn propose(&mut self, pose: &Mode, time: f64) {
+    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on; returns the place.
+    fn propose(&mut self, pose: &Mode, time: f64) -> Option<usize> {
         let agreeing = self.parameters.agreeing;
         let weight = |hypothesis: &Option<Hypothesis>| match hypothesis {
             None => -1.0,
@@ -278,16 +289,16 @@ impl Tracker {
         };
         let least = (0..HYPOTHESES)
             .min_by(|a, b| weight(&self.hypotheses[*a]).total_cmp(&weight(&self.hypotheses[*b])));
-        if let Some(place) = least.filter(|place| weight(&self.hypotheses[*place]).is_finite()) {
-            self.hypotheses[place] = Some(Hypothesis {
-                filter: Filter::new(pose, &self.parameters),
-                score: BEGINNING,
-                agreed: 1.0,
-                last: time,
-                views: 0.0,
-                squares: 0.0,
-            });
-        }
+        let place = least.filter(|place| weight(&self.hypotheses[*place]).is_finite())?;
+        self.hypotheses[place] = Some(Hypothesis {
+            filter: Filter::new(pose, &self.parameters),
+            score: BEGINNING,
+            agreed: 1.0,
+            last: time,
+            views: 0.0,
+            squares: 0.0,
+        });
+        Some(place)
     }
 
     /// Ends hypotheses that have become another one.
@@ -349,6 +360,7 @@ impl Tracker {
         let of_leader = frame.of_leader.filter(|_| estimate.is_some());
         Step {
             outcome,
+            accepted: self.leading.is_some_and(|place| frame.corrected[place]),
             estimate,
             nis: of_leader.map(|(_, nis, _)| nis),
             mode: of_leader.map(|(mode, _, _)| mode),
@@ -383,7 +395,9 @@ impl Filter {
 /// What the hypotheses make of a frame.
 struct Frame {
     time: f64,
+    /// Modes that a hypothesis has believed, and hypotheses that have believed one or begun with it.
     explained: [bool; crate::MODES],
+    corrected: [bool; HYPOTHESES],
     /// The mode that the leader was compared with, its distance, and whether the leader has believed it.
     of_leader: Option<(usize, f64, bool)>,
 }

@@ -156,6 +156,40 @@ fn a_long_silence_is_one_that_was_told() {
 }
 
 #[test]
+fn another_attitude_that_leads_without_a_frame_has_accepted_none() {
+    let mut random = Random(3);
+    let mut still = |turned: bool, t: f64| {
+        let mut shown = Shown::tumbling(t, &mut random);
+        shown.orientation = Shown::tumbling(0.0, &mut Random(3)).orientation;
+        if turned { flipped(&shown) } else { shown }
+    };
+    let mut tracker = tracker();
+    let mut time = 0.0;
+    // a leader with more evidence than what is seen after it, and was seen later
+    for i in 0..52 {
+        time = f64::from(i) * 0.5;
+        let seen = still(i >= 40, time).measurement();
+        let step = tracker.step(time, Some(&seen), STILL).unwrap();
+        assert_eq!(step.accepted, step.outcome == Outcome::Accepted);
+    }
+    assert!(tracker.alternative().is_some());
+    let other = tracker.alternative().unwrap().orientation;
+    let mut switched = 0;
+    for _ in 0..30 {
+        time += 0.5;
+        let step = tracker.step(time, None, STILL).unwrap();
+        assert!(!step.accepted && step.nis.is_none(), "{step:?}");
+        if step.outcome == Outcome::Switched {
+            switched += 1;
+            let q = step.estimate.unwrap().orientation;
+            let product: f64 = q.iter().zip(other).map(|(a, b)| a * b).sum();
+            assert!(product.abs() > 0.9);
+        }
+    }
+    assert_eq!(switched, 1);
+}
+
+#[test]
 fn a_frame_just_within_the_time_of_coasting_is_believed() {
     let (_, _, _, step) = after_a_pause(4.0, 10.0); // of another pose
     assert_eq!(step.outcome, Outcome::Gated);

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from ffpose.inference.estimator import Description
 
 Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquiring", "lost"]
-"""What became of a frame: it corrected the track; it speaks for another attitude, which leads from
-now on; it is too far from what was expected; it shows no spacecraft; there was no pose; there is no
-track yet; the track went too long without a frame that it could believe, or too many views spoke
-against it."""
+"""What became of a frame: it corrected the track; another attitude leads from now on, as the frame
+speaks for it or none has for the one before (`Step.accepted`); it is too far from what was
+expected; it shows no spacecraft; there was no pose; there is no track yet; the track went too long
+without a frame that it could believe, or too many views spoke against it."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +172,7 @@ class Step:
     Attributes:
         time: Its time, seconds.
         outcome: What became of it.
+        accepted: Whether the frame corrected the track that leads.
         estimate: The motion at its time; None without a track.
         nis: Squared Mahalanobis distance of its pose from what was expected, six degrees of
             freedom: the normalized innovation squared. None without a track or a pose.
@@ -180,14 +181,10 @@ class Step:
 
     time: float
     outcome: Outcome
+    accepted: bool
     estimate: Estimate | None
     nis: float | None
     mode: int | None
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the frame corrected the track."""
-        return self.outcome in ("accepted", "switched")
 
 
 class Tracker:
@@ -250,7 +247,8 @@ class Tracker:
         if flagged and outcome == "coasted":
             outcome = "flagged"
         estimate = None if told["estimate"] is None else _estimate(told["estimate"])
-        return Step(float(time), outcome, estimate, told["nis"], told["mode"])
+        rest = told["nis"], told["mode"]
+        return Step(float(time), outcome, told["accepted"], estimate, *rest)
 
     def expected(
         self, time: float, *, camera_rate: ArrayLike = (0.0, 0.0, 0.0)
