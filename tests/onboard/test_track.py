@@ -112,7 +112,7 @@ def test_a_state_is_taken_up_again(run, models, frames, tmp_path):
     models.with_suffix(".track.onnx").unlink()
     code, documents, (error,) = run(models, "--track", "--state", state, lines=lines)
     assert (code, documents) == (1, [])
-    assert "state: expected one of this model, got that of another" in error
+    assert "state: expected one of this model and camera, got that of another" in error
 
 
 def test_looks_that_were_changed_on_purpose_are_refused(run, models, opened, library):
@@ -150,6 +150,23 @@ def test_looks_that_were_changed_on_purpose_are_refused(run, models, opened, lib
         load(models, track=True)
 
 
+def test_a_clock_that_jumps_does_not_block_a_track(run, models, frames, tmp_path):
+    state = tmp_path / "track.state"
+    lines = lines_of(frames[:6])
+    reasons = ["acquiring"] * 3 + ["accepted"] * 3
+    first = run(models, "--track", "--state", state, lines=[*lines, f"1e300 {frames[0]}"])[1]
+    assert [each["reason"] for each in first] == [*reasons, "lost"]
+    later = [f"{10 + place / 2} {path}" for place, path in enumerate(frames[:6])]
+    second = run(models, "--track", "--state", state, lines=later)[1]
+    assert [each["reason"] for each in second] == reasons
+    # set back where a track leads: told, until it is reset
+    code, third, _ = run(models, "--track", "--state", state, lines=[lines[0], "reset", *lines])
+    assert code == 3
+    assert "time: expected later than 12.5 s" in third[0]["error"]
+    assert third[1] == {"image": "", "accepted": False, "reason": "reset"}
+    assert third[2:] == run(models, "--track", lines=lines)[1]
+
+
 def settings_file(folder, **settings):
     path = folder / "settings.json"
     path.write_text(json.dumps(settings))
@@ -157,9 +174,11 @@ def settings_file(folder, **settings):
 
 
 def test_what_is_no_track_is_told(run, models, frames, tmp_path):
-    code, documents, _ = run(models, "--track", lines=["1 a.pgm", "now b.pgm", f"1 {frames[0]}"])
+    lines = [f"1 {frames[0]}", "now b.pgm", f"1 {frames[0]}", "reset a.pgm"]
+    code, documents, _ = run(models, "--track", lines=lines)
     assert code == 3
-    errors = [each["error"] for each in documents]
+    errors = [each.get("error") for each in documents]
+    assert errors[3] == 'time: expected seconds before the path, got "reset"'
     assert errors[1] == 'time: expected seconds before the path, got "now"'
     assert errors[2] == "time: expected later than 1 s, the frame before, got 1 s"
     for text, message in [
@@ -270,6 +289,11 @@ def library(program):
     library.ffpose_error.restype = ctypes.c_char_p
     for name, kinds in {
         "pose": [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p],
+        "track": [
+            *(ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p),
+            *(ctypes.c_double, ctypes.c_void_p),
+        ],
+        "reset": [ctypes.c_void_p],
         "save": [ctypes.c_void_p, ctypes.c_char_p],
         "restore": [ctypes.c_void_p, ctypes.c_char_p],
         "close": [ctypes.c_void_p],
@@ -306,6 +330,28 @@ def ask(library, handle, levels, seconds=0.0, **fields):
     return code, list(pose)
 
 
+class Motion(ctypes.Structure):
+    """ffpose_motion."""
+
+    _fields_: ClassVar = [
+        ("time", ctypes.c_double),
+        *((name, ctypes.c_int32) for name in ("outcome", "has_track", "is_accepted")),
+        ("position", ctypes.c_double * 3),
+        ("rest", ctypes.c_double * (4 + 3 + 3 + 144 + 1)),
+    ]
+
+
+def move(library, handle, levels, time, seconds=0.0):
+    """Moves a track on; returns code, outcome and the motion."""
+    motion = Motion()
+    image = None
+    if levels is not None:
+        height, width = levels.shape
+        image = ctypes.byref(Pixels(levels.ctypes.data, width, height, 1, 0))
+    code = library.ffpose_track(handle, time, image, seconds, ctypes.byref(motion))
+    return code, motion.outcome, motion
+
+
 def test_a_limit_for_c_may_be_any_number(library, opened):
     _, handle = opened()
     levels = np.full((96, 128), 100, np.uint8)
@@ -315,6 +361,22 @@ def test_a_limit_for_c_may_be_any_number(library, opened):
         assert ask(library, handle, levels, seconds)[0] == 1, seconds
     assert ask(library, handle, levels, np.nan)[0] == 2
     assert library.ffpose_error() == b"seconds: expected a number, got NaN"
+
+
+def test_a_track_for_c_is_reset(library, opened):
+    _, handle = opened()
+    levels = np.full((96, 128), 100, np.uint8)
+
+    def outcomes(*times):
+        return [move(library, handle, levels, time)[:2] for time in times]
+
+    begun = [(0, 5), (0, 5), (0, 5), (0, 0)]
+    assert outcomes(1, 2, 3, 4) == begun
+    assert outcomes(1)[0][0] == 2
+    assert library.ffpose_error().startswith(b"time: expected later than 4 s")
+    assert library.ffpose_reset(handle) == 0
+    assert outcomes(1, 2, 3, 4) == begun
+    assert library.ffpose_reset(None) == 3
 
 
 def test_rows_for_c_may_be_apart_but_not_upside_down(library, opened):

@@ -205,6 +205,22 @@ pub unsafe extern "C" fn ffpose_track(
     })
 }
 
+/// Forgets the track, and the times of its frames.
+///
+/// # Safety
+/// As of `ffpose_pose`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ffpose_reset(handle: *mut Ffpose) -> i32 {
+    if handle.is_null() {
+        return NULL;
+    }
+    guarded(|| {
+        // SAFETY: not null, and valid as the caller says.
+        unsafe { &mut *handle }.track.reset();
+        Ok(OK)
+    })
+}
+
 /// Writes the track to a file.
 ///
 /// # Safety

@@ -14,6 +14,9 @@ use crate::json;
 use crate::options::TrackFiles;
 use crate::pose::{Meaning, Outputs, document};
 
+/// The line that forgets a track.
+const RESET: &str = "reset";
+
 /// A track, and the file of its state.
 pub struct Track {
     tracker: Tracker,
@@ -44,7 +47,7 @@ impl Track {
 
     /// Poses an image at a time, seconds, and returns its line: what the track makes of it, and what the network says.
     ///
-    /// An image that cannot be used, or none, is coasted over.
+    /// An image that cannot be used, or none, is coasted over. `reset` in place of time and path forgets the track.
     ///
     /// # Errors
     /// The time is no number or not later than the one before: the track stays as it is.
@@ -54,6 +57,14 @@ impl Track {
         time: &str,
         path: &Path,
     ) -> Result<Map<String, Value>> {
+        if time == RESET && path.as_os_str().is_empty() {
+            self.reset();
+            let line = Map::from_iter([
+                ("accepted".into(), json!(false)),
+                ("reason".into(), json!(RESET)),
+            ]);
+            return Ok(self.kept(line, None));
+        }
         let seconds = time.parse().map_err(|_| {
             Error::new(format!("time: expected seconds before the path, got \"{time}\""))
         })?;
@@ -70,11 +81,21 @@ impl Track {
         if let Some(outputs) = &outputs {
             line.insert("measured".into(), document(outputs, meaning).into());
         }
+        Ok(self.kept(line, failed))
+    }
+
+    /// Writes the state, and completes a line.
+    fn kept(&self, mut line: Map<String, Value>, failed: Option<Error>) -> Map<String, Value> {
         let kept = self.state.as_deref().map(|path| self.save(path)).transpose();
         if let Some(error) = failed.or(kept.err()) {
             line.insert("error".into(), error.to_string().into());
         }
-        Ok(line)
+        line
+    }
+
+    /// Forgets all frames and their times.
+    pub(crate) fn reset(&mut self) {
+        self.tracker.reset();
     }
 
     /// Where the object is expected at a time, seconds; None for anywhere.

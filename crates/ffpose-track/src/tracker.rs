@@ -148,14 +148,23 @@ impl Tracker {
         self.time
     }
 
+    /// Forgets all frames, and their times, as if it had seen none.
+    pub fn reset(&mut self) {
+        self.time = None;
+        self.camera_rate = Vector3::zeros();
+        self.hypotheses = [None; HYPOTHESES];
+        self.leading = None;
+    }
+
     /// Moves on to the time of a frame, seconds, and takes in what it says.
     ///
-    /// `measurement` is None for a frame that says nothing. `camera_rate` is the camera's own angular velocity since the last frame,
+    /// Times grow. Where nothing is followed any may come, and where no track leads one that is earlier by more than
+    /// [`Parameters::coasting`]: of one wrong time no more is left than of a gap. `measurement` is None for a frame that says nothing. `camera_rate` is the camera's own angular velocity since the last frame,
     /// rad/s along its axes, where a gyro measures it; else zero.
     ///
     /// # Errors
     ///
-    /// The time is not later than the last, or a number is not finite; nothing has changed then.
+    /// The time is not later than the last where it must be, or a number is not finite; nothing has changed then.
     pub fn step(
         &mut self,
         time: f64,
@@ -171,7 +180,11 @@ impl Tracker {
             return Err(Error::Parameter { name: "camera_rate", expected, got: turning });
         }
         if let Some(last) = self.time.filter(|last| time <= *last) {
-            return Err(Error::Time { last, got: time });
+            let follows = self.hypotheses.iter().any(Option::is_some);
+            if follows && (self.leading.is_some() || last - time <= self.parameters.coasting) {
+                return Err(Error::Time { last, got: time });
+            }
+            self.reset();
         }
         let elapsed = self.time.map_or(0.0, |last| time - last);
         self.time = Some(time);

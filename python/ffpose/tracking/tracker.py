@@ -228,7 +228,8 @@ class Tracker:
         """Move on to the time of a frame, and take in what it says.
 
         Args:
-            time: Middle of the exposure, seconds; later than the frame before.
+            time: Middle of the exposure, seconds; later than the frame before. Where no track leads
+                it may be earlier by more than ``coasting``, and where nothing is followed anything.
             pose: Pose of the object as a network with uncertainty gives it, a second orientation
                 included; None for a frame without one. A flagged pose says nothing.
             camera_rate: The camera's own angular velocity since the frame before, as a gyro
@@ -236,7 +237,7 @@ class Tracker:
 
         Raises:
             TypeError: The pose is none.
-            ValueError: The time is not later, the pose has no uncertainty, or a covariance is not
+            ValueError: The time is not later where it must be, the pose has no uncertainty, or a covariance is not
                 positive definite; nothing has changed then.
         """
         rows = [] if pose is None else _modes(pose)
@@ -270,7 +271,8 @@ class Tracker:
     def state(self, model: bytes = b"") -> bytes:
         """Return the tracker as bytes, exact, for `from_state`.
 
-        ``model`` tells the network from others, as the bytes of its file; its digest is kept.
+        ``model`` tells the network from others, as the bytes of its file; its digest is kept. So is
+        that of states of ``ffpose-onboard``, but for ones with another camera, or resized.
         """
         return self._tracker.state(hashlib.sha256(model).digest())
 
