@@ -26,7 +26,9 @@ usage: ffpose-onboard --model FILE (--images DIR | --stdin | --track) [options]
                     damage is told by the checksum in the file, but not what was changed on purpose
   --operators PATH  libffpose_ort.so, for models exported with --filter custom that have filters
   --camera FILE     camera that takes the images, if another than the model's: JSON of width, height, fx, fy,
-                    cx, cy and, of a lens that distorts, distortion; images are reprojected by geometry
+                    cx, cy and, of a lens that distorts, distortion; images are reprojected by geometry.
+                    A camera.json in the folder of --images is to be named so; none is looked for
+                    beside paths that come in
   --resize          resize an image of any aspect ratio to the network's input, as if the model's
                     camera had taken it; without, another aspect ratio is an error of that image
   --help, --version
