@@ -257,7 +257,7 @@ def test_errors_for_c_are_codes_and_sentences(call, models, frames, tmp_path):
     empty = tmp_path / "empty.pgm"
     empty.write_bytes(gray(0, 0, 0))
     _, rows, _ = call(models, [other, frames[0], empty, "nowhere.pgm"])
-    assert [row[0] for row in rows] == ["2", "0", "2", "2"]
+    assert [row[0] for row in rows] == ["2", "0", "2", "3"]
     assert "96x96" in " ".join(rows[0])
     assert "at most 89478485" in " ".join(rows[2])
 
@@ -388,8 +388,86 @@ def test_rows_for_c_may_be_apart_but_not_upside_down(library, opened):
     for stride in (127, 2**64 - 128, 2**63 - 1, 2**63 // 96 + 1):
         assert ask(library, handle, wide, width=128, stride=stride)[0] == 2
         assert library.ffpose_error().endswith(f"got {stride}".encode())
-    assert ask(library, handle, wide, pixels=None)[0] == 2
-    assert library.ffpose_error() == b"pixels: expected the image's, got null"
+    assert ask(library, handle, wide, pixels=None)[0] == 3
+    assert library.ffpose_error() == b"image.pixels: expected a pointer, got null"
+
+
+def test_null_pointers_are_named(library, opened):
+    code, handle = opened(model=None)
+    assert (code, handle.value) == (3, None)
+    assert library.ffpose_error() == b"settings.model: expected a pointer, got null"
+    _, handle = opened()
+    levels = np.full((96, 128), 100, np.uint8)
+    image = ctypes.byref(Pixels(levels.ctypes.data, 128, 96, 1, 0))
+    pose = (ctypes.c_double * 40)()
+    for name, code in {
+        "settings": library.ffpose_open(None, ctypes.byref(handle)),
+        "handle": library.ffpose_open(ctypes.byref(Words()), None),
+    }.items():
+        assert code == 3, name
+    assert library.ffpose_error() == b"handle: expected a pointer, got null"
+    for words, name in [
+        ((None, image, 0.0, pose), "handle"),
+        ((handle, None, 0.0, pose), "image"),
+        ((handle, image, 0.0, None), "pose"),
+    ]:
+        assert library.ffpose_pose(*words) == 3
+        assert library.ffpose_error() == f"{name}: expected a pointer, got null".encode()
+    assert library.ffpose_track(handle, 1.0, image, 0.0, None) == 3
+    assert library.ffpose_error() == b"motion: expected a pointer, got null"
+    for function in (library.ffpose_save, library.ffpose_restore):
+        assert function(handle, None) == 3
+        assert library.ffpose_error() == b"path: expected a pointer, got null"
+        assert function(None, b"x.state") == 3
+        assert library.ffpose_error() == b"handle: expected a pointer, got null"
+
+
+def test_a_destructor_of_a_thread_may_call(program, runtime, models, tmp_path):
+    """After the thread's own sentence is gone: codes come back, and nothing ends the process."""
+    if not shutil.which("c++"):
+        pytest.skip("no C++ compiler is installed")
+    source, path = tmp_path / "late.cc", tmp_path / "late"
+    source.write_text(LATE)
+    library = program.parent
+    command = ["c++", "-std=c++17", "-pthread", "-o", path, source, f"-I{CRATE / 'include'}"]
+    command += [f"-L{library}", "-lffpose_onboard", f"-Wl,-rpath,{library}"]
+    subprocess.run(command, check=True)
+    done = subprocess.run([path, models, runtime], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "2 1\n0\n2 \n"), done.stderr
+
+
+LATE = """
+#include <cstdio>
+#include <cstring>
+#include <thread>
+#include "ffpose_onboard.h"
+
+struct Owner {
+  ffpose *handle = nullptr;
+  ~Owner() {
+    int code = ffpose_save(handle, "/nowhere/at/all/x.state");
+    std::printf("%d %s\\n", code, ffpose_error());
+    ffpose_close(handle);
+  }
+};
+
+int main(int, char **words) {
+  std::thread thread([&] {
+    static thread_local Owner owner; // made before the library's own, and so destroyed after it
+    ffpose_settings settings;
+    std::memset(&settings, 0, sizeof settings);
+    settings.model = "/nowhere.onnx";
+    settings.runtime = words[2];
+    settings.threads = 1;
+    int code = ffpose_open(&settings, &owner.handle);
+    std::printf("%d %d\\n", code, std::strlen(ffpose_error()) > 0);
+    settings.model = words[1];
+    std::printf("%d\\n", ffpose_open(&settings, &owner.handle));
+  });
+  thread.join();
+  return 0;
+}
+"""
 
 
 def test_no_more_threads_than_the_program_takes(library, opened):

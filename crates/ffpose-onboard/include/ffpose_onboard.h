@@ -21,7 +21,7 @@ typedef enum {
   FFPOSE_OK = 0,
   FFPOSE_LATE = 1,   /* the deadline passed: of a track the motion is there, coasted; of a pose nothing */
   FFPOSE_FAILED = 2, /* ffpose_error() says why; the track is as it was, and nothing was written to the caller's memory */
-  FFPOSE_NULL = 3,   /* a pointer that must not be null is */
+  FFPOSE_NULL = 3,   /* a pointer that must not be null is, of an argument or in it: ffpose_error() names it; as FFPOSE_FAILED else */
   FFPOSE_PANIC = 4   /* a bug of the library; close the handle */
 } ffpose_code;
 
@@ -101,7 +101,7 @@ int32_t ffpose_reset(ffpose *handle);
 int32_t ffpose_save(const ffpose *handle, const char *path);
 int32_t ffpose_restore(ffpose *handle, const char *path);
 
-/* The thread's last error; valid until its next call. */
+/* The thread's last error; valid until its next call. Empty in destructors of the thread that run after the library's own. */
 const char *ffpose_error(void);
 
 void ffpose_close(ffpose *handle); /* null is none */

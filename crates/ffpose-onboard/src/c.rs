@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use ffpose_track::{Outcome, Step};
 
-use crate::error::{Error, Result};
+use crate::error::Error;
 use crate::estimator::{Estimator, Look};
 use crate::options::{MAX_THREADS, Setup, Taken, TrackFiles, default_runtime};
 use crate::picture::{Picture, expect_size};
@@ -86,22 +86,42 @@ pub struct Ffpose {
     track: Track,
 }
 
+/// Why a function does not do what it says.
+enum Fault {
+    Failed(Error),
+    /// A pointer of this name is null.
+    Null(&'static str),
+}
+
+impl From<Error> for Fault {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
 /// Runs what a function does, and keeps its error's sentence.
-fn guarded(run: impl FnOnce() -> Result<i32>) -> i32 {
+fn guarded(run: impl FnOnce() -> Result<i32, Fault>) -> i32 {
     let (code, text) = match catch_unwind(AssertUnwindSafe(run)) {
         Ok(Ok(code)) => return code,
-        Ok(Err(error)) => (FAILED, error.to_string()),
+        Ok(Err(Fault::Failed(error))) => (FAILED, error.to_string()),
+        Ok(Err(Fault::Null(name))) => (NULL, format!("{name}: expected a pointer, got null")),
         Err(_) => (PANIC, "a panic, a bug of this library: the handle is to be closed".into()),
     };
     let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
-    LAST.with_borrow_mut(|last| *last = text);
+    // A destructor of the thread may call after the sentence's own: it is dropped then.
+    let _ = LAST.try_with(|last| last.replace(text));
     code
 }
 
-/// The sentence of this thread's last error; empty before the first.
+/// The sentence of this thread's last error; empty before the first, and once the thread's own memory is given back.
 #[unsafe(no_mangle)]
 pub extern "C" fn ffpose_error() -> *const c_char {
-    LAST.with_borrow(|last| last.as_ptr())
+    LAST.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+}
+
+fn expect_pointers<const N: usize>(pointers: [(&'static str, bool); N]) -> Result<(), Fault> {
+    let missing = pointers.into_iter().find(|(_, is_null)| *is_null);
+    missing.map_or(Ok(()), |(name, _)| Err(Fault::Null(name)))
 }
 
 /// Opens a model, and a track of its poses.
@@ -113,10 +133,8 @@ pub unsafe extern "C" fn ffpose_open(
     settings: *const FfposeSettings,
     handle: *mut *mut Ffpose,
 ) -> i32 {
-    if settings.is_null() || handle.is_null() {
-        return NULL;
-    }
     guarded(|| {
+        expect_pointers([("settings", settings.is_null()), ("handle", handle.is_null())])?;
         // SAFETY: not null, and valid as the caller says, with its strings.
         let (setup, files) = unsafe { setup(&*settings) }?;
         let estimator = Estimator::open(&setup)?;
@@ -154,10 +172,9 @@ pub unsafe extern "C" fn ffpose_pose(
     seconds: f64,
     pose: *mut FfposePose,
 ) -> i32 {
-    if handle.is_null() || image.is_null() || pose.is_null() {
-        return NULL;
-    }
     guarded(|| {
+        let nulls = [handle.is_null(), image.is_null(), pose.is_null()];
+        expect_pointers([("handle", nulls[0]), ("image", nulls[1]), ("pose", nulls[2])])?;
         let deadline = deadline(seconds)?;
         // SAFETY: not null, and valid as the caller says.
         let (handle, picture) = unsafe { (&mut *handle, picture(&*image)?) };
@@ -183,10 +200,8 @@ pub unsafe extern "C" fn ffpose_track(
     seconds: f64,
     motion: *mut FfposeMotion,
 ) -> i32 {
-    if handle.is_null() || motion.is_null() {
-        return NULL;
-    }
     guarded(|| {
+        expect_pointers([("handle", handle.is_null()), ("motion", motion.is_null())])?;
         let deadline = deadline(seconds)?;
         // SAFETY: not null, and valid as the caller says.
         let Ffpose { estimator, track } = unsafe { &mut *handle };
@@ -211,10 +226,8 @@ pub unsafe extern "C" fn ffpose_track(
 /// As of `ffpose_pose`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_reset(handle: *mut Ffpose) -> i32 {
-    if handle.is_null() {
-        return NULL;
-    }
     guarded(|| {
+        expect_pointers([("handle", handle.is_null())])?;
         // SAFETY: not null, and valid as the caller says.
         unsafe { &mut *handle }.track.reset();
         Ok(OK)
@@ -227,12 +240,14 @@ pub unsafe extern "C" fn ffpose_reset(handle: *mut Ffpose) -> i32 {
 /// `handle` is null or valid, `path` null or ended by a zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_save(handle: *const Ffpose, path: *const c_char) -> i32 {
-    // SAFETY: as the caller says.
-    let Some(path) = (unsafe { path_of(path) }).filter(|_| !handle.is_null()) else {
-        return NULL;
-    };
-    // SAFETY: not null, and valid as the caller says.
-    guarded(|| unsafe { &*handle }.track.save(&path).map(|()| OK))
+    guarded(|| {
+        expect_pointers([("handle", handle.is_null())])?;
+        // SAFETY: as the caller says.
+        let path = unsafe { path_of(path) }.ok_or(Fault::Null("path"))?;
+        // SAFETY: not null, and valid as the caller says.
+        unsafe { &*handle }.track.save(&path)?;
+        Ok(OK)
+    })
 }
 
 /// Takes up the track of a file.
@@ -241,17 +256,19 @@ pub unsafe extern "C" fn ffpose_save(handle: *const Ffpose, path: *const c_char)
 /// As of `ffpose_save`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_restore(handle: *mut Ffpose, path: *const c_char) -> i32 {
-    // SAFETY: as the caller says.
-    let Some(path) = (unsafe { path_of(path) }).filter(|_| !handle.is_null()) else {
-        return NULL;
-    };
-    // SAFETY: not null, and valid as the caller says.
-    guarded(|| unsafe { &mut *handle }.track.restore(&path).map(|()| OK))
+    guarded(|| {
+        expect_pointers([("handle", handle.is_null())])?;
+        // SAFETY: as the caller says.
+        let path = unsafe { path_of(path) }.ok_or(Fault::Null("path"))?;
+        // SAFETY: not null, and valid as the caller says.
+        unsafe { &mut *handle }.track.restore(&path)?;
+        Ok(OK)
+    })
 }
 
 /// # Safety
 /// The strings are null or ended by a zero.
-unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles)> {
+unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles), Fault> {
     let s = settings;
     // SAFETY: as the caller says.
     let [model, runtime, operators, camera, track, sha256] =
@@ -261,14 +278,15 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles)> {
         (None, false) => Taken::ByModelsCamera,
         (Some(file), false) => Taken::ByCamera(file),
         (None, true) => Taken::Resized,
-        (Some(_), true) => return Err(Error::new("expected camera or resize, got both")),
+        (Some(_), true) => return Err(Error::new("expected camera or resize, got both").into()),
     };
     let threads = s.threads as usize;
     if threads > MAX_THREADS {
-        return Err(Error::new(format!("threads: expected at most {MAX_THREADS}, got {threads}")));
+        let found = format!("threads: expected at most {MAX_THREADS}, got {threads}");
+        return Err(Error::new(found).into());
     }
     let setup = Setup {
-        model: model.ok_or_else(|| Error::new("model: expected a path, got null"))?,
+        model: model.ok_or(Fault::Null("settings.model"))?,
         tracks: true,
         threads: (threads > 0).then_some(threads),
         sha256: sha256.map(|digest| digest.to_string_lossy().to_lowercase()),
@@ -294,22 +312,21 @@ unsafe fn path_of(text: *const c_char) -> Option<PathBuf> {
 ///
 /// # Safety
 /// Its pixels are there: `height` rows, `stride` bytes apart.
-unsafe fn picture(image: &FfposeImage) -> Result<Picture> {
+unsafe fn picture(image: &FfposeImage) -> Result<Picture, Fault> {
+    expect_pointers([("image.pixels", image.pixels.is_null())])?;
     let (width, height) = (image.width as usize, image.height as usize);
     expect_size(width, height)?;
     let channels = image.channels as usize;
     if channels != 1 && channels != 3 {
-        return Err(Error::new(format!("channels: expected 1 or 3, got {channels}")));
-    }
-    if image.pixels.is_null() {
-        return Err(Error::new("pixels: expected the image's, got null"));
+        return Err(Error::new(format!("channels: expected 1 or 3, got {channels}")).into());
     }
     let row = width * channels;
     let stride = if image.stride == 0 { row } else { image.stride };
     if !(row..=isize::MAX as usize / height).contains(&stride) {
         return Err(Error::new(format!(
             "stride: expected at least the {row} bytes of a row, and rows that fit in memory, got {stride}"
-        )));
+        ))
+        .into());
     }
     let mut pixels = Vec::with_capacity(3 * width * height);
     for place in 0..height {
@@ -325,7 +342,7 @@ unsafe fn picture(image: &FfposeImage) -> Result<Picture> {
 
 /// When `seconds` from now are over, at once where they are negative; None for zero and for more than a clock counts, which is
 /// no limit.
-fn deadline(seconds: f64) -> Result<Option<Instant>> {
+fn deadline(seconds: f64) -> Result<Option<Instant>, Error> {
     if seconds.is_nan() {
         return Err(Error::new("seconds: expected a number, got NaN"));
     }
