@@ -363,6 +363,18 @@ def test_a_limit_for_c_may_be_any_number(library, opened):
     assert library.ffpose_error() == b"seconds: expected a number, got NaN"
 
 
+def test_a_limit_below_zero_is_late_before_the_image_is_looked_at(library, opened):
+    _, handle = opened()
+    square = np.full((96, 96), 100, np.uint8)  # of no camera of the model's
+    assert ask(library, handle, square)[0] == 2
+    assert ask(library, handle, square, -1)[0] == 1
+    assert ask(library, handle, square, 1e-9)[0] == 1
+    assert ask(library, handle, square, 0, channels=2)[0] == 2
+    assert ask(library, handle, square, -1, channels=2)[0] == 1
+    assert move(library, handle, square, 1.0, -1)[:2] == (1, 5)
+    assert move(library, handle, square, 2.0, 0)[0] == 2
+
+
 def test_a_track_for_c_is_reset(library, opened):
     _, handle = opened()
     levels = np.full((96, 128), 100, np.uint8)

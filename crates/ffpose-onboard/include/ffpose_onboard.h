@@ -85,8 +85,9 @@ typedef struct {
 /* Opens a model of an object's pose and an empty track; runs the model once, so that later runs allocate little. */
 int32_t ffpose_open(const ffpose_settings *settings, ffpose **handle);
 
-/* Poses one image within `seconds`: 0 or infinity for no limit, below 0 is late at once. The run is ended between two nodes of
- * the network's graph. */
+/* Poses one image within `seconds`: 0 or infinity for no limit, below 0 is late at once, before the image is looked at. Copying
+ * the pixels, taking out a lens's distortion and resizing are each done whole; the network's run is ended between two nodes of its
+ * graph. FFPOSE_OK means within the limit: an answer that comes after it is dropped, and the code is FFPOSE_LATE. */
 int32_t ffpose_pose(ffpose *handle, const ffpose_image *image, double seconds, ffpose_pose_result *pose);
 
 /* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected; the

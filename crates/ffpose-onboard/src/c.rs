@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use ffpose_track::{Outcome, Step};
 
 use crate::error::Error;
-use crate::estimator::{Estimator, Look};
+use crate::estimator::{Deadline, Estimator, Look};
 use crate::options::{MAX_THREADS, Setup, Taken, TrackFiles, default_runtime};
 use crate::picture::{Picture, expect_size};
 use crate::pose::Outputs;
@@ -176,6 +176,9 @@ pub unsafe extern "C" fn ffpose_pose(
         let nulls = [handle.is_null(), image.is_null(), pose.is_null()];
         expect_pointers([("handle", nulls[0]), ("image", nulls[1]), ("pose", nulls[2])])?;
         let deadline = deadline(seconds)?;
+        if deadline.is_past() {
+            return Ok(LATE);
+        }
         // SAFETY: not null, and valid as the caller says.
         let (handle, picture) = unsafe { (&mut *handle, picture(&*image)?) };
         let Some(outputs) = handle.estimator.look(&picture, Look { at: None, deadline })? else {
@@ -205,7 +208,7 @@ pub unsafe extern "C" fn ffpose_track(
         let deadline = deadline(seconds)?;
         // SAFETY: not null, and valid as the caller says.
         let Ffpose { estimator, track } = unsafe { &mut *handle };
-        let outputs = if image.is_null() {
+        let outputs = if image.is_null() || deadline.is_past() {
             None
         } else {
             // SAFETY: as above.
@@ -342,13 +345,13 @@ unsafe fn picture(image: &FfposeImage) -> Result<Picture, Fault> {
 
 /// When `seconds` from now are over, at once where they are negative; None for zero and for more than a clock counts, which is
 /// no limit.
-fn deadline(seconds: f64) -> Result<Option<Instant>, Error> {
+fn deadline(seconds: f64) -> Result<Deadline, Error> {
     if seconds.is_nan() {
         return Err(Error::new("seconds: expected a number, got NaN"));
     }
     let limit = Duration::try_from_secs_f64(seconds.max(0.0)).ok();
     let limit = limit.filter(|_| seconds != 0.0);
-    Ok(limit.and_then(|limit| Instant::now().checked_add(limit)))
+    Ok(Deadline(limit.and_then(|limit| Instant::now().checked_add(limit))))
 }
 
 fn told(outputs: &Outputs, estimator: &Estimator) -> FfposePose {

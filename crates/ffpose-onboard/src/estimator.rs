@@ -39,8 +39,24 @@ pub struct Estimator {
 pub(crate) struct Look {
     /// Where the object is expected, m, camera frame; None for everywhere.
     pub at: Option<[f64; 3]>,
-    /// When it ends, between two nodes of the graph.
-    pub deadline: Option<Instant>,
+    /// Until when its answer is of use.
+    pub deadline: Deadline,
+}
+
+/// The end of the time for an image; None for no end.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Deadline(pub Option<Instant>);
+
+impl Deadline {
+    /// Whether it has come.
+    pub fn is_past(self) -> bool {
+        self.0.is_some_and(|end| Instant::now() >= end)
+    }
+
+    /// What was done, whatever it is, if it was done in time.
+    fn keeps<T>(self, done: Result<T>) -> Result<Option<T>> {
+        if self.is_past() { Ok(None) } else { done.map(Some) }
+    }
 }
 
 impl Estimator {
@@ -65,7 +81,7 @@ impl Estimator {
         let points = [None, estimator.near.is_some().then_some([0.0, 0.0, 1.0])];
         for at in points.into_iter().take(1 + usize::from(estimator.near.is_some())) {
             estimator
-                .run(&black, Look { at, deadline: None })
+                .run(&black, Look { at, ..Look::default() })
                 .map_err(|error| error.of("the model cannot be run"))?;
         }
         Ok(estimator)
@@ -83,7 +99,7 @@ impl Estimator {
     /// Returns what the network says of an image file, which it looks at once where the object is expected.
     pub(crate) fn outputs(&mut self, path: &Path, at: Option<[f64; 3]>) -> Result<Outputs> {
         let picture = Picture::read(path, self.metadata.white)?;
-        let outputs = self.look(&picture, Look { at, deadline: None })?;
+        let outputs = self.look(&picture, Look { at, ..Look::default() })?;
         outputs.ok_or_else(|| Error::new("expected an answer, got none"))
     }
 
@@ -92,7 +108,9 @@ impl Estimator {
         if let Some(camera) = &self.camera {
             camera.expect_aspect(picture.width, picture.height)?;
         }
-        let input = self.metadata.preprocessing.input(picture)?;
+        let Some(input) = self.metadata.preprocessing.input(picture, look.deadline)? else {
+            return Ok(None);
+        };
         self.run(&input, look)?.map(Outputs::checked).transpose()
     }
 
@@ -155,16 +173,16 @@ fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
     open_session(setup, &beside).map(Some)
 }
 
-/// Runs a session, until a deadline if there is one: None where it was terminated.
+/// Runs a session, until a deadline if there is one: None where it has come before the outputs, when the run is terminated.
 fn run_until(
     session: &mut Session,
-    deadline: Option<Instant>,
+    deadline: Deadline,
     inputs: SessionInputs<'_, '_>,
 ) -> Result<Option<Outputs>> {
-    let Some(deadline) = deadline else {
+    let Some(end) = deadline.0 else {
         return read_outputs(&session.run(inputs).map_err(|error| refused(&error))?).map(Some);
     };
-    let left = deadline.saturating_duration_since(Instant::now());
+    let left = end.saturating_duration_since(Instant::now());
     if left.is_zero() {
         return Ok(None);
     }
@@ -182,12 +200,9 @@ fn run_until(
             .map_err(|error| Error::new(format!("no thread can be started: {error}")))?;
         let result = session.run_with_options(inputs, options);
         drop(done);
-        result.map_err(|error| refused(&error)).and_then(|outputs| read_outputs(&outputs)).map(Some)
-    });
-    match result {
-        Err(_) if Instant::now() >= deadline => Ok(None),
-        result => result,
-    }
+        Ok(result.map_err(|error| refused(&error)).and_then(|outputs| read_outputs(&outputs)))
+    })?;
+    deadline.keeps(result)
 }
 
 /// Prepares a model for the images to come; returns the camera whose aspect ratio they must have, `None` for any.
@@ -247,4 +262,24 @@ fn numbers<const N: usize>(outputs: &SessionOutputs, name: &str) -> Result<[f64;
         Error::new(format!("{name}: expected {N} numbers, got those of shape {shape:?}"))
     })?;
     Ok(values.map(f64::from))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn what_is_done_after_the_deadline_is_not_kept() {
+        let past = Deadline(Some(Instant::now()));
+        let later = Deadline(Some(Instant::now() + Duration::from_secs(3600)));
+        assert!(past.is_past() && !later.is_past() && !Deadline::default().is_past());
+        assert_eq!(past.keeps(Ok(1)).unwrap(), None);
+        assert_eq!(past.keeps::<u8>(Err(Error::new("terminated"))).unwrap(), None);
+        for deadline in [later, Deadline::default()] {
+            assert_eq!(deadline.keeps(Ok(1)).unwrap(), Some(1));
+            assert!(deadline.keeps::<u8>(Err(Error::new("failed"))).is_err());
+        }
+    }
 }
