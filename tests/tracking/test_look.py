@@ -139,6 +139,37 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
     np.testing.assert_allclose(points[5], [0, 0, 19.5], atol=0.05)
 
 
+def test_a_pose_that_a_tracker_cannot_take_is_coasted_over(tmp_path):
+    """float32 rounds a covariance of condition 1e9 to one without an inverse."""
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    thin = (turn @ np.diag([1e4, 1e-5, 1e-5]) @ turn.T).astype(np.float32).astype(float)
+    assert np.linalg.eigvalsh(thin)[0] < 0
+
+    class Estimator:
+        class metadata:
+            locates = "object"
+
+        near = camera = white = None
+
+        def preprocess(self, path):
+            return np.full((3, 1, 1), float(path.stem), np.float32)
+
+        def estimate(self, inputs, where=None):
+            translation = thin if inputs[0, 0, 0, 0] == 6 else 1e-4 * np.eye(3)
+            sure = PoseUncertainty(translation, 1e-4 * np.eye(3), 1, 0.5)
+            return [Pose([0, 0, 20], [1, 0, 0, 0], sure)]
+
+    frames = [Frame(tmp_path / f"{number}.png", number, None) for number in range(10)]
+    followed = list(follow(Estimator(), frames, Tracker(Settings(agreeing=2))))
+    *_, before, failed, after = followed[:8]
+    assert before.step.outcome == after.step.outcome == "accepted"
+    assert (failed.step.outcome, failed.step.time, failed.alone) == ("coasted", 6, None)
+    assert failed.reason == "position_covariance: expected a positive definite matrix"
+    with pytest.raises(ValueError, match="time: expected later than 9"):
+        tracker = Tracker(Settings(agreeing=2))
+        list(follow(Estimator(), [*frames, frames[3]], tracker))
+
+
 @pytest.mark.slow
 def test_the_measured_offset_follows_the_true_one():
     """Displaced by one and two standard deviations along each axis, on images of its kind."""

@@ -20,7 +20,8 @@ extern "C" {
 typedef enum {
   FFPOSE_OK = 0,
   FFPOSE_LATE = 1,   /* the deadline passed: of a track the motion is there, coasted; of a pose nothing */
-  FFPOSE_FAILED = 2, /* ffpose_error() says why; the track is as it was, and nothing was written to the caller's memory */
+  FFPOSE_FAILED = 2, /* ffpose_error() says why; the track is as it was, and nothing was written to the caller's memory. Where an
+                        image of a track is the reason, a call with a null image and the same time coasts over it */
   FFPOSE_NULL = 3,   /* a pointer that must not be null is, of an argument or in it: ffpose_error() names it; as FFPOSE_FAILED else */
   FFPOSE_PANIC = 4   /* a bug of the library; close the handle */
 } ffpose_code;

@@ -17,7 +17,7 @@ use crate::estimator::{Deadline, Estimator, Look};
 use crate::options::{MAX_THREADS, Setup, Taken, TrackFiles, default_runtime};
 use crate::picture::{Picture, expect_size};
 use crate::pose::Outputs;
-use crate::track::Track;
+use crate::track::{Seen, Track};
 
 const OK: i32 = 0;
 const LATE: i32 = 1;
@@ -215,7 +215,9 @@ pub unsafe extern "C" fn ffpose_track(
             let picture = unsafe { picture(&*image) }?;
             estimator.look(&picture, Look { at: track.expected(time), deadline })?
         };
-        let (step, reason) = track.step(time, outputs.as_ref(), estimator.meaning())?;
+        let meaning = estimator.meaning();
+        let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose()?;
+        let (step, reason) = track.step(time, seen)?;
         let told = moved(time, &step, reason);
         // SAFETY: not null, and valid for a write as the caller says.
         unsafe { motion.write(told) };

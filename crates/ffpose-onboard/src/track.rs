@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use ffpose_track::{Estimate, Measurement, Mode, Outcome, Parameters, STATE_BYTES, Step, Tracker};
 use serde_json::{Map, Value, json};
 
+use crate::answers::unpanicked;
 use crate::error::{Error, Result};
 use crate::estimator::Estimator;
 use crate::files;
@@ -68,14 +69,29 @@ impl Track {
         let seconds = time.parse().map_err(|_| {
             Error::new(format!("time: expected seconds before the path, got \"{time}\""))
         })?;
-        let outputs =
-            (!path.as_os_str().is_empty()).then(|| estimator.outputs(path, self.expected(seconds)));
-        let (outputs, failed) = match outputs.transpose() {
-            Ok(outputs) => (outputs, None),
-            Err(error) => (None, Some(error)),
-        };
-        let meaning = estimator.meaning();
-        let (step, reason) = self.step(seconds, outputs.as_ref(), meaning)?;
+        let (at, meaning) = (self.expected(seconds), *estimator.meaning());
+        let look = || estimator.outputs(path, at);
+        self.advance(seconds, (!path.as_os_str().is_empty()).then_some(look), &meaning)
+    }
+
+    /// Moves on to a time, seconds, with what a look at a frame gives, and returns the line.
+    ///
+    /// A look that fails or panics, or gives what no tracker can take, is an error in the line; the track coasts.
+    fn advance(
+        &mut self,
+        seconds: f64,
+        look: Option<impl FnOnce() -> Result<Outputs>>,
+        meaning: &Meaning,
+    ) -> Result<Map<String, Value>> {
+        let looked = look.map(unpanicked).transpose();
+        let (outputs, mut failed) =
+            looked.map_or_else(|error| (None, Some(error)), |one| (one, None));
+        let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose();
+        let seen = seen.unwrap_or_else(|error| {
+            failed = Some(error);
+            None
+        });
+        let (step, reason) = self.step(seconds, seen)?;
         let mut line = Map::from_iter([("time".into(), json!(seconds))]);
         line.extend(told(&step, reason));
         if let Some(outputs) = &outputs {
@@ -103,16 +119,14 @@ impl Track {
         self.tracker.expected(time, [0.0; 3])
     }
 
-    /// Moves on to a time, seconds, with what the network says; returns what became of it, in a word.
-    pub(crate) fn step(
-        &mut self,
-        time: f64,
-        outputs: Option<&Outputs>,
-        meaning: &Meaning,
-    ) -> Result<(Step, &'static str)> {
-        let flagged = outputs.is_some_and(|outputs| outputs.flagged(meaning) == Some(true));
-        let measured = outputs.filter(|_| !flagged).map(measurement).transpose()?;
-        let step = self.tracker.step(time, measured.as_ref(), [0.0; 3]);
+    /// Moves on to a time, seconds, with what a frame says; returns what became of it, in a word.
+    pub(crate) fn step(&mut self, time: f64, seen: Option<Seen>) -> Result<(Step, &'static str)> {
+        let flagged = matches!(seen, Some(Seen::Nothing));
+        let measured = match &seen {
+            Some(Seen::Object(measured)) => Some(measured),
+            _ => None,
+        };
+        let step = self.tracker.step(time, measured, [0.0; 3]);
         let step = step.map_err(|error| Error::new(error.to_string()))?;
         let reason = match step.outcome {
             Outcome::Accepted => "accepted",
@@ -192,6 +206,27 @@ fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()>
 }
 
 /// What a network says of a frame, as a tracker takes it.
+pub(crate) enum Seen {
+    /// One pose, or one of two.
+    Object(Measurement),
+    /// The frame is flagged.
+    Nothing,
+}
+
+impl Seen {
+    /// Takes the outputs of a network.
+    ///
+    /// # Errors
+    /// They have no uncertainty, or one that a tracker cannot take.
+    pub(crate) fn of(outputs: &Outputs, meaning: &Meaning) -> Result<Self> {
+        if outputs.flagged(meaning) == Some(true) {
+            return Ok(Self::Nothing);
+        }
+        measurement(outputs).map(Self::Object)
+    }
+}
+
+/// The measurement of a frame that is not flagged.
 fn measurement(outputs: &Outputs) -> Result<Measurement> {
     let said = outputs.uncertainty.as_ref().ok_or_else(|| {
         Error::new("expected a model that predicts uncertainty, got one that does not")
@@ -228,4 +263,59 @@ fn told(step: &Step, reason: &str) -> Map<String, Value> {
     }
     put("nis", json!(step.nis));
     line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pose::Uncertainty;
+
+    fn track() -> Track {
+        Track { tracker: Tracker::new(Parameters::default()).unwrap(), tag: [0; 32], state: None }
+    }
+
+    fn outputs(rotation_variance: f64) -> Outputs {
+        let diagonal = |last: f64| [[1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, last]];
+        Outputs {
+            translation: [0.0, 0.0, 9.0],
+            orientation: [1.0, 0.0, 0.0, 0.0],
+            uncertainty: Some(Uncertainty {
+                translation_covariance: diagonal(1e-3),
+                rotation_covariance: diagonal(rotation_variance),
+                in_view: 1.0,
+                alternative: [0.0, 1.0, 0.0, 0.0],
+                probabilities: [1.0, 0.0],
+            }),
+        }
+    }
+
+    type Look = Box<dyn FnOnce() -> Result<Outputs>>;
+
+    #[test]
+    fn frames_that_cannot_be_used_are_coasted_over() {
+        let mut track = track();
+        let mut time = 0.0;
+        let mut next = |look: Option<Look>| {
+            time += 1.0;
+            let line = track.advance(time, look, &Meaning::default()).unwrap();
+            (line, track.tracker.time())
+        };
+        for _ in 0..5 {
+            next(Some(Box::new(|| Ok(outputs(1e-3)))));
+        }
+        let looks: [(Look, &str); 3] = [
+            (Box::new(|| Err(Error::new("cut short"))), "cut short"),
+            (Box::new(|| panic!("row {}", 7)), "row 7"),
+            (Box::new(|| Ok(outputs(0.0))), "rotation_covariance: expected a positive definite"),
+        ];
+        for (place, (look, message)) in looks.into_iter().enumerate() {
+            let (line, time) = next(Some(look));
+            assert_eq!(line["reason"], "coasted");
+            assert_eq!(time, Some(6.0 + place as f64));
+            assert!(line.contains_key("translation_m"), "{line:?}");
+            assert!(line["error"].as_str().unwrap().contains(message), "{line:?}");
+        }
+        assert_eq!(next(None).0["reason"], "coasted");
+        assert_eq!(next(Some(Box::new(|| Ok(outputs(1e-3))))).0["reason"], "accepted");
+    }
 }
