@@ -167,6 +167,16 @@ def test_a_clock_that_jumps_does_not_block_a_track(run, models, frames, tmp_path
     assert third[2:] == run(models, "--track", lines=lines)[1]
 
 
+def test_a_state_that_cannot_be_written_is_told_before_frames(run, models, frames, tmp_path):
+    state = tmp_path / "none" / "track.state"
+    code, documents, (error,) = run(models, "--track", "--state", state, lines=lines_of(frames))
+    assert (code, documents) == (1, [])
+    assert f"{state}: cannot be written" in error
+    state = tmp_path / "track.state"
+    assert run(models, "--track", "--state", state)[0] == 0
+    assert Tracker.from_state(state.read_bytes(), models.read_bytes()).time is None
+
+
 def settings_file(folder, **settings):
     path = folder / "settings.json"
     path.write_text(json.dumps(settings))

@@ -30,7 +30,8 @@ impl Track {
     /// Starts a track, or takes it up where a state was written.
     ///
     /// # Errors
-    /// The settings cannot be used, or the state is none, damaged, or of another model or of other settings.
+    /// The settings cannot be used, or the state is none, damaged, or of another model, camera or other settings, or cannot be
+    /// written.
     pub fn open(estimator: &Estimator, files: &TrackFiles) -> Result<Self> {
         let parameters = parameters(estimator, files.settings.as_deref())?;
         let mut track = Self {
@@ -38,10 +39,11 @@ impl Track {
             tag: *estimator.digest(),
             state: files.state.clone(),
         };
-        if let Some(path) = &files.state
-            && files::exists(path)?
-        {
-            track.restore(path)?;
+        if let Some(path) = &files.state {
+            if files::exists(path)? {
+                track.restore(path)?;
+            }
+            track.save(path)?; // one that cannot be written is told before there are frames
         }
         Ok(track)
     }
@@ -103,8 +105,10 @@ impl Track {
     /// Writes the state, and completes a line.
     fn kept(&self, mut line: Map<String, Value>, failed: Option<Error>) -> Map<String, Value> {
         let kept = self.state.as_deref().map(|path| self.save(path)).transpose();
-        if let Some(error) = failed.or(kept.err()) {
-            line.insert("error".into(), error.to_string().into());
+        for (name, error) in [("error", failed), ("state_error", kept.err())] {
+            if let Some(error) = error {
+                line.insert(name.into(), error.to_string().into());
+            }
         }
         line
     }
@@ -317,5 +321,22 @@ mod tests {
         }
         assert_eq!(next(None).0["reason"], "coasted");
         assert_eq!(next(Some(Box::new(|| Ok(outputs(1e-3))))).0["reason"], "accepted");
+    }
+
+    #[test]
+    fn a_state_that_cannot_be_written_hides_no_error_and_is_none_of_an_image() {
+        let state = Some(PathBuf::from("/nowhere/at/all/track.state"));
+        let mut track = Track { state, ..track() };
+        let told = "/nowhere/at/all/track.state: cannot be written";
+        let looks: [(Option<Look>, Option<&str>); 3] = [
+            (Some(Box::new(|| Ok(outputs(1e-3)))), None),
+            (Some(Box::new(|| Err(Error::new("cut short")))), Some("cut short")),
+            (None, None),
+        ];
+        for (time, (look, error)) in looks.into_iter().enumerate() {
+            let line = track.advance(time as f64, look, &Meaning::default()).unwrap();
+            assert!(line["state_error"].as_str().unwrap().starts_with(told), "{line:?}");
+            assert_eq!(line.get("error").and_then(Value::as_str), error);
+        }
     }
 }
