@@ -72,11 +72,11 @@ def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
     return model.SerializeToString()
 
 
-def steady(variance, *, takes_point=False, rounds=0, **fields):
+def steady(variance, *, takes_point=False, rounds=0, sure=True, **fields):
     """The bytes of a graph that tells a position by the level of its input, of this variance, m².
 
-    A level above 180 shows no object. ``rounds`` of products of matrices make it slow; ``fields``
-    are of its metadata.
+    A level above 180 shows no object. ``rounds`` of products of matrices make it slow; without
+    ``sure`` it tells a pose alone; ``fields`` are of its metadata.
     """
     onnx = pytest.importorskip("onnx")
     helper, of_array = onnx.helper, onnx.numpy_helper.from_array
@@ -130,6 +130,8 @@ def steady(variance, *, takes_point=False, rounds=0, **fields):
         nodes.insert(0, node("Mul", ["point", "none"], ["unmoved"]))
     shapes = {name: value.shape for name, value in constants.items()}
     shapes |= {"translation": (1, 3), "in_view": (1,)}
+    if not sure:
+        shapes = {name: shapes[name] for name in ("translation", "orientation")}
     outputs = [helper.make_tensor_value_info(name, 1, shape) for name, shape in shapes.items()]
     kept = [of_array(value, name) for name, value in tensors.items()]
     kept += [of_array(value, f"{name}_") for name, value in constants.items()]

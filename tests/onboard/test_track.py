@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -17,7 +18,7 @@ from ffpose.inference.load import load
 from ffpose.onnx.metadata import read_model_metadata, sealed
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.tracker import read_settings
-from onboard_program import CRATE, steady
+from onboard_program import CAMERA, CRATE, steady
 
 pytest.importorskip("onnx")
 
@@ -175,6 +176,52 @@ def test_a_state_that_cannot_be_written_is_told_before_frames(run, models, frame
     state = tmp_path / "track.state"
     assert run(models, "--track", "--state", state)[0] == 0
     assert Tracker.from_state(state.read_bytes(), models.read_bytes()).time is None
+
+
+def test_a_state_of_another_camera_is_refused(run, models, frames, tmp_path, opened, library):
+    """Its position is of images that were reprojected otherwise."""
+    files = {}
+    for name, focal in {"wide": 70.0, "narrow": 200.0}.items():
+        files[name] = tmp_path / f"{name}.json"
+        replace(CAMERA, fx=focal, fy=focal).write(files[name])
+    CAMERA.write(tmp_path / "same.json")
+    ways = {
+        "own": (),
+        "wide": ("--camera", files["wide"]),
+        "narrow": ("--camera", files["narrow"]),
+        "resized": ("--resize",),
+    }
+    states = {name: tmp_path / f"{name}.state" for name in ways}
+    for name, words in ways.items():
+        lines = lines_of(frames)[:6]
+        assert run(models, "--track", "--state", states[name], *words, lines=lines)[0] == 0
+    for name, words in ways.items():
+        fields = {"camera": bytes(files[name])} if name in files else {"resize": name == "resized"}
+        _, handle = opened(**fields)
+        for other, state in states.items():
+            code, _, errors = run(models, "--track", "--state", state, *words)
+            assert code == (name != other), (name, other)
+            assert name == other or "expected one of this model and camera" in errors[0]
+            assert library.ffpose_restore(handle, bytes(state)) == (0 if name == other else 2)
+    # a file of the model's own camera is no other one
+    same = ("--camera", tmp_path / "same.json", "--state", tmp_path / "own.state")
+    assert run(models, "--track", *same)[0] == 0
+
+
+def test_a_model_without_uncertainty_has_poses_alone(run, frames, tmp_path, opened, library):
+    path = tmp_path / "alone.onnx"
+    path.write_bytes(sealed(steady(1e-3, sure=False)))
+    told = "expected a model that predicts uncertainty"
+    code, documents, (error,) = run(path, "--track", lines=lines_of(frames))
+    assert (code, documents) == (1, [])
+    assert told in error
+    assert run(path, "--stdin", lines=frames[:1])[0] == 0
+    code, handle = opened(model=bytes(path))
+    levels = np.full((96, 128), 100, np.uint8)
+    assert (code, ask(library, handle, levels)[0]) == (0, 0)
+    for image in (levels, None):
+        assert move(library, handle, image, 1.0)[0] == 2
+        assert library.ffpose_error().startswith(told.encode())
 
 
 def settings_file(folder, **settings):

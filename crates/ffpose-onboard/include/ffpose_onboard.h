@@ -93,13 +93,15 @@ int32_t ffpose_pose(ffpose *handle, const ffpose_image *image, double seconds, f
 
 /* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected; the
  * whole frame is searched without a track. A null image is a frame that never came. Where no track leads, a time that is earlier by
- * more than the setting `coasting` begins anew: one wrong time costs a track no more than a gap. */
+ * more than the setting `coasting` begins anew: one wrong time costs a track no more than a gap. A model
+ * without uncertainty has poses alone: FFPOSE_FAILED. */
 int32_t ffpose_track(ffpose *handle, double time_s, const ffpose_image *image, double seconds, ffpose_motion *motion);
 
 /* Forgets the track and the times of its frames, as after ffpose_open: where a clock was set back, or the target is another one. */
 int32_t ffpose_reset(ffpose *handle);
 
-/* Writes the track to a file, by a new one that is renamed; and takes it up again, by the same model and settings. */
+/* Writes the track to a file, by a new one that is renamed; and takes it up again, by the same model, camera (or resize) and
+ * settings of the track: others' are refused. */
 int32_t ffpose_save(const ffpose *handle, const char *path);
 int32_t ffpose_restore(ffpose *handle, const char *path);
 

@@ -14,7 +14,7 @@ use ffpose_track::{Outcome, Step};
 
 use crate::error::Error;
 use crate::estimator::{Deadline, Estimator, Look};
-use crate::options::{MAX_THREADS, Setup, Taken, TrackFiles, default_runtime};
+use crate::options::{MAX_THREADS, Setup, Taken, default_runtime};
 use crate::picture::{Picture, expect_size};
 use crate::pose::Outputs;
 use crate::track::{Seen, Track};
@@ -136,9 +136,9 @@ pub unsafe extern "C" fn ffpose_open(
     guarded(|| {
         expect_pointers([("settings", settings.is_null()), ("handle", handle.is_null())])?;
         // SAFETY: not null, and valid as the caller says, with its strings.
-        let (setup, files) = unsafe { setup(&*settings) }?;
+        let (setup, settings) = unsafe { setup(&*settings) }?;
         let estimator = Estimator::open(&setup)?;
-        let track = Track::open(&estimator, &files)?;
+        let track = Track::new(&estimator, settings.as_deref())?;
         let opened = Box::into_raw(Box::new(Ffpose { estimator, track }));
         // SAFETY: not null, and valid for a write as the caller says.
         unsafe { handle.write(opened) };
@@ -208,6 +208,7 @@ pub unsafe extern "C" fn ffpose_track(
         let deadline = deadline(seconds)?;
         // SAFETY: not null, and valid as the caller says.
         let Ffpose { estimator, track } = unsafe { &mut *handle };
+        estimator.expect_uncertainty()?;
         let outputs = if image.is_null() || deadline.is_past() {
             None
         } else {
@@ -273,7 +274,7 @@ pub unsafe extern "C" fn ffpose_restore(handle: *mut Ffpose, path: *const c_char
 
 /// # Safety
 /// The strings are null or ended by a zero.
-unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles), Fault> {
+unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, Option<PathBuf>), Fault> {
     let s = settings;
     // SAFETY: as the caller says.
     let [model, runtime, operators, camera, track, sha256] =
@@ -299,7 +300,7 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles), Fault>
         operators,
         images,
     };
-    Ok((setup, TrackFiles { state: None, settings: track }))
+    Ok((setup, track))
 }
 
 /// # Safety

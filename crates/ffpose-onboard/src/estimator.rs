@@ -8,6 +8,7 @@ use std::time::Instant;
 use ort::session::{RunOptions, Session, SessionInputs, SessionOutputs};
 use ort::value::TensorRef;
 use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
@@ -26,12 +27,15 @@ const POINT: &str = "point";
 /// A model that is ready to run.
 pub struct Estimator {
     metadata: Metadata,
-    digest: [u8; 32],
+    /// Of the model, and of the camera where it is not the model's.
+    tag: [u8; 32],
     /// The camera whose aspect ratio an image must have.
     camera: Option<Camera>,
     session: Session,
     /// The looks where an object is expected.
     near: Option<Session>,
+    /// Whether the model says how far its poses may be off.
+    tells_uncertainty: bool,
 }
 
 /// What limits a look.
@@ -73,16 +77,18 @@ impl Estimator {
         let camera = adapt(&mut model.metadata, &setup.images)?;
         let session = open_session(setup, &model)?;
         let near = if setup.tracks { open_beside(setup, &model)? } else { None };
-        let Model { metadata, digest, .. } = model;
-        let mut estimator = Self { metadata, digest, camera, session, near };
+        let tag = tag(&model, &setup.images);
+        let metadata = model.metadata;
+        let mut estimator = Self { metadata, tag, camera, session, near, tells_uncertainty: true };
         let size =
             3 * estimator.metadata.preprocessing.height * estimator.metadata.preprocessing.width;
         let black = vec![0.0; size];
         let points = [None, estimator.near.is_some().then_some([0.0, 0.0, 1.0])];
         for at in points.into_iter().take(1 + usize::from(estimator.near.is_some())) {
-            estimator
+            let outputs = estimator
                 .run(&black, Look { at, ..Look::default() })
                 .map_err(|error| error.of("the model cannot be run"))?;
+            estimator.tells_uncertainty &= outputs.is_some_and(|said| said.uncertainty.is_some());
         }
         Ok(estimator)
     }
@@ -114,6 +120,19 @@ impl Estimator {
         self.run(&input, look)?.map(Outputs::checked).transpose()
     }
 
+    /// Refuses a model whose poses no tracker can take.
+    ///
+    /// # Errors
+    /// It does not say how far they may be off.
+    pub(crate) fn expect_uncertainty(&self) -> Result<()> {
+        if self.tells_uncertainty {
+            return Ok(());
+        }
+        Err(Error::new(
+            "expected a model that predicts uncertainty, as a track needs it, got one that does not",
+        ))
+    }
+
     /// How the outputs are read.
     pub(crate) fn meaning(&self) -> &Meaning {
         &self.metadata.meaning
@@ -124,9 +143,9 @@ impl Estimator {
         &self.metadata.tracking
     }
 
-    /// The SHA-256 of the model's file.
-    pub(crate) fn digest(&self) -> &[u8; 32] {
-        &self.digest
+    /// What tells tracks of other models and cameras: the SHA-256 of the model's file, or of that and how its images are taken.
+    pub(crate) fn tag(&self) -> &[u8; 32] {
+        &self.tag
     }
 
     fn run(&mut self, input: &[f32], look: Look) -> Result<Option<Outputs>> {
@@ -143,6 +162,16 @@ impl Estimator {
         let inputs = ort::inputs![INPUT => tensor, POINT => point];
         run_until(session, look.deadline, inputs.into())
     }
+}
+
+fn tag(model: &Model, images: &Taken) -> [u8; 32] {
+    let mut hash = Sha256::new_with_prefix(model.digest);
+    match (&model.metadata.preprocessing.reprojection, images) {
+        (Some(reprojection), _) => hash.update(reprojection.source.to_bytes()),
+        (None, Taken::Resized) => hash.update("resized"),
+        (None, _) => return model.digest,
+    }
+    hash.finalize().into()
 }
 
 /// Opens the looks beside a model, `X.track.onnx` of `X.onnx`; None where there are none.

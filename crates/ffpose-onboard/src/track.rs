@@ -21,24 +21,21 @@ const RESET: &str = "reset";
 /// A track, and the file of its state.
 pub struct Track {
     tracker: Tracker,
-    /// Of the model whose poses are tracked.
+    /// Of the model whose poses are tracked, and of the camera.
     tag: [u8; 32],
     state: Option<PathBuf>,
 }
 
 impl Track {
-    /// Starts a track, or takes it up where a state was written.
+    /// Starts a track, or takes it up where a state was written, of a model that can be tracked.
     ///
     /// # Errors
-    /// The settings cannot be used, or the state is none, damaged, or of another model, camera or other settings, or cannot be
+    /// The model tells no uncertainty, the settings cannot be used, or the state is none, damaged, or of another model, camera or other settings, or cannot be
     /// written.
     pub fn open(estimator: &Estimator, files: &TrackFiles) -> Result<Self> {
-        let parameters = parameters(estimator, files.settings.as_deref())?;
-        let mut track = Self {
-            tracker: Tracker::new(parameters).map_err(|error| Error::new(error.to_string()))?,
-            tag: *estimator.digest(),
-            state: files.state.clone(),
-        };
+        estimator.expect_uncertainty()?;
+        let mut track = Self::new(estimator, files.settings.as_deref())?;
+        track.state.clone_from(&files.state);
         if let Some(path) = &files.state {
             if files::exists(path)? {
                 track.restore(path)?;
@@ -46,6 +43,13 @@ impl Track {
             track.save(path)?; // one that cannot be written is told before there are frames
         }
         Ok(track)
+    }
+
+    /// Starts a track by the settings of a file, without a state.
+    pub(crate) fn new(estimator: &Estimator, settings: Option<&Path>) -> Result<Self> {
+        let tracker = Tracker::new(parameters(estimator, settings)?);
+        let tracker = tracker.map_err(|error| Error::new(error.to_string()))?;
+        Ok(Self { tracker, tag: *estimator.tag(), state: None })
     }
 
     /// Poses an image at a time, seconds, and returns its line: what the track makes of it, and what the network says.
