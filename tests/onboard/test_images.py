@@ -56,6 +56,7 @@ def test_a_jpeg_is_decoded_as_by_python_but_for_rounding(run, folder, model):
             "baseline.jpg": jpeg(smooth),
             "gray.jpeg": jpeg(gray),
             "progressive.JPG": jpeg(smooth, progressive=True),
+            "trailer.jpg": jpeg(smooth) + b"trailer \xff\xda",
             "whole.jpg": jpeg(smooth, subsampling=0),
         }
     )

@@ -239,6 +239,10 @@ def test_what_is_no_track_is_told(run, models, frames, tmp_path):
         ('{"gate": -1}', "settings.json: gate: expected a number above 0, got -1"),
         ('{"gate": 20, "gate": 30}', 'settings.json: .* each key once, got "gate" twice'),
         ('{"gate": true}', "gate: expected a number, got true"),
+        ('{"gate": Infinity}', "settings.json: (gate: expected finite|expected a JSON object)"),
+        ('{"gate": 1e999}', "settings.json: (gate: expected finite|expected a JSON object)"),
+        ('{"gate": "-inf"}', "gate: expected .*-inf"),
+        ('{"rate": "inf"}', "rate: expected a finite number above 0, got inf"),
         ("[20]", "settings.json: expected a JSON object"),
     ]:
         settings = tmp_path / "settings.json"
@@ -251,6 +255,24 @@ def test_what_is_no_track_is_told(run, models, frames, tmp_path):
     code, _, (error,) = run(models.with_suffix(".track.onnx"), "--stdin")
     assert code == 1
     assert "expected a model of whole frames" in error
+
+
+def test_settings_may_be_infinite(run, models, frames, tmp_path):
+    """No gate, Gaussian errors, the network's covariances as they are, and a track that never ends."""
+    names = ("gate", "tails", "said_views", "coasting")
+    settings = settings_file(tmp_path, **dict.fromkeys(names, "inf"))
+    state = tmp_path / "track.state"
+    words = ("--track", "--settings", settings, "--state", state)
+    assert run(models, *words, lines=lines_of(frames))[0] == 0
+    read = read_settings(settings, read_model_metadata(models))
+    assert [getattr(read, name) for name in names] == [np.inf] * 4
+    models.write_bytes(sealed(steady(1e-3, tracking=dict.fromkeys(names, np.inf))))
+    models.with_suffix(".track.onnx").unlink()
+    assert Settings.of(read_model_metadata(models)).gate == np.inf
+    gray_far = tmp_path / "far.pgm"
+    gray_far.write_bytes(gray(128, 96, 10))
+    lines = [*lines_of(frames)[:6], f"99 {gray_far}"]
+    assert run(models, "--track", lines=lines)[1][-1]["reason"] == "accepted"
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,9 @@ use crate::json;
 use crate::options::TrackFiles;
 use crate::pose::{Meaning, Outputs, document};
 
+/// A number of settings that JSON has no other word for.
+const INFINITE: &str = "inf";
+
 /// The line that forgets a track.
 const RESET: &str = "reset";
 
@@ -203,9 +206,11 @@ fn parameters(estimator: &Estimator, file: Option<&Path>) -> Result<Parameters> 
 /// Sets what settings name, and checks them all.
 fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()> {
     for (name, value) in settings {
+        let number =
+            |value: &Value| if value == INFINITE { Some(f64::INFINITY) } else { value.as_f64() };
         let values: Option<Vec<f64>> = match value {
-            Value::Array(values) => values.iter().map(Value::as_f64).collect(),
-            number => number.as_f64().map(|number| vec![number]),
+            Value::Array(values) => values.iter().map(number).collect(),
+            value => number(value).map(|number| vec![number]),
         };
         let set = parameters.set(name, &values.unwrap_or_default());
         set.map_err(|error| Error::new(format!("{name}: {error}, got {value}")))?;

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -106,7 +107,7 @@ class ModelMetadata:
             **({} if self.locates == "object" else {"locates": self.locates}),
             **({"takes_point": "true"} if self.takes_point else {}),
             **({"track_sha256": self.track_sha256} if self.track_sha256 else {}),
-            **({"tracking": json.dumps(self.tracking)} if self.tracking else {}),
+            **({"tracking": _finite(self.tracking)} if self.tracking else {}),
             **({"symmetry": json.dumps(self.symmetry.to_json())} if self.symmetry.axes else {}),
             **({"decoding": json.dumps(decoding)} if any(decoding.values()) else {}),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
@@ -193,6 +194,12 @@ def read_model(path: str | Path) -> tuple[ModelMetadata, bytes]:
         return ModelMetadata.from_entries(entries), data
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"expected metadata that ffpose {version} wrote: {error}", path) from error
+
+
+def _finite(numbers: Mapping[str, float | str]) -> str:
+    """Return settings of a tracker as JSON, which has no infinity: the word that stands for it."""
+    told = {name: "inf" if value == math.inf else value for name, value in numbers.items()}
+    return json.dumps(told, allow_nan=False)
 
 
 def sealed(data: bytes) -> bytes:

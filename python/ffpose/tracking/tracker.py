@@ -9,6 +9,7 @@ states too: first-order Gauss-Markov processes in the angle turned, not in time.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -24,6 +25,9 @@ from ffpose.geometry import FloatArray, Pose
 
 if TYPE_CHECKING:
     from ffpose.inference.estimator import Description
+
+INFINITE = "inf"
+"""What stands for infinity in settings of JSON files and metadata."""
 
 Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquiring", "lost"]
 """What became of a frame: it corrected the track; another attitude leads from now on, as the frame
@@ -94,12 +98,17 @@ class Settings:
     def of(cls, network: Description, settings: Mapping[str, Any] | None = None) -> Settings:
         """Return what a network's metadata says of its errors, but for fields of ``settings``.
 
+        In both ``"inf"`` stands for infinity, for which JSON has no number.
+
         Raises:
             ValueError: ``tracking`` or ``settings`` has a field that is none.
         """
         told: dict[str, Any] = {}
         for name, given in (("tracking", network.tracking), ("settings", settings)):
-            told |= given or {}
+            told |= {
+                name: math.inf if value == INFINITE else value
+                for name, value in (given or {}).items()
+            }
             if unknown := told.keys() - {field.name for field in fields(cls)}:
                 raise ValueError(f"{name}: expected fields of Settings, got {', '.join(unknown)}")
         if network.degrees_of_freedom is not None:
@@ -112,7 +121,7 @@ def read_settings(path: Path | None, network: Description) -> Settings:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DataError: It is no JSON object of fields of `Settings`.
+        DataError: It is no JSON object of fields of `Settings`, finite numbers or ``"inf"``.
     """
     if path is None:
         return Settings.of(network)
@@ -122,13 +131,19 @@ def read_settings(path: Path | None, network: Description) -> Settings:
             raise ValueError(f"expected a JSON object, got {type(told).__name__}")
         for name, value in told.items():
             numbers = value if isinstance(value, list) else [value]
-            if any(type(number) not in (int, float) for number in numbers):
-                raise ValueError(f"{name}: expected numbers, got {shortened(value)}")
+            if value != INFINITE and not all(_is_number(number) for number in numbers):
+                expected = f'finite numbers, or "{INFINITE}" for infinity'
+                raise ValueError(f"{name}: expected {expected}, got {shortened(value)}")
         settings = Settings.of(network, told)
         Tracker(settings)
     except (OverflowError, TypeError, ValueError) as error:
         raise DataError(str(error), path) from error
     return settings
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value of a JSON file is a number of JSON's own: Python takes others too."""
+    return type(value) in (int, float) and math.isfinite(value)
 
 
 @dataclass(frozen=True, eq=False)
