@@ -76,8 +76,8 @@ typedef struct {
   int32_t is_accepted; /* 1: the frame corrected the track; 0 of FFPOSE_SWITCHED: another leads, which the frame did not correct */
   double position_m[3];
   double orientation_wxyz[4];
-  double velocity_m_s[3];          /* camera axes */
-  double angular_velocity_deg_s[3]; /* relative to the camera, object's axes */
+  double velocity_m_s[3];           /* camera axes */
+  double angular_velocity_deg_s[3]; /* object's axes; both relative to the camera, whose own turning is not told here: no gyro */
   /* of position (m), velocity (m/s), attitude (rad, object's axes: R_true = R exp([r]x)) and angular velocity (rad/s) */
   double covariance[12][12];
   double nis; /* squared Mahalanobis distance of the frame, six degrees of freedom; NaN without either */
