@@ -71,7 +71,9 @@ def png(bits, kind, width, height, data=b"", interlaced=0):
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts)
 
 
-@pytest.mark.parametrize(("bits", "kind"), [(1, 0), (4, 0), (8, 0), (16, 0), (8, 2), (8, 3), (8, 6)])
+@pytest.mark.parametrize(
+    ("bits", "kind"), [(1, 0), (4, 0), (8, 0), (16, 0), (8, 2), (8, 3), (8, 6)]
+)
 @pytest.mark.parametrize("level", [0, 255])
 def test_a_png_file_that_lacks_rows_is_refused(tmp_path, bits, kind, level):
     """Its zlib stream ends properly: Pillow alone leaves the rows black, and says nothing."""

@@ -258,7 +258,7 @@ def test_what_is_no_track_is_told(run, models, frames, tmp_path):
 
 
 def test_settings_may_be_infinite(run, models, frames, tmp_path):
-    """No gate, Gaussian errors, the network's covariances as they are, and a track that never ends."""
+    """No gate, Gaussian errors, the network's own covariances, and a track that never ends."""
     names = ("gate", "tails", "said_views", "coasting")
     settings = settings_file(tmp_path, **dict.fromkeys(names, "inf"))
     state = tmp_path / "track.state"

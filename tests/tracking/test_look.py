@@ -165,9 +165,9 @@ def test_a_pose_that_a_tracker_cannot_take_is_coasted_over(tmp_path):
     assert before.step.outcome == after.step.outcome == "accepted"
     assert (failed.step.outcome, failed.step.time, failed.alone) == ("coasted", 6, None)
     assert failed.reason == "position_covariance: expected a positive definite matrix"
+    again = follow(Estimator(), [*frames, frames[3]], Tracker(Settings(agreeing=2)))
     with pytest.raises(ValueError, match="time: expected later than 9"):
-        tracker = Tracker(Settings(agreeing=2))
-        list(follow(Estimator(), [*frames, frames[3]], tracker))
+        list(again)
 
 
 @pytest.mark.slow

@@ -218,7 +218,7 @@ pub unsafe extern "C" fn ffpose_track(
         };
         let meaning = estimator.meaning();
         let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose()?;
-        let (step, reason) = track.step(time, seen)?;
+        let (step, reason) = track.step(time, seen.as_ref())?;
         let told = moved(time, &step, reason);
         // SAFETY: not null, and valid for a write as the caller says.
         unsafe { motion.write(told) };

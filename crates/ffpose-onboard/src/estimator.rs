@@ -302,7 +302,7 @@ mod tests {
     #[test]
     fn what_is_done_after_the_deadline_is_not_kept() {
         let past = Deadline(Some(Instant::now()));
-        let later = Deadline(Some(Instant::now() + Duration::from_secs(3600)));
+        let later = Deadline(Some(Instant::now() + Duration::from_hours(1)));
         assert!(past.is_past() && !later.is_past() && !Deadline::default().is_past());
         assert_eq!(past.keeps(Ok(1)).unwrap(), None);
         assert_eq!(past.keeps::<u8>(Err(Error::new("terminated"))).unwrap(), None);

@@ -100,7 +100,7 @@ impl Track {
             failed = Some(error);
             None
         });
-        let (step, reason) = self.step(seconds, seen)?;
+        let (step, reason) = self.step(seconds, seen.as_ref())?;
         let mut line = Map::from_iter([("time".into(), json!(seconds))]);
         line.extend(told(&step, reason));
         if let Some(outputs) = &outputs {
@@ -131,12 +131,9 @@ impl Track {
     }
 
     /// Moves on to a time, seconds, with what a frame says; returns what became of it, in a word.
-    pub(crate) fn step(&mut self, time: f64, seen: Option<Seen>) -> Result<(Step, &'static str)> {
-        let flagged = matches!(seen, Some(Seen::Nothing));
-        let measured = match &seen {
-            Some(Seen::Object(measured)) => Some(measured),
-            _ => None,
-        };
+    pub(crate) fn step(&mut self, time: f64, seen: Option<&Seen>) -> Result<(Step, &'static str)> {
+        let flagged = seen.is_some_and(|Seen(measured)| measured.is_none());
+        let measured = seen.and_then(|Seen(measured)| measured.as_ref());
         let step = self.tracker.step(time, measured, [0.0; 3]);
         let step = step.map_err(|error| Error::new(error.to_string()))?;
         let reason = match step.outcome {
@@ -218,13 +215,8 @@ fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()>
     parameters.check().map_err(|error| Error::new(error.to_string()))
 }
 
-/// What a network says of a frame, as a tracker takes it.
-pub(crate) enum Seen {
-    /// One pose, or one of two.
-    Object(Measurement),
-    /// The frame is flagged.
-    Nothing,
-}
+/// What a network says of a frame, as a tracker takes it: one pose or one of two, or None where the frame is flagged.
+pub(crate) struct Seen(Option<Measurement>);
 
 impl Seen {
     /// Takes the outputs of a network.
@@ -233,9 +225,9 @@ impl Seen {
     /// They have no uncertainty, or one that a tracker cannot take.
     pub(crate) fn of(outputs: &Outputs, meaning: &Meaning) -> Result<Self> {
         if outputs.flagged(meaning) == Some(true) {
-            return Ok(Self::Nothing);
+            return Ok(Self(None));
         }
-        measurement(outputs).map(Self::Object)
+        measurement(outputs).map(Some).map(Self)
     }
 }
 

@@ -124,7 +124,8 @@ fn what_is_seen_elsewhere_after_a_loss_must_be_seen_again() {
 
 #[test]
 fn a_long_silence_is_one_that_was_told() {
-    for gap in [10.5, 60.0, 300.0, 3600.0] {
+    for steps in [21, 120, 600, 7200] {
+        let gap = f64::from(steps) * 0.5;
         for told in [false, true] {
             let mut random = Random(7);
             let mut tracker = tracker();
@@ -133,7 +134,6 @@ fn a_long_silence_is_one_that_was_told() {
                 tracker.step(f64::from(i) * 0.5, Some(&shown), STILL).unwrap();
             }
             let mut outcomes = vec![];
-            let steps = (gap / 0.5) as u32;
             for i in (1..steps).filter(|_| told) {
                 let time = 29.5 + f64::from(i) * 0.5;
                 outcomes.push(tracker.step(time, None, STILL).unwrap().outcome);

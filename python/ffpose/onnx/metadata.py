@@ -7,9 +7,9 @@ All entries are strings: ``ffpose_format`` (version of these entries), ``ffpose_
 for Gaussian ones). An int8 graph also has ``precision`` and ``calibration_sha256``, the SHA-256
 of the concatenated hexadecimal SHA-256s of its calibration images. A graph that locates the camera
 in the world has ``locates``, with the value ``camera``. One that takes the point where to look as a
-second input, ``point``, has ``takes_point``, with the value ``true``; a graph that was exported with
-one has ``track_sha256``, the SHA-256 of its file. ``tracking`` is there where the weights say what a
-tracker expects of the network's errors, as JSON.
+second input, ``point``, has ``takes_point``, with the value ``true``; a graph that was exported
+with one has ``track_sha256``, the SHA-256 of its file. ``tracking`` is there where the weights say
+what a tracker expects of the network's errors, as JSON.
 
 The last record of the file is the entry ``ffpose_sha256``, the SHA-256 of all bytes before it,
 which shows alterations without a second file. ONNX files are protobuf messages, whose records may

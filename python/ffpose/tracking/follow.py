@@ -50,8 +50,8 @@ def follow(
     """Pose each frame and track the object through them, frame by frame, in the order of times.
 
     An image that cannot be used is coasted over, and so is a pose whose covariances the tracker
-    refuses, as rounding can leave them without an inverse. If the network's single look was opened, it looks
-    where the object is expected, and searches a whole frame where that is not known
+    refuses, as rounding can leave them without an inverse. If the network's single look was opened,
+    it looks where the object is expected, and searches a whole frame where that is not known
     (`Tracker.expected`). The tracker goes on from where it is.
 
     Raises:

@@ -252,8 +252,8 @@ class Tracker:
 
         Raises:
             TypeError: The pose is none.
-            ValueError: The time is not later where it must be, the pose has no uncertainty, or a covariance is not
-                positive definite; nothing has changed then.
+            ValueError: The time is not later where it must be, the pose has no uncertainty, or a
+                covariance is not positive definite; nothing has changed then.
         """
         rows = [] if pose is None else _modes(pose)
         flagged = pose is not None and pose.flagged
