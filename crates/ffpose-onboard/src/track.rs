@@ -33,8 +33,8 @@ impl Track {
     /// Starts a track, or takes it up where a state was written, of a model that can be tracked.
     ///
     /// # Errors
-    /// The model tells no uncertainty, the settings cannot be used, or the state is none, damaged, or of another model, camera or other settings, or cannot be
-    /// written.
+    /// The model tells no uncertainty, the settings cannot be used, or the state is none, damaged, or of another model, camera or
+    /// other settings, or cannot be written.
     pub fn open(estimator: &Estimator, files: &TrackFiles) -> Result<Self> {
         estimator.expect_uncertainty()?;
         let mut track = Self::new(estimator, files.settings.as_deref())?;

@@ -159,7 +159,9 @@ impl Tracker {
     /// Moves on to the time of a frame, seconds, and takes in what it says.
     ///
     /// Times grow. Where nothing is followed any may come, and where no track leads one that is earlier by more than
-    /// [`Parameters::coasting`]: of one wrong time no more is left than of a gap. `measurement` is None for a frame that says nothing. `camera_rate` is the camera's own angular velocity since the last frame,
+    /// [`Parameters::coasting`]: of one wrong time no more is left than of a gap.
+    ///
+    /// `measurement` is None for a frame that says nothing. `camera_rate` is the camera's own angular velocity since the last frame,
     /// rad/s along its axes, where a gyro measures it; else zero.
     ///
     /// # Errors

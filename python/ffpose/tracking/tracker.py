@@ -143,7 +143,7 @@ def read_settings(path: Path | None, network: Description) -> Settings:
 
 def _is_number(value: object) -> bool:
     """Return whether a value of a JSON file is a number of JSON's own: Python takes others too."""
-    return type(value) in (int, float) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,8 +286,8 @@ class Tracker:
     def state(self, model: bytes = b"") -> bytes:
         """Return the tracker as bytes, exact, for `from_state`.
 
-        ``model`` tells the network from others, as the bytes of its file; its digest is kept. So is
-        that of states of ``ffpose-onboard``, but for ones with another camera, or resized.
+        ``model`` tells the network from others, as the bytes of its file; its digest is kept. So it
+        is in the states of ``ffpose-onboard``, but with ``--camera`` or ``--resize``.
         """
         return self._tracker.state(hashlib.sha256(model).digest())
 
