@@ -72,10 +72,11 @@ def projections(how=None, view=(50.0, 50.0, 32.0, 24.0), **entries):
     return model.SerializeToString()
 
 
-def steady(variance, *, takes_point=False, rounds=0):
+def steady(variance, *, takes_point=False, rounds=0, sure=True, **fields):
     """The bytes of a graph that tells a position by the level of its input, of this variance, m².
 
-    A level above 180 shows no object. ``rounds`` of products of matrices make it slow.
+    A level above 180 shows no object. ``rounds`` of products of matrices make it slow; without
+    ``sure`` it tells a pose alone; ``fields`` are of its metadata.
     """
     onnx = pytest.importorskip("onnx")
     helper, of_array = onnx.helper, onnx.numpy_helper.from_array
@@ -129,6 +130,8 @@ def steady(variance, *, takes_point=False, rounds=0):
         nodes.insert(0, node("Mul", ["point", "none"], ["unmoved"]))
     shapes = {name: value.shape for name, value in constants.items()}
     shapes |= {"translation": (1, 3), "in_view": (1,)}
+    if not sure:
+        shapes = {name: shapes[name] for name in ("translation", "orientation")}
     outputs = [helper.make_tensor_value_info(name, 1, shape) for name, shape in shapes.items()]
     kept = [of_array(value, name) for name, value in tensors.items()]
     kept += [of_array(value, f"{name}_") for name, value in constants.items()]
@@ -137,9 +140,8 @@ def steady(variance, *, takes_point=False, rounds=0):
     model = helper.make_model(graph, opset_imports=opsets, ir_version=9)
     config = replace(CONFIGS["compact"], image_size=SIZE, degrees_of_freedom=(5.0, 4.0))
     plain = Preprocessing(SIZE, mean=(0, 0, 0), std=(1, 1, 1))
-    metadata = ModelMetadata(
-        config, plain, "none", CAMERA, 0.5, takes_point=takes_point, tracking={"attitude_angle": 18}
-    )
+    told = {"weights_sha256": "ab" * 32, "tracking": {"attitude_angle": 18}} | fields
+    metadata = ModelMetadata(config, plain, "none", CAMERA, 0.5, takes_point=takes_point, **told)
     helper.set_model_props(model, metadata.to_entries())
     return model.SerializeToString()
 

@@ -612,6 +612,7 @@ def export(options: Namespace) -> None:
 
     With --int8, the differences of poses from float32 on the calibration images are printed too.
     """
+    from ffpose._internal.files import sha256
     from ffpose.imaging.images import image_files
     from ffpose.inference.int8 import quantize_graph
     from ffpose.inference.source import TRACK_SUFFIX
@@ -625,14 +626,12 @@ def export(options: Namespace) -> None:
     images = image_files(options.calibrate, "calibrate") if options.int8 else []
     with TemporaryDirectory(prefix="ffpose-export-") as folder:
         path = Path(folder) / "float32.onnx" if options.int8 else options.out
+        fields = inference_fields(options)
         if options.track:
             beside = options.out.with_suffix(TRACK_SUFFIX)
             tell(export_weights(options.weights, beside, options.filter, takes_point=True, say=say))
-        tell(
-            export_weights(
-                options.weights, path, options.filter, say=say, **inference_fields(options)
-            )
-        )
+            fields["track_sha256"] = sha256(beside)
+        tell(export_weights(options.weights, path, options.filter, say=say, **fields))
         if options.int8:
             quantized = quantize_graph(path, options.out, images, say=say)
             print(*quantized.lines(), sep="\n")

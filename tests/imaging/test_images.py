@@ -28,6 +28,8 @@ def test_eight_bits_a_channel_keep_their_values(tmp_path):
         np.testing.assert_array_equal(found, color[..., :3])
     gray = np.asarray(read_rgb(written(tmp_path, RAMP.astype(np.uint8))))
     np.testing.assert_array_equal(gray, np.repeat(RAMP[..., None], 3, axis=2))
+    bits = np.asarray(read_rgb(written(tmp_path, RAMP % 2 == 0)))
+    np.testing.assert_array_equal(bits, 255 * np.repeat(RAMP[..., None] % 2 == 0, 3, axis=2))
 
 
 @pytest.mark.parametrize(
@@ -35,7 +37,6 @@ def test_eight_bits_a_channel_keep_their_values(tmp_path):
     [
         ((RAMP * 5000).astype(np.uint16), "deep.png", r"I;16, and no white level \(white\)"),
         ((RAMP / 11).astype(np.float32), "real.tiff", "F"),
-        (RAMP % 2 == 0, "bits.png", "1"),
     ],
 )
 def test_other_pixels_are_refused_not_clipped(tmp_path, pixels, name, mode):
@@ -56,16 +57,56 @@ def test_a_broken_image_is_named(tmp_path, content):
         read_rgb(path)
 
 
-def png(bits, kind, width, height, data=b""):
+def png(bits, kind, width, height, data=b"", interlaced=0):
     """A PNG by its specification: the header's last three bytes are the only methods there are."""
 
     def chunk(name, content):
         crc = zlib.crc32(name + content)
         return struct.pack(">I", len(content)) + name + content + struct.pack(">I", crc)
 
-    header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
-    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(data)), (b"IEND", b""))
+    header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, interlaced)
+    ramp = bytes(level for level in range(256) for _ in range(3))
+    palette = ((b"PLTE", ramp),) if kind == 3 else ()
+    parts = ((b"IHDR", header), *palette, (b"IDAT", zlib.compress(data)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("bits", "kind"), [(1, 0), (4, 0), (8, 0), (16, 0), (8, 2), (8, 3), (8, 6)]
+)
+@pytest.mark.parametrize("level", [0, 255])
+def test_a_png_file_that_lacks_rows_is_refused(tmp_path, bits, kind, level):
+    """Its zlib stream ends properly: Pillow alone leaves the rows black, and says nothing."""
+    path = tmp_path / "short.png"
+    row = b"\0" + bytes([level]) * -(-13 * bits * {0: 1, 2: 3, 3: 1, 6: 4}[kind] // 8)
+    white = 65535 if bits == 16 else None
+    path.write_bytes(png(bits, kind, 13, 9, 9 * row))
+    pixels = np.asarray(read_rgb(path, white))
+    np.testing.assert_array_equal(pixels, np.full((9, 13, 3), level))
+    for missing in (1, len(row), 5 * len(row), 9 * len(row)):
+        path.write_bytes(png(bits, kind, 13, 9, (9 * row)[:-missing]))
+        with pytest.raises(DataError, match=r"short\.png: (expected|cannot be read as an image)"):
+            read_rgb(path, white)
+
+
+@pytest.mark.parametrize(("width", "height"), [(13, 9), (1, 1), (1, 9), (2, 2), (5, 1), (8, 8)])
+def test_the_rows_of_an_interlaced_png_file_are_counted_by_pass(tmp_path, width, height):
+    """Adam7, by the specification's own drawing of which pass a pixel of 8x8 is in."""
+    drawing = (
+        *("16462646", "77777777", "56565656", "77777777"),
+        *("36463646", "77777777", "56565656", "77777777"),
+    )
+    rows = b""
+    for each in "1234567":
+        for y in range(height):
+            columns = sum(drawing[y % 8][x % 8] == each for x in range(width))
+            rows += (b"\0" + b"\x80" * columns) if columns else b""
+    path = tmp_path / "laced.png"
+    path.write_bytes(png(8, 0, width, height, rows, interlaced=1))
+    np.testing.assert_array_equal(read_rgb(path), np.full((height, width, 3), 128))
+    path.write_bytes(png(8, 0, width, height, rows[:-1], interlaced=1))
+    with pytest.raises(DataError, match=rf"expected {len(rows)} bytes of pixels.*got|cannot be"):
+        read_rgb(path)
 
 
 @pytest.mark.parametrize(("kind", "channels"), [(2, 3), (4, 2), (6, 4)])

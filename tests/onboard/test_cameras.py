@@ -12,6 +12,7 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
+from ffpose.inference.prediction import camera_beside
 from ffpose.onnx.metadata import sealed
 from onboard_program import CAMERA, PILLOW, SIZE, assert_same, expected, picture, png, projections
 
@@ -70,6 +71,23 @@ def test_images_of_another_camera_are_refused_unless_asked_for(run, folder, mode
     code, (_, wide), _ = run(model, "--images", images, "--resize")
     assert code == 0
     assert_same(wide, expected(load(model, resize=True, threads=1), images / "wide.png"), 0)
+
+
+def test_a_camera_beside_the_images_is_to_be_named(run, folder, model):
+    """Python's `ffpose predict` takes it: without it the poses would be others."""
+    images = folder({"same.png": png(picture(64, 48))})
+    beside = images / "camera.json"
+    replace(CAMERA, fx=200.0, fy=200.0).write(beside)
+    code, documents, (error,) = run(model, "--images", images)
+    assert (code, documents) == (1, [])
+    assert f"expected --camera {beside}, the camera beside the images, or --resize" in error
+    code, (named,), _ = run(model, "--images", images, "--camera", beside)
+    wanted = expected(load(model, camera=camera_beside([images / "same.png"])), images / "same.png")
+    assert_same(named, wanted, 1e-4)
+    code, (resized,), _ = run(model, "--images", images, "--resize")
+    assert code == 0
+    assert run(model, "--stdin", lines=[images / "same.png"])[1] == [resized]
+    assert resized["translation_m"] != named["translation_m"]
 
 
 def test_a_camera_that_cannot_be_used_is_told_in_one_line(run, tmp_path, model):

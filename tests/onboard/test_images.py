@@ -38,7 +38,7 @@ def test_the_input_is_that_of_python_to_the_bit(run, folder, tmp_path, mode, int
     if PILLOW >= 13:  # before, tall images were resized across first
         sizes += [(9, 400), (128, 300), (120, 160), (120, 161)]
     files = {f"{w}x{h}.png": png(picture(w, h)) for w, h in sizes}
-    files |= {f"{kind}.png": png(picture(mode=kind)) for kind in ("L", "LA", "P", "RGBA")}
+    files |= {f"{kind}.png": png(picture(mode=kind)) for kind in ("L", "LA", "P", "RGBA", "1")}
     images = folder(files)
     code, documents, errors = run(graph, "--images", images, "--resize")
     assert (code, errors) == (0, [])
@@ -56,6 +56,7 @@ def test_a_jpeg_is_decoded_as_by_python_but_for_rounding(run, folder, model):
             "baseline.jpg": jpeg(smooth),
             "gray.jpeg": jpeg(gray),
             "progressive.JPG": jpeg(smooth, progressive=True),
+            "trailer.jpg": jpeg(smooth) + b"trailer \xff\xda",
             "whole.jpg": jpeg(smooth, subsampling=0),
         }
     )

@@ -1,10 +1,12 @@
 """Tracks of the program and of its C library: those of Python, kept through a restart, in time."""
 
 import ctypes
+import hashlib
 import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -12,10 +14,11 @@ import pytest
 
 from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.inference.load import load
 from ffpose.onnx.metadata import read_model_metadata, sealed
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.tracker import read_settings
-from onboard_program import CRATE, steady
+from onboard_program import CAMERA, CRATE, steady
 
 pytest.importorskip("onnx")
 
@@ -24,8 +27,9 @@ pytest.importorskip("onnx")
 def models(tmp_path):
     """A model X.onnx with the looks of a track, which are ten times as sure, beside it."""
     path = tmp_path / "x.onnx"
-    path.write_bytes(sealed(steady(1e-3)))
-    path.with_suffix(".track.onnx").write_bytes(sealed(steady(1e-4, takes_point=True)))
+    beside = sealed(steady(1e-4, takes_point=True))
+    path.with_suffix(".track.onnx").write_bytes(beside)
+    path.write_bytes(sealed(steady(1e-3, track_sha256=hashlib.sha256(beside).hexdigest())))
     return path
 
 
@@ -109,7 +113,111 @@ def test_a_state_is_taken_up_again(run, models, frames, tmp_path):
     models.with_suffix(".track.onnx").unlink()
     code, documents, (error,) = run(models, "--track", "--state", state, lines=lines)
     assert (code, documents) == (1, [])
-    assert "state: expected one of this model, got that of another" in error
+    assert "state: expected one of this model and camera, got that of another" in error
+
+
+def test_looks_that_were_changed_on_purpose_are_refused(run, models, opened, library):
+    """The digest of X.onnx covers X.track.onnx, which it records the digest of."""
+
+    def digest(path):
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+
+    def starts(message, *arguments):
+        code, _, errors = run(models, "--track", *arguments)
+        assert (code, " ".join(errors)) == (0, "") if message is None else code == 1
+        assert message is None or message in errors[0]
+
+    beside = models.with_suffix(".track.onnx")
+    starts(None, "--sha256", digest(models))
+    assert opened(sha256=digest(models).encode())[0] == 0
+    beside.write_bytes(sealed(steady(1e-5, takes_point=True)))
+    other = f"{beside}: expected SHA-256 {read_model_metadata(models).track_sha256} (of the model"
+    for arguments in ((), ("--sha256", digest(models))):
+        starts(other, *arguments)
+    assert opened(sha256=digest(models).encode())[0] == 2
+    assert other.encode() in library.ffpose_error()
+    with pytest.raises(DataError, match="expected SHA-256"):
+        load(models, track=True)
+    # an earlier export records none, and its digest is of itself alone
+    models.write_bytes(sealed(steady(1e-3)))
+    starts(None)
+    load(models, track=True)
+    starts("expected a model that records the SHA-256 of these looks", "--sha256", digest(models))
+    # of no weights that are known
+    for path, graph in ((models, {}), (beside, {"takes_point": True})):
+        path.write_bytes(sealed(steady(1e-3, weights_sha256=None, **graph)))
+    starts("expected a track's looks of the weights of the model beside it")
+    with pytest.raises(DataError, match="expected the single looks of the weights of"):
+        load(models, track=True)
+
+
+def test_a_clock_that_jumps_does_not_block_a_track(run, models, frames, tmp_path):
+    state = tmp_path / "track.state"
+    lines = lines_of(frames[:6])
+    reasons = ["acquiring"] * 3 + ["accepted"] * 3
+    first = run(models, "--track", "--state", state, lines=[*lines, f"1e300 {frames[0]}"])[1]
+    assert [each["reason"] for each in first] == [*reasons, "lost"]
+    later = [f"{10 + place / 2} {path}" for place, path in enumerate(frames[:6])]
+    second = run(models, "--track", "--state", state, lines=later)[1]
+    assert [each["reason"] for each in second] == reasons
+    # set back where a track leads: told, until it is reset
+    code, third, _ = run(models, "--track", "--state", state, lines=[lines[0], "reset", *lines])
+    assert code == 3
+    assert "time: expected later than 12.5 s" in third[0]["error"]
+    assert third[1] == {"image": "", "accepted": False, "reason": "reset"}
+    assert third[2:] == run(models, "--track", lines=lines)[1]
+
+
+def test_a_state_that_cannot_be_written_is_told_before_frames(run, models, frames, tmp_path):
+    state = tmp_path / "none" / "track.state"
+    code, documents, (error,) = run(models, "--track", "--state", state, lines=lines_of(frames))
+    assert (code, documents) == (1, [])
+    assert f"{state}: cannot be written" in error
+    state = tmp_path / "track.state"
+    assert run(models, "--track", "--state", state)[0] == 0
+    assert Tracker.from_state(state.read_bytes(), models.read_bytes()).time is None
+
+
+def test_a_state_of_another_camera_is_refused(run, models, frames, tmp_path, opened, library):
+    """Its position is of images that were reprojected otherwise."""
+    files = {}
+    for name, focal in {"wide": 40.0, "narrow": 70.0}.items():
+        files[name] = tmp_path / f"{name}.json"
+        replace(CAMERA, fx=focal, fy=focal).write(files[name])
+    ways = {
+        "own": (),
+        "wide": ("--camera", files["wide"]),
+        "narrow": ("--camera", files["narrow"]),
+        "resized": ("--resize",),
+    }
+    states = {name: tmp_path / f"{name}.state" for name in ways}
+    for name, words in ways.items():
+        lines = lines_of(frames)[:6]
+        assert run(models, "--track", "--state", states[name], *words, lines=lines)[0] == 0
+    for name, words in ways.items():
+        fields = {"camera": bytes(files[name])} if name in files else {"resize": name == "resized"}
+        _, handle = opened(**fields)
+        for other, state in states.items():
+            code, _, errors = run(models, "--track", "--state", state, *words)
+            assert code == (name != other), (name, other)
+            assert name == other or "expected one of this model and camera" in errors[0]
+            assert library.ffpose_restore(handle, bytes(state)) == (0 if name == other else 2)
+
+
+def test_a_model_without_uncertainty_has_poses_alone(run, frames, tmp_path, opened, library):
+    path = tmp_path / "alone.onnx"
+    path.write_bytes(sealed(steady(1e-3, sure=False)))
+    told = "expected a model that predicts uncertainty"
+    code, documents, (error,) = run(path, "--track", lines=lines_of(frames))
+    assert (code, documents) == (1, [])
+    assert told in error
+    assert run(path, "--stdin", lines=frames[:1])[0] == 0
+    code, handle = opened(model=bytes(path))
+    levels = np.full((96, 128), 100, np.uint8)
+    assert (code, ask(library, handle, levels)[0]) == (0, 0)
+    for image in (levels, None):
+        assert move(library, handle, image, 1.0)[0] == 2
+        assert library.ffpose_error().startswith(told.encode())
 
 
 def settings_file(folder, **settings):
@@ -119,9 +227,11 @@ def settings_file(folder, **settings):
 
 
 def test_what_is_no_track_is_told(run, models, frames, tmp_path):
-    code, documents, _ = run(models, "--track", lines=["1 a.pgm", "now b.pgm", f"1 {frames[0]}"])
+    lines = [f"1 {frames[0]}", "now b.pgm", f"1 {frames[0]}", "reset a.pgm"]
+    code, documents, _ = run(models, "--track", lines=lines)
     assert code == 3
-    errors = [each["error"] for each in documents]
+    errors = [each.get("error") for each in documents]
+    assert errors[3] == 'time: expected seconds before the path, got "reset"'
     assert errors[1] == 'time: expected seconds before the path, got "now"'
     assert errors[2] == "time: expected later than 1 s, the frame before, got 1 s"
     for text, message in [
@@ -129,6 +239,10 @@ def test_what_is_no_track_is_told(run, models, frames, tmp_path):
         ('{"gate": -1}', "settings.json: gate: expected a number above 0, got -1"),
         ('{"gate": 20, "gate": 30}', 'settings.json: .* each key once, got "gate" twice'),
         ('{"gate": true}', "gate: expected a number, got true"),
+        ('{"gate": Infinity}', "settings.json: (gate: expected finite|expected a JSON object)"),
+        ('{"gate": 1e999}', "settings.json: (gate: expected finite|expected a JSON object)"),
+        ('{"gate": "-inf"}', "gate: expected .*-inf"),
+        ('{"rate": "inf"}', "rate: expected a finite number above 0, got inf"),
         ("[20]", "settings.json: expected a JSON object"),
     ]:
         settings = tmp_path / "settings.json"
@@ -141,6 +255,24 @@ def test_what_is_no_track_is_told(run, models, frames, tmp_path):
     code, _, (error,) = run(models.with_suffix(".track.onnx"), "--stdin")
     assert code == 1
     assert "expected a model of whole frames" in error
+
+
+def test_settings_may_be_infinite(run, models, frames, tmp_path):
+    """No gate, Gaussian errors, the network's own covariances, and a track that never ends."""
+    names = ("gate", "tails", "said_views", "coasting")
+    settings = settings_file(tmp_path, **dict.fromkeys(names, "inf"))
+    state = tmp_path / "track.state"
+    words = ("--track", "--settings", settings, "--state", state)
+    assert run(models, *words, lines=lines_of(frames))[0] == 0
+    read = read_settings(settings, read_model_metadata(models))
+    assert [getattr(read, name) for name in names] == [np.inf] * 4
+    models.write_bytes(sealed(steady(1e-3, tracking=dict.fromkeys(names, np.inf))))
+    models.with_suffix(".track.onnx").unlink()
+    assert Settings.of(read_model_metadata(models)).gate == np.inf
+    gray_far = tmp_path / "far.pgm"
+    gray_far.write_bytes(gray(128, 96, 10))
+    lines = [*lines_of(frames)[:6], f"99 {gray_far}"]
+    assert run(models, "--track", lines=lines)[1][-1]["reason"] == "accepted"
 
 
 @pytest.fixture(scope="session")
@@ -200,7 +332,7 @@ def test_errors_for_c_are_codes_and_sentences(call, models, frames, tmp_path):
     empty = tmp_path / "empty.pgm"
     empty.write_bytes(gray(0, 0, 0))
     _, rows, _ = call(models, [other, frames[0], empty, "nowhere.pgm"])
-    assert [row[0] for row in rows] == ["2", "0", "2", "2"]
+    assert [row[0] for row in rows] == ["2", "0", "2", "3"]
     assert "96x96" in " ".join(rows[0])
     assert "at most 89478485" in " ".join(rows[2])
 
@@ -232,6 +364,11 @@ def library(program):
     library.ffpose_error.restype = ctypes.c_char_p
     for name, kinds in {
         "pose": [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p],
+        "track": [
+            *(ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p),
+            *(ctypes.c_double, ctypes.c_void_p),
+        ],
+        "reset": [ctypes.c_void_p],
         "save": [ctypes.c_void_p, ctypes.c_char_p],
         "restore": [ctypes.c_void_p, ctypes.c_char_p],
         "close": [ctypes.c_void_p],
@@ -268,6 +405,28 @@ def ask(library, handle, levels, seconds=0.0, **fields):
     return code, list(pose)
 
 
+class Motion(ctypes.Structure):
+    """ffpose_motion."""
+
+    _fields_: ClassVar = [
+        ("time", ctypes.c_double),
+        *((name, ctypes.c_int32) for name in ("outcome", "has_track", "is_accepted")),
+        ("position", ctypes.c_double * 3),
+        ("rest", ctypes.c_double * (4 + 3 + 3 + 144 + 1)),
+    ]
+
+
+def move(library, handle, levels, time, seconds=0.0):
+    """Moves a track on; returns code, outcome and the motion."""
+    motion = Motion()
+    image = None
+    if levels is not None:
+        height, width = levels.shape
+        image = ctypes.byref(Pixels(levels.ctypes.data, width, height, 1, 0))
+    code = library.ffpose_track(handle, time, image, seconds, ctypes.byref(motion))
+    return code, motion.outcome, motion
+
+
 def test_a_limit_for_c_may_be_any_number(library, opened):
     _, handle = opened()
     levels = np.full((96, 128), 100, np.uint8)
@@ -279,6 +438,34 @@ def test_a_limit_for_c_may_be_any_number(library, opened):
     assert library.ffpose_error() == b"seconds: expected a number, got NaN"
 
 
+def test_a_limit_below_zero_is_late_before_the_image_is_looked_at(library, opened):
+    _, handle = opened()
+    square = np.full((96, 96), 100, np.uint8)  # of no camera of the model's
+    assert ask(library, handle, square)[0] == 2
+    assert ask(library, handle, square, -1)[0] == 1
+    assert ask(library, handle, square, 1e-9)[0] == 1
+    assert ask(library, handle, square, 0, channels=2)[0] == 2
+    assert ask(library, handle, square, -1, channels=2)[0] == 1
+    assert move(library, handle, square, 1.0, -1)[:2] == (1, 5)
+    assert move(library, handle, square, 2.0, 0)[0] == 2
+
+
+def test_a_track_for_c_is_reset(library, opened):
+    _, handle = opened()
+    levels = np.full((96, 128), 100, np.uint8)
+
+    def outcomes(*times):
+        return [move(library, handle, levels, time)[:2] for time in times]
+
+    begun = [(0, 5), (0, 5), (0, 5), (0, 0)]
+    assert outcomes(1, 2, 3, 4) == begun
+    assert outcomes(1)[0][0] == 2
+    assert library.ffpose_error().startswith(b"time: expected later than 4 s")
+    assert library.ffpose_reset(handle) == 0
+    assert outcomes(1, 2, 3, 4) == begun
+    assert library.ffpose_reset(None) == 3
+
+
 def test_rows_for_c_may_be_apart_but_not_upside_down(library, opened):
     _, handle = opened()
     wide = np.random.default_rng(0).integers(0, 100, (96, 200), np.uint8)
@@ -288,8 +475,86 @@ def test_rows_for_c_may_be_apart_but_not_upside_down(library, opened):
     for stride in (127, 2**64 - 128, 2**63 - 1, 2**63 // 96 + 1):
         assert ask(library, handle, wide, width=128, stride=stride)[0] == 2
         assert library.ffpose_error().endswith(f"got {stride}".encode())
-    assert ask(library, handle, wide, pixels=None)[0] == 2
-    assert library.ffpose_error() == b"pixels: expected the image's, got null"
+    assert ask(library, handle, wide, pixels=None)[0] == 3
+    assert library.ffpose_error() == b"image.pixels: expected a pointer, got null"
+
+
+def test_null_pointers_are_named(library, opened):
+    code, handle = opened(model=None)
+    assert (code, handle.value) == (3, None)
+    assert library.ffpose_error() == b"settings.model: expected a pointer, got null"
+    _, handle = opened()
+    levels = np.full((96, 128), 100, np.uint8)
+    image = ctypes.byref(Pixels(levels.ctypes.data, 128, 96, 1, 0))
+    pose = (ctypes.c_double * 40)()
+    for name, code in {
+        "settings": library.ffpose_open(None, ctypes.byref(handle)),
+        "handle": library.ffpose_open(ctypes.byref(Words()), None),
+    }.items():
+        assert code == 3, name
+    assert library.ffpose_error() == b"handle: expected a pointer, got null"
+    for words, name in [
+        ((None, image, 0.0, pose), "handle"),
+        ((handle, None, 0.0, pose), "image"),
+        ((handle, image, 0.0, None), "pose"),
+    ]:
+        assert library.ffpose_pose(*words) == 3
+        assert library.ffpose_error() == f"{name}: expected a pointer, got null".encode()
+    assert library.ffpose_track(handle, 1.0, image, 0.0, None) == 3
+    assert library.ffpose_error() == b"motion: expected a pointer, got null"
+    for function in (library.ffpose_save, library.ffpose_restore):
+        assert function(handle, None) == 3
+        assert library.ffpose_error() == b"path: expected a pointer, got null"
+        assert function(None, b"x.state") == 3
+        assert library.ffpose_error() == b"handle: expected a pointer, got null"
+
+
+def test_a_destructor_of_a_thread_may_call(program, runtime, models, tmp_path):
+    """After the thread's own sentence is gone: codes come back, and nothing ends the process."""
+    if not shutil.which("c++"):
+        pytest.skip("no C++ compiler is installed")
+    source, path = tmp_path / "late.cc", tmp_path / "late"
+    source.write_text(LATE)
+    library = program.parent
+    command = ["c++", "-std=c++17", "-pthread", "-o", path, source, f"-I{CRATE / 'include'}"]
+    command += [f"-L{library}", "-lffpose_onboard", f"-Wl,-rpath,{library}"]
+    subprocess.run(command, check=True)
+    done = subprocess.run([path, models, runtime], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "2 1\n0\n2 \n"), done.stderr
+
+
+LATE = """
+#include <cstdio>
+#include <cstring>
+#include <thread>
+#include "ffpose_onboard.h"
+
+struct Owner {
+  ffpose *handle = nullptr;
+  ~Owner() {
+    int code = ffpose_save(handle, "/nowhere/at/all/x.state");
+    std::printf("%d %s\\n", code, ffpose_error());
+    ffpose_close(handle);
+  }
+};
+
+int main(int, char **words) {
+  std::thread thread([&] {
+    static thread_local Owner owner; // made before the library's own, and so destroyed after it
+    ffpose_settings settings;
+    std::memset(&settings, 0, sizeof settings);
+    settings.model = "/nowhere.onnx";
+    settings.runtime = words[2];
+    settings.threads = 1;
+    int code = ffpose_open(&settings, &owner.handle);
+    std::printf("%d %d\\n", code, std::strlen(ffpose_error()) > 0);
+    settings.model = words[1];
+    std::printf("%d\\n", ffpose_open(&settings, &owner.handle));
+  });
+  thread.join();
+  return 0;
+}
+"""
 
 
 def test_no_more_threads_than_the_program_takes(library, opened):

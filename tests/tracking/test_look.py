@@ -6,6 +6,7 @@ import torch
 from PIL import Image
 
 from benchmarks.look import median_slopes
+from ffpose._internal.files import sha256
 from ffpose.cli import main
 from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
@@ -81,6 +82,7 @@ def test_the_graph_beside_gives_the_looks_of_torch(weights, graph):
     beside = graph.with_suffix(".track.onnx")
     assert read_model_metadata(beside).takes_point
     assert not read_model_metadata(graph).takes_point
+    assert read_model_metadata(graph).track_sha256 == sha256(beside)
     network, ours = (load(each, track=True, warm_up=1) for each in (weights, graph))
     x = np.stack([network.preprocess(picture(seed)) for seed in range(3)])
     points = np.array([[1.0, -0.5, 14.0], [0.0, 0.0, 9.0], [-3.0, 2.0, 30.0]])
@@ -135,6 +137,37 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
     list(follow(Estimator(), frames, Tracker(Settings(agreeing=2))))
     assert [point is None for point in points] == [n in (0, 1, 7) for n in range(10)]
     np.testing.assert_allclose(points[5], [0, 0, 19.5], atol=0.05)
+
+
+def test_a_pose_that_a_tracker_cannot_take_is_coasted_over(tmp_path):
+    """float32 rounds a covariance of condition 1e9 to one without an inverse."""
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    thin = (turn @ np.diag([1e4, 1e-5, 1e-5]) @ turn.T).astype(np.float32).astype(float)
+    assert np.linalg.eigvalsh(thin)[0] < 0
+
+    class Estimator:
+        class metadata:
+            locates = "object"
+
+        near = camera = white = None
+
+        def preprocess(self, path):
+            return np.full((3, 1, 1), float(path.stem), np.float32)
+
+        def estimate(self, inputs, where=None):
+            translation = thin if inputs[0, 0, 0, 0] == 6 else 1e-4 * np.eye(3)
+            sure = PoseUncertainty(translation, 1e-4 * np.eye(3), 1, 0.5)
+            return [Pose([0, 0, 20], [1, 0, 0, 0], sure)]
+
+    frames = [Frame(tmp_path / f"{number}.png", number, None) for number in range(10)]
+    followed = list(follow(Estimator(), frames, Tracker(Settings(agreeing=2))))
+    *_, before, failed, after = followed[:8]
+    assert before.step.outcome == after.step.outcome == "accepted"
+    assert (failed.step.outcome, failed.step.time, failed.alone) == ("coasted", 6, None)
+    assert failed.reason == "position_covariance: expected a positive definite matrix"
+    again = follow(Estimator(), [*frames, frames[3]], Tracker(Settings(agreeing=2)))
+    with pytest.raises(ValueError, match="time: expected later than 9"):
+        list(again)
 
 
 @pytest.mark.slow

@@ -380,7 +380,7 @@ def test_a_state_is_that_of_its_model():
     tracker, _ = steady(20, np.random.default_rng(0))
     again = Tracker.from_state(tracker.state(b"network"), b"network")
     assert again.step(20, None).estimate.t.tolist() == tracker.step(20, None).estimate.t.tolist()
-    with pytest.raises(ValueError, match="of this model, got that of another"):
+    with pytest.raises(ValueError, match="of this model and camera, got that of another"):
         Tracker.from_state(tracker.state(b"network"), b"other")
 
 

@@ -20,14 +20,15 @@ extern "C" {
 typedef enum {
   FFPOSE_OK = 0,
   FFPOSE_LATE = 1,   /* the deadline passed: of a track the motion is there, coasted; of a pose nothing */
-  FFPOSE_FAILED = 2, /* ffpose_error() says why; the track is as it was, and nothing was written to the caller's memory */
-  FFPOSE_NULL = 3,   /* a pointer that must not be null is */
+  FFPOSE_FAILED = 2, /* ffpose_error() says why; the track is as it was, and nothing was written to the caller's memory. Where an
+                        image of a track is the reason, a call with a null image and the same time coasts over it */
+  FFPOSE_NULL = 3,   /* a pointer that must not be null is, of an argument or in it: ffpose_error() names it; as FFPOSE_FAILED else */
   FFPOSE_PANIC = 4   /* a bug of the library; close the handle */
 } ffpose_code;
 
 typedef enum {
   FFPOSE_ACCEPTED = 0, /* the frame corrected the track */
-  FFPOSE_SWITCHED = 1, /* it speaks for another attitude, which leads from now on */
+  FFPOSE_SWITCHED = 1, /* another attitude leads from now on: the frame speaks for it, or none has for the one before (is_accepted) */
   FFPOSE_GATED = 2,    /* it is too far from what was expected; the track goes on without it */
   FFPOSE_COASTED = 3,  /* there was no frame, or not in time */
   FFPOSE_FLAGGED = 4,  /* it shows no spacecraft */
@@ -44,7 +45,7 @@ typedef struct {
   const char *operators; /* libffpose_ort.so, for models with filters */
   const char *camera;    /* JSON of the camera that takes the images, if another than the model's */
   const char *track;     /* JSON of a track's settings */
-  const char *sha256;    /* that the model's file must have, 64 hexadecimal digits */
+  const char *sha256;    /* that the model's file must have, 64 hexadecimal digits; it covers X.track.onnx, whose own X.onnx records */
   uint32_t threads;      /* that an image is computed with, up to 1,024; 0: ONNX Runtime's choice */
   uint32_t resize;       /* other than 0: images of any aspect ratio, as if the model's camera had taken them */
 } ffpose_settings;
@@ -72,10 +73,11 @@ typedef struct {
   double time_s;
   int32_t outcome;   /* ffpose_outcome */
   int32_t has_track; /* 0: the numbers below are NaN */
+  int32_t is_accepted; /* 1: the frame corrected the track; 0 of FFPOSE_SWITCHED: another leads, which the frame did not correct */
   double position_m[3];
   double orientation_wxyz[4];
-  double velocity_m_s[3];          /* camera axes */
-  double angular_velocity_deg_s[3]; /* relative to the camera, object's axes */
+  double velocity_m_s[3];           /* camera axes */
+  double angular_velocity_deg_s[3]; /* object's axes; both relative to the camera, whose own turning is not told here: no gyro */
   /* of position (m), velocity (m/s), attitude (rad, object's axes: R_true = R exp([r]x)) and angular velocity (rad/s) */
   double covariance[12][12];
   double nis; /* squared Mahalanobis distance of the frame, six degrees of freedom; NaN without either */
@@ -84,19 +86,26 @@ typedef struct {
 /* Opens a model of an object's pose and an empty track; runs the model once, so that later runs allocate little. */
 int32_t ffpose_open(const ffpose_settings *settings, ffpose **handle);
 
-/* Poses one image within `seconds`: 0 or infinity for no limit, below 0 is late at once. The run is ended between two nodes of
- * the network's graph. */
+/* Poses one image within `seconds`: 0 or infinity for no limit, below 0 is late at once, before the image is looked at. Copying
+ * the pixels, taking out a lens's distortion and resizing are each done whole; the network's run is ended between two nodes of its
+ * graph. FFPOSE_OK means within the limit: an answer that comes after it is dropped, and the code is FFPOSE_LATE. */
 int32_t ffpose_pose(ffpose *handle, const ffpose_image *image, double seconds, ffpose_pose_result *pose);
 
 /* Moves the track on to `time_s`, later than before, by one look within `seconds` at where the object is expected; the
- * whole frame is searched without a track. A null image is a frame that never came. */
+ * whole frame is searched without a track. A null image is a frame that never came. Where no track leads, a time that is earlier by
+ * more than the setting `coasting` begins anew: one wrong time costs a track no more than a gap. A model
+ * without uncertainty has poses alone: FFPOSE_FAILED. */
 int32_t ffpose_track(ffpose *handle, double time_s, const ffpose_image *image, double seconds, ffpose_motion *motion);
 
-/* Writes the track to a file, by a new one that is renamed; and takes it up again, by the same model and settings. */
+/* Forgets the track and the times of its frames, as after ffpose_open: where a clock was set back, or the target is another one. */
+int32_t ffpose_reset(ffpose *handle);
+
+/* Writes the track to a file, by a new one that is renamed; and takes it up again, by the same model, camera (or resize) and
+ * settings of the track: others' are refused. */
 int32_t ffpose_save(const ffpose *handle, const char *path);
 int32_t ffpose_restore(ffpose *handle, const char *path);
 
-/* The thread's last error; valid until its next call. */
+/* The thread's last error; valid until its next call. Empty in destructors of the thread that run after the library's own. */
 const char *ffpose_error(void);
 
 void ffpose_close(ffpose *handle); /* null is none */

@@ -35,9 +35,7 @@ impl<W: Write> Answers<W> {
         pose: impl FnOnce() -> Result<Map<String, Value>>,
     ) -> Result<()> {
         let mut fields = Map::from_iter([("image".into(), Value::from(path.to_string_lossy()))]);
-        // Images share the session of ONNX Runtime alone, where no panic unwinds: its errors are values.
-        let outcome = catch_unwind(AssertUnwindSafe(pose));
-        match outcome.unwrap_or_else(|cause| Err(panicked(&*cause))) {
+        match unpanicked(pose) {
             Ok(pose) => {
                 self.failed += u64::from(pose.contains_key("error"));
                 fields.extend(pose);
@@ -52,6 +50,15 @@ impl<W: Write> Answers<W> {
         let written = self.output.write_all(line.as_bytes()).and_then(|()| self.output.flush());
         written.map_err(|error| Error::new(format!("standard output cannot be written: {error}")))
     }
+}
+
+/// Runs what an image is read and posed by; a panic is its error.
+///
+/// # Errors
+/// It fails, or panics.
+pub(crate) fn unpanicked<T>(run: impl FnOnce() -> Result<T>) -> Result<T> {
+    // Images share the session of ONNX Runtime alone, where no panic unwinds: its errors are values.
+    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|cause| Err(panicked(&*cause)))
 }
 
 fn panicked(cause: &(dyn Any + Send)) -> Error {

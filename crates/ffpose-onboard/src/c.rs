@@ -12,12 +12,12 @@ use std::time::{Duration, Instant};
 
 use ffpose_track::{Outcome, Step};
 
-use crate::error::{Error, Result};
-use crate::estimator::{Estimator, Look};
-use crate::options::{MAX_THREADS, Setup, Taken, TrackFiles, default_runtime};
+use crate::error::Error;
+use crate::estimator::{Deadline, Estimator, Look};
+use crate::options::{MAX_THREADS, Setup, Taken, default_runtime};
 use crate::picture::{Picture, expect_size};
 use crate::pose::Outputs;
-use crate::track::Track;
+use crate::track::{Seen, Track};
 
 const OK: i32 = 0;
 const LATE: i32 = 1;
@@ -71,6 +71,7 @@ pub struct FfposeMotion {
     time: f64,
     outcome: i32,
     has_track: i32,
+    is_accepted: i32,
     position: [f64; 3],
     orientation: [f64; 4],
     velocity: [f64; 3],
@@ -85,22 +86,42 @@ pub struct Ffpose {
     track: Track,
 }
 
+/// Why a function does not do what it says.
+enum Fault {
+    Failed(Error),
+    /// A pointer of this name is null.
+    Null(&'static str),
+}
+
+impl From<Error> for Fault {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
 /// Runs what a function does, and keeps its error's sentence.
-fn guarded(run: impl FnOnce() -> Result<i32>) -> i32 {
+fn guarded(run: impl FnOnce() -> Result<i32, Fault>) -> i32 {
     let (code, text) = match catch_unwind(AssertUnwindSafe(run)) {
         Ok(Ok(code)) => return code,
-        Ok(Err(error)) => (FAILED, error.to_string()),
+        Ok(Err(Fault::Failed(error))) => (FAILED, error.to_string()),
+        Ok(Err(Fault::Null(name))) => (NULL, format!("{name}: expected a pointer, got null")),
         Err(_) => (PANIC, "a panic, a bug of this library: the handle is to be closed".into()),
     };
     let text = CString::new(text.replace('\0', " ")).unwrap_or_default();
-    LAST.with_borrow_mut(|last| *last = text);
+    // A destructor of the thread may call after the sentence's own: it is dropped then.
+    let _ = LAST.try_with(|last| last.replace(text));
     code
 }
 
-/// The sentence of this thread's last error; empty before the first.
+/// The sentence of this thread's last error; empty before the first, and once the thread's own memory is given back.
 #[unsafe(no_mangle)]
 pub extern "C" fn ffpose_error() -> *const c_char {
-    LAST.with_borrow(|last| last.as_ptr())
+    LAST.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+}
+
+fn expect_pointers<const N: usize>(pointers: [(&'static str, bool); N]) -> Result<(), Fault> {
+    let missing = pointers.into_iter().find(|(_, is_null)| *is_null);
+    missing.map_or(Ok(()), |(name, _)| Err(Fault::Null(name)))
 }
 
 /// Opens a model, and a track of its poses.
@@ -112,14 +133,12 @@ pub unsafe extern "C" fn ffpose_open(
     settings: *const FfposeSettings,
     handle: *mut *mut Ffpose,
 ) -> i32 {
-    if settings.is_null() || handle.is_null() {
-        return NULL;
-    }
     guarded(|| {
+        expect_pointers([("settings", settings.is_null()), ("handle", handle.is_null())])?;
         // SAFETY: not null, and valid as the caller says, with its strings.
-        let (setup, files) = unsafe { setup(&*settings) }?;
+        let (setup, settings) = unsafe { setup(&*settings) }?;
         let estimator = Estimator::open(&setup)?;
-        let track = Track::open(&estimator, &files)?;
+        let track = Track::new(&estimator, settings.as_deref())?;
         let opened = Box::into_raw(Box::new(Ffpose { estimator, track }));
         // SAFETY: not null, and valid for a write as the caller says.
         unsafe { handle.write(opened) };
@@ -153,11 +172,13 @@ pub unsafe extern "C" fn ffpose_pose(
     seconds: f64,
     pose: *mut FfposePose,
 ) -> i32 {
-    if handle.is_null() || image.is_null() || pose.is_null() {
-        return NULL;
-    }
     guarded(|| {
+        let nulls = [handle.is_null(), image.is_null(), pose.is_null()];
+        expect_pointers([("handle", nulls[0]), ("image", nulls[1]), ("pose", nulls[2])])?;
         let deadline = deadline(seconds)?;
+        if deadline.is_past() {
+            return Ok(LATE);
+        }
         // SAFETY: not null, and valid as the caller says.
         let (handle, picture) = unsafe { (&mut *handle, picture(&*image)?) };
         let Some(outputs) = handle.estimator.look(&picture, Look { at: None, deadline })? else {
@@ -182,25 +203,40 @@ pub unsafe extern "C" fn ffpose_track(
     seconds: f64,
     motion: *mut FfposeMotion,
 ) -> i32 {
-    if handle.is_null() || motion.is_null() {
-        return NULL;
-    }
     guarded(|| {
+        expect_pointers([("handle", handle.is_null()), ("motion", motion.is_null())])?;
         let deadline = deadline(seconds)?;
         // SAFETY: not null, and valid as the caller says.
         let Ffpose { estimator, track } = unsafe { &mut *handle };
-        let outputs = if image.is_null() {
+        estimator.expect_uncertainty()?;
+        let outputs = if image.is_null() || deadline.is_past() {
             None
         } else {
             // SAFETY: as above.
             let picture = unsafe { picture(&*image) }?;
             estimator.look(&picture, Look { at: track.expected(time), deadline })?
         };
-        let (step, reason) = track.step(time, outputs.as_ref(), estimator.meaning())?;
+        let meaning = estimator.meaning();
+        let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose()?;
+        let (step, reason) = track.step(time, seen.as_ref())?;
         let told = moved(time, &step, reason);
         // SAFETY: not null, and valid for a write as the caller says.
         unsafe { motion.write(told) };
         Ok(if outputs.is_none() && !image.is_null() { LATE } else { OK })
+    })
+}
+
+/// Forgets the track, and the times of its frames.
+///
+/// # Safety
+/// As of `ffpose_pose`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn ffpose_reset(handle: *mut Ffpose) -> i32 {
+    guarded(|| {
+        expect_pointers([("handle", handle.is_null())])?;
+        // SAFETY: not null, and valid as the caller says.
+        unsafe { &mut *handle }.track.reset();
+        Ok(OK)
     })
 }
 
@@ -210,12 +246,14 @@ pub unsafe extern "C" fn ffpose_track(
 /// `handle` is null or valid, `path` null or ended by a zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_save(handle: *const Ffpose, path: *const c_char) -> i32 {
-    // SAFETY: as the caller says.
-    let Some(path) = (unsafe { path_of(path) }).filter(|_| !handle.is_null()) else {
-        return NULL;
-    };
-    // SAFETY: not null, and valid as the caller says.
-    guarded(|| unsafe { &*handle }.track.save(&path).map(|()| OK))
+    guarded(|| {
+        expect_pointers([("handle", handle.is_null())])?;
+        // SAFETY: as the caller says.
+        let path = unsafe { path_of(path) }.ok_or(Fault::Null("path"))?;
+        // SAFETY: not null, and valid as the caller says.
+        unsafe { &*handle }.track.save(&path)?;
+        Ok(OK)
+    })
 }
 
 /// Takes up the track of a file.
@@ -224,17 +262,19 @@ pub unsafe extern "C" fn ffpose_save(handle: *const Ffpose, path: *const c_char)
 /// As of `ffpose_save`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ffpose_restore(handle: *mut Ffpose, path: *const c_char) -> i32 {
-    // SAFETY: as the caller says.
-    let Some(path) = (unsafe { path_of(path) }).filter(|_| !handle.is_null()) else {
-        return NULL;
-    };
-    // SAFETY: not null, and valid as the caller says.
-    guarded(|| unsafe { &mut *handle }.track.restore(&path).map(|()| OK))
+    guarded(|| {
+        expect_pointers([("handle", handle.is_null())])?;
+        // SAFETY: as the caller says.
+        let path = unsafe { path_of(path) }.ok_or(Fault::Null("path"))?;
+        // SAFETY: not null, and valid as the caller says.
+        unsafe { &mut *handle }.track.restore(&path)?;
+        Ok(OK)
+    })
 }
 
 /// # Safety
 /// The strings are null or ended by a zero.
-unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles)> {
+unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, Option<PathBuf>), Fault> {
     let s = settings;
     // SAFETY: as the caller says.
     let [model, runtime, operators, camera, track, sha256] =
@@ -244,14 +284,15 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles)> {
         (None, false) => Taken::ByModelsCamera,
         (Some(file), false) => Taken::ByCamera(file),
         (None, true) => Taken::Resized,
-        (Some(_), true) => return Err(Error::new("expected camera or resize, got both")),
+        (Some(_), true) => return Err(Error::new("expected camera or resize, got both").into()),
     };
     let threads = s.threads as usize;
     if threads > MAX_THREADS {
-        return Err(Error::new(format!("threads: expected at most {MAX_THREADS}, got {threads}")));
+        let found = format!("threads: expected at most {MAX_THREADS}, got {threads}");
+        return Err(Error::new(found).into());
     }
     let setup = Setup {
-        model: model.ok_or_else(|| Error::new("model: expected a path, got null"))?,
+        model: model.ok_or(Fault::Null("settings.model"))?,
         tracks: true,
         threads: (threads > 0).then_some(threads),
         sha256: sha256.map(|digest| digest.to_string_lossy().to_lowercase()),
@@ -259,7 +300,7 @@ unsafe fn setup(settings: &FfposeSettings) -> Result<(Setup, TrackFiles)> {
         operators,
         images,
     };
-    Ok((setup, TrackFiles { state: None, settings: track }))
+    Ok((setup, track))
 }
 
 /// # Safety
@@ -277,22 +318,21 @@ unsafe fn path_of(text: *const c_char) -> Option<PathBuf> {
 ///
 /// # Safety
 /// Its pixels are there: `height` rows, `stride` bytes apart.
-unsafe fn picture(image: &FfposeImage) -> Result<Picture> {
+unsafe fn picture(image: &FfposeImage) -> Result<Picture, Fault> {
+    expect_pointers([("image.pixels", image.pixels.is_null())])?;
     let (width, height) = (image.width as usize, image.height as usize);
     expect_size(width, height)?;
     let channels = image.channels as usize;
     if channels != 1 && channels != 3 {
-        return Err(Error::new(format!("channels: expected 1 or 3, got {channels}")));
-    }
-    if image.pixels.is_null() {
-        return Err(Error::new("pixels: expected the image's, got null"));
+        return Err(Error::new(format!("channels: expected 1 or 3, got {channels}")).into());
     }
     let row = width * channels;
     let stride = if image.stride == 0 { row } else { image.stride };
     if !(row..=isize::MAX as usize / height).contains(&stride) {
         return Err(Error::new(format!(
             "stride: expected at least the {row} bytes of a row, and rows that fit in memory, got {stride}"
-        )));
+        ))
+        .into());
     }
     let mut pixels = Vec::with_capacity(3 * width * height);
     for place in 0..height {
@@ -308,13 +348,13 @@ unsafe fn picture(image: &FfposeImage) -> Result<Picture> {
 
 /// When `seconds` from now are over, at once where they are negative; None for zero and for more than a clock counts, which is
 /// no limit.
-fn deadline(seconds: f64) -> Result<Option<Instant>> {
+fn deadline(seconds: f64) -> Result<Deadline, Error> {
     if seconds.is_nan() {
         return Err(Error::new("seconds: expected a number, got NaN"));
     }
     let limit = Duration::try_from_secs_f64(seconds.max(0.0)).ok();
     let limit = limit.filter(|_| seconds != 0.0);
-    Ok(limit.and_then(|limit| Instant::now().checked_add(limit)))
+    Ok(Deadline(limit.and_then(|limit| Instant::now().checked_add(limit))))
 }
 
 fn told(outputs: &Outputs, estimator: &Estimator) -> FfposePose {
@@ -348,6 +388,7 @@ fn moved(time: f64, step: &Step, reason: &str) -> FfposeMotion {
         time,
         outcome,
         has_track: i32::from(one.is_some()),
+        is_accepted: i32::from(step.accepted),
         position: one.map_or(none, |one| one.position),
         orientation: one.map_or([f64::NAN; 4], |one| one.orientation),
         velocity: one.map_or(none, |one| one.velocity),

@@ -107,6 +107,14 @@ impl Camera {
         }
     }
 
+    /// The numbers as bytes, other ones for each other camera.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let Self { width, height, fx, fy, cx, cy, distortion } = self;
+        let numbers = [*width as f64, *height as f64, *fx, *fy, *cx, *cy];
+        let lens = distortion.iter().flatten();
+        numbers.iter().chain(lens).flat_map(|number| number.to_le_bytes()).collect()
+    }
+
     /// Whether a lens turns a cell of a grid of the pinhole's pixels over into the image; the order of operations is that of Python.
     fn is_folded(&self, lens: [f64; 5]) -> bool {
         let (width, height) = (self.width as f64, self.height as f64);

@@ -8,6 +8,7 @@ use std::time::Instant;
 use ort::session::{RunOptions, Session, SessionInputs, SessionOutputs};
 use ort::value::TensorRef;
 use serde_json::{Map, Value};
+use sha2::{Digest, Sha256};
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
@@ -26,12 +27,15 @@ const POINT: &str = "point";
 /// A model that is ready to run.
 pub struct Estimator {
     metadata: Metadata,
-    digest: [u8; 32],
+    /// Of the model, and of the camera where it is not the model's.
+    tag: [u8; 32],
     /// The camera whose aspect ratio an image must have.
     camera: Option<Camera>,
     session: Session,
     /// The looks where an object is expected.
     near: Option<Session>,
+    /// Whether the model says how far its poses may be off.
+    tells_uncertainty: bool,
 }
 
 /// What limits a look.
@@ -39,8 +43,24 @@ pub struct Estimator {
 pub(crate) struct Look {
     /// Where the object is expected, m, camera frame; None for everywhere.
     pub at: Option<[f64; 3]>,
-    /// When it ends, between two nodes of the graph.
-    pub deadline: Option<Instant>,
+    /// Until when its answer is of use.
+    pub deadline: Deadline,
+}
+
+/// The end of the time for an image; None for no end.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Deadline(pub Option<Instant>);
+
+impl Deadline {
+    /// Whether it has come.
+    pub fn is_past(self) -> bool {
+        self.0.is_some_and(|end| Instant::now() >= end)
+    }
+
+    /// What was done, whatever it is, if it was done in time.
+    fn keeps<T>(self, done: Result<T>) -> Result<Option<T>> {
+        if self.is_past() { Ok(None) } else { done.map(Some) }
+    }
 }
 
 impl Estimator {
@@ -49,7 +69,7 @@ impl Estimator {
     /// # Errors
     /// The model, ONNX Runtime, the library of the operator or the camera's file cannot be used.
     pub fn open(setup: &Setup) -> Result<Self> {
-        let mut model = Model::read(&setup.model, setup.sha256.as_deref())?;
+        let mut model = Model::read(&setup.model, setup.sha256.as_deref(), "--sha256")?;
         if model.metadata.takes_point {
             let found = "expected a model of whole frames, got that of a track's looks";
             return Err(Error::new(found).of(setup.model.display()));
@@ -57,16 +77,18 @@ impl Estimator {
         let camera = adapt(&mut model.metadata, &setup.images)?;
         let session = open_session(setup, &model)?;
         let near = if setup.tracks { open_beside(setup, &model)? } else { None };
-        let Model { metadata, digest, .. } = model;
-        let mut estimator = Self { metadata, digest, camera, session, near };
+        let tag = tag(&model, &setup.images);
+        let metadata = model.metadata;
+        let mut estimator = Self { metadata, tag, camera, session, near, tells_uncertainty: true };
         let size =
             3 * estimator.metadata.preprocessing.height * estimator.metadata.preprocessing.width;
         let black = vec![0.0; size];
         let points = [None, estimator.near.is_some().then_some([0.0, 0.0, 1.0])];
         for at in points.into_iter().take(1 + usize::from(estimator.near.is_some())) {
-            estimator
-                .run(&black, Look { at, deadline: None })
+            let outputs = estimator
+                .run(&black, Look { at, ..Look::default() })
                 .map_err(|error| error.of("the model cannot be run"))?;
+            estimator.tells_uncertainty &= outputs.is_some_and(|said| said.uncertainty.is_some());
         }
         Ok(estimator)
     }
@@ -83,7 +105,7 @@ impl Estimator {
     /// Returns what the network says of an image file, which it looks at once where the object is expected.
     pub(crate) fn outputs(&mut self, path: &Path, at: Option<[f64; 3]>) -> Result<Outputs> {
         let picture = Picture::read(path, self.metadata.white)?;
-        let outputs = self.look(&picture, Look { at, deadline: None })?;
+        let outputs = self.look(&picture, Look { at, ..Look::default() })?;
         outputs.ok_or_else(|| Error::new("expected an answer, got none"))
     }
 
@@ -92,8 +114,23 @@ impl Estimator {
         if let Some(camera) = &self.camera {
             camera.expect_aspect(picture.width, picture.height)?;
         }
-        let input = self.metadata.preprocessing.input(picture)?;
+        let Some(input) = self.metadata.preprocessing.input(picture, look.deadline)? else {
+            return Ok(None);
+        };
         self.run(&input, look)?.map(Outputs::checked).transpose()
+    }
+
+    /// Refuses a model whose poses no tracker can take.
+    ///
+    /// # Errors
+    /// It does not say how far they may be off.
+    pub(crate) fn expect_uncertainty(&self) -> Result<()> {
+        if self.tells_uncertainty {
+            return Ok(());
+        }
+        Err(Error::new(
+            "expected a model that predicts uncertainty, as a track needs it, got one that does not",
+        ))
     }
 
     /// How the outputs are read.
@@ -106,9 +143,9 @@ impl Estimator {
         &self.metadata.tracking
     }
 
-    /// The SHA-256 of the model's file.
-    pub(crate) fn digest(&self) -> &[u8; 32] {
-        &self.digest
+    /// What tells tracks of other models and cameras: the SHA-256 of the model's file, or of that and how its images are taken.
+    pub(crate) fn tag(&self) -> &[u8; 32] {
+        &self.tag
     }
 
     fn run(&mut self, input: &[f32], look: Look) -> Result<Option<Outputs>> {
@@ -127,14 +164,37 @@ impl Estimator {
     }
 }
 
+fn tag(model: &Model, images: &Taken) -> [u8; 32] {
+    let mut hash = Sha256::new_with_prefix(model.digest);
+    match (&model.metadata.preprocessing.reprojection, images) {
+        (Some(reprojection), _) => hash.update(reprojection.source.to_bytes()),
+        (None, Taken::Resized) => hash.update("resized"),
+        (None, _) => return model.digest,
+    }
+    hash.finalize().into()
+}
+
 /// Opens the looks beside a model, `X.track.onnx` of `X.onnx`; None where there are none.
+///
+/// They are those whose digest the model records. One that records none takes any of its weights, but for where its own digest is
+/// given: that would not cover them.
 fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
     let path = setup.model.with_extension("track.onnx");
     if !files::exists(&path)? {
         return Ok(None);
     }
-    let beside = Model::read(&path, None)?;
-    let is_its = beside.metadata.weights_sha256 == whole.metadata.weights_sha256;
+    let recorded = whole.metadata.track_sha256.as_deref();
+    if recorded.is_none() && setup.sha256.is_some() {
+        return Err(Error::new(format!(
+            "expected a model that records the SHA-256 of these looks, which --sha256 then covers, got {} without: export it anew \
+             with --track, or move this file away",
+            setup.model.display()
+        ))
+        .of(path.display()));
+    }
+    let beside = Model::read(&path, recorded, "of the model beside it")?;
+    let weights = &beside.metadata.weights_sha256;
+    let is_its = !weights.is_empty() && *weights == whole.metadata.weights_sha256;
     if !beside.metadata.takes_point || !is_its {
         let expected = "expected a track's looks of the weights of the model beside it";
         return Err(Error::new(expected).of(path.display()));
@@ -142,16 +202,16 @@ fn open_beside(setup: &Setup, whole: &Model) -> Result<Option<Session>> {
     open_session(setup, &beside).map(Some)
 }
 
-/// Runs a session, until a deadline if there is one: None where it was terminated.
+/// Runs a session, until a deadline if there is one: None where it has come before the outputs, when the run is terminated.
 fn run_until(
     session: &mut Session,
-    deadline: Option<Instant>,
+    deadline: Deadline,
     inputs: SessionInputs<'_, '_>,
 ) -> Result<Option<Outputs>> {
-    let Some(deadline) = deadline else {
+    let Some(end) = deadline.0 else {
         return read_outputs(&session.run(inputs).map_err(|error| refused(&error))?).map(Some);
     };
-    let left = deadline.saturating_duration_since(Instant::now());
+    let left = end.saturating_duration_since(Instant::now());
     if left.is_zero() {
         return Ok(None);
     }
@@ -169,12 +229,9 @@ fn run_until(
             .map_err(|error| Error::new(format!("no thread can be started: {error}")))?;
         let result = session.run_with_options(inputs, options);
         drop(done);
-        result.map_err(|error| refused(&error)).and_then(|outputs| read_outputs(&outputs)).map(Some)
-    });
-    match result {
-        Err(_) if Instant::now() >= deadline => Ok(None),
-        result => result,
-    }
+        Ok(result.map_err(|error| refused(&error)).and_then(|outputs| read_outputs(&outputs)))
+    })?;
+    deadline.keeps(result)
 }
 
 /// Prepares a model for the images to come; returns the camera whose aspect ratio they must have, `None` for any.
@@ -234,4 +291,24 @@ fn numbers<const N: usize>(outputs: &SessionOutputs, name: &str) -> Result<[f64;
         Error::new(format!("{name}: expected {N} numbers, got those of shape {shape:?}"))
     })?;
     Ok(values.map(f64::from))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn what_is_done_after_the_deadline_is_not_kept() {
+        let past = Deadline(Some(Instant::now()));
+        let later = Deadline(Some(Instant::now() + Duration::from_hours(1)));
+        assert!(past.is_past() && !later.is_past() && !Deadline::default().is_past());
+        assert_eq!(past.keeps(Ok(1)).unwrap(), None);
+        assert_eq!(past.keeps::<u8>(Err(Error::new("terminated"))).unwrap(), None);
+        for deadline in [later, Deadline::default()] {
+            assert_eq!(deadline.keeps(Ok(1)).unwrap(), Some(1));
+            assert!(deadline.keeps::<u8>(Err(Error::new("failed"))).is_err());
+        }
+    }
 }

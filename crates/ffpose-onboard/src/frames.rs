@@ -4,6 +4,7 @@ use std::io::{self, BufRead, Read};
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
+use crate::files;
 
 const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "pgm"];
 
@@ -28,6 +29,24 @@ pub fn of_folder(folder: &Path) -> Result<Vec<PathBuf>> {
     }
     paths.sort();
     Ok(paths)
+}
+
+/// The camera of the images of a folder, as `ffpose render` writes it and `ffpose predict` takes it.
+const CAMERA: &str = "camera.json";
+
+/// Refuses a folder whose images are of a camera beside them, which is not taken unless it is named.
+///
+/// # Errors
+/// There is one.
+pub fn expect_no_camera(folder: &Path) -> Result<()> {
+    let path = folder.join(CAMERA);
+    if !files::exists(&path)? {
+        return Ok(());
+    }
+    Err(Error::new(format!(
+        "expected --camera {}, the camera beside the images, or --resize for that of the model, got neither",
+        path.display()
+    )))
 }
 
 fn is_image(path: &Path) -> bool {

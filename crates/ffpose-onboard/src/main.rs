@@ -8,7 +8,7 @@ use ffpose_onboard::answers::Answers;
 use ffpose_onboard::error::Result;
 use ffpose_onboard::estimator::Estimator;
 use ffpose_onboard::frames::{self, Lines};
-use ffpose_onboard::options::{Command, Options, Source};
+use ffpose_onboard::options::{Command, Options, Source, Taken};
 use ffpose_onboard::track::Track;
 
 const FAILED: u8 = 1;
@@ -55,6 +55,11 @@ struct Outcome {
 
 /// Poses the images one by one: the line of each is out before the next is looked at.
 fn run(options: &Options) -> Result<Outcome> {
+    if let (Source::Folder(folder), Taken::ByModelsCamera) =
+        (&options.source, &options.setup.images)
+    {
+        frames::expect_no_camera(folder)?;
+    }
     let mut estimator = Estimator::open(&options.setup)?;
     let mut answers = Answers::new(io::stdout().lock());
     match &options.source {

@@ -35,6 +35,8 @@ pub struct Metadata {
     pub takes_point: bool,
     /// SHA-256 of the weights that were exported, hexadecimal; empty where it is not known.
     pub weights_sha256: String,
+    /// SHA-256 of the file of the looks of a track, hexadecimal; `None` where there was none at the export.
+    pub track_sha256: Option<String>,
     /// What a tracker expects of the network's errors: settings by their names.
     pub tracking: Map<String, Value>,
     /// Whether the images trained on were undistorted.
@@ -92,6 +94,7 @@ impl Metadata {
             },
             takes_point: entries.get("takes_point").is_some_and(|value| value == "true"),
             weights_sha256: entries.get("weights_sha256").cloned().unwrap_or_default(),
+            track_sha256: entries.get("track_sha256").cloned(),
             tracking: match entries.get("tracking").map(|text| serde_json::from_str(text)) {
                 None => Map::new(),
                 Some(Ok(Value::Object(settings))) => settings,

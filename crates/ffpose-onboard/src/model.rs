@@ -26,18 +26,20 @@ impl Model {
     /// Reads a model's file, once.
     ///
     /// # Errors
-    /// It is no file that can be read, or not the one of SHA-256 `digest`; no ONNX file, not of `ffpose export`, altered, or newer
-    /// than this program; or it needs another file.
-    pub fn read(path: &Path, digest: Option<&str>) -> Result<Self> {
+    /// It is no file that can be read, or not the one of SHA-256 `digest`, which `source` gives; no ONNX file, not of `ffpose
+    /// export`, altered, or newer than this program; or it needs another file.
+    pub fn read(path: &Path, digest: Option<&str>, source: &str) -> Result<Self> {
         let bytes = files::read(path, MAX_BYTES);
-        bytes.and_then(|bytes| Self::of(bytes, digest)).map_err(|error| error.of(path.display()))
+        bytes
+            .and_then(|bytes| Self::of(bytes, digest, source))
+            .map_err(|error| error.of(path.display()))
     }
 
-    fn of(bytes: Vec<u8>, digest: Option<&str>) -> Result<Self> {
+    fn of(bytes: Vec<u8>, digest: Option<&str>, source: &str) -> Result<Self> {
         if let Some(digest) = digest {
             let got = sha256(&bytes);
             if got != digest {
-                return Err(Error::new(format!("expected SHA-256 {digest} (--sha256), got {got}")));
+                return Err(Error::new(format!("expected SHA-256 {digest} ({source}), got {got}")));
             }
         }
         let metadata = Metadata::of(&bytes)?;
@@ -54,7 +56,10 @@ mod tests {
     fn another_digest_is_told_before_anything_is_read() {
         // FIPS 180-4's example
         let digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        let error = |digest| Model::of(b"abc".to_vec(), Some(digest)).err().unwrap().to_string();
+        let error = |digest| {
+            let model = Model::of(b"abc".to_vec(), Some(digest), "--sha256");
+            model.err().unwrap().to_string()
+        };
         assert!(error(digest).contains("expected an ONNX file"));
         let other = "0".repeat(64);
         assert_eq!(error(&other), format!("expected SHA-256 {other} (--sha256), got {digest}"));

@@ -14,9 +14,9 @@ usage: ffpose-onboard --model FILE (--images DIR | --stdin | --track) [options]
   --images DIR      pose the .png, .jpg, .jpeg and .pgm files of a folder, by name
   --stdin           pose the files whose paths come in lines on standard input, until it ends
   --track           pose and track the files whose times and paths come in lines \"TIME PATH\" on standard
-                    input, seconds; \"TIME\" alone is a frame that never came. Where X.track.onnx of
-                    `ffpose export --track` is beside the model X.onnx, each look goes where the object
-                    is expected
+                    input, seconds; \"TIME\" alone is a frame that never came, \"reset\" forgets the track. Where
+                    X.track.onnx of `ffpose export --track` is beside the model X.onnx, each look goes
+                    where the object is expected
   --state FILE      of a track: taken up if it is there, and written anew after each frame
   --settings FILE   of a track: JSON of what ffpose.tracking.Settings names (default: the model's)
   --threads N       threads that an image is computed with (default: ONNX Runtime's choice)
@@ -26,7 +26,9 @@ usage: ffpose-onboard --model FILE (--images DIR | --stdin | --track) [options]
                     damage is told by the checksum in the file, but not what was changed on purpose
   --operators PATH  libffpose_ort.so, for models exported with --filter custom that have filters
   --camera FILE     camera that takes the images, if another than the model's: JSON of width, height, fx, fy,
-                    cx, cy and, of a lens that distorts, distortion; images are reprojected by geometry
+                    cx, cy and, of a lens that distorts, distortion; images are reprojected by geometry.
+                    A camera.json in the folder of --images is to be named so; none is looked for
+                    beside paths that come in
   --resize          resize an image of any aspect ratio to the network's input, as if the model's
                     camera had taken it; without, another aspect ratio is an error of that image
   --help, --version

@@ -37,7 +37,7 @@ pub struct Uncertainty {
 }
 
 /// What a model says of how to read its outputs.
-#[derive(Debug, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Meaning {
     /// An image whose probability that the object is in view lies below this is flagged.
     pub in_view_threshold: Option<f64>,

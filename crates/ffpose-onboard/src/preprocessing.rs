@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::estimator::Deadline;
 use crate::picture::{MAX_PIXELS, MAX_SIDE, Picture};
 use crate::reprojection::Reprojection;
 use crate::resize::{Axis, Filter, resize};
@@ -75,14 +76,20 @@ impl Preprocessing {
         })
     }
 
-    /// Returns the input of an image, of shape `(3, height, width)`.
+    /// Returns the input of an image, of shape `(3, height, width)`; None where the deadline comes before it is done.
     ///
     /// # Errors
     /// It is reprojected, and its camera cannot have taken it or sees nothing of the view.
-    pub fn input(&self, picture: &Picture) -> Result<Vec<f32>> {
+    pub fn input(&self, picture: &Picture, deadline: Deadline) -> Result<Option<Vec<f32>>> {
+        if deadline.is_past() {
+            return Ok(None);
+        }
         let window = match &self.reprojection {
-            None => self.window(picture),
-            Some(reprojection) => reprojection.view(picture, self.filter)?,
+            None => Some(self.window(picture)),
+            Some(reprojection) => reprojection.view(picture, self.filter, deadline)?,
+        };
+        let Some(window) = window.filter(|_| !deadline.is_past()) else {
+            return Ok(None);
         };
         let mut input = Vec::with_capacity(window.pixels.len());
         for channel in 0..3 {
@@ -90,7 +97,7 @@ impl Preprocessing {
             let samples = window.pixels[channel..].iter().step_by(3);
             input.extend(samples.map(|&value| (f32::from(value) / 255.0 - mean) / std));
         }
-        Ok(input)
+        Ok(Some(input))
     }
 
     /// Returns the camera that sees the input, given that of the image.
@@ -179,7 +186,11 @@ mod tests {
         let picture = Picture { width: 2, height: 1, pixels: vec![255, 51, 0, 0, 255, 255] };
         let preprocessing = Preprocessing::from_json(&description([1, 2], "resize")).unwrap();
         // (1 - 0.5) / 0.5 and (0 - 0.5) / 0.5; 51 / 255 and 1; (0 - 1) / 2 and (1 - 1) / 2
-        assert_eq!(preprocessing.input(&picture).unwrap(), [1.0, -1.0, 0.2, 1.0, -0.5, 0.0]);
+        let none = Deadline::default();
+        let input = preprocessing.input(&picture, none).unwrap().unwrap();
+        assert_eq!(input, [1.0, -1.0, 0.2, 1.0, -0.5, 0.0]);
+        let past = Deadline(Some(std::time::Instant::now()));
+        assert_eq!(preprocessing.input(&picture, past).unwrap(), None);
     }
 
     #[test]
@@ -195,7 +206,7 @@ mod tests {
         let mut picture = blank(8, 8);
         picture.pixels[0] = 255;
         assert_eq!(preprocessing.frame_size(8, 8), (8, 8));
-        let input = preprocessing.input(&picture).unwrap();
+        let input = preprocessing.input(&picture, Deadline::default()).unwrap().unwrap();
         assert_eq!((input.len(), input[0], input[1]), (3 * 49, 1.0, -1.0));
     }
 

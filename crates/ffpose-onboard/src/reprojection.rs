@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
+use crate::estimator::Deadline;
 use crate::picture::Picture;
 use crate::resize::{Axis, Filter, resize};
 use crate::undistortion::undistort;
@@ -25,17 +26,26 @@ pub struct Reprojection {
 }
 
 impl Reprojection {
-    /// Returns what the view sees of an image, black beyond it.
+    /// Returns what the view sees of an image, black beyond it; None where the deadline comes once the distortion is taken out.
     ///
     /// # Errors
     /// The aspect ratio is not that of its camera, or it covers less than a pixel of the view.
-    pub fn view(&self, picture: &Picture, filter: Filter) -> Result<Picture> {
+    pub fn view(
+        &self,
+        picture: &Picture,
+        filter: Filter,
+        deadline: Deadline,
+    ) -> Result<Option<Picture>> {
         self.source.expect_aspect(picture.width, picture.height)?;
         let source = self.source.resized(picture.width, picture.height);
-        match source.distortion {
-            None => self.reproject(picture, &source, filter),
-            Some(lens) => self.reproject(&undistort(picture, &source, lens), &source, filter),
+        let Some(lens) = source.distortion else {
+            return self.reproject(picture, &source, filter).map(Some);
+        };
+        let straight = undistort(picture, &source, lens);
+        if deadline.is_past() {
+            return Ok(None);
         }
+        self.reproject(&straight, &source, filter).map(Some)
     }
 
     fn reproject(&self, picture: &Picture, source: &Camera, filter: Filter) -> Result<Picture> {
@@ -121,7 +131,9 @@ mod tests {
     }
 
     fn view(picture: &Picture, source: Camera, view: Camera) -> Picture {
-        Reprojection { source, view }.view(picture, Filter::Bilinear).unwrap()
+        let reprojection = Reprojection { source, view };
+        let seen = reprojection.view(picture, Filter::Bilinear, Deadline::default());
+        seen.unwrap().unwrap()
     }
 
     #[test]
@@ -151,7 +163,10 @@ mod tests {
         let picture = ramp(8, 6);
         let error = |source, view| {
             let reprojection = Reprojection { source, view };
-            reprojection.view(&picture, Filter::Bicubic).unwrap_err().to_string()
+            reprojection
+                .view(&picture, Filter::Bicubic, Deadline::default())
+                .unwrap_err()
+                .to_string()
         };
         let aside = Camera { cx: 100.0, ..camera(8, 6, 9.0) };
         assert!(error(aside, camera(8, 6, 9.0)).contains("expected a camera that sees"));
@@ -164,6 +179,17 @@ mod tests {
     }
 
     #[test]
+    fn what_is_late_ends_once_the_lens_is_taken_out() {
+        let late = Deadline(Some(std::time::Instant::now()));
+        for (distortion, is_seen) in [(None, true), (Some([0.0; 5]), false)] {
+            let source = Camera { distortion, ..camera(8, 6, 9.0) };
+            let reprojection = Reprojection { source, view: camera(8, 6, 9.0) };
+            let seen = reprojection.view(&ramp(8, 6), Filter::Bicubic, late).unwrap();
+            assert_eq!(seen.is_some(), is_seen);
+        }
+    }
+
+    #[test]
     fn no_focal_length_is_too_much() {
         let picture = ramp(8, 6);
         for focal in [f64::MIN_POSITIVE, 1e-300, 1e-9, 1e9, 1e300, f64::MAX] {
@@ -171,7 +197,7 @@ mod tests {
                 for center in [-1e300, -1.0, 0.0, 4.0, 1e300] {
                     let source = Camera { cx: center, ..camera(8, 6, focal) };
                     let reprojection = Reprojection { source, view: camera(8, 6, other) };
-                    let _ = reprojection.view(&picture, Filter::Bicubic);
+                    let _ = reprojection.view(&picture, Filter::Bicubic, Deadline::default());
                 }
             }
         }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use ffpose_track::{Estimate, Measurement, Mode, Outcome, Parameters, STATE_BYTES, Step, Tracker};
 use serde_json::{Map, Value, json};
 
+use crate::answers::unpanicked;
 use crate::error::{Error, Result};
 use crate::estimator::Estimator;
 use crate::files;
@@ -14,37 +15,49 @@ use crate::json;
 use crate::options::TrackFiles;
 use crate::pose::{Meaning, Outputs, document};
 
+/// A number of settings that JSON has no other word for.
+const INFINITE: &str = "inf";
+
+/// The line that forgets a track.
+const RESET: &str = "reset";
+
 /// A track, and the file of its state.
 pub struct Track {
     tracker: Tracker,
-    /// Of the model whose poses are tracked.
+    /// Of the model whose poses are tracked, and of the camera.
     tag: [u8; 32],
     state: Option<PathBuf>,
 }
 
 impl Track {
-    /// Starts a track, or takes it up where a state was written.
+    /// Starts a track, or takes it up where a state was written, of a model that can be tracked.
     ///
     /// # Errors
-    /// The settings cannot be used, or the state is none, damaged, or of another model or of other settings.
+    /// The model tells no uncertainty, the settings cannot be used, or the state is none, damaged, or of another model, camera or
+    /// other settings, or cannot be written.
     pub fn open(estimator: &Estimator, files: &TrackFiles) -> Result<Self> {
-        let parameters = parameters(estimator, files.settings.as_deref())?;
-        let mut track = Self {
-            tracker: Tracker::new(parameters).map_err(|error| Error::new(error.to_string()))?,
-            tag: *estimator.digest(),
-            state: files.state.clone(),
-        };
-        if let Some(path) = &files.state
-            && files::exists(path)?
-        {
-            track.restore(path)?;
+        estimator.expect_uncertainty()?;
+        let mut track = Self::new(estimator, files.settings.as_deref())?;
+        track.state.clone_from(&files.state);
+        if let Some(path) = &files.state {
+            if files::exists(path)? {
+                track.restore(path)?;
+            }
+            track.save(path)?; // one that cannot be written is told before there are frames
         }
         Ok(track)
     }
 
+    /// Starts a track by the settings of a file, without a state.
+    pub(crate) fn new(estimator: &Estimator, settings: Option<&Path>) -> Result<Self> {
+        let tracker = Tracker::new(parameters(estimator, settings)?);
+        let tracker = tracker.map_err(|error| Error::new(error.to_string()))?;
+        Ok(Self { tracker, tag: *estimator.tag(), state: None })
+    }
+
     /// Poses an image at a time, seconds, and returns its line: what the track makes of it, and what the network says.
     ///
-    /// An image that cannot be used, or none, is coasted over.
+    /// An image that cannot be used, or none, is coasted over. `reset` in place of time and path forgets the track.
     ///
     /// # Errors
     /// The time is no number or not later than the one before: the track stays as it is.
@@ -54,27 +67,62 @@ impl Track {
         time: &str,
         path: &Path,
     ) -> Result<Map<String, Value>> {
+        if time == RESET && path.as_os_str().is_empty() {
+            self.reset();
+            let line = Map::from_iter([
+                ("accepted".into(), json!(false)),
+                ("reason".into(), json!(RESET)),
+            ]);
+            return Ok(self.kept(line, None));
+        }
         let seconds = time.parse().map_err(|_| {
             Error::new(format!("time: expected seconds before the path, got \"{time}\""))
         })?;
-        let outputs =
-            (!path.as_os_str().is_empty()).then(|| estimator.outputs(path, self.expected(seconds)));
-        let (outputs, failed) = match outputs.transpose() {
-            Ok(outputs) => (outputs, None),
-            Err(error) => (None, Some(error)),
-        };
-        let meaning = estimator.meaning();
-        let (step, reason) = self.step(seconds, outputs.as_ref(), meaning)?;
+        let (at, meaning) = (self.expected(seconds), *estimator.meaning());
+        let look = || estimator.outputs(path, at);
+        self.advance(seconds, (!path.as_os_str().is_empty()).then_some(look), &meaning)
+    }
+
+    /// Moves on to a time, seconds, with what a look at a frame gives, and returns the line.
+    ///
+    /// A look that fails or panics, or gives what no tracker can take, is an error in the line; the track coasts.
+    fn advance(
+        &mut self,
+        seconds: f64,
+        look: Option<impl FnOnce() -> Result<Outputs>>,
+        meaning: &Meaning,
+    ) -> Result<Map<String, Value>> {
+        let looked = look.map(unpanicked).transpose();
+        let (outputs, mut failed) =
+            looked.map_or_else(|error| (None, Some(error)), |one| (one, None));
+        let seen = outputs.as_ref().map(|outputs| Seen::of(outputs, meaning)).transpose();
+        let seen = seen.unwrap_or_else(|error| {
+            failed = Some(error);
+            None
+        });
+        let (step, reason) = self.step(seconds, seen.as_ref())?;
         let mut line = Map::from_iter([("time".into(), json!(seconds))]);
         line.extend(told(&step, reason));
         if let Some(outputs) = &outputs {
             line.insert("measured".into(), document(outputs, meaning).into());
         }
+        Ok(self.kept(line, failed))
+    }
+
+    /// Writes the state, and completes a line.
+    fn kept(&self, mut line: Map<String, Value>, failed: Option<Error>) -> Map<String, Value> {
         let kept = self.state.as_deref().map(|path| self.save(path)).transpose();
-        if let Some(error) = failed.or(kept.err()) {
-            line.insert("error".into(), error.to_string().into());
+        for (name, error) in [("error", failed), ("state_error", kept.err())] {
+            if let Some(error) = error {
+                line.insert(name.into(), error.to_string().into());
+            }
         }
-        Ok(line)
+        line
+    }
+
+    /// Forgets all frames and their times.
+    pub(crate) fn reset(&mut self) {
+        self.tracker.reset();
     }
 
     /// Where the object is expected at a time, seconds; None for anywhere.
@@ -82,16 +130,11 @@ impl Track {
         self.tracker.expected(time, [0.0; 3])
     }
 
-    /// Moves on to a time, seconds, with what the network says; returns what became of it, in a word.
-    pub(crate) fn step(
-        &mut self,
-        time: f64,
-        outputs: Option<&Outputs>,
-        meaning: &Meaning,
-    ) -> Result<(Step, &'static str)> {
-        let flagged = outputs.is_some_and(|outputs| outputs.flagged(meaning) == Some(true));
-        let measured = outputs.filter(|_| !flagged).map(measurement).transpose()?;
-        let step = self.tracker.step(time, measured.as_ref(), [0.0; 3]);
+    /// Moves on to a time, seconds, with what a frame says; returns what became of it, in a word.
+    pub(crate) fn step(&mut self, time: f64, seen: Option<&Seen>) -> Result<(Step, &'static str)> {
+        let flagged = seen.is_some_and(|Seen(measured)| measured.is_none());
+        let measured = seen.and_then(|Seen(measured)| measured.as_ref());
+        let step = self.tracker.step(time, measured, [0.0; 3]);
         let step = step.map_err(|error| Error::new(error.to_string()))?;
         let reason = match step.outcome {
             Outcome::Accepted => "accepted",
@@ -160,9 +203,11 @@ fn parameters(estimator: &Estimator, file: Option<&Path>) -> Result<Parameters> 
 /// Sets what settings name, and checks them all.
 fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()> {
     for (name, value) in settings {
+        let number =
+            |value: &Value| if value == INFINITE { Some(f64::INFINITY) } else { value.as_f64() };
         let values: Option<Vec<f64>> = match value {
-            Value::Array(values) => values.iter().map(Value::as_f64).collect(),
-            number => number.as_f64().map(|number| vec![number]),
+            Value::Array(values) => values.iter().map(number).collect(),
+            value => number(value).map(|number| vec![number]),
         };
         let set = parameters.set(name, &values.unwrap_or_default());
         set.map_err(|error| Error::new(format!("{name}: {error}, got {value}")))?;
@@ -170,7 +215,23 @@ fn set(parameters: &mut Parameters, settings: &Map<String, Value>) -> Result<()>
     parameters.check().map_err(|error| Error::new(error.to_string()))
 }
 
-/// What a network says of a frame, as a tracker takes it.
+/// What a network says of a frame, as a tracker takes it: one pose or one of two, or None where the frame is flagged.
+pub(crate) struct Seen(Option<Measurement>);
+
+impl Seen {
+    /// Takes the outputs of a network.
+    ///
+    /// # Errors
+    /// They have no uncertainty, or one that a tracker cannot take.
+    pub(crate) fn of(outputs: &Outputs, meaning: &Meaning) -> Result<Self> {
+        if outputs.flagged(meaning) == Some(true) {
+            return Ok(Self(None));
+        }
+        measurement(outputs).map(Some).map(Self)
+    }
+}
+
+/// The measurement of a frame that is not flagged.
 fn measurement(outputs: &Outputs) -> Result<Measurement> {
     let said = outputs.uncertainty.as_ref().ok_or_else(|| {
         Error::new("expected a model that predicts uncertainty, got one that does not")
@@ -194,7 +255,7 @@ fn measurement(outputs: &Outputs) -> Result<Measurement> {
 fn told(step: &Step, reason: &str) -> Map<String, Value> {
     let mut line = Map::new();
     let mut put = |name: &str, value: Value| line.insert(name.into(), value);
-    put("accepted", json!(matches!(step.outcome, Outcome::Accepted | Outcome::Switched)));
+    put("accepted", json!(step.accepted));
     put("reason", json!(reason));
     if let Some(one) = &step.estimate {
         let Estimate { position, orientation, velocity, rate, covariance } = one;
@@ -207,4 +268,76 @@ fn told(step: &Step, reason: &str) -> Map<String, Value> {
     }
     put("nis", json!(step.nis));
     line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pose::Uncertainty;
+
+    fn track() -> Track {
+        Track { tracker: Tracker::new(Parameters::default()).unwrap(), tag: [0; 32], state: None }
+    }
+
+    fn outputs(rotation_variance: f64) -> Outputs {
+        let diagonal = |last: f64| [[1e-3, 0.0, 0.0], [0.0, 1e-3, 0.0], [0.0, 0.0, last]];
+        Outputs {
+            translation: [0.0, 0.0, 9.0],
+            orientation: [1.0, 0.0, 0.0, 0.0],
+            uncertainty: Some(Uncertainty {
+                translation_covariance: diagonal(1e-3),
+                rotation_covariance: diagonal(rotation_variance),
+                in_view: 1.0,
+                alternative: [0.0, 1.0, 0.0, 0.0],
+                probabilities: [1.0, 0.0],
+            }),
+        }
+    }
+
+    type Look = Box<dyn FnOnce() -> Result<Outputs>>;
+
+    #[test]
+    fn frames_that_cannot_be_used_are_coasted_over() {
+        let mut track = track();
+        let mut time = 0.0;
+        let mut next = |look: Option<Look>| {
+            time += 1.0;
+            let line = track.advance(time, look, &Meaning::default()).unwrap();
+            (line, track.tracker.time())
+        };
+        for _ in 0..5 {
+            next(Some(Box::new(|| Ok(outputs(1e-3)))));
+        }
+        let looks: [(Look, &str); 3] = [
+            (Box::new(|| Err(Error::new("cut short"))), "cut short"),
+            (Box::new(|| panic!("row {}", 7)), "row 7"),
+            (Box::new(|| Ok(outputs(0.0))), "rotation_covariance: expected a positive definite"),
+        ];
+        for (place, (look, message)) in looks.into_iter().enumerate() {
+            let (line, time) = next(Some(look));
+            assert_eq!(line["reason"], "coasted");
+            assert_eq!(time, Some(6.0 + place as f64));
+            assert!(line.contains_key("translation_m"), "{line:?}");
+            assert!(line["error"].as_str().unwrap().contains(message), "{line:?}");
+        }
+        assert_eq!(next(None).0["reason"], "coasted");
+        assert_eq!(next(Some(Box::new(|| Ok(outputs(1e-3))))).0["reason"], "accepted");
+    }
+
+    #[test]
+    fn a_state_that_cannot_be_written_hides_no_error_and_is_none_of_an_image() {
+        let state = Some(PathBuf::from("/nowhere/at/all/track.state"));
+        let mut track = Track { state, ..track() };
+        let told = "/nowhere/at/all/track.state: cannot be written";
+        let looks: [(Option<Look>, Option<&str>); 3] = [
+            (Some(Box::new(|| Ok(outputs(1e-3)))), None),
+            (Some(Box::new(|| Err(Error::new("cut short")))), Some("cut short")),
+            (None, None),
+        ];
+        for (time, (look, error)) in looks.into_iter().enumerate() {
+            let line = track.advance(time as f64, look, &Meaning::default()).unwrap();
+            assert!(line["state_error"].as_str().unwrap().starts_with(told), "{line:?}");
+            assert_eq!(line.get("error").and_then(Value::as_str), error);
+        }
+    }
 }

@@ -91,6 +91,7 @@ fn measured(poses: &[Pose]) -> Result<Option<Measurement>, Error> {
 fn told<'py>(py: Python<'py>, step: &Step) -> PyResult<Bound<'py, PyDict>> {
     let told = PyDict::new(py);
     told.set_item("outcome", outcome(step.outcome))?;
+    told.set_item("accepted", step.accepted)?;
     told.set_item("nis", step.nis)?;
     told.set_item("mode", step.mode)?;
     told.set_item("estimate", step.estimate.map(|one| motion(py, &one)).transpose()?)?;

@@ -44,7 +44,7 @@ pub struct Parameters {
     pub ordinary_nis: f64,
     /// Frames in agreement that make a track.
     pub agreeing: f64,
-    /// Seconds without a believed frame after which the track is lost.
+    /// Seconds without a believed frame after which the track is lost, told by frames that say nothing or not.
     pub coasting: f64,
     /// The orbit's angular velocity, rad/s along the camera's axes, of a camera that keeps its attitude to the Earth:
     /// position and velocity then move as Clohessy and Wiltshire's equations say; zero for straight lines.

@@ -10,7 +10,7 @@ use crate::tracker::{HYPOTHESES, Hypothesis, Tracker};
 /// The first bytes of each state; the number is the format's version.
 const MAGIC: [u8; 8] = *b"FFTRACK5";
 
-/// Bytes that say whose track it is, such as the digest of a network's file.
+/// Bytes that say whose track it is, such as the digest of a network's file and of the camera.
 pub const TAG_BYTES: usize = 32;
 
 /// Numbers of a hypothesis: whether there is one, score, frames, time, views, state and covariances.
@@ -65,7 +65,7 @@ impl Tracker {
             return Err(fault("damaged: its checksum is not that of its bytes"));
         }
         if body[MAGIC.len()..MAGIC.len() + TAG_BYTES] != *tag {
-            return Err(fault("expected one of this model, got that of another"));
+            return Err(fault("expected one of this model and camera, got that of another"));
         }
         let mut reader = Reader { bytes: body, at: MAGIC.len() + TAG_BYTES };
         let parameters = Parameters::from_array(reader.numbers());

@@ -31,7 +31,7 @@ const SAME_POSITION: f64 = 0.05;
 pub enum Outcome {
     /// It has corrected the track.
     Accepted,
-    /// It speaks for another attitude, which leads from now on.
+    /// Another attitude leads from now on: it speaks for that one, or nothing has spoken for the one before ([`Step::accepted`]).
     Switched,
     /// It is too far from what was expected, and the track goes on without it.
     Gated,
@@ -64,6 +64,8 @@ pub struct Estimate {
 pub struct Step {
     /// What became of the frame.
     pub outcome: Outcome,
+    /// Whether the frame has corrected the track that leads.
+    pub accepted: bool,
     /// The motion; None without a track.
     pub estimate: Option<Estimate>,
     /// Squared Mahalanobis distance (6 degrees of freedom) of the frame from the track; None without either.
@@ -146,14 +148,25 @@ impl Tracker {
         self.time
     }
 
+    /// Forgets all frames, and their times, as if it had seen none.
+    pub fn reset(&mut self) {
+        self.time = None;
+        self.camera_rate = Vector3::zeros();
+        self.hypotheses = [None; HYPOTHESES];
+        self.leading = None;
+    }
+
     /// Moves on to the time of a frame, seconds, and takes in what it says.
+    ///
+    /// Times grow. Where nothing is followed any may come, and where no track leads one that is earlier by more than
+    /// [`Parameters::coasting`]: of one wrong time no more is left than of a gap.
     ///
     /// `measurement` is None for a frame that says nothing. `camera_rate` is the camera's own angular velocity since the last frame,
     /// rad/s along its axes, where a gyro measures it; else zero.
     ///
     /// # Errors
     ///
-    /// The time is not later than the last, or a number is not finite; nothing has changed then.
+    /// The time is not later than the last where it must be, or a number is not finite; nothing has changed then.
     pub fn step(
         &mut self,
         time: f64,
@@ -169,14 +182,23 @@ impl Tracker {
             return Err(Error::Parameter { name: "camera_rate", expected, got: turning });
         }
         if let Some(last) = self.time.filter(|last| time <= *last) {
-            return Err(Error::Time { last, got: time });
+            let follows = self.hypotheses.iter().any(Option::is_some);
+            if follows && (self.leading.is_some() || last - time <= self.parameters.coasting) {
+                return Err(Error::Time { last, got: time });
+            }
+            self.reset();
         }
         let elapsed = self.time.map_or(0.0, |last| time - last);
         self.time = Some(time);
         self.camera_rate = Vector3::from(camera_rate);
 
         let before = self.leading;
-        let mut frame = Frame { time, explained: [false; crate::MODES], of_leader: None };
+        let mut frame = Frame {
+            time,
+            explained: [false; crate::MODES],
+            corrected: [false; HYPOTHESES],
+            of_leader: None,
+        };
         for place in 0..HYPOTHESES {
             self.follow(place, elapsed, measurement, &mut frame);
         }
@@ -184,8 +206,11 @@ impl Tracker {
         self.leading = self.leading.filter(|place| self.hypotheses[*place].is_some());
         let kept = self.leading;
         if let Some(measurement) = measurement {
-            for (_, pose) in measurement.modes().filter(|(mode, _)| !frame.explained[*mode]) {
-                self.propose(pose, time);
+            let explained = frame.explained;
+            for (_, pose) in measurement.modes().filter(|(mode, _)| !explained[*mode]) {
+                if let Some(place) = self.propose(pose, time) {
+                    frame.corrected[place] = true;
+                }
             }
         }
         self.unite();
@@ -221,7 +246,8 @@ impl Tracker {
         self.motion(self.best(|place| Some(place) != self.leading)?)
     }
 
-    /// Moves a hypothesis on, and compares it with the frame; it ends where too little speaks for it.
+    /// Moves a hypothesis on, and compares it with the frame; it ends where too little speaks for it, and unseen where it has
+    /// believed none for too long.
     fn follow(
         &mut self,
         place: usize,
@@ -231,9 +257,14 @@ impl Tracker {
     ) {
         let Some(hypothesis) = &mut self.hypotheses[place] else { return };
         let parameters = &self.parameters;
+        if frame.time - hypothesis.last > parameters.coasting {
+            // so little is known after a long silence that nearly any frame would pass the gate
+            self.hypotheses[place] = None;
+            return;
+        }
         let turned = hypothesis.filter.predict(elapsed, &self.camera_rate, parameters);
         let news = OLD_VIEW + 1.0 - exp(-turned / parameters.attitude_angle);
-        let mut ends = frame.time - hypothesis.last > parameters.coasting;
+        let mut ends = false;
         if let Some(measurement) = measurement {
             let found = closest(&hypothesis.filter, measurement, parameters);
             let accepted = found.filter(|(_, _, innovation)| innovation.nis <= parameters.gate);
@@ -247,10 +278,10 @@ impl Tracker {
                 hypothesis.agreed += 1.0;
                 hypothesis.last = frame.time;
                 frame.explained[*mode] = true;
-                ends = false;
+                frame.corrected[place] = true;
             } else {
                 hypothesis.score -= news;
-                ends |= hypothesis.score <= 0.0;
+                ends = hypothesis.score <= 0.0;
             }
             hypothesis.score = hypothesis.score.clamp(0.0, MOST);
             if self.leading == Some(place) {
@@ -263,8 +294,8 @@ impl Tracker {
         }
     }
 
-    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on.
-    fn propose(&mut self, pose: &Mode, time: f64) {
+    /// Follows a pose that no hypothesis explains, in place of the least one that frames have not agreed on; returns the place.
+    fn propose(&mut self, pose: &Mode, time: f64) -> Option<usize> {
         let agreeing = self.parameters.agreeing;
         let weight = |hypothesis: &Option<Hypothesis>| match hypothesis {
             None => -1.0,
@@ -273,16 +304,16 @@ impl Tracker {
         };
         let least = (0..HYPOTHESES)
             .min_by(|a, b| weight(&self.hypotheses[*a]).total_cmp(&weight(&self.hypotheses[*b])));
-        if let Some(place) = least.filter(|place| weight(&self.hypotheses[*place]).is_finite()) {
-            self.hypotheses[place] = Some(Hypothesis {
-                filter: Filter::new(pose, &self.parameters),
-                score: BEGINNING,
-                agreed: 1.0,
-                last: time,
-                views: 0.0,
-                squares: 0.0,
-            });
-        }
+        let place = least.filter(|place| weight(&self.hypotheses[*place]).is_finite())?;
+        self.hypotheses[place] = Some(Hypothesis {
+            filter: Filter::new(pose, &self.parameters),
+            score: BEGINNING,
+            agreed: 1.0,
+            last: time,
+            views: 0.0,
+            squares: 0.0,
+        });
+        Some(place)
     }
 
     /// Ends hypotheses that have become another one.
@@ -344,6 +375,7 @@ impl Tracker {
         let of_leader = frame.of_leader.filter(|_| estimate.is_some());
         Step {
             outcome,
+            accepted: self.leading.is_some_and(|place| frame.corrected[place]),
             estimate,
             nis: of_leader.map(|(_, nis, _)| nis),
             mode: of_leader.map(|(mode, _, _)| mode),
@@ -378,7 +410,9 @@ impl Filter {
 /// What the hypotheses make of a frame.
 struct Frame {
     time: f64,
+    /// Modes that a hypothesis has believed, and hypotheses that have believed one or begun with it.
     explained: [bool; crate::MODES],
+    corrected: [bool; HYPOTHESES],
     /// The mode that the leader was compared with, its distance, and whether the leader has believed it.
     of_leader: Option<(usize, f64, bool)>,
 }

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Random, Shown};
-use ffpose_track::{Error, Measurement, Mode, Parameters, Tracker};
+use ffpose_track::{Error, Measurement, Mode, Outcome, Parameters, Tracker};
 
 const STILL: [f64; 3] = [0.0; 3];
 const ONE: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -34,6 +34,46 @@ fn times_that_repeat_go_back_or_are_none_change_nothing() {
     let error = tracker.step(6.0, None, [0.0, f64::INFINITY, 0.0]).unwrap_err();
     assert_eq!(error.to_string(), "camera_rate: expected finite numbers, got NaN or infinity");
     assert_eq!(tracker, before);
+}
+
+#[test]
+fn one_wrong_time_is_a_gap_and_no_more() {
+    for wrong in [f64::MAX, 1e300, 1.7e9, 30.0] {
+        for seen in [None, Some(Shown::tumbling(6.0, &mut Random(4)).measurement())] {
+            let mut tracker = after(6);
+            let step = tracker.step(wrong, seen.as_ref(), STILL).unwrap();
+            assert_eq!(step.outcome, Outcome::Lost);
+            let state = tracker.to_bytes(&[0; 32]);
+            let again = Tracker::from_bytes(&state, &[0; 32]).unwrap();
+            for mut tracker in [tracker, again] {
+                let outcomes = [6.0, 7.0, 8.0, 9.0, 10.0].map(|time| {
+                    let shown = Shown::tumbling(time, &mut Random(5)).measurement();
+                    tracker.step(time, Some(&shown), STILL).unwrap().outcome
+                });
+                assert_eq!(outcomes[..3], [Outcome::Acquiring; 3], "{wrong}");
+                assert_eq!(outcomes[3..], [Outcome::Accepted; 2]);
+            }
+        }
+    }
+}
+
+#[test]
+fn frames_that_do_not_agree_yet_keep_their_order() {
+    let mut tracker = after(2);
+    let before = tracker.clone();
+    for time in [1.0, 0.5, -9.0] {
+        assert!(matches!(tracker.step(time, None, STILL), Err(Error::Time { .. })));
+        assert_eq!(tracker, before);
+    }
+    tracker.step(-9.5, None, STILL).unwrap();
+    assert_eq!(tracker.time(), Some(-9.5));
+}
+
+#[test]
+fn a_tracker_that_is_reset_is_a_new_one() {
+    let mut tracker = after(9);
+    tracker.reset();
+    assert_eq!(tracker, Tracker::new(Parameters::default()).unwrap());
 }
 
 #[test]
@@ -99,7 +139,10 @@ fn a_state_goes_on_as_the_tracker_itself() {
 fn states_of_others_and_damaged_ones_are_refused() {
     let bytes = after(9).to_bytes(&[3; 32]);
     let fault = |bytes: &[u8], tag| Tracker::from_bytes(bytes, &[tag; 32]).unwrap_err().to_string();
-    assert_eq!(fault(&bytes, 4), "state: expected one of this model, got that of another");
+    assert_eq!(
+        fault(&bytes, 4),
+        "state: expected one of this model and camera, got that of another"
+    );
     assert_eq!(
         fault(&bytes[..500], 3),
         "state: expected the saved state of a tracker, got it cut short or longer"

@@ -123,6 +123,86 @@ fn what_is_seen_elsewhere_after_a_loss_must_be_seen_again() {
 }
 
 #[test]
+fn a_long_silence_is_one_that_was_told() {
+    for steps in [21, 120, 600, 7200] {
+        let gap = f64::from(steps) * 0.5;
+        for told in [false, true] {
+            let mut random = Random(7);
+            let mut tracker = tracker();
+            for i in 0..60 {
+                let shown = Shown::tumbling(f64::from(i) * 0.5, &mut random).measurement();
+                tracker.step(f64::from(i) * 0.5, Some(&shown), STILL).unwrap();
+            }
+            let mut outcomes = vec![];
+            for i in (1..steps).filter(|_| told) {
+                let time = 29.5 + f64::from(i) * 0.5;
+                outcomes.push(tracker.step(time, None, STILL).unwrap().outcome);
+            }
+            let mut other = flipped(&Shown::tumbling(29.5 + gap, &mut random));
+            other.position *= 0.5;
+            for i in 0..4 {
+                let time = 29.5 + gap + f64::from(i) * 0.5;
+                let seen = Some(other.measurement());
+                outcomes.push(tracker.step(time, seen.as_ref(), STILL).unwrap().outcome);
+            }
+            let lost = outcomes.iter().filter(|outcome| **outcome == Outcome::Lost).count();
+            assert_eq!(lost, 1, "{gap} s, told: {told}");
+            let [.., third, last] = outcomes[..] else { unreachable!() };
+            assert_eq!([third, last], [Outcome::Acquiring, Outcome::Accepted]);
+            let estimate = tracker.estimate().unwrap();
+            assert!(away(&estimate, &other) < 0.1);
+        }
+    }
+}
+
+#[test]
+fn another_attitude_that_leads_without_a_frame_has_accepted_none() {
+    let mut random = Random(3);
+    let mut still = |turned: bool, t: f64| {
+        let mut shown = Shown::tumbling(t, &mut random);
+        shown.orientation = Shown::tumbling(0.0, &mut Random(3)).orientation;
+        if turned { flipped(&shown) } else { shown }
+    };
+    let mut tracker = tracker();
+    let mut time = 0.0;
+    // a leader with more evidence than what is seen after it, and was seen later
+    for i in 0..52 {
+        time = f64::from(i) * 0.5;
+        let seen = still(i >= 40, time).measurement();
+        let step = tracker.step(time, Some(&seen), STILL).unwrap();
+        assert_eq!(step.accepted, step.outcome == Outcome::Accepted);
+    }
+    assert!(tracker.alternative().is_some());
+    let other = tracker.alternative().unwrap().orientation;
+    let mut switched = 0;
+    for _ in 0..30 {
+        time += 0.5;
+        let step = tracker.step(time, None, STILL).unwrap();
+        assert!(!step.accepted && step.nis.is_none(), "{step:?}");
+        if step.outcome == Outcome::Switched {
+            switched += 1;
+            let q = step.estimate.unwrap().orientation;
+            let product: f64 = q.iter().zip(other).map(|(a, b)| a * b).sum();
+            assert!(product.abs() > 0.9);
+        }
+    }
+    assert_eq!(switched, 1);
+}
+
+#[test]
+fn a_frame_just_within_the_time_of_coasting_is_believed() {
+    let (_, _, _, step) = after_a_pause(4.0, 10.0); // of another pose
+    assert_eq!(step.outcome, Outcome::Gated);
+    let mut random = Random(7);
+    let mut tracker = tracker();
+    let outcomes = [0.0, 0.5, 1.0, 1.5, 2.0, 12.0].map(|time| {
+        let shown = Shown::tumbling(time, &mut random).measurement();
+        tracker.step(time, Some(&shown), STILL).unwrap().outcome
+    });
+    assert_eq!(outcomes[3..], [Outcome::Accepted; 3]);
+}
+
+#[test]
 fn frames_that_no_longer_agree_end_a_track() {
     let mut random = Random(9);
     let mut tracker = tracker();

@@ -17,12 +17,14 @@ import numpy as np
 from PIL import Image, ImageFile
 
 from ffpose.errors import DataError, expect
+from ffpose.imaging.png import load_all_rows
 
 Item = TypeVar("Item")
 Decoded = TypeVar("Decoded")
 
-MODES = ("L", "LA", "P", "RGB", "RGBA")
-"""Pillow's modes with 8 bits per channel, which convert to RGB without loss of range."""
+MODES = ("L", "LA", "P", "RGB", "RGBA", "1")
+"""Pillow's modes with 8 bits per channel, or of black and white, which convert to RGB without loss
+of range."""
 
 DEEP_MODES = ("I;16", "I;16B", "I;16L", "I")
 """Pillow's modes of monochrome images with more than 8 bits, whose white level a user states."""
@@ -119,7 +121,8 @@ def read_rgb(path: Path, white: float | str | None = None) -> Image.Image:
     Raises:
         FileNotFoundError: The file does not exist.
         DataError: The file is not an intact image, or too large (`MAX_PIXELS`), or its mode is not
-            in `MODES`, or it has more than 8 bits per channel.
+            in `MODES`, or it has more than 8 bits per channel. A PNG file that lacks rows is not
+            intact.
     """
     with open_image(path) as image:
         return to_rgb(image, path, white if image.mode in DEEP_MODES else None)
@@ -169,7 +172,7 @@ def to_rgb(image: Image.Image, path: Path, white: float | str | None = None) -> 
     Raises:
         DataError: The image's mode is not in `MODES`, or with ``white`` not in `DEEP_MODES`, or it
             has several channels of more than 8 bits, or the percentile of its levels is not above
-            zero.
+            zero; or a PNG file lacks rows.
     """
     if image.mode not in DEEP_MODES and _is_deep(image):
         expected = "8 bits per channel, or one channel of 16 bits with a white level"
@@ -180,6 +183,8 @@ def to_rgb(image: Image.Image, path: Path, white: float | str | None = None) -> 
         level = ", and no white level (white)" if image.mode in DEEP_MODES else ""
         got = image.mode + level
         raise DataError(f"expected pixels of mode {', '.join(MODES)}, got {got}", path)
+    if image.format == "PNG":
+        load_all_rows(image, path)
     # A palette may hold transparency, which Pillow only drops by way of RGBA.
     return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
 
@@ -189,6 +194,8 @@ def _scaled(image: Image.Image, path: Path, white: float | str) -> Image.Image:
     if image.mode not in DEEP_MODES:
         expected = f"pixels of mode {', '.join(DEEP_MODES)}, for which a white level is stated"
         raise DataError(f"expected {expected}, got {image.mode}", path)
+    if image.format == "PNG":
+        load_all_rows(image, path)
     stretched = _maxval(image)  # is forgotten once the pixels are decoded
     levels = np.asarray(image).astype(np.float64)
     if stretched is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from functools import partial
 from importlib.util import find_spec
@@ -133,9 +134,12 @@ def _open_graph(
             " it",
             path,
         )
-    if whole is not None and (
-        not graph.takes_point or graph.weights_sha256 != whole.weights_sha256
-    ):
-        name = path.name.removesuffix(TRACK_SUFFIX)
-        raise DataError(f"expected the single looks of the weights of {name}.onnx", path)
+    if whole is not None:
+        name = path.name.removesuffix(TRACK_SUFFIX) + ".onnx"
+        got = hashlib.sha256(data).hexdigest()
+        if whole.track_sha256 not in (None, got):
+            raise DataError(f"expected SHA-256 {whole.track_sha256} (of {name}), got {got}", path)
+        same = graph.weights_sha256 is not None and graph.weights_sha256 == whole.weights_sha256
+        if not graph.takes_point or not same:
+            raise DataError(f"expected the single looks of the weights of {name}", path)
     return open_session(path, graph.filter, data=data, **options), graph

@@ -62,7 +62,7 @@ class WeightsMetadata:
         calibration: What the network was calibrated on, as a JSON document: ``command``,
             ``images``.
         tracking: What a tracker expects of the network's errors: fields of
-            `ffpose.tracking.Settings`, such as the angles of their correlation.
+            `ffpose.tracking.Settings`, such as the angles of their correlation; "inf" for infinity.
         version: Version of ffpose that wrote the file.
 
     Raises:

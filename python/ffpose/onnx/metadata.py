@@ -7,8 +7,9 @@ All entries are strings: ``ffpose_format`` (version of these entries), ``ffpose_
 for Gaussian ones). An int8 graph also has ``precision`` and ``calibration_sha256``, the SHA-256
 of the concatenated hexadecimal SHA-256s of its calibration images. A graph that locates the camera
 in the world has ``locates``, with the value ``camera``. One that takes the point where to look as a
-second input, ``point``, has ``takes_point``, with the value ``true``. ``tracking`` is there where
-the weights say what a tracker expects of the network's errors, as JSON.
+second input, ``point``, has ``takes_point``, with the value ``true``; a graph that was exported
+with one has ``track_sha256``, the SHA-256 of its file. ``tracking`` is there where the weights say
+what a tracker expects of the network's errors, as JSON.
 
 The last record of the file is the entry ``ffpose_sha256``, the SHA-256 of all bytes before it,
 which shows alterations without a second file. ONNX files are protobuf messages, whose records may
@@ -20,6 +21,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -52,7 +54,8 @@ class ModelMetadata:
     ``camera`` is that of the training images, ``undistorted`` and ``white`` say how they were read;
     ``weights_sha256`` is of the weights file that was exported, ``calibration_sha256`` of an int8
     graph's calibration images; ``takes_point`` says that the graph looks once, at points that are
-    its input ``point``. The rest is as in the header of weights.
+    its input ``point``, and ``track_sha256`` is of the file of such a graph that belongs to this
+    one. The rest is as in the header of weights.
     """
 
     config: NetworkConfig
@@ -68,6 +71,7 @@ class ModelMetadata:
     undistorted: bool = False
     white: float | str | None = None
     takes_point: bool = False
+    track_sha256: str | None = None
     tracking: Mapping[str, float] | None = None
     symmetry: SymmetryGroup = IDENTITY
 
@@ -102,7 +106,8 @@ class ModelMetadata:
             **({} if self.precision == "float32" else int8),
             **({} if self.locates == "object" else {"locates": self.locates}),
             **({"takes_point": "true"} if self.takes_point else {}),
-            **({"tracking": json.dumps(self.tracking)} if self.tracking else {}),
+            **({"track_sha256": self.track_sha256} if self.track_sha256 else {}),
+            **({"tracking": _finite(self.tracking)} if self.tracking else {}),
             **({"symmetry": json.dumps(self.symmetry.to_json())} if self.symmetry.axes else {}),
             **({"decoding": json.dumps(decoding)} if any(decoding.values()) else {}),
             **{name: json.dumps(value, allow_nan=False) for name, value in values.items()},
@@ -139,6 +144,7 @@ class ModelMetadata:
             entries.get("calibration_sha256") or None,
             told["locates"],
             takes_point=entries.get("takes_point") == "true",
+            track_sha256=entries.get("track_sha256"),
             tracking=json.loads(entries.get("tracking", "null")),
             symmetry=SymmetryGroup.from_json(json.loads(entries.get("symmetry", "[]"))),
             **json.loads(entries.get("decoding", "{}")),
@@ -188,6 +194,12 @@ def read_model(path: str | Path) -> tuple[ModelMetadata, bytes]:
         return ModelMetadata.from_entries(entries), data
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"expected metadata that ffpose {version} wrote: {error}", path) from error
+
+
+def _finite(numbers: Mapping[str, float | str]) -> str:
+    """Return settings of a tracker as JSON, which has no infinity: the word that stands for it."""
+    told = {name: "inf" if value == math.inf else value for name, value in numbers.items()}
+    return json.dumps(told, allow_nan=False)
 
 
 def sealed(data: bytes) -> bytes:

@@ -54,6 +54,7 @@ def export_weights(
     filter: FilterChoice = "custom",
     *,
     takes_point: bool = False,
+    track_sha256: str | None = None,
     tolerance: float = TOLERANCE,
     say: Say = lambda _: None,
     **fields: Any,
@@ -61,9 +62,9 @@ def export_weights(
     """Write the network of a weights file, or of a name, as an ONNX graph for `ffpose.load`.
 
     ``takes_point``: the single look at points that a track expects the object at
-    (`ffpose.models.PolarPose.predict_near`); that of ``X.onnx`` is ``X.track.onnx``. ``fields`` of
-    the network are changed as in `ffpose.models.load_network`; the rest is as of
-    `ffpose.onnx.export`.
+    (`ffpose.models.PolarPose.predict_near`); that of ``X.onnx`` is ``X.track.onnx``, and
+    ``track_sha256``, of its file, is what ``X.onnx`` knows it by. ``fields`` of the network are
+    changed as in `ffpose.models.load_network`; the rest is as of `ffpose.onnx.export`.
 
     Raises:
         FileNotFoundError: No such weights, or the operator's library is not installed.
@@ -93,7 +94,9 @@ def export_weights(
         batches,
         path,
         filter,
-        graph_entries(weights, source, takes_point=takes_point, **fields),
+        graph_entries(
+            weights, source, takes_point=takes_point, track_sha256=track_sha256, **fields
+        ),
         partial(pose_differences, doubt_sigma=doubt_sigma),
         input_names=POINT_NAMES if takes_point else INPUT_NAMES,
         output_names=output_names(source.config),
@@ -110,7 +113,12 @@ def _middles(config: PolarPoseConfig, count: int) -> torch.Tensor:
 
 
 def graph_entries(
-    weights: str | Path, source: WeightsMetadata, *, takes_point: bool = False, **fields: Any
+    weights: str | Path,
+    source: WeightsMetadata,
+    *,
+    takes_point: bool = False,
+    track_sha256: str | None = None,
+    **fields: Any,
 ) -> Callable[[Filter], dict[str, str]]:
     """Return what gives the metadata of a graph of these weights, for how it computes filters."""
     digest = sha256(resolve(weights))
@@ -127,6 +135,7 @@ def graph_entries(
             undistorted=source.undistorted,
             white=source.white,
             takes_point=takes_point,
+            track_sha256=track_sha256,
             tracking=source.tracking,
             symmetry=source.symmetry,
         ).to_entries()

@@ -49,8 +49,9 @@ def follow(
 ) -> Iterator[Followed]:
     """Pose each frame and track the object through them, frame by frame, in the order of times.
 
-    An image that cannot be used is coasted over. If the network's single look was opened, it looks
-    where the object is expected, and searches a whole frame where that is not known
+    An image that cannot be used is coasted over, and so is a pose whose covariances the tracker
+    refuses, as rounding can leave them without an inverse. If the network's single look was opened,
+    it looks where the object is expected, and searches a whole frame where that is not known
     (`Tracker.expected`). The tracker goes on from where it is.
 
     Raises:
@@ -63,8 +64,14 @@ def follow(
         point = None if estimator.near is None else tracker.expected(frame.time)
         (answer,) = predict(estimator, [frame.image], point=point)
         alone = None if isinstance(answer, Failure) else answer.pose
-        step = tracker.step(frame.time, alone)
-        reason = explain(answer.error) if isinstance(answer, Failure) else step.outcome
+        try:
+            step = tracker.step(frame.time, alone)
+            reason = explain(answer.error) if isinstance(answer, Failure) else step.outcome
+        except ValueError as error:
+            if alone is None or alone.uncertainty is None:
+                raise
+            step = tracker.step(frame.time, None)  # where the time is wrong it is refused again
+            alone, reason = None, str(error)
         yield Followed(frame, alone, step, reason)
 
 

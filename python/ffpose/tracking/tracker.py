@@ -9,6 +9,7 @@ states too: first-order Gauss-Markov processes in the angle turned, not in time.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -25,11 +26,14 @@ from ffpose.geometry import FloatArray, Pose
 if TYPE_CHECKING:
     from ffpose.inference.estimator import Description
 
+INFINITE = "inf"
+"""What stands for infinity in settings of JSON files and metadata."""
+
 Outcome = Literal["accepted", "switched", "gated", "flagged", "coasted", "acquiring", "lost"]
-"""What became of a frame: it corrected the track; it speaks for another attitude, which leads from
-now on; it is too far from what was expected; it shows no spacecraft; there was no pose; there is no
-track yet; the track went too long without a frame that it could believe, or too many views spoke
-against it."""
+"""What became of a frame: it corrected the track; another attitude leads from now on, as the frame
+speaks for it or none has for the one before (`Step.accepted`); it is too far from what was
+expected; it shows no spacecraft; there was no pose; there is no track yet; the track went too long
+without a frame that it could believe, or too many views spoke against it."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,8 @@ class Settings:
         ordinary_nis: Mean `Step.nis` of frames whose errors are as large as the network says: below
             six, as what is new in a frame is counted larger than it is.
         agreeing: Frames in agreement that make a track.
-        coasting: Seconds without a believed frame after which the track is lost.
+        coasting: Seconds without a believed frame after which the track is lost, whether steps
+            without a pose tell them or none.
         orbital_rate: The orbit's angular velocity, deg/s along the camera's axes, of a camera that
             keeps its attitude to the Earth: position and velocity then move as Clohessy and
             Wiltshire's equations say. Zero for straight lines.
@@ -93,12 +98,17 @@ class Settings:
     def of(cls, network: Description, settings: Mapping[str, Any] | None = None) -> Settings:
         """Return what a network's metadata says of its errors, but for fields of ``settings``.
 
+        In both ``"inf"`` stands for infinity, for which JSON has no number.
+
         Raises:
             ValueError: ``tracking`` or ``settings`` has a field that is none.
         """
         told: dict[str, Any] = {}
         for name, given in (("tracking", network.tracking), ("settings", settings)):
-            told |= given or {}
+            told |= {
+                name: math.inf if value == INFINITE else value
+                for name, value in (given or {}).items()
+            }
             if unknown := told.keys() - {field.name for field in fields(cls)}:
                 raise ValueError(f"{name}: expected fields of Settings, got {', '.join(unknown)}")
         if network.degrees_of_freedom is not None:
@@ -111,7 +121,7 @@ def read_settings(path: Path | None, network: Description) -> Settings:
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DataError: It is no JSON object of fields of `Settings`.
+        DataError: It is no JSON object of fields of `Settings`, finite numbers or ``"inf"``.
     """
     if path is None:
         return Settings.of(network)
@@ -121,13 +131,19 @@ def read_settings(path: Path | None, network: Description) -> Settings:
             raise ValueError(f"expected a JSON object, got {type(told).__name__}")
         for name, value in told.items():
             numbers = value if isinstance(value, list) else [value]
-            if any(type(number) not in (int, float) for number in numbers):
-                raise ValueError(f"{name}: expected numbers, got {shortened(value)}")
+            if value != INFINITE and not all(_is_number(number) for number in numbers):
+                expected = f'finite numbers, or "{INFINITE}" for infinity'
+                raise ValueError(f"{name}: expected {expected}, got {shortened(value)}")
         settings = Settings.of(network, told)
         Tracker(settings)
     except (OverflowError, TypeError, ValueError) as error:
         raise DataError(str(error), path) from error
     return settings
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value of a JSON file is a number of JSON's own: Python takes others too."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +187,7 @@ class Step:
     Attributes:
         time: Its time, seconds.
         outcome: What became of it.
+        accepted: Whether the frame corrected the track that leads.
         estimate: The motion at its time; None without a track.
         nis: Squared Mahalanobis distance of its pose from what was expected, six degrees of
             freedom: the normalized innovation squared. None without a track or a pose.
@@ -179,14 +196,10 @@ class Step:
 
     time: float
     outcome: Outcome
+    accepted: bool
     estimate: Estimate | None
     nis: float | None
     mode: int | None
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the frame corrected the track."""
-        return self.outcome in ("accepted", "switched")
 
 
 class Tracker:
@@ -230,7 +243,8 @@ class Tracker:
         """Move on to the time of a frame, and take in what it says.
 
         Args:
-            time: Middle of the exposure, seconds; later than the frame before.
+            time: Middle of the exposure, seconds; later than the frame before. Where no track leads
+                it may be earlier by more than ``coasting``, and where nothing is followed anything.
             pose: Pose of the object as a network with uncertainty gives it, a second orientation
                 included; None for a frame without one. A flagged pose says nothing.
             camera_rate: The camera's own angular velocity since the frame before, as a gyro
@@ -238,8 +252,8 @@ class Tracker:
 
         Raises:
             TypeError: The pose is none.
-            ValueError: The time is not later, the pose has no uncertainty, or a covariance is not
-                positive definite; nothing has changed then.
+            ValueError: The time is not later where it must be, the pose has no uncertainty, or a
+                covariance is not positive definite; nothing has changed then.
         """
         rows = [] if pose is None else _modes(pose)
         flagged = pose is not None and pose.flagged
@@ -249,7 +263,8 @@ class Tracker:
         if flagged and outcome == "coasted":
             outcome = "flagged"
         estimate = None if told["estimate"] is None else _estimate(told["estimate"])
-        return Step(float(time), outcome, estimate, told["nis"], told["mode"])
+        rest = told["nis"], told["mode"]
+        return Step(float(time), outcome, told["accepted"], estimate, *rest)
 
     def expected(
         self, time: float, *, camera_rate: ArrayLike = (0.0, 0.0, 0.0)
@@ -271,7 +286,8 @@ class Tracker:
     def state(self, model: bytes = b"") -> bytes:
         """Return the tracker as bytes, exact, for `from_state`.
 
-        ``model`` tells the network from others, as the bytes of its file; its digest is kept.
+        ``model`` tells the network from others, as the bytes of its file; its digest is kept. So it
+        is in the states of ``ffpose-onboard``, but with ``--camera`` or ``--resize``.
         """
         return self._tracker.state(hashlib.sha256(model).digest())
 
