@@ -39,6 +39,10 @@ class Camera:
         fy: Focal length along v, in pixels.
         cx: u coordinate of the principal point.
         cy: v coordinate of the principal point.
+
+    Raises:
+        ValueError: The size is not of positive whole numbers, a number is not finite, or a focal
+            length is not positive.
     """
 
     width: int
@@ -342,7 +346,11 @@ class Pose:
 
     @classmethod
     def from_vector(cls, vector: ArrayLike) -> Pose:
-        """Build a pose from ``[tx, ty, tz, qw, qx, qy, qz]``."""
+        """Build a pose from ``[tx, ty, tz, qw, qx, qy, qz]``, meters and a unit quaternion.
+
+        Raises:
+            ValueError: There are not seven finite numbers, or the quaternion's norm is not one.
+        """
         array = real_array("pose vector", vector, 7)
         return cls(array[..., :3], array[..., 3:])
 
@@ -350,7 +358,19 @@ class Pose:
     def from_urso(
         cls, *, x: float, y: float, z: float, q1: float, q2: float, q3: float, q4: float
     ) -> Pose:
-        """Build a pose from a row of URSO's labels, as `ffpose._internal.urso` converts it.
+        """Build a pose from a row of URSO's labels, of a left-handed camera frame (y up).
+
+        Args:
+            x: To the right, meters.
+            y: Up, meters.
+            z: Depth, meters.
+            q1: First of the vector part of URSO's quaternion, which is JPL's.
+            q2: Second of it.
+            q3: Third of it.
+            q4: Scalar part.
+
+        Raises:
+            ValueError: A number is not finite, or the quaternion's norm is not one.
 
         Examples:
             >>> pose = Pose.from_urso(x=2, y=1, z=10, q1=0, q2=0, q3=0, q4=1)

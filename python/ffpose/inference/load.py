@@ -44,7 +44,7 @@ def load(
             of a name torch, where it is installed.
         threads: Number of threads within an image, on the CPU; None for the backend's default.
         camera: Camera of the images, which are reprojected to the network's view if it is another
-            than that of training; None for that of training.
+            than that of training; None for that of training: no ``camera.json`` is looked for.
         resize: Resize any image to the network's input, as if taken by the camera of training.
         white: White level of files of monochrome images of more than 8 bits, 4095 for 12 bits, or
             the percentile of each image's own levels that is white, such as ``"p99.5"``; None for
@@ -58,6 +58,9 @@ def load(
             ``X.onnx``.
         warm_up: Number of runs on a black image, which allocate memory and plan, so that the first
             real image is not slowed by a cold start.
+
+    Returns:
+        An estimator: call it on an image or a list of them (`PoseEstimator.__call__`).
 
     Raises:
         FileNotFoundError: There is no such file or name, or the custom operator's library is

@@ -37,7 +37,21 @@ def find_config(model: str) -> NetworkConfig:
 def build_network(
     config: str | NetworkConfig, *, backbone_weights: str | Path = "auto", **fields: Any
 ) -> BaseNetwork:
-    """Build any network, of a preset or a config, as `BaseNetwork.from_config` of its class."""
+    """Build any network, as `BaseNetwork.from_config` of its class.
+
+    Args:
+        config: A preset's name (`ffpose.config.PRESETS`), or a configuration.
+        backbone_weights: A file, ``"none"`` for random ones, or ``"auto"`` for pretrained ones,
+            which are downloaded where they are not in the cache.
+        **fields: Fields of the configuration to change.
+
+    Returns:
+        The network, on the CPU, in training mode.
+
+    Raises:
+        ValueError: An unknown preset or field, or a value out of range.
+        FileNotFoundError: The backbone's weights are not there, or cannot be downloaded.
+    """
     if isinstance(config, str):
         config = find_config(config)
     network = NETWORKS[config.architecture]
@@ -45,7 +59,20 @@ def build_network(
 
 
 def load_network(path: str | Path, **fields: Any) -> BaseNetwork:
-    """Load a network of any kind, as `BaseNetwork.from_pretrained` of its class, which is read."""
+    """Load a network of any kind, as `BaseNetwork.from_pretrained` of its class.
+
+    Args:
+        path: Weights file, or a name of shipped weights such as ``"soyuz"``.
+        **fields: Fields that may change after training: ``looks``, ``candidates``.
+
+    Returns:
+        The network, on the CPU, in evaluation mode.
+
+    Raises:
+        FileNotFoundError: There is no such file or name.
+        ffpose.DataError: The file was not written by ffpose, or was altered.
+        ValueError: A field cannot be changed, or its value is out of range.
+    """
     return open_weights(path, **fields)[0]
 
 

@@ -18,7 +18,12 @@ LONGEST_WAVE = 10_000.0  # Vaswani et al., 2017, section 3.5
 
 
 class PositionCode(nn.Module):
-    """Position encoding, ``"learned"`` or ``"sinusoidal"``, added to each token of a grid.
+    """Position encoding added to each token of a grid.
+
+    Args:
+        grid: Rows and columns.
+        dim: Number of channels of a token.
+        kind: ``"learned"`` or ``"sinusoidal"``.
 
     Raises:
         ValueError: ``kind`` is unknown, or ``dim`` is not divisible by 2, sinusoidal by 4.

@@ -120,9 +120,9 @@ class SequenceFilter(nn.Module):
     Args:
         length: Number of tokens L.
         dim: Number of channels C.
-        std: As of `SpectralFilter`, and so are the next two.
+        std: Standard deviation of the real and imaginary parts at initialization.
         device: Device of the parameter.
-        dtype: Dtype of the parameter.
+        dtype: Dtype of the parameter, as of `SpectralFilter`.
 
     Attributes:
         weight: Real parameter ``(L//2+1, C, 2)``.

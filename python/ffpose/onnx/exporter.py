@@ -71,7 +71,14 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Exported:
-    """An exported graph: how it computes its filters, size, largest difference by output."""
+    """An exported graph.
+
+    Attributes:
+        path: Its file.
+        filter: How filters are computed: ``"custom"``, ``"matmul"``, or ``"none"`` without any.
+        bytes: Size of the file.
+        differences: Largest difference from the module by output.
+    """
 
     path: Path
     filter: Filter
@@ -106,6 +113,9 @@ def export(
         input_names: Of the graph's inputs, in order; those of forward when None.
         output_names: Of the graph's outputs, in order.
         tolerance: Difference that is taken for rounding, whatever the module.
+
+    Returns:
+        What was written, with the differences that were found.
 
     Raises:
         MissingExtraError: onnx, onnxscript or onnxruntime is not installed.

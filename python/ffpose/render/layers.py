@@ -76,6 +76,9 @@ def render_layers(
 ) -> Layers:
     """Compute the ground truth of the image that `render` makes of the same arguments.
 
+    Returns:
+        Silhouette, depth in meters, keypoints and object coordinates, of the image's size.
+
     Raises:
         ValueError: An argument is invalid, as for `render`.
     """

@@ -62,14 +62,19 @@ def render(scene: Scene | str, seed: int, index: int, size: tuple[int, int] | No
     """Render one image; the same arguments give the same bytes.
 
     Args:
-        scene: A set, or the name of one (`ffpose.render.SCENES`).
+        scene: A set, the name of one (`ffpose.render.SCENES`), or the path of one's file (.json).
         seed: Seed of the whole set, at least 0.
         index: Number of the image in the set, at least 0.
         size: (width, height) in pixels; default is that of the scene's camera.
 
+    Returns:
+        The image ``(H, W, 3)``, uint8, with its pose and camera.
+
     Raises:
         ValueError: `scene` is not in `SCENES`, `seed` or `index` is negative, or a side of `size`
             is not within `MIN_SIDE`…`MAX_SIDE`.
+        FileNotFoundError: There is no file of that path, or its mesh is gone.
+        DataError: The file of the scene, or its mesh, cannot be used.
     """
     scene = find_scene(scene)
     return shoot(scene, seed, index, camera_of(scene, size), scene.sensor)
@@ -151,7 +156,7 @@ def shoot_each(
 
 
 def label(scene: Scene | str, seed: int, index: int) -> Pose:
-    """Return the pose of image `index` without rendering it; equal to that of `render`."""
+    """Return the pose of image `index` without rendering it; arguments and errors as `render`."""
     scene = find_scene(scene)
     return sample_pose(scene, scene.build(), _streams(seed, index)[0])
 

@@ -57,6 +57,10 @@ class Scene:
         lamp: irradiance of the camera's lamp in eclipse, relative to the sun's, at 1 m.
         dusk: whether outside the Earth's shadow the sun is so low that the ground below is dark:
             then nothing lights the side of the spacecraft that is turned away from the sun.
+
+    Raises:
+        ValueError: A range is empty or out of bounds, a choice is unknown, the camera distorts, or
+            Mitsuba is to render randomized materials.
     """
 
     name: str

@@ -96,7 +96,7 @@ def write_dataset(
     closed at once.
 
     Args:
-        scene: A set, or the name of one (`ffpose.render.SCENES`).
+        scene: A set, the name of one (`ffpose.render.SCENES`), or the path of one's file (.json).
         out: Folder to write to; created if it does not exist.
         count: Number of images, at least 1.
         seed: Seed of the set, at least 0 and none of `ffpose._internal.seeds.FINAL`.

@@ -44,6 +44,9 @@ def load_craft(
         center: Move the origin to the middle of the bounding sphere.
         two_sided: Show the back of surfaces too that the file gives one side only.
 
+    Returns:
+        The spacecraft, in meters about the file's origin, or the middle of its bounding sphere.
+
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: The format is not in `FORMATS`, `scale` is not positive, or `up` is no axis.
