@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from ffpose._internal.files import atomic_write
 from ffpose.errors import DataError
-from ffpose.training.checkpoint import Row, read_results
+from ffpose.training.checkpoint import Row
 from studies.study import Study, Variant
 
 RESULTS = "results.json"
@@ -67,6 +67,15 @@ def read_run(folder: Path) -> Result:
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"expected the result of a run: {error!r}", path) from error
     raise DataError("expected the result of a run, got one without figures", path)
+
+
+def read_results(path: Path) -> list[Row]:
+    """Read a training's table of results: values as floats, and the stage's name."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            {name: value if name == "stage" else float(value) for name, value in row.items()}
+            for row in csv.DictReader(file)
+        ]
 
 
 def write_tables(study: Study, out: Path) -> Path:

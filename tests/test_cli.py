@@ -13,10 +13,10 @@ import pytest
 from PIL import Image
 
 from ffpose import __version__
-from ffpose.cli import COMMANDS, main, width_and_height
+from ffpose.cli import COMMANDS, build_parser, main, width_and_height
 from ffpose.models import FilterformerPose
-from ffpose.training.checkpoint import read_results
 from option_words import options_of
+from studies.table import read_results
 from tiny_runs import MODEL_FIELDS, write_set
 
 
@@ -579,6 +579,12 @@ def test_version(capsys):
     with pytest.raises(SystemExit):
         main(["--version"])
     assert __version__ in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_no_default_that_is_nothing(name):
+    text = build_parser(name).format_help()
+    assert not re.findall(r"<class|default: (?:null|False)\)| \(\)", text)
 
 
 def test_help_loads_nothing_heavy():

@@ -100,7 +100,7 @@ def declare(parser: ArgumentParser, options: dict[str, tuple[Any, Any, str]]) ->
 
 OUT = {"--out": (Path, ..., "folder to write")}
 MESH = "your spacecraft: .glb, .gltf, .obj, .ply, .stl"
-CAMERA = "JSON file: width, height, fx, fy, cx, cy"
+CAMERA = "JSON file of the images' camera: width, height, fx, fy, cx, cy"
 RESIZE = "resize images of any camera to the network's input"
 WHITE = "level that becomes white in images of more than 8 bits, or percentile such as p99.5"
 ANGLES: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("ROLL", "PITCH", "YAW")}
@@ -394,7 +394,7 @@ def learn_arguments(parser: ArgumentParser) -> None:
     parser.add_argument("--distance", nargs=2, type=float, metavar=("NEAR", "FAR"), help=text)
     text = "largest absolute angles, degrees"
     parser.add_argument("--attitude-range", **ANGLES, default=[180.0, 90.0, 180.0], help=text)
-    text = "fold attitudes of one look: auto (within the sensor's noise), none, or a JSON file"
+    text = "attitudes that count as one: auto (equal within sensor noise), none, or a JSON file"
     symmetry_argument(parser, text)
 
 
@@ -406,26 +406,11 @@ def learn(options: Namespace) -> None:
     from ffpose.learn.run import learn as run
 
     expect_writable(options.out)
-    run(
-        LearnConfig(
-            options.mesh,
-            options.out,
-            options.minutes,
-            options.mesh_scale,
-            Camera.read(options.camera) if options.camera else DEFAULT_CAMERA,
-            tuple(options.distance) if options.distance else None,
-            tuple(options.attitude_range),
-            options.processes,
-            options.seed,
-            options.device,
-            mesh_up=options.mesh_up,
-            mesh_center=options.mesh_center,
-            mesh_two_sided=options.mesh_two_sided,
-            symmetry=options.symmetry,
-            init=options.init,
-        ),
-        say,
-    )
+    values = vars(options)
+    values["camera"] = Camera.read(options.camera) if options.camera else DEFAULT_CAMERA
+    distance, angles = values.pop("distance"), values.pop("attitude_range")
+    values |= {"distance_m": distance and tuple(distance), "attitude_range_deg": tuple(angles)}
+    run(LearnConfig(**values), say)
 
 
 def evaluate_arguments(parser: ArgumentParser) -> None:
@@ -435,13 +420,13 @@ def evaluate_arguments(parser: ArgumentParser) -> None:
     empty = "folder of images without the object, which should be flagged"
     reproject = "reproject images of a camera other than the weights' to the network's view"
     options = OUT | {
-        "--data.split": (str, "test", "a split of the set, or all (default: test)"),
+        "--data.split": (str, "test", "a split of the set, or all"),
         "--empty": (Path, None, empty),
         "--reproject": (bool, False, reproject),
         "--json": (bool, False, "print the results as JSON"),
     }
     declare(parser, options)
-    text = "what errors are modulo: auto (what the training's were), none, or a JSON file"
+    text = "what errors are measured modulo: auto (as in training), none, or a JSON file"
     symmetry_argument(parser, text)
 
 
@@ -479,7 +464,7 @@ def predict_arguments(parser: ArgumentParser) -> None:
     weights_argument(parser)
     text = "image files, folders of PNG, JPEG and PGM files, and patterns such as 'set/*/*.png'"
     parser.add_argument("images", nargs="+", help=text)
-    camera = "of the images (default: camera.json beside them, or that of the weights)"
+    camera = f"{CAMERA}, distortion if any (default: camera.json beside them, or of the weights)"
     options = {
         "--json": (bool, False, "print a line of JSON for each image"),
         "--batch": (int, 1, "images computed together"),
@@ -492,11 +477,11 @@ def predict_arguments(parser: ArgumentParser) -> None:
 
 
 def predict(options: Namespace) -> None:
-    """Print the pose seen in each image, as soon as it is known.
+    """Print the pose of the spacecraft in each image, as soon as it is known.
 
-    An image that cannot be used is told, the others are still predicted, and the exit code is 1.
-    Images are those of the camera of --camera, of camera.json beside them, or of the weights; of
-    another than the weights' they are reprojected, or --resize takes them as they are.
+    An image that cannot be used is reported, the others are still processed, and the exit code is
+    1. Images of another camera than the weights' (--camera, or camera.json beside them) are
+    reprojected; --resize takes them as they are.
     """
     from ffpose.geometry import Camera
     from ffpose.imaging.images import find_images
@@ -552,7 +537,7 @@ def track_arguments(parser: ArgumentParser) -> None:
     weights_argument(parser)
     parser.add_argument("images", type=Path, help="folder of the frames")
     times = "CSV file of image,time (seconds), perhaps with poses (default: frames.csv there)"
-    camera = "of the images (default: camera.json beside them, or that of the weights)"
+    camera = f"{CAMERA}, distortion if any (default: camera.json beside them, or of the weights)"
     options = OUT | {
         "--times": (Path, None, times),
         "--camera": (Path, None, camera),
@@ -609,7 +594,7 @@ def inference_fields(options: Namespace) -> dict[str, Any]:
 def export_arguments(parser: ArgumentParser) -> None:
     """Declare the arguments of `export`."""
     parser.add_argument("weights", type=Path, help="weights, or a name such as soyuz")
-    text = "filters by ffpose's operator, or by standard ones alone (default: custom)"
+    text = "filters by ffpose's operator, or by standard ones alone"
     parser.add_argument("--filter", choices=["custom", "matmul"], default="custom", help=text)
     inference_arguments(parser)
     track = "write the single look of a track too, X.track.onnx beside X.onnx"
@@ -674,7 +659,7 @@ def inspect(options: Namespace) -> None:
     """Describe and draw a mesh, or count, check and draw a set of images.
 
     Of a mesh: its size, materials, twelve views, and what may be wrong with it, each with the
-    option that mends it. Of a set, every label is checked and every image decoded, some 5 ms for
+    option that fixes it. Of a set, every label is checked and every image decoded, some 5 ms for
     640x480 pixels and one core. The first file that cannot be used is named, with the line that
     lists it.
     """
@@ -743,7 +728,7 @@ def card_arguments(parser: ArgumentParser) -> None:
 
     weights = "weights file, a name such as soyuz, or an exported .onnx graph"
     parser.add_argument("weights", type=Path, help=weights)
-    scene = "soyuz_easy, soyuz_hard or dragon_hard: what it was made for"
+    scene = "what it was made for: a set such as soyuz_hard, or the scene.json of ffpose learn"
     seeds = f"of the scenes, {CHOICES.start} to {CHOICES.stop - 1}"
     final = "scenes of the seed that is kept for published figures, in place of --seed"
     images = "folder that keeps the images: an interrupted card goes on"
@@ -885,7 +870,9 @@ INTERRUPTED, CLOSED = 130, 141
 COMMANDS = {
     "demo": Command("predict poses of unseen images", demo_arguments, demo, "onnx,render"),
     "render": Command("render images with exact labels", render_arguments, render, "render"),
-    "learn": Command("learn to pose your own mesh", learn_arguments, learn, "pose,render,export"),
+    "learn": Command(
+        "train a network for your own mesh", learn_arguments, learn, "pose,render,export"
+    ),
     "train": Command("train a model", train_arguments, train),
     "evaluate": Command("measure a model on labeled images", evaluate_arguments, evaluate),
     "predict": Command("print the pose seen in each image", predict_arguments, predict, "onnx"),
@@ -893,7 +880,7 @@ COMMANDS = {
     "export": Command("write a network as an ONNX graph", export_arguments, export, "export"),
     "calibrate": Command("calibrate weights", calibrate_arguments, calibrate, "pose,render"),
     "card": Command("measure weights for their model card", card_arguments, card, "pose,render"),
-    "inspect": Command("check and draw a mesh or a set of images", inspect_arguments, inspect),
+    "inspect": Command("check a set of images, or a mesh (render)", inspect_arguments, inspect),
     "bench": Command("measure the filter, or the networks", bench_arguments, bench),
 }
 
@@ -914,6 +901,18 @@ def overview() -> argparse.ArgumentParser:
     return parser
 
 
+def plain_help(formatter: type[argparse.HelpFormatter]) -> type[argparse.HelpFormatter]:
+    """Return a formatter that names paths as such, and no default that is nothing."""
+
+    class Plain(formatter):  # type: ignore[misc, valid-type]
+        def _expand_help(self, action: argparse.Action) -> str:
+            text = str(super()._expand_help(action)).replace("<class 'Path'>", "path")
+            text = re.sub(r",? ?default: (null|False)\)$", ")", text)
+            return text.removesuffix(" ()")
+
+    return Plain
+
+
 def build_parser(name: str) -> ArgumentParser:
     """Return the parser of one command's arguments.
 
@@ -926,6 +925,7 @@ def build_parser(name: str) -> ArgumentParser:
     parser: ArgumentParser = jsonargparse.ArgumentParser(
         prog=f"ffpose {name}",
         description=command.run.__doc__,
+        formatter_class=plain_help(jsonargparse.DefaultHelpFormatter),
         allow_abbrev=False,
         exit_on_error=False,  # wrong usage is reported in one line
         print_config="--print-config",

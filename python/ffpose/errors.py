@@ -9,9 +9,13 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Literal, get_args, get_origin, get_type_hints
+
+type_hints = cache(get_type_hints)
+"""The types of a class's fields by name, computed once."""
 
 
 class DataError(ValueError):
@@ -140,7 +144,7 @@ def check_choices(values: object, prefix: str = "") -> None:
     Raises:
         ValueError: A value is none of its field's; the message begins with ``prefix`` and the name.
     """
-    for name, kind in get_type_hints(type(values)).items():
+    for name, kind in type_hints(type(values)).items():
         value, choices = getattr(values, name, None), get_args(kind)
         if get_origin(kind) is Literal and value not in choices:
             raise ValueError(f"{prefix}{name}: expected one of {', '.join(choices)}, got {value!r}")

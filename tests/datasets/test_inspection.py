@@ -125,7 +125,7 @@ def test_a_truncated_image_stops_it(tmp_path):
     Image.fromarray(noise).save(path)
     path.write_bytes(path.read_bytes()[:-4000])
     with pytest.raises(DataError, match=r"val_images\.csv:1: .*3_rgb\.png: .*truncated"):
-        inspect_dataset(read(root), tmp_path / "out", sheet_images=1)
+        inspect_dataset(read(root), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -138,14 +138,9 @@ def test_the_sheet_shows_the_axes_at_the_labeled_place(tmp_path):
     assert (column[..., 1] - column[..., 0] > 100).any(axis=1).mean() > 0.9
 
 
-@pytest.mark.parametrize(
-    ("splits", "images", "words"),
-    [([], 4, "expected at least 1 split, got 0"), (["test"], 0, "at least 1, got 0")],
-)
-def test_bad_arguments_are_refused(tmp_path, splits, images, words):
-    datasets = read(write_set(tmp_path / "set"), splits)
-    with pytest.raises(ValueError, match=words):
-        inspect_dataset(datasets, tmp_path / "out", images)
+def test_no_splits_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="expected at least 1 split, got 0"):
+        inspect_dataset(read(write_set(tmp_path / "set"), []), tmp_path / "out")
 
 
 @pytest.mark.usefixtures("unwritten")

@@ -125,10 +125,10 @@ def test_fields_without_interpolation_are_of_a_bilinear_resize():
     [
         ({"size": [224]}, "size: expected"),
         ({"size": [0, 224]}, "size: expected .*each at least 1"),
-        ({"mode": "pad"}, r"mode: expected one of \('resize', 'center_crop'\), got 'pad'"),
+        ({"mode": "pad"}, "mode: expected one of resize, center_crop, got 'pad'"),
         ({"mean": [0.5, 0.5]}, "mean: expected three"),
         ({"std": [0.2, 0.2, 0.0]}, "std: expected three finite numbers above 0"),
-        ({"interpolation": "sharp"}, r"expected one of \('bilinear', 'bicubic'\), got 'sharp'"),
+        ({"interpolation": "sharp"}, "expected one of bilinear, bicubic, got 'sharp'"),
         ({"crop": 1}, "expected size, mode, mean, std"),
     ],
 )

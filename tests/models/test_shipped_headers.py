@@ -30,8 +30,8 @@ from ffpose.training.provenance import recipe, rendered_sets
 CONFIGS = Path(__file__).parents[2] / "configs"
 CALIBRATED_ON = {"dragon": "dragon_hard", "soyuz": "soyuz_hard"}
 TRAININGS = {
-    "dragon": ("dragon-dusk", "dragon"),
-    "soyuz": ("soyuz-dusk", "soyuz-more", "soyuz"),
+    "dragon": ("dragon-monochrome", "dragon-dusk", "dragon"),
+    "soyuz": ("soyuz-monochrome", "soyuz-dusk", "soyuz-more", "soyuz"),
 }
 """Configurations of each, the last training first."""
 
@@ -104,8 +104,11 @@ def test_the_command_in_the_header_names_the_images_in_the_header(name):
     parser = build_parser("calibrate")
     options = parser.instantiate(parser.parse_args(words_of("calibrate", words[2:])))
     data = options.data
-    kinds = ((True, 0), (data.cut, TRUNCATED_SEEDS), (data.randomized, RANDOMIZED_SEEDS))
-    seeds = [data.seed + more for shown, more in (*kinds, (True, EMPTY_SEEDS)) if shown]
+    kinds = (
+        *((True, 0), (data.cut, TRUNCATED_SEEDS), (data.randomized, RANDOMIZED_SEEDS)),
+        *((data.dusk, DUSK_SEEDS), (True, EMPTY_SEEDS)),
+    )
+    seeds = [data.seed + more for shown, more in kinds if shown]
     assert [(each["scene"], each["seed"], each["count"]) for each in said["images"]] == [
         (data.scene, seed, data.count) for seed in seeds
     ]

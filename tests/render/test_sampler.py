@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffpose.geometry import rotation_matrix
+from ffpose.geometry import DistortedCamera, rotation_matrix
 from ffpose.render import SCENES, Scene, find_scene, label
 from ffpose.render.sampler import meets_earth, sample_surroundings
 from ffpose.render.spacecraft.decoys import build_decoy
@@ -104,6 +104,7 @@ def test_shadow_is_a_matter_of_the_horizon():
         {"min_visible": 1.5},
         {"max_visible": 0.8},  # less than the least
         {"eclipse_rate": -0.1},
+        {"camera": DistortedCamera(64, 48, 60, 60, 32, 24, (0.1, 0, 0, 0, 0))},  # no pinhole
     ],
 )
 def test_absurd_ranges_are_refused(wrong):

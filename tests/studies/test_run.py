@@ -10,10 +10,10 @@ from safetensors.torch import load_file
 
 from cambridge_sets import write_landmarks
 from ffpose.training import PAPER_STAGES, Stage
-from ffpose.training.checkpoint import read_results
 from ffpose.training.engine import train
 from studies import get_study, run
 from studies.__main__ import main
+from studies.table import read_results
 from tiny_study import tiny_study, write_sets
 
 RUNS = ("grid-seed0", "none-seed0", "grid-seed1", "none-seed1")

@@ -66,7 +66,7 @@ def test_the_command_in_the_header_calibrates_to_the_same_values(trained, tmp_pa
     [
         CalibrationImages(),
         CalibrationImages(seed=CALIBRATION.start + 5, count=3, attitude_range_deg=(9.0, 8.0, 7.0)),
-        CalibrationImages(cut=True, randomized=True, distance=(0.75, 1.5)),
+        CalibrationImages(cut=True, randomized=True, dusk=True, distance=(0.75, 1.5)),
         CalibrationImages("urso", Path("set"), split="train", start=3, step=6, undistort=True),
         CalibrationImages("csv", Path("set"), white="p99.5"),
     ],
@@ -94,9 +94,9 @@ def test_the_set_is_the_first_that_the_weights_were_trained_on(trained, tmp_path
 
 
 def test_the_kinds_are_those_that_training_saw(trained, tmp_path):
-    """Objects that the border cuts and randomized scenes, at distances beyond the set's."""
+    """Cut objects, randomized scenes and a low sun, at distances beyond the set's."""
     header, weights = read_metadata(trained), tmp_path / "cut.safetensors"
-    seen = header.recipe["data"] | {"cut": 1, "randomized": 2, "distance": [0.75, 1.5]}
+    seen = header.recipe["data"] | {"cut": 1, "randomized": 2, "dusk": 3, "distance": [0.75, 1.5]}
     FilterformerPose.from_pretrained(trained).save_pretrained(
         weights, recipe=header.recipe | {"data": seen}, data=header.data
     )
@@ -104,9 +104,9 @@ def test_the_kinds_are_those_that_training_saw(trained, tmp_path):
     calibrate_weights(weights, images)
     said = read_metadata(weights).calibration
     assert [each["seed"] - CALIBRATION.start for each in said["images"]] == [
-        *(3, 300_003, 400_003, 500_003),
+        *(3, 300_003, 400_003, 200_003, 500_003),
     ]
-    for word in ("--data.cut", "--data.randomized", "--data.distance 0.75,1.5"):
+    for word in ("--data.cut", "--data.randomized", "--data.dusk", "--data.distance 0.75,1.5"):
         assert word in said["command"]
     labels = sorted((tmp_path / "images").glob("frames-*/gt.csv"))
     assert len(labels) == 3

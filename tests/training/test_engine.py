@@ -15,7 +15,7 @@ from ffpose.errors import DataError
 from ffpose.geometry import Camera
 from ffpose.models import FilterformerPose, read_metadata
 from ffpose.training import DataConfig, OptimizerConfig, Stage
-from ffpose.training.checkpoint import RunFolder, read_results
+from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import NonFiniteLossError, cpu_seconds, train, train_epoch
 from ffpose.training.losses import PoseLoss
 from ffpose.training.options import load_config
@@ -28,6 +28,7 @@ from ffpose.training.run import (
 )
 from ffpose.training.stages import Epoch
 from ffpose.training.tasks import trained_together
+from studies.table import read_results
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
 

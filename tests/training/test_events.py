@@ -8,16 +8,16 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from ffpose.errors import MissingExtraError
 from ffpose.training.engine import train
-from ffpose.training.progress import Events
+from ffpose.training.progress import events
 from tiny_runs import train_config, write_set
 
 
 def scalars(folder):
-    events = EventAccumulator(str(folder / "tensorboard"))
-    events.Reload()
+    written = EventAccumulator(str(folder / "tensorboard"))
+    written.Reload()
     return {
-        name: [(event.step, event.value) for event in events.Scalars(name)]
-        for name in events.Tags()["scalars"]
+        name: [(event.step, event.value) for event in written.Scalars(name)]
+        for name in written.Tags()["scalars"]
     }
 
 
@@ -34,17 +34,17 @@ def test_a_training_writes_its_table(tmp_path):
 
 
 def test_a_resumed_run_has_each_epoch_once(tmp_path):
-    with Events(tmp_path, 0, wanted=True) as events:
+    with events(tmp_path, 0, wanted=True) as write:
         for epoch in (1, 2, 3):  # the last was not finished by a checkpoint
-            events.epoch_ends({"epoch": epoch, "stage": "joint", "loss": float(epoch)})
-    with Events(tmp_path, 2, wanted=True) as events:
-        events.epoch_ends({"epoch": 3, "stage": "joint", "loss": 30.0})
+            write({"epoch": epoch, "stage": "joint", "loss": float(epoch)})
+    with events(tmp_path, 2, wanted=True) as write:
+        write({"epoch": 3, "stage": "joint", "loss": 30.0})
     assert scalars(tmp_path) == {"loss": [(1, 1.0), (2, 2.0), (3, 30.0)]}
 
 
 def test_nothing_is_written_unasked(tmp_path):
-    with Events(tmp_path, 0, wanted=False) as events:
-        events.epoch_ends({"epoch": 1, "loss": 1.0})
+    with events(tmp_path, 0, wanted=False) as write:
+        write({"epoch": 1, "loss": 1.0})
     assert not list(tmp_path.iterdir())
 
 

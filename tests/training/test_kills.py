@@ -11,8 +11,9 @@ import torch
 from safetensors.torch import load_file
 
 from ffpose.training import Stage
-from ffpose.training.checkpoint import RunFolder, read_results
+from ffpose.training.checkpoint import RunFolder
 from ffpose.training.engine import train
+from studies.table import read_results
 from tiny_runs import train_config, write_set
 
 KILLS = 10

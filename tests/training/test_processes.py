@@ -14,11 +14,11 @@ from safetensors.torch import load_file
 
 from ffpose import DataError
 from ffpose.training import DataConfig, OptimizerConfig, Stage
-from ffpose.training.checkpoint import read_results
 from ffpose.training.config import TrainConfig
 from ffpose.training.engine import train
 from ffpose.training.options import dump_config
 from ffpose.training.processes import Processes, joined, started
+from studies.table import read_results
 from tiny_runs import MODEL_FIELDS, train_config, write_set
 
 FIELDS = {**MODEL_FIELDS, "dropout": 0.0}

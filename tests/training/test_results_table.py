@@ -2,7 +2,8 @@
 
 import math
 
-from ffpose.training.checkpoint import RunFolder, read_results
+from ffpose.training.checkpoint import RunFolder
+from studies.table import read_results
 
 
 def test_columns_that_an_older_version_did_not_have_are_nan(tmp_path):

@@ -15,6 +15,7 @@ from ffpose.errors import require
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from PIL.Image import Image
 
 GRID_COLOR = "#e6e8ec"
 
@@ -53,6 +54,13 @@ def image_tag(format: str, data: bytes, text: str) -> str:
     kind = "svg+xml" if format == "svg" else format
     encoded = base64.b64encode(data).decode("ascii")
     return f'<img src="data:image/{kind};base64,{encoded}" alt="{html.escape(text)}">'
+
+
+def jpeg_tag(image: Image, text: str) -> str:
+    """Return an element of an HTML page with a Pillow image as JPEG, and its description."""
+    buffer = io.BytesIO()
+    image.save(buffer, "JPEG", quality=88)
+    return image_tag("jpeg", buffer.getvalue(), text)
 
 
 def draw_bars(

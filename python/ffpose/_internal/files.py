@@ -65,10 +65,15 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write text in UTF-8 into a file, whole or not at all."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def write_json(path: str | Path, value: object, indent: int | None = 2) -> None:
     """Write a value as JSON into a file, whole or not at all."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=indent) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(value, indent=indent) + "\n")
 
 
 def write_csv(path: str | Path, rows: Iterable[Iterable[object]], *, durable: bool = True) -> None:

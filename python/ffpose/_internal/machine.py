@@ -1,10 +1,12 @@
-"""Facts about this machine and what is installed on it, as context of results."""
+"""Facts about this machine and what is installed on it, as context of results; its processes."""
 
 from __future__ import annotations
 
 import os
 import platform
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 
@@ -36,6 +38,20 @@ def worker_processes(asked: int, pieces: int) -> int:
     """
     most = 61 if sys.platform == "win32" else asked
     return min(asked, pieces, most)
+
+
+@contextmanager
+def environment(**values: str) -> Iterator[None]:
+    """Set variables of this process's environment for as long as the block runs."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
 
 
 def processor() -> str:

@@ -23,6 +23,10 @@ Label = tuple[float, float, float, float, float, float, float]
 
 COLUMNS = ("x", "y", "z", "q1", "q2", "q3", "q4")
 SPLITS = ("train", "val", "test")
+LISTS = {split: f"{split}_images.csv" for split in SPLITS}
+TABLES = {split: f"{split}_poses_gt.csv" for split in SPLITS}
+"""Names of the files of a split: list of images, table of labels."""
+
 TABLE = "gt.csv"
 CONDITIONS = "conditions.csv"
 
@@ -30,16 +34,6 @@ SIZE = (1280, 960)
 """Width and height of the published images, in pixels."""
 FOCAL_LENGTHS = (640.0, 640.463)
 CENTER = (640.0, 480.0)
-
-
-def images_file(split: str) -> str:
-    """Return the name of the file that lists the images of a split."""
-    return f"{split}_images.csv"
-
-
-def poses_file(split: str) -> str:
-    """Return the name of the table of a split's labels."""
-    return f"{split}_poses_gt.csv"
 
 
 def image_name(index: int) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 from ffpose._internal.choices import FilterKind, NormPlace, PositionKind
-from ffpose.config.network import FrameConfig, is_whole
+from ffpose.config.network import FrameConfig
 from ffpose.config.second_look import SecondLookConfig
 from ffpose.errors import expect
 
@@ -69,13 +69,6 @@ class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
     """
 
     architecture: ClassVar[str] = "FilterformerPose"
-    TUPLES: ClassVar[dict[str, int]] = SecondLookConfig.TUPLES | FrameConfig.TUPLES
-    COUNTS: ClassVar[tuple[str, ...]] = (
-        *("translation_reduction", "orientation_reduction", "dim", "heads", "feed_forward"),
-        *("head_hidden", "translation_mlp_dim", "orientation_mlp_dim"),
-        *("bins", "bins_degree"),
-        *SecondLookConfig.COUNTS,
-    )
 
     translation_reduction: int = 16
     orientation_reduction: int = 8
@@ -99,11 +92,11 @@ class FilterformerPoseConfig(SecondLookConfig, FrameConfig):
     bins_width_deg: float = 8.0
     object_backbone: str = "compact_resnet"
 
+    def _least(self, name: str) -> int:
+        return 0 if name == "depth" and self.pooling == "flatten" else 1
+
     def _check_values(self) -> None:
         super()._check_values()
-        least = 0 if self.pooling == "flatten" else 1
-        deep = is_whole(self.depth) and self.depth >= least
-        expect(deep, "depth", f"a whole number, at least {least}", self.depth)
         divides = self.dim % self.heads == 0
         expect(divides, "heads", f"a divisor of dim {self.dim}", self.heads)
         expect(0 <= self.dropout < 1, "dropout", "0 <= dropout < 1", self.dropout)

@@ -6,9 +6,10 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, ClassVar, Self
+from types import UnionType
+from typing import Any, ClassVar, Self, get_args, get_origin
 
-from ffpose.errors import check_choices, expect, hint
+from ffpose.errors import check_choices, expect, hint, type_hints
 from ffpose.geometry import Camera
 
 
@@ -16,8 +17,8 @@ from ffpose.geometry import Camera
 class NetworkConfig:
     """Fields that every network has; sizes of images are ``(height, width)``.
 
-    Subclasses add theirs, and name those whose values are checked here: `TUPLES` with their
-    lengths, `OPTIONAL`, those of these that may be None, and `COUNTS`, whole numbers of at least 1.
+    Subclasses add theirs. By their annotations, tuples are of so many numbers, and an ``int`` is a
+    whole number of at least 1.
 
     Attributes:
         image_size: Size of the network's input in pixels.
@@ -32,26 +33,30 @@ class NetworkConfig:
     architecture: ClassVar[str]
     """Name of the network's class, recorded in files of weights and graphs."""
 
-    TUPLES: ClassVar[dict[str, int]] = {
-        "image_size": 2,
-        "camera": 4,
-    }
-    OPTIONAL: ClassVar[tuple[str, ...]] = ("camera",)
-    COUNTS: ClassVar[tuple[str, ...]] = ()
-
     image_size: tuple[int, int] = (224, 224)
     backbone: str = "efficientnet_b0"
     camera: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        for name, length in self.TUPLES.items():  # JSON and YAML bring lists
-            if name not in self.OPTIONAL or getattr(self, name) is not None:
-                object.__setattr__(self, name, _as_tuple(name, getattr(self, name), length))
         check_choices(self)
-        for name in self.COUNTS:
-            value = getattr(self, name)
-            expect(is_whole(value) and value >= 1, name, "a whole number, at least 1", value)
+        kinds = type_hints(type(self))
+        for name in (field.name for field in fields(self)):
+            value, kind = getattr(self, name), kinds[name]
+            if isinstance(kind, UnionType):  # with None
+                if value is None:
+                    continue
+                kind = get_args(kind)[0]
+            if get_origin(kind) is tuple:  # JSON and YAML bring lists
+                object.__setattr__(self, name, _as_tuple(name, value, len(get_args(kind))))
+            elif kind is int:
+                least = self._least(name)
+                fits = is_whole(value) and value >= least
+                expect(fits, name, f"a whole number, at least {least}", value)
         self._check_values()
+
+    def _least(self, name: str) -> int:
+        """Return the smallest value of a field that is a whole number."""
+        return 1
 
     def _check_values(self) -> None:
         """Check the values of single fields, and of fields together."""
@@ -159,11 +164,6 @@ class FrameConfig(NetworkConfig):
         translation_std: Scale of the translation head's output, meters. With a mean of zeros and a
             scale of ones the head regresses meters, as published.
     """
-
-    TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
-        "translation_mean": 3,
-        "translation_std": 3,
-    }
 
     translation_mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     translation_std: tuple[float, float, float] = (1.0, 1.0, 1.0)

@@ -54,16 +54,6 @@ class PolarPoseConfig(SecondLookConfig):
     """
 
     architecture: ClassVar[str] = "PolarPose"
-    TUPLES: ClassVar[dict[str, int]] = SecondLookConfig.TUPLES | {
-        "channels": 3,
-        "blocks": 2,
-        "look_slope": 2,
-    }
-    COUNTS: ClassVar[tuple[str, ...]] = (
-        *("first_reduction", "first_channels", "candidates", "object_width"),
-        *("expansion", "latent", "angles", "directions"),
-        *SecondLookConfig.COUNTS,
-    )
 
     image_size: tuple[int, int] = (384, 512)
     backbone: str = "compact_resnet_narrow"

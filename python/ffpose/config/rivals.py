@@ -28,7 +28,6 @@ class UrsoNetConfig(FrameConfig):
     """
 
     architecture: ClassVar[str] = "UrsoNet"
-    COUNTS: ClassVar[tuple[str, ...]] = ("reduction", "bottleneck", "hidden", "bins_per_dim")
 
     image_size: tuple[int, int] = (480, 640)
     backbone: str = "resnet50"
@@ -69,7 +68,6 @@ class PoseNetConfig(FrameConfig):
     """
 
     architecture: ClassVar[str] = "PoseNet"
-    COUNTS: ClassVar[tuple[str, ...]] = ("reduction",)
 
     backbone: str = "resnet50"
     reduction: int = 32

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any
 
 from ffpose.config.network import NetworkConfig, is_whole
 from ffpose.errors import expect
@@ -42,16 +42,6 @@ class SecondLookConfig(NetworkConfig):
             that the first of these looks refined.
     """
 
-    TUPLES: ClassVar[dict[str, int]] = NetworkConfig.TUPLES | {
-        "object_size": 2,
-        "distance_m": 2,
-        "doubt_sigma": 2,
-        "truncation_sigma": 2,
-        "degrees_of_freedom": 2,
-    }
-    OPTIONAL: ClassVar[tuple[str, ...]] = (*NetworkConfig.OPTIONAL, "degrees_of_freedom")
-    COUNTS: ClassVar[tuple[str, ...]] = ("first_stride", "looks")
-
     first_stride: int = 4
     object_size: tuple[int, int] = (64, 64)
     object_radius_m: float = 6.6
@@ -81,6 +71,17 @@ class SecondLookConfig(NetworkConfig):
     @abstractmethod
     def object_width(self) -> int:
         """Width of the virtual camera's view in its pixels."""
+
+    def growth(self, doubt: Any, cut: Any) -> tuple[Any, Any]:
+        """Return the factors on the standard deviations of translation and rotation.
+
+        Of probabilities (`doubt_sigma`) and shares (`truncation_sigma`), arrays or tensors.
+        """
+        translation, rotation = (
+            (1 + doubt * by_doubt) * (1 + cut * by_cut)
+            for by_doubt, by_cut in zip(self.doubt_sigma, self.truncation_sigma, strict=True)
+        )
+        return translation, rotation
 
     def _check_values(self) -> None:
         super()._check_values()

@@ -16,12 +16,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 from ffpose._internal.files import read_text
 from ffpose.datasets.parsing import Entry, Names, expect_set, expect_split, find_image, read_table
-from ffpose.datasets.records import Record, read_camera
+from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Target, camera_pose
 
@@ -62,8 +61,7 @@ def read(root: Path, split: str) -> list[Record]:
         rows = [(e, e.text("img_path"), e.parsed(CSV_POSE)) for e in chosen]
     names = Names()
     records = [_record(root, names, *row) for row in rows]
-    camera = read_camera(root, records[0], CAMERA)
-    return [replace(record, camera=camera) for record in records]
+    return with_camera(records, root, CAMERA)
 
 
 def _text_entries(path: Path) -> Iterator[Entry]:

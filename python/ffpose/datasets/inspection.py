@@ -36,6 +36,9 @@ from ffpose.imaging.images import decode_all
 from ffpose.imaging.overlay import draw_axes, tiled
 from ffpose.imaging.preprocessing import Preprocessing
 
+SHEET_IMAGES = 16
+"""Number of images on each contact sheet, spread evenly over the split."""
+
 _TILE_WIDTH = 320
 _CAPTION_HEIGHT = 22
 _COLUMNS = 4
@@ -95,7 +98,6 @@ def inspect_folder(
 def inspect_dataset(
     datasets: Mapping[str, PoseDataset],
     out: str | Path,
-    sheet_images: int = 16,
     unlabeled: Mapping[str, Sequence[Record]] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Check a dataset, and write a summary, histograms and contact sheets.
@@ -106,7 +108,6 @@ def inspect_dataset(
     Args:
         datasets: The labeled splits by name.
         out: The folder to write; created if missing.
-        sheet_images: Number of images on each sheet, spread evenly over the split.
         unlabeled: The splits without labels by name, whose images are counted and decoded.
 
     Returns:
@@ -118,11 +119,10 @@ def inspect_dataset(
         (files in more than one split) and ``files``.
 
     Raises:
-        ValueError: There are no splits, or ``sheet_images`` is less than one.
+        ValueError: There are no splits.
         DataError: An image is damaged, or its size differs from the camera's; nothing is written.
     """
     expect(len(datasets) >= 1, "datasets", "at least 1 split", len(datasets))
-    expect(sheet_images >= 1, "sheet_images", "at least 1", sheet_images)
     splits = {name: dataset.records for name, dataset in datasets.items()} | {**unlabeled}
     for records in splits.values():
         deque(decode_all(Record.decode, records), maxlen=0)  # a header reveals no truncated file
@@ -141,7 +141,7 @@ def inspect_dataset(
     _write_histograms(folder / "orientation.png", _ORIENTATION, orientations)
     for name, dataset in sheets.items():
         with atomic_write(folder / name) as path:
-            contact_sheet(dataset, sheet_images).save(path)
+            contact_sheet(dataset, SHEET_IMAGES).save(path)
     write_json(folder / "summary.json", summary)
     return summary
 

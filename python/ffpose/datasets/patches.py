@@ -65,9 +65,7 @@ def dataset_patches(
         return decode_all(extract, range(len(records)))
 
     if not cache:
-        arrays = {
-            name: np.zeros(shape, kind) for name, (shape, kind) in spec.shapes(len(records)).items()
-        }
+        arrays = spec.empty(len(records))
         for row, piece in enumerate(pieces()):
             piece.store(arrays, row)
         return arrays

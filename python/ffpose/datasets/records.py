@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -153,22 +153,25 @@ class Record:
             raise self.error(error.message) from error
 
 
-def read_camera(root: Path, first: Record, published: Camera) -> Camera:
-    """Return the camera of ``camera.json``, else the published one at the size of the first image.
+def with_camera(records: Sequence[Record], root: Path, published: Camera) -> list[Record]:
+    """Return records with their set's camera.
 
+    That is the one of ``camera.json``, else the published one at the size of the first image.
     Smaller images of the published ones' shape are taken as resized. A DataError if the camera is
     invalid, or the images are larger than the published ones or of another shape.
     """
     path = root / CAMERA_FILE
     if path.exists():
-        return Camera.read(path)
-    width, height = first.size()
-    if not published.has_aspect(width, height) or width > published.width:
-        raise first.error(
-            f"expected at most {published.width}x{published.height} pixels, of that shape, "
-            f"where there is no {path.name}, got {width}x{height}"
-        )
-    return published.resized(width, height)
+        camera = Camera.read(path)
+    else:
+        width, height = records[0].size()
+        if not published.has_aspect(width, height) or width > published.width:
+            raise records[0].error(
+                f"expected at most {published.width}x{published.height} pixels, of that shape, "
+                f"where there is no {path.name}, got {width}x{height}"
+            )
+        camera = published.resized(width, height)
+    return [replace(record, camera=camera) for record in records]
 
 
 def expect_in_front(records: Iterable[Record], target: Target) -> None:

@@ -11,14 +11,13 @@ The camera is that of ``camera.json`` (`ffpose.geometry.Camera.read`) if there i
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ffpose._internal.files import read_text
 from ffpose.datasets.parsing import Entry, Names, existing_splits, split_file
-from ffpose.datasets.records import Record, read_camera
+from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, Target, camera_pose
 from ffpose.geometry.rotations import from_matrix
@@ -51,8 +50,7 @@ def read(root: Path, split: str) -> list[Record]:
         records += _read_sequence(root / name, path, line)
     if not records:
         raise DataError("expected at least one sequence, got none", path)
-    camera = read_camera(root, records[0], CAMERA)
-    return [replace(record, camera=camera) for record in records]
+    return with_camera(records, root, CAMERA)
 
 
 def _read_sequence(folder: Path, source: Path, line: int) -> list[Record]:

@@ -10,7 +10,6 @@ file, smaller images of the same shape are taken as URSO's, resized.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,22 +17,18 @@ import numpy as np
 from ffpose._internal.files import read_text
 from ffpose._internal.urso import (
     COLUMNS,
-    SPLITS,
+    LISTS,
     TABLE,
+    TABLES,
     from_label,
-    images_file,
     index_of,
-    poses_file,
 )
 from ffpose.datasets.parsing import Entry, Names, existing_splits, read_table, split_file
-from ffpose.datasets.records import Record, read_camera
+from ffpose.datasets.records import Record, with_camera
 from ffpose.errors import DataError
 from ffpose.geometry import URSO_CAMERA, Pose, Target
 
 TARGET: Target = "object"
-
-LISTS = {split: images_file(split) for split in SPLITS}
-LABELS = {split: poses_file(split) for split in SPLITS}
 
 _SAME_LABEL = 1e-5
 """Tolerance between labels in two files, which may print different numbers of digits."""
@@ -46,7 +41,7 @@ def splits(root: Path) -> list[str]:
 
 def read(root: Path, split: str) -> list[Record]:
     """Read the labeled images of a split, whose names and labels must align."""
-    list_file, table_file = (split_file(root, "URSO", files, split) for files in (LISTS, LABELS))
+    list_file, table_file = (split_file(root, "URSO", files, split) for files in (LISTS, TABLES))
     names, rows = _read_names(list_file), _read_rows(table_file)
     if len(rows) != len(names):
         raise DataError(
@@ -61,8 +56,7 @@ def read(root: Path, split: str) -> list[Record]:
     for line, (name, pose, (_, q)) in enumerate(zip(names, poses, labels, strict=True), start=1):
         image = _find_image(root, name, list_file, line)
         records.append(Record(image, name, URSO_CAMERA, pose, list_file, line, q))
-    camera = read_camera(root, records[0], URSO_CAMERA)
-    return [replace(record, camera=camera) for record in records]
+    return with_camera(records, root, URSO_CAMERA)
 
 
 def _read_names(path: Path) -> list[str]:

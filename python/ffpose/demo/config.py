@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ffpose._internal.seeds import CHOICES
 from ffpose.render import Scene, find_scene
-from ffpose.training import DataConfig, OptimizerConfig, TrainConfig
-from ffpose.training.config import PatchAugmentation
+from ffpose.training import DataConfig, TrainConfig
+from ffpose.training.config import ADAMW, PatchAugmentation
 
 SCENE = "soyuz_easy"
 
@@ -89,14 +89,7 @@ class DemoConfig:
             batch_size=max(1, 32 // self.workers),
             processes=self.workers,
             ema=0.998,
-            optimizer=OptimizerConfig(
-                kind="adamw",
-                learning_rate=2e-3,
-                eps=1e-8,
-                schedule="cosine",
-                warmup_epochs=1.0,
-                clip_norm=1.0,
-            ),
+            optimizer=replace(ADAMW, warmup_epochs=1.0),
             views=PatchAugmentation(
                 look_outliers=0.02, brightness=0.15, noise=0.02, blur=0.2, empty=0.06
             ),

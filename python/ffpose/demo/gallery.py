@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,7 +10,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ffpose._internal.files import atomic_write, write_json
+from ffpose._internal.figures import jpeg_tag
+from ffpose._internal.files import write_json, write_text
 from ffpose._internal.seeds import CHOICES
 from ffpose.arrays import rotation_error, translation_error
 from ffpose.geometry import Camera, Pose
@@ -78,8 +77,7 @@ def run(out: Path, images: int = 60) -> dict[str, Any]:
         _figure(paths[n], found[n], truth[n], camera, caption)
         for n, caption in zip(order, captions, strict=True)
     ]
-    with atomic_write(out / "report.html") as path:
-        path.write_text(_page(document, figures), encoding="utf-8")
+    write_text(out / "report.html", _page(document, figures))
     write_json(out / "report.json", document)
     return document
 
@@ -99,10 +97,5 @@ def _page(document: dict[str, Any], figures: Iterable[str]) -> str:
 def _figure(path: Path, found: Pose, truth: Pose, camera: Camera, caption: str) -> str:
     with Image.open(path) as image:
         drawn = draw_axes(image.convert("RGB"), truth, camera, colors=TRUTH_COLORS, width=6)
-    buffer = io.BytesIO()
-    draw_axes(drawn, found, camera, width=2).save(buffer, "JPEG", quality=88)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return (
-        f'<figure><img src="data:image/jpeg;base64,{data}" alt="{path.stem}: {caption}">'
-        f"<figcaption>{caption}</figcaption></figure>"
-    )
+    picture = jpeg_tag(draw_axes(drawn, found, camera, width=2), f"{path.stem}: {caption}")
+    return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"

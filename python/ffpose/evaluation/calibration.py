@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ffpose.errors import expect
 from ffpose.evaluation.attitude import rotation_error_vector
 from ffpose.geometry import FloatArray
 
@@ -45,8 +46,7 @@ def squared_mahalanobis(error: ArrayLike, covariance: ArrayLike) -> FloatArray:
         ValueError: As `check_covariance`, and for errors of another shape or not finite.
     """
     e, c = np.asarray(error, np.float64), np.asarray(covariance, np.float64)
-    if e.ndim != 2 or e.shape[1] != 3:
-        raise ValueError(f"error: expected shape (N, 3), got {e.shape}")
+    expect(e.ndim == 2 and e.shape[1] == 3, "error", "shape (N, 3)", e.shape)
     if not np.isfinite(e).all():
         raise ValueError("error: expected finite numbers")
     check_covariance("covariance", c, len(e))
@@ -59,8 +59,7 @@ def check_covariance(name: str, covariance: FloatArray, count: int) -> None:
     Raises:
         ValueError: They are not, or not finite; the row is named.
     """
-    if covariance.shape != (count, 3, 3):
-        raise ValueError(f"{name}: expected shape ({count}, 3, 3), got {covariance.shape}")
+    expect(covariance.shape == (count, 3, 3), name, f"shape ({count}, 3, 3)", covariance.shape)
     if not np.isfinite(covariance).all():
         raise ValueError(f"{name}: expected finite numbers")
     largest = np.abs(covariance).max(axis=(1, 2))
@@ -172,21 +171,13 @@ def truth_regions(
     )
     d2 = squared_mahalanobis(moved, translation_covariance)
     angular = squared_mahalanobis(turned, rotation_covariance)
-    return {
-        "translation": region_probability(d2, of_translation),
-        "rotation": region_probability(angular, of_rotation)
-        if other is None
-        else mixture_probability(
-            np.stack([angular, _distance_from(other, rotation_covariance)], axis=1),
-            other.probabilities,
-            of_rotation,
-        ),
-    }
-
-
-def _distance_from(other: OtherMode, covariance: ArrayLike) -> FloatArray:
-    turned = rotation_error_vector(other.orientation, other.truth)
-    return squared_mahalanobis(turned, covariance)
+    if other is None:
+        rotation = region_probability(angular, of_rotation)
+    else:
+        turned = rotation_error_vector(other.orientation, other.truth)
+        both = np.stack([angular, squared_mahalanobis(turned, rotation_covariance)], axis=1)
+        rotation = mixture_probability(both, other.probabilities, of_rotation)
+    return {"translation": region_probability(d2, of_translation), "rotation": rotation}
 
 
 def coverage(probability: ArrayLike, levels: ArrayLike = LEVELS) -> FloatArray:

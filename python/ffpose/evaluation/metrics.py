@@ -67,6 +67,12 @@ class PoseErrors(NamedTuple):
     in_plane_deg: Tensor
     out_of_plane_deg: Tensor
 
+    def named(self) -> dict[str, NDArray[np.float64]]:
+        """Return the errors by their names in `SUMMARIZED` and `SCORES`; none that are NaN."""
+        names = {field: name for name, field in (SUMMARIZED | SCORES).items()}
+        found = defined(self, {names[field]: field for field in self._fields})
+        return {name: values.numpy() for name, values in found.items()}
+
 
 def pose_error(
     t_hat: Tensor, q_hat: Tensor, t: Tensor, q: Tensor, *, target: Target = "object"

@@ -261,10 +261,8 @@ class PoseUncertainty:
         if self.in_view_threshold is not None and not 0 <= self.in_view_threshold <= 1:
             got = self.in_view_threshold
             raise ValueError(f"in_view_threshold: expected a probability, got {got}")
-        if self.degrees_of_freedom is not None and not all(n > 2 for n in self.degrees_of_freedom):
-            raise ValueError(
-                f"degrees_of_freedom: expected above 2 each, got {self.degrees_of_freedom}"
-            )
+        degrees = self.degrees_of_freedom or ()
+        expect(all(n > 2 for n in degrees), "degrees_of_freedom", "above 2 each", degrees)
         if not all(0 <= p <= 1 for p in self.probabilities):
             raise ValueError(f"probabilities: expected in 0…1, got {self.probabilities}")
         if self.alternative is not None:

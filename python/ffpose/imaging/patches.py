@@ -73,6 +73,10 @@ class PatchSpec:
         """Size ``(height, width)`` of a frame."""
         return self.camera.height // self.first_stride, self.camera.width // self.first_stride
 
+    def empty(self, count: int) -> dict[str, NDArray[Any]]:
+        """Return the arrays for ``count`` images, zero."""
+        return {name: np.zeros(*shape) for name, shape in self.shapes(count).items()}
+
     def shapes(self, count: int) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
         """Return shape and dtype of each array for ``count`` images."""
         return {

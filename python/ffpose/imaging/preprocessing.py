@@ -15,13 +15,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ffpose.errors import expect
+from ffpose.errors import check_choices, expect
 from ffpose.geometry import Camera
 
 if TYPE_CHECKING:
@@ -78,10 +78,7 @@ class Preprocessing:
     def __post_init__(self) -> None:
         if len(self.size) != 2 or min(self.size) < 1:
             raise ValueError(f"size: expected (height, width), each at least 1, got {self.size}")
-        expect(self.mode in get_args(Mode), "mode", f"one of {get_args(Mode)}", self.mode)
-        if self.interpolation not in get_args(Interpolation):
-            known = get_args(Interpolation)
-            raise ValueError(f"interpolation: expected one of {known}, got {self.interpolation!r}")
+        check_choices(self)
         if len(self.mean) != 3 or not all(map(math.isfinite, self.mean)):
             raise ValueError(f"mean: expected three finite numbers, got {self.mean}")
         if len(self.std) != 3 or not all(math.isfinite(s) and s > 0 for s in self.std):

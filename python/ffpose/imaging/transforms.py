@@ -21,6 +21,7 @@ from torch import Tensor
 from torchvision.transforms import v2
 
 from ffpose.arrays import canonical_quaternion
+from ffpose.errors import expect
 from ffpose.geometry import Camera, FloatArray
 from ffpose.geometry.rotations import shortest_turn
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
@@ -200,10 +201,8 @@ class Augmentation:
         limits = dict.fromkeys(shares, 1.0)
         limits |= {"blur": math.inf, "pan": 90.0, "tilt": 90.0, "roll": 180.0}
         for name, limit in limits.items():
-            if not 0 <= getattr(self, name) <= limit:
-                raise ValueError(
-                    f"{name}: expected a number from 0 to {limit}, got {getattr(self, name)}"
-                )
+            value = getattr(self, name)
+            expect(0 <= value <= limit, name, f"a number from 0 to {limit}", value)
         if self.random_crop and self.turned_crop:
             raise ValueError("turned_crop: expected one crop, got random_crop too")
 

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from ffpose import __version__
-from ffpose._internal.files import atomic_write, read_json, sha256
+from ffpose._internal.files import atomic_write, read_json, sha256, write_json, write_text
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
 from ffpose._internal.zoo import resolve_initial
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 from ffpose.evaluation.card.measurement import measure
 from ffpose.evaluation.card.tables import format_card
 from ffpose.evaluation.evaluate import Evaluation, evaluate
@@ -119,17 +119,15 @@ class LearnConfig:
     init: str = DEFAULT_INIT
 
     def __post_init__(self) -> None:
-        if not 0 < self.minutes < math.inf:
-            raise ValueError(f"minutes: expected more than 0, got {self.minutes}")
+        expect(0 < self.minutes < math.inf, "minutes", "more than 0", self.minutes)
         if isinstance(self.camera, DistortedCamera):
             raise ValueError(
-                "camera: expected one without distortion, got a distorted one; a network is learned"
-                " on undistorted images, which --data.undistort makes of yours"
+                "camera: expected one without distortion, got a distorted one; leave out the key"
+                " distortion here, and give the whole file to ffpose predict --camera"
             )
         if self.distance_m is not None and not 0 < self.distance_m[0] < self.distance_m[1]:
             raise ValueError(f"distance: expected 0 < near < far, got {self.distance_m}")
-        if self.processes < 0:
-            raise ValueError(f"processes: expected 0 or more, got {self.processes}")
+        expect(self.processes >= 0, "processes", "0 or more", self.processes)
 
 
 def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
@@ -225,8 +223,7 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     if config.card_images > 0:
         say(f"card: {config.card_images} images of each condition")
         card = measure(config.out / WEIGHTS, str(path), count=config.card_images, workers=processes)
-        with atomic_write(config.out / "card.md") as temporary:
-            temporary.write_text(format_card(card), encoding="utf-8")
+        write_text(config.out / "card.md", format_card(card))
     summary = evaluation.summary()
     _report(config, evaluation, final, radius, scene_file)
     if not _exported(config.out):
@@ -484,5 +481,4 @@ class _Record:
         return cls(settings, (one, two), autocast, speed)
 
     def write(self, out: Path) -> None:
-        with atomic_write(out / RECORD) as temporary:
-            temporary.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+        write_json(out / RECORD, asdict(self), 1)

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ffpose.imaging.patches import PatchSpec
 from ffpose.learn.plan import Speed
 from ffpose.models import SecondLookNetwork, build_network
 from ffpose.models.base import find_device
 from ffpose.render import Scene
 from ffpose.render.patches import render_all_patches
 from ffpose.training import TrainConfig
+from ffpose.training.data import patch_spec
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatches
 from ffpose.training.processes import Processes
@@ -45,11 +45,9 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
     device = find_device(config.device)
     model = build_network(config.model, backbone_weights="none", **fields).to(device)
     assert isinstance(model, SecondLookNetwork)
-    spec = PatchSpec(
-        camera, model.config.first_stride, model.config.object_width, model.config.object_radius_m
-    )
+    spec = patch_spec(model.config, camera)
     count = VIEWS * renderers
-    arrays = {name: np.zeros(*shape) for name, shape in spec.shapes(count).items()}
+    arrays = spec.empty(count)
     wide = scene.scaled(*config.data.distance)
     began = time.perf_counter()
     for row, view in enumerate(

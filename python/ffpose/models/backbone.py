@@ -48,7 +48,7 @@ class Backbone(nn.Module):
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
         """Return a map ``(B, channels[i], h_i, w_i)`` per stride of ``images (B, 3, H, W)``."""
-        maps = self.features(images)
+        maps = self.features(images.contiguous(memory_format=torch.channels_last))
         return tuple(maps[place] for place in self.order)
 
 

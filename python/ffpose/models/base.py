@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from ffpose._internal.torch_internals import register_named_tuple
 from ffpose._internal.zoo import resolve
 from ffpose.config import PRESETS, FrameConfig, NetworkConfig
-from ffpose.errors import DataError
+from ffpose.errors import DataError, expect
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models.backbone import Backbone, backbone_preprocessing
 from ffpose.models.hub import BackboneSource
@@ -148,8 +148,7 @@ class BaseNetwork(nn.Module, ABC):
         """
         presets = {n: c for n, c in PRESETS.items() if isinstance(c, cls.config_type)}
         if isinstance(config, str):
-            if config not in presets:
-                raise ValueError(f"config: expected one of {tuple(presets)}, got {config!r}")
+            expect(config in presets, "config", f"one of {tuple(presets)}", config)
             config = presets[config]
         if not isinstance(config, cls.config_type):
             raise ValueError(
@@ -191,10 +190,8 @@ class BaseNetwork(nn.Module, ABC):
         """
         if preprocessing is None:
             preprocessing = backbone_preprocessing(self.config.backbone, self.config.image_size)
-        if tuple(preprocessing.size) != self.config.image_size:
-            raise ValueError(
-                f"preprocessing: expected size {self.config.image_size}, got {preprocessing.size}"
-            )
+        fits = tuple(preprocessing.size) == self.config.image_size
+        expect(fits, "preprocessing", f"size {self.config.image_size}", preprocessing.size)
         metadata = WeightsMetadata(
             self.config, preprocessing, backbone_source, recipe, data, in_view_threshold
         )

@@ -232,7 +232,7 @@ class FilterformerPose(FrameNetwork):
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Compute translations ``(B, 3)``, meters, and the inputs of the orientation head."""
-        maps = self.backbone(images.contiguous(memory_format=torch.channels_last))
+        maps = self.backbone(images)
         translation = self.in_meters(self.translation_branch(maps[0]))
         return translation, self.orientation_branch(maps[1])
 
@@ -268,7 +268,7 @@ class FilterformerPose(FrameNetwork):
 
     def locate(self, frames: Tensor) -> Tensor:
         """Compute the first look's outputs ``(B, 3)``: x / z, y / z, relative log distance."""
-        maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
+        maps = self.backbone(frames)
         result: Tensor = self.translation_branch(maps[0])
         return result
 
@@ -305,9 +305,7 @@ class FilterformerPose(FrameNetwork):
         It does not depend on the ``tan_half_angle`` of `PolarPose.encode`.
         """
         assert self.object_backbone is not None
-        feature_map: Tensor = self.object_backbone(
-            views.contiguous(memory_format=torch.channels_last)
-        )[0]
+        feature_map: Tensor = self.object_backbone(views)[0]
         return feature_map
 
     def decode(self, feature_map: Tensor) -> SecondLookOutput:

@@ -196,7 +196,7 @@ class PolarPose(BaseNetwork):
 
     def locate(self, frames: Tensor) -> tuple[Tensor, Tensor]:
         """Compute heat map and distances, as `HeatMap.forward`, of downsampled frames."""
-        maps = self.backbone(frames.contiguous(memory_format=torch.channels_last))
+        maps = self.backbone(frames)
         logits, distances = self.translation_branch(maps[0])
         return logits, distances
 

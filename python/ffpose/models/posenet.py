@@ -55,7 +55,7 @@ class PoseNet(FrameNetwork):
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Compute translations ``(B, 3)``, meters, and quaternions ``(B, 4)`` of any norm."""
-        (feature_map,) = self.backbone(images.contiguous(memory_format=torch.channels_last))
+        (feature_map,) = self.backbone(images)
         features = self.dropout(feature_map.mean((2, 3)))  # (B, channels)
         translation = self.in_meters(self.translation_branch(features))
         return translation, self.orientation_branch(features)

@@ -183,13 +183,10 @@ def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
     if config.doubt_sigma == config.truncation_sigma == (0.0, 0.0):
         return pose
     doubt, cut = 1 - pose.probabilities[:, 0], truncation(pose.translation, config)
-    for_translation, for_rotation = (
-        ((1 + doubt * by_doubt) * (1 + cut * by_cut)).square()[:, None, None]
-        for by_doubt, by_cut in zip(config.doubt_sigma, config.truncation_sigma, strict=True)
-    )
+    translation, rotation = (growth.square()[:, None, None] for growth in config.growth(doubt, cut))
     return pose._replace(
-        translation_covariance=pose.translation_covariance * for_translation,
-        rotation_covariance=pose.rotation_covariance * for_rotation,
+        translation_covariance=pose.translation_covariance * translation,
+        rotation_covariance=pose.rotation_covariance * rotation,
     )
 
 

@@ -68,7 +68,7 @@ class UrsoNet(FrameNetwork):
 
     def regress(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Compute translations ``(B, 3)``, meters, and logits ``(B, bins)``."""
-        (feature_map,) = self.backbone(images.contiguous(memory_format=torch.channels_last))
+        (feature_map,) = self.backbone(images)
         translation = self.in_meters(self.translation_branch(feature_map))
         return translation, self.orientation_branch(feature_map)
 

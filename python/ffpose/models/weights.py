@@ -23,7 +23,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from ffpose import __version__
-from ffpose._internal.files import atomic_write, sha256
+from ffpose._internal.files import atomic_write, sha256, write_text
 from ffpose._internal.zoo import resolve
 from ffpose.config import NetworkConfig, config_type, degrees_of_freedom
 from ffpose.errors import DataError
@@ -168,8 +168,7 @@ def write_weights(path: str | Path, state: Mapping[str, Tensor], metadata: Weigh
         for sidecar in sidecars:
             sidecar.unlink(missing_ok=True)
     for sidecar in sidecars:
-        with atomic_write(sidecar) as temporary:
-            temporary.write_text(f"{digest}  {sidecar.stem}\n", encoding="utf-8")
+        write_text(sidecar, f"{digest}  {sidecar.stem}\n")
 
 
 def _in_order(content: bytes) -> bytes:

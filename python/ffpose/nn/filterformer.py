@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from ffpose._internal.choices import FilterKind, NormPlace
+from ffpose.errors import expect
 from ffpose.nn.attention import SelfAttention
 from ffpose.nn.spectral import INIT_STD, SpectralFilter
 
@@ -152,10 +153,8 @@ class Filterformer(nn.Module):
         outputs: int | None = None,
     ) -> None:
         super().__init__()
-        if norm not in get_args(NormPlace):
-            raise ValueError(f"norm: expected one of {get_args(NormPlace)}, got {norm!r}")
-        if dim % heads:
-            raise ValueError(f"heads: expected a divisor of dim {dim}, got {heads}")
+        expect(norm in get_args(NormPlace), "norm", f"one of {get_args(NormPlace)}", norm)
+        expect(dim % heads == 0, "heads", f"a divisor of dim {dim}", heads)
         self.length = extra_tokens + grid[0] * grid[1]
         self.dim = dim
         if outputs is not None and not (depth > 0 and 1 <= outputs <= self.length):

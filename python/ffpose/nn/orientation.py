@@ -26,6 +26,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ffpose.errors import expect
 from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
 from ffpose.ops import normalize_quaternion
 
@@ -208,11 +209,8 @@ def harmonics(q: Tensor, degree: int) -> Tensor:
         for rest in itertools.product(range(power + 1), repeat=3)
         if sum(rest) <= power
     ]
-    if len(q) < len(exponents):
-        raise ValueError(
-            f"bins: expected at least {len(exponents)}, as many as harmonics of degree {degree},"
-            f" got {len(q)}"
-        )
+    expected = f"at least {len(exponents)}, as many as harmonics of degree {degree}"
+    expect(len(q) >= len(exponents), "bins", expected, len(q))
     columns = [
         math.sqrt(math.factorial(power) / math.prod(map(math.factorial, e)))
         * powers[:, 0, e[0]]

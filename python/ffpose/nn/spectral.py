@@ -13,6 +13,7 @@ from operator import index
 import torch
 from torch import Tensor, nn
 
+from ffpose.errors import expect
 from ffpose.nn.resampling import resample_weight
 from ffpose.ops import Layout, spectral_filter, weight_shape
 from ffpose.ops.bridge import check_tensor
@@ -63,8 +64,7 @@ class SpectralFilter(nn.Module):
         if not isinstance(size, int):  # `weight_shape` refuses the one number
             size = _whole("size", size)
         shape = weight_shape(size, layout)
-        if min(size) < 1:
-            raise ValueError(f"size: expected each at least 1, got {size}")
+        expect(min(size) >= 1, "size", "each at least 1", size)
         self.size = tuple(size)
         self.layout = layout
         self.std = std
@@ -148,8 +148,7 @@ class SequenceFilter(nn.Module):
     ) -> None:
         super().__init__()
         length, dim = _whole("length, dim", (length, dim))
-        if min(length, dim) < 1:
-            raise ValueError(f"length, dim: expected each at least 1, got {(length, dim)}")
+        expect(min(length, dim) >= 1, "length, dim", "each at least 1", (length, dim))
         self.length, self.dim = length, dim
         self.std = std
         shape = weight_shape((1, length, dim), "grid")[1:]
@@ -179,8 +178,7 @@ class SequenceFilter(nn.Module):
             TypeError: ``length`` is no whole number.
         """
         (length,) = _whole("length", (length,))
-        if length < 1:
-            raise ValueError(f"length: expected at least 1, got {length}")
+        expect(length >= 1, "length", "at least 1", length)
         grid = (1, self.length, self.dim)
         weight = resample_weight(self.weight.unsqueeze(0), grid, (1, length), "grid").squeeze(0)
         twin = SequenceFilter(length, self.dim, std=self.std, device="meta")
@@ -215,8 +213,7 @@ class GlobalFilter(nn.Module):
     def __init__(self, dim: int, h: int = 14, w: int = 8) -> None:
         super().__init__()
         dim, h, w = _whole("dim, h, w", (dim, h, w))
-        if min(dim, h, w) < 1:
-            raise ValueError(f"dim, h, w: expected each at least 1, got {(dim, h, w)}")
+        expect(min(dim, h, w) >= 1, "dim, h, w", "each at least 1", (dim, h, w))
         self.dim, self.h, self.w = dim, h, w
         self.complex_weight = nn.Parameter(torch.empty(h, w, dim, 2))
         self.reset_parameters()

@@ -10,7 +10,7 @@ from typing import Any, Literal, Protocol, get_args
 
 from numpy.typing import NDArray
 
-from ffpose.errors import require
+from ffpose.errors import expect, require
 from ffpose.onnx.library import get_library_path
 from ffpose.onnx.metadata import Filter
 
@@ -60,10 +60,8 @@ def open_session(
         ("backend", backend, get_args(Runtime)),
         ("precision", precision, get_args(Precision)),
     ):
-        if value not in known:
-            raise ValueError(f"{name}: expected one of {known}, got {value!r}")
-    if threads is not None and threads < 1:
-        raise ValueError(f"threads: expected at least 1, got {threads}")
+        expect(value in known, name, f"one of {known}", value)
+    expect(threads is None or threads >= 1, "threads", "at least 1", threads)
     if backend == "onnxruntime":
         return OnnxRuntimeSession(model, filter, threads, providers, precision, data)
     if providers is not None:

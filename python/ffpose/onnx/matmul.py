@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from ffpose.onnx.matrices import FilterMatrices, filter_factors, filter_matrices
 from ffpose.onnx.nodes import Nodes, nodes_of
 from ffpose.onnx.operators import DOMAIN, SPECTRAL_FILTER
-
-RANK = {"tokens": 2, "grid": 3}
+from ffpose.ops.layout import RANK
 
 
 def replace_filters(model: Any) -> None:

@@ -27,7 +27,7 @@ from ffpose.render.shading.rays import Window, find_window
 from ffpose.render.shading.reflection import EARTH_COLOR, HIGHLIGHT_LIMIT, Light
 from ffpose.render.shading.vectors import Floats, unit
 from ffpose.render.spacecraft.craft import Craft
-from ffpose.render.spacecraft.materials import Material, Pattern, Texture
+from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Pattern, Texture
 from ffpose.render.spacecraft.textures import averaged
 
 VARIANT = "scalar_rgb"
@@ -274,7 +274,7 @@ def _bsdf(mi: Any, material: Material, tinted: bool) -> Any:
         inner["base_color"] = _texture(mi, np.clip(color * np.array(material.color), 0, 1))
     if material.roughness_map is not None:
         gloss = _texels(material.roughness_map)
-        rough = np.clip(gloss[..., 1:2] * np.float32(material.roughness), 0.05, 1)
+        rough = np.clip(gloss[..., 1:2] * np.float32(material.roughness), LEAST_ROUGHNESS, 1)
         inner["roughness"] = _texture(mi, rough)
         inner["metallic"] = _texture(mi, gloss[..., 2:3] * np.float32(material.metallic))
     if material.normal_map is not None:
@@ -286,7 +286,7 @@ def _bsdf(mi: Any, material: Material, tinted: bool) -> Any:
         surface = _baked(material)
         side = TILE * TEXELS
         shown = np.clip(surface.color, 0, 1).T.reshape(side, side, 3)
-        roughness = np.clip(surface.roughness, 0.05, 1).reshape(side, side, 1)
+        roughness = np.clip(surface.roughness, LEAST_ROUGHNESS, 1).reshape(side, side, 1)
         bent = (unit(surface.normal).T.reshape(side, side, 3) + np.float32(1)) / 2
         inner["base_color"] = _texture(mi, shown)
         inner["roughness"] = _texture(mi, roughness)

@@ -9,14 +9,16 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
 from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
-from ffpose._internal.machine import worker_processes
+from ffpose._internal.machine import environment, worker_processes
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment of workers: more threads than one each would only contend."""
 
 AHEAD = 4
 """Results per process that are under way or wait to be taken: there may be gigabytes of them."""
@@ -40,7 +42,7 @@ def in_processes(
         yield from map(task, items)
         return
     count, context = worker_processes(workers, len(items)), multiprocessing.get_context(method)
-    with _one_thread_each(), ProcessPoolExecutor(count, context, _start, (task,)) as pool:
+    with environment(**ONE_THREAD), ProcessPoolExecutor(count, context, _start, (task,)) as pool:
         try:
             yield from ahead(lambda item: pool.submit(_run, item), items, AHEAD * count)
         finally:
@@ -85,17 +87,3 @@ def _end_with_parent() -> None:
 def _run(item: Any) -> Any:
     with _busy:
         return _task[0](item)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Limit workers started in this context to one thread each; more would only contend."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ[name] for name in names if name in os.environ}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name in names:
-            del os.environ[name]
-        os.environ.update(before)

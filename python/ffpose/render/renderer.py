@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose.errors import expect
 from ffpose.geometry import Camera, Pose
 from ffpose.render import mitsuba
 from ffpose.render.sampler import Surroundings, sample_pose, sample_surroundings
@@ -138,7 +139,8 @@ def shoot_each(
         if scene.renderer == "mitsuba":
             lit = mitsuba.draw_craft(radiance, camera, pose, craft, light, surface_rng)
         else:
-            lit = draw_craft(radiance, camera, pose, craft, materials, light, surface_rng)
+            subject = Subject(craft, materials, light, surface_rng)
+            lit = draw_craft(radiance, camera, pose, subject)
     frames = []
     for sensor in sensors:
         rng = copy.deepcopy(sensor_rng)
@@ -181,10 +183,8 @@ def camera_of(scene: Scene, size: tuple[int, int] | None) -> Camera:
     """Return the scene's camera at `size` (width, height), each within `MIN_SIDE`…`MAX_SIDE`."""
     if size is None:
         size = (scene.camera.width, scene.camera.height)
-    if len(size) != 2 or not all(MIN_SIDE <= side <= MAX_SIDE for side in size):
-        raise ValueError(
-            f"size: expected width and height within {MIN_SIDE}…{MAX_SIDE}, got {size}"
-        )
+    fits = len(size) == 2 and all(MIN_SIDE <= side <= MAX_SIDE for side in size)
+    expect(fits, "size", f"width and height within {MIN_SIDE}…{MAX_SIDE}", size)
     return scene.camera.resized(*size)
 
 
@@ -245,61 +245,49 @@ def _draw_background(radiance: Floats, camera: Camera, around: Surroundings, sid
             pixels += glow.T
 
 
-def draw_craft(
-    radiance: Floats,
-    camera: Camera,
-    pose: Pose,
-    craft: Craft,
-    materials: MaterialTable,
-    light: Light,
-    rng: np.random.Generator,
-) -> Floats:
+class Subject(NamedTuple):
+    """A spacecraft, with what its look depends on but for the pose."""
+
+    craft: Craft
+    materials: MaterialTable
+    light: Light
+    rng: np.random.Generator
+
+
+def draw_craft(radiance: Floats, camera: Camera, pose: Pose, subject: Subject) -> Floats:
     """Composite the spacecraft over `radiance` and return the radiance (3, H) of its samples."""
-    window = find_window(craft.corners, pose, camera)
+    window = find_window(subject.craft.corners, pose, camera)
     if window is None:
         return np.zeros((3, 0), dtype=np.float32)
-    return draw_window(radiance, window, camera, pose, craft, materials, light, rng)
+    return draw_window(radiance, window, camera, pose, subject)
 
 
 def draw_alone(craft: Craft, pose: Pose, camera: Camera, light: Light, gray: float = 0.0) -> Floats:
     """Render the radiance (H, W, 3) of a spacecraft before gray, with the same random numbers."""
     radiance = np.full((camera.height, camera.width, 3), gray, np.float32)
-    rng = np.random.default_rng(0)
-    draw_craft(radiance, camera, pose, craft, prepared(craft)[1], light, rng)
+    subject = Subject(craft, prepared(craft)[1], light, np.random.default_rng(0))
+    draw_craft(radiance, camera, pose, subject)
     return radiance
 
 
 def draw_window(
-    radiance: Floats,
-    window: Window,
-    camera: Camera,
-    pose: Pose,
-    craft: Craft,
-    materials: MaterialTable,
-    light: Light,
-    rng: np.random.Generator,
+    radiance: Floats, window: Window, camera: Camera, pose: Pose, subject: Subject
 ) -> Floats:
     """Composite what a window shows of the spacecraft, as `draw_craft`."""
-    tracer, samples = prepared(craft)[0], sample_count(window, camera)
+    tracer, samples = prepared(subject.craft)[0], sample_count(window, camera)
     colors = []
     for band in window.bands(BAND // samples**2):
         view = cast_rays(tracer, band, camera, pose, samples)
-        colors.append(_shade(view, tracer, band, samples, camera, materials, light, rng))
+        colors.append(_shade(view, tracer, band, samples, camera, subject))
         _composite(radiance, band, view.hits.ray, colors[-1], samples)
     return np.concatenate(colors, axis=1)
 
 
 def _shade(
-    view: View,
-    tracer: Tracer,
-    window: Window,
-    samples: int,
-    camera: Camera,
-    materials: MaterialTable,
-    light: Light,
-    rng: np.random.Generator,
+    view: View, tracer: Tracer, window: Window, samples: int, camera: Camera, subject: Subject
 ) -> Floats:
     """Compute the radiance (3, H) of the points that a view hit."""
+    _, materials, light, rng = subject
     surface = materials.surface(view, view.hits.distance * np.float32(1 / camera.fx), samples)
     place = view.place
     sunlit = sun_visible(tracer, place, surface.normal, light)

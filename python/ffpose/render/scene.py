@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from ffpose.errors import check_choices, expect
-from ffpose.geometry import URSO_CAMERA, Camera
+from ffpose.geometry import URSO_CAMERA, Camera, DistortedCamera
 from ffpose.render.shading.randomization import Randomization
 from ffpose.render.shading.sensor import Sensor
 from ffpose.render.spacecraft.craft import Craft, build_craft
@@ -76,28 +76,26 @@ class Scene:
 
     def __post_init__(self) -> None:
         check_choices(self)
+        if isinstance(self.camera, DistortedCamera):
+            raise ValueError(
+                "camera: expected one without distortion, got a distorted one; images are rendered"
+                " through a pinhole"
+            )
         if self.renderer == "mitsuba" and self.randomization.materials > 0:
             raise ValueError("renderer: expected ffpose for randomized materials, got 'mitsuba'")
         least, most = self.distance_m
         expect(0 < least <= most, "distance_m", "0 < least <= most", self.distance_m)
         expect(self.lateral_m >= 0, "lateral_m", "at least 0", self.lateral_m)
-        limits = (180.0, 90.0, 180.0)
-        if len(self.attitude_range_deg) != 3 or not all(
-            0 <= angle <= limit
-            for angle, limit in zip(self.attitude_range_deg, limits, strict=True)
-        ):
-            raise ValueError(
-                "attitude_range_deg: expected (roll, pitch, yaw) within 0…180, 0…90, 0…180, "
-                f"got {self.attitude_range_deg}"
-            )
+        angles, limits = self.attitude_range_deg, (180.0, 90.0, 180.0)
+        within = len(angles) == 3 and all(
+            0 <= angle <= limit for angle, limit in zip(angles, limits, strict=True)
+        )
+        expected = "(roll, pitch, yaw) within 0…180, 0…90, 0…180"
+        expect(within, "attitude_range_deg", expected, angles)
         for name in ("min_visible", "max_visible", "eclipse_rate"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: expected 0…1, got {getattr(self, name)}")
-        if self.max_visible < self.min_visible:
-            raise ValueError(
-                f"max_visible: expected min_visible {self.min_visible} or more, "
-                f"got {self.max_visible}"
-            )
+            expect(0 <= getattr(self, name) <= 1, name, "0…1", getattr(self, name))
+        expected = f"min_visible {self.min_visible} or more"
+        expect(self.max_visible >= self.min_visible, "max_visible", expected, self.max_visible)
 
     def build(self) -> Craft:
         """The spacecraft itself."""

@@ -18,6 +18,7 @@ from ffpose.geometry import Camera, Pose
 from ffpose.geometry.trajectory import Trajectory
 from ffpose.render.motion import Kind, Orbit, sample_motion, sample_orbit
 from ffpose.render.renderer import (
+    Subject,
     background,
     camera_of,
     draw_window,
@@ -129,17 +130,16 @@ def render_frame(sequence: Sequence, index: int) -> NDArray[np.uint8]:
     time = float(sequence.trajectory.times[index] - sequence.trajectory.times[0])
     around = sequence.orbit.at(time)
     radiance = background(scene, camera, around, star_rng, odd_rng, 1, sequence.orbit.turn(time))
-    craft, materials = scene.build(), materials_of(scene, odd_rng)
+    materials = materials_of(scene, odd_rng)
     light = object_light(sequence.pose(index), around, scene, odd_rng)
+    subject = Subject(scene.build(), materials, light, surface_rng)
     lit = [np.zeros((3, 0), dtype=np.float32)]
     total = np.zeros_like(radiance)
     instants = _instants(sequence, index, sequence.exposure_s)
     for instant in instants:
         layer = radiance.copy()
         for window, seen in _rows(sequence, index, instant):
-            lit.append(
-                draw_window(layer, window, camera, seen, craft, materials, light, surface_rng)
-            )
+            lit.append(draw_window(layer, window, camera, seen, subject))
         total += layer
     total /= len(instants)
     spread = math.hypot(scene.sensor.exposure_spread, scene.randomization.exposure)

@@ -275,16 +275,13 @@ def _distances(
         rotation_error_vector(seen[name], seen[f"true_{name}"])
         for name in ("orientation", "alternative")
     ]
-    for_translation, for_rotation = (
-        ((1 + by_doubt * doubt) * (1 + by_cut * before)) ** 2
-        for by_doubt, by_cut in zip(config.doubt_sigma, config.truncation_sigma, strict=True)
-    )
+    translation, rotation = config.growth(doubt, before)
     return (
-        squared_mahalanobis(moved, seen["translation_covariance"]) * for_translation,
+        squared_mahalanobis(moved, seen["translation_covariance"]) * translation**2,
         np.stack(
             [squared_mahalanobis(each, seen["rotation_covariance"]) for each in turned], axis=1
         )
-        * for_rotation[:, None],
+        * rotation[:, None] ** 2,
         doubt,
         after,
         seen["probabilities"],

@@ -101,6 +101,7 @@ def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> Calibra
         scene=sets[0]["scene"] if sets else None,
         cut=images.cut or seen.get("cut", 0) > 0,
         randomized=images.randomized or seen.get("randomized", 0) > 0,
+        dusk=images.dusk or seen.get("dusk", 0) > 0,
         distance=tuple(seen.get("distance", images.distance)),
     )
 

@@ -37,9 +37,10 @@ def varied(scene: Scene) -> dict[str, tuple[Scene, int]]:
 class CalibrationSet(NamedTuple):
     """Images that calibrate weights, with a document for each kind for the header (``about``).
 
-    ``whole`` images of the object; ``hard`` ones, that the border cuts and of randomized scenes, if
-    asked for; and whole images ``(N, H, W, 3)``, uint8, of other spacecraft, which of all without
-    the object are the likest, for the threshold that flags; None where there are none.
+    ``whole`` images of the object; ``hard`` ones, that the border cuts, of randomized scenes and
+    under a low sun, if asked for; and whole images ``(N, H, W, 3)``, uint8, of other spacecraft,
+    which of all without the object are the likest, for the threshold that flags; None where there
+    are none.
     """
 
     config: CalibrationImages
@@ -89,6 +90,7 @@ def _rendered(config: CalibrationImages, preprocessing: Preprocessing) -> Calibr
         "object": "whole",
         **({"object that the border cuts": "cut"} if config.cut else {}),
         **({"object in randomized scenes": "randomized"} if config.randomized else {}),
+        **({"object under a low sun": "dusk"} if config.dusk else {}),
     }
     parts = {what: varied(scene)[kind] for what, kind in kinds.items()}
     seeds = {what: matching(CALIBRATION, config.seed + more) for what, (_, more) in parts.items()}

@@ -9,7 +9,6 @@ without a state are those of a run that cannot be resumed.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import io
 from dataclasses import asdict, dataclass, field
@@ -18,7 +17,7 @@ from typing import Any
 
 import torch
 
-from ffpose._internal.files import atomic_write, remove_leftovers
+from ffpose._internal.files import atomic_write, remove_leftovers, write_csv, write_text
 from ffpose.errors import DataError
 from ffpose.training.config import TrainConfig
 from ffpose.training.options import dump_config, flatten, load_config
@@ -106,8 +105,7 @@ class RunFolder:
         """Create the folder and write the configuration, after all checks have passed."""
         self.root.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.root, older_than=0.0)  # only one process writes a run's files
-        with atomic_write(self.config) as path:
-            path.write_text(dump_config(config), encoding="utf-8")
+        write_text(self.config, dump_config(config))
 
     def save_state(self, state: TrainState) -> None:
         """Write the checkpoint with its SHA-256; its last epoch then counts as finished."""
@@ -131,14 +129,9 @@ class RunFolder:
 
     def save_results(self, history: list[Row]) -> None:
         """Write the table of the last row's columns; NaN where an older version's rows lack one."""
-        with (
-            atomic_write(self.results) as path,
-            path.open("w", newline="", encoding="utf-8") as file,
-        ):
-            columns = list(history[-1])
-            writer = csv.DictWriter(file, columns, restval="nan", extrasaction="ignore")
-            writer.writeheader()
-            writer.writerows(history)
+        columns = list(history[-1])
+        rows = ([row.get(name, "nan") for name in columns] for row in history)
+        write_csv(self.results, [columns, *rows])
 
     def _check_config(self, config: TrainConfig) -> None:
         saved, given = flatten(load_config(self.config)), flatten(config)
@@ -151,12 +144,3 @@ class RunFolder:
             raise ValueError(
                 f"resume: not the configuration of {self.config}: {'; '.join(changed)}"
             )
-
-
-def read_results(path: Path) -> list[Row]:
-    """Read a table of results: values as floats, and the stage's name."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            {name: value if name == "stage" else float(value) for name, value in row.items()}
-            for row in csv.DictReader(file)
-        ]

@@ -27,7 +27,7 @@ class CalibrationImages:
 
     Attributes:
         kind: Layout of the image set, as in `DataConfig`, or "scenes" for rendered ones: of each
-            kind (whole, cut by the border, randomized, without the object) ``count`` are rendered.
+            kind (whole, cut, randomized, low sun, other spacecraft) ``count`` are rendered.
         root: Folder of the image set; for kind "scenes" that which keeps the images.
         scene: For kind "scenes": name of the rendered set; None for the first that the weights were
             trained on, and what is below of it as in that training.
@@ -35,6 +35,7 @@ class CalibrationImages:
         count: For kind "scenes": number of images of each kind, 2 or more.
         cut: For kind "scenes": objects that the border cuts too.
         randomized: For kind "scenes": domain randomization of light, materials and backgrounds too.
+        dusk: For kind "scenes": the light of a low sun over dark ground too.
         distance: For kind "scenes": factors on the least and the greatest distance of the set.
         attitude_range_deg: For kind "scenes": limits of the absolute roll, pitch and yaw, degrees.
         split: Name of the split of a set on disk.
@@ -52,6 +53,7 @@ class CalibrationImages:
     count: int = 200
     cut: bool = False
     randomized: bool = False
+    dusk: bool = False
     distance: tuple[float, float] = (1.0, 1.0)
     attitude_range_deg: tuple[float, float, float] = (180.0, 90.0, 180.0)
     split: str = "val"
@@ -195,6 +197,7 @@ class DataConfig:
                 count=self.calibration,
                 cut=self.cut > 0,
                 randomized=self.randomized > 0,
+                dusk=self.dusk > 0,
                 distance=self.distance,
             )
         if self.holdout:
@@ -240,6 +243,10 @@ class OptimizerConfig:
         check_choices(self, "optimizer.")
 
 
+ADAMW = OptimizerConfig("adamw", 2e-3, eps=1e-8, clip_norm=1.0, schedule="cosine")
+"""Optimizer of networks with a second look, to which the trainings add their warm-up."""
+
+
 @dataclass(frozen=True)
 class LossConfig:
     """Pose loss of a network that looks at the frame alone (paper, Eq. 9-11).
@@ -267,11 +274,12 @@ class ObjectLossConfig:
         angle: Weight of the sine of half the rotation error of the decoded attitude. It reduces
             errors smaller than the width of the soft labels, which those hardly distinguish.
         offset: Weight of the second look's position error.
-        sigma: Weight of the Gaussian likelihoods, which train the uncertainty.
+        sigma: Weight of the likelihoods of both errors (t distributions), which train uncertainty.
         in_view: Weight of the classification of presence.
         coordinates: Weight of the object coordinates, dense supervision by the renderer's labels.
         mask: Weight of the silhouette, from the same labels.
-        keypoints: Weight of the keypoints' heatmaps, dense supervision that needs poses alone.
+        keypoints: Weight of the heatmaps of the object's keypoints (`data.keypoints`), dense
+            supervision that needs no masks.
     """
 
     location: float = 10.0
@@ -364,9 +372,7 @@ class TrainConfig:
         autocast: "none", or "bfloat16" for the network's matrix products and convolutions; "auto"
             is that on a GPU, and on a processor that has instructions for it: on another, which
             has to convert, steps take several times as long.
-        init: Weights to start from, a file or a name such as soyuz: of the same architecture, or of
-            one without the extra blocks (`ffpose.models.compact_resnet`), which are initialized to
-            their skip connection.
+        init: Weights to start from, a file or a name such as soyuz, of the same architecture.
         optimizer: Optimizer and learning rate schedule.
         loss: Loss of a network that looks at the frame alone.
         object_loss: Loss of a network with a second look.

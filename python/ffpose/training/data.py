@@ -21,7 +21,7 @@ from ffpose.datasets.csv_set import read_keypoints
 from ffpose.datasets.patches import dataset_patches
 from ffpose.datasets.records import expect_in_front
 from ffpose.datasets.scenes import open_frames, rendered_patches
-from ffpose.errors import hint
+from ffpose.errors import expect, hint
 from ffpose.geometry import Camera, DistortedCamera
 from ffpose.imaging.patches import Arrays, Content, PatchSpec
 from ffpose.imaging.preprocessing import Preprocessing
@@ -103,10 +103,8 @@ def _open_splits(
     kind, decoding = config.kind, Decoding(config.undistort, config.white)
     known = list_splits(kind, config.root)
     splits = (*known, "all")
-    if config.train_split not in splits:
-        raise ValueError(
-            f"data.train_split: expected one of {', '.join(splits)}, got {config.train_split!r}"
-        )
+    among = f"one of {', '.join(splits)}"
+    expect(config.train_split in splits, "data.train_split", among, config.train_split)
     if not config.holdout and config.val_split not in known:
         raise ValueError(
             f"data.val_split: expected one of {', '.join(known)}, got {config.val_split!r}; "

@@ -29,8 +29,8 @@ from ffpose.training.calibrate_weights import LEAST_IMAGES, write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
 from ffpose.training.memory import keep_freed_memory
-from ffpose.training.processes import Processes, accumulating, joined, started
-from ffpose.training.progress import Events, Reporter
+from ffpose.training.processes import accumulating, joined, started
+from ffpose.training.progress import Reporter, events
 from ffpose.training.provenance import recipe
 from ffpose.training.run import Run, build_optimizer, build_run
 from ffpose.training.schedule import learning_rate
@@ -111,57 +111,44 @@ def _train(
     keep_freed_memory()
     with joined(config.device) as processes:
         quiet = quiet or not processes.leads
-        return _train_in(processes, config, resume, quiet, cpu_minutes)
-
-
-def _train_in(
-    processes: Processes,
-    config: TrainConfig,
-    resume: bool,
-    quiet: bool,
-    cpu_minutes: float | None,
-) -> TrainResult:
-    folder = RunFolder(config.out)
-    state = folder.open(config, resume=resume)
-    resumed = read_metadata(folder.last) if state.history else None
-    run = build_run(config, processes, resumed=resumed)
-    if resumed is not None:
-        _restore(run, state, resumed)
-    if processes.leads:
-        folder.begin(config)
-    done, steps = len(state.history), run.task.steps
-    epochs = sum(stage.epochs for stage in config.resolved_stages)
-    with (
-        Events(config.out, done, wanted=config.tensorboard and processes.leads) as events,
-        Reporter(epochs, done, steps, quiet=quiet) as reporter,
-    ):
-        if run.calibration and (few := len(run.calibration.whole)) < LEAST_IMAGES:
-            reporter.note(f"{few} images calibrate: fewer than {LEAST_IMAGES} tell little")
-        while (epoch := _next_epoch(run, state)) is not None:
-            if cpu_minutes is not None and _cpu_seconds_of(state) >= 60 * cpu_minutes:
-                break
-            if epoch.opens_stage and state.history:
-                _return_to_best(run, state)
-            row = _train_and_validate(run, epoch, reporter)
-            state.history.append(row)
-            _keep_best(run, state)
-            if processes.leads:
-                _write(run, state, folder)
-            events.epoch_ends(row)
-            reporter.epoch_ends(row)
-    if processes.leads and looks_twice(run.model.config):
-        assert run.calibration is not None
-        for weights in (folder.best, folder.last):
-            done_before = read_metadata(weights).calibration or {}
-            if done_before.get("images") != run.calibration.about:
-                write_calibrated(weights, run.calibration)
-    processes.wait()
-    seconds = sum(float(row["seconds"]) for row in state.history)
-    return TrainResult(folder, state.history, state.best_epoch, seconds, processes.leads)
-
-
-def _cpu_seconds_of(state: TrainState) -> float:
-    return sum(float(row["cpu_seconds"]) for row in state.history)
+        folder = RunFolder(config.out)
+        state = folder.open(config, resume=resume)
+        resumed = read_metadata(folder.last) if state.history else None
+        run = build_run(config, processes, resumed=resumed)
+        if resumed is not None:
+            _restore(run, state, resumed)
+        if processes.leads:
+            folder.begin(config)
+        done, steps = len(state.history), run.task.steps
+        epochs = sum(stage.epochs for stage in config.resolved_stages)
+        with (
+            events(config.out, done, wanted=config.tensorboard and processes.leads) as write_events,
+            Reporter(epochs, done, steps, quiet=quiet) as reporter,
+        ):
+            if run.calibration and (few := len(run.calibration.whole)) < LEAST_IMAGES:
+                reporter.note(f"{few} images calibrate: fewer than {LEAST_IMAGES} tell little")
+            while (epoch := _next_epoch(run, state)) is not None:
+                spent = sum(float(row["cpu_seconds"]) for row in state.history)
+                if cpu_minutes is not None and spent >= 60 * cpu_minutes:
+                    break
+                if epoch.opens_stage and state.history:
+                    _return_to_best(run, state)
+                row = _train_and_validate(run, epoch, reporter)
+                state.history.append(row)
+                _keep_best(run, state)
+                if processes.leads:
+                    _write(run, state, folder)
+                write_events(row)
+                reporter.epoch_ends(row)
+        if processes.leads and looks_twice(run.model.config):
+            assert run.calibration is not None
+            for weights in (folder.best, folder.last):
+                done_before = read_metadata(weights).calibration or {}
+                if done_before.get("images") != run.calibration.about:
+                    write_calibrated(weights, run.calibration)
+        processes.wait()
+        seconds = sum(float(row["seconds"]) for row in state.history)
+        return TrainResult(folder, state.history, state.best_epoch, seconds, processes.leads)
 
 
 def _header(run: Run) -> dict[str, Any]:
@@ -256,10 +243,6 @@ def _write(run: Run, state: TrainState, folder: RunFolder) -> None:
     folder.save_state(state)
 
 
-def _epoch_seed(seed: int, epoch: int) -> int:
-    return int(np.random.SeedSequence([seed, epoch]).generate_state(1)[0])
-
-
 def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     """Train for one pass over the training split.
 
@@ -271,7 +254,7 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     Raises:
         NonFiniteLossError: The loss is infinite or NaN; nothing was written.
     """
-    seed = _epoch_seed(run.config.seed, epoch.number)
+    seed = int(np.random.SeedSequence([run.config.seed, epoch.number]).generate_state(1)[0])
     torch.manual_seed(seed + run.processes.rank)
     enter_stage(run.model, run.task.loss, epoch.stage)
     if epoch.opens_stage:
@@ -279,8 +262,8 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
     objective = run.processes.parallel(Objective(run.task, run.model, run.device))
     sums = torch.zeros(3, dtype=torch.float64)
     rate, steps, every = 0.0, run.task.steps, run.config.accumulate
-    began, batches = time.perf_counter(), Awaited(run.task.batches(seed))
-    for step, batch in enumerate(batches, start=1):
+    began, waits = time.perf_counter(), list[float]()
+    for step, batch in enumerate(awaited(run.task.batches(seed), waits), start=1):
         position = epoch.index + (step - 0.5) / steps  # the step's middle
         rate = learning_rate(run.config.optimizer, position, epoch.stage.epochs)
         # Number of batches whose gradients make one step; the last step may have fewer.
@@ -300,34 +283,19 @@ def train_epoch(run: Run, epoch: Epoch, reporter: Reporter) -> Row:
         "train_translation_loss": means[1],
         "train_orientation_loss": means[2],
         **run.task.weights(),
-        "loader_wait": batches.seconds / (time.perf_counter() - began),
+        "loader_wait": sum(waits) / (time.perf_counter() - began),
     }
 
 
-class Awaited:
-    """An iterator that measures how long it is waited for.
-
-    Args:
-        items: What it iterates over.
-
-    Attributes:
-        seconds: Time spent so far in waiting for the next item.
-    """
-
-    def __init__(self, items: Iterator[Any]) -> None:
-        self.items, self.seconds = items, 0.0
-
-    def __iter__(self) -> Iterator[Any]:
-        """Yield the items."""
-        while True:
-            began = time.perf_counter()
-            try:
-                item = next(self.items)
-            except StopIteration:
-                return
-            finally:
-                self.seconds += time.perf_counter() - began
-            yield item
+def awaited(items: Iterator[Any], waits: list[float]) -> Iterator[Any]:
+    """Yield the items, and add the seconds of waiting for each, and for the end, to ``waits``."""
+    while True:
+        began = time.perf_counter()
+        item = next(items, None)
+        waits.append(time.perf_counter() - began)
+        if item is None:
+            return
+        yield item
 
 
 def _gradients(run: Run, objective: nn.Module, batch: Any, epoch: Epoch, share: int) -> Tensor:

@@ -45,9 +45,10 @@ from ffpose.models.virtual_camera import (
     turned_about_axis,
 )
 from ffpose.nn.rotations import matrix_to_quaternion, quaternion_to_matrix
+from ffpose.render.shading.sensor import through_jpeg
 from ffpose.training.clutter import clutter
 from ffpose.training.config import PatchAugmentation
-from ffpose.training.photometry import Photometry, compressed, draw
+from ffpose.training.photometry import Photometry, draw
 from ffpose.training.processes import ALONE, Processes
 
 CPU = torch.device("cpu")
@@ -194,7 +195,7 @@ class PatchBatches:
         if a.jpeg > 0:
             for window in (*empty, *windows):
                 if draw(generator) < a.jpeg:
-                    window[:] = compressed(window, round(30 + 60 * draw(generator)))
+                    window[:] = through_jpeg(window, round(30 + 60 * draw(generator)))
         return StoredBatch(
             torch.from_numpy(self._gather("frames", index[:first])),
             torch.from_numpy(windows),

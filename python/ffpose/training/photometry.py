@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import io
-
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -86,13 +81,6 @@ class Photometry:
 def draw(generator: torch.Generator) -> float:
     """Return a number between 0 and 1, all equally likely, of a generator on the CPU."""
     return float(torch.rand((), generator=generator))
-
-
-def compressed(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    """Return an image ``(H, W, 3)`` as a JPEG file of a quality has it."""
-    file = io.BytesIO()
-    Image.fromarray(image).save(file, "JPEG", quality=quality)
-    return np.array(Image.open(file))
 
 
 def _monochrome(images: Tensor, weights: Tensor) -> Tensor:

@@ -26,8 +26,7 @@ from torch.distributed.distributed_c10d import PrefixStore, Store
 from torch.distributed.rendezvous import rendezvous
 from torch.nn.parallel import DistributedDataParallel
 
-ENVIRONMENT = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
-"""The variables of ``torchrun`` that are read."""
+from ffpose._internal.machine import environment
 
 BACKENDS = "cpu:gloo,cuda:nccl"
 """Backends of processes with a GPU: gradients are on it, sums and metrics on the CPU."""
@@ -167,7 +166,6 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
         yield
         return
     threads = max(1, torch.get_num_threads() // count)
-    before = {name: os.environ.get(name) for name in ENVIRONMENT}
     place = {"WORLD_SIZE": str(count), "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(_free_port())}
     context = multiprocessing.get_context("spawn")
     others = [
@@ -176,11 +174,10 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     ]
     for process in others:
         process.start()
-    os.environ.update(place, RANK="0", LOCAL_RANK="0")
     own = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        with _exit_on_sigterm():
+        with environment(RANK="0", LOCAL_RANK="0", **place), _exit_on_sigterm():
             yield
     except BaseException:
         for process in others:
@@ -190,10 +187,6 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
         for process in others:
             process.join()
         torch.set_num_threads(own)
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value
 
 
 @contextmanager

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import (
@@ -81,34 +83,27 @@ class Reporter(Progress):
         )
 
 
-class Events:
-    """Writes the rows of results as scalars; nothing where TensorBoard is not wanted.
+@contextmanager
+def events(folder: Path, done: int, *, wanted: bool) -> Iterator[Callable[[Row], None]]:
+    """Yield a function that writes a row's numbers as scalars, under their names in the table.
 
-    What a stopped run wrote of epochs after ``done`` is left out.
+    It writes nothing where TensorBoard is not wanted. What a stopped run wrote of epochs after
+    ``done`` is left out.
 
     Raises:
         ffpose.MissingExtraError: TensorBoard is not installed.
     """
+    if not wanted:
+        yield lambda row: None
+        return
+    require("tensorboard", "tb")
+    board = require("torch.utils.tensorboard", "tb")
+    with board.SummaryWriter(str(folder / EVENTS), purge_step=done + 1) as writer:
 
-    def __init__(self, folder: Path, done: int, *, wanted: bool) -> None:
-        self._writer: Any = None
-        if wanted:
-            require("tensorboard", "tb")
-            module = require("torch.utils.tensorboard", "tb")
-            self._writer = module.SummaryWriter(str(folder / EVENTS), purge_step=done + 1)
+        def write(row: Row) -> None:
+            for name, value in row.items():
+                if name != "epoch" and not isinstance(value, str):
+                    writer.add_scalar(name, value, int(row["epoch"]))
+            writer.flush()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._writer is not None:
-            self._writer.close()
-
-    def epoch_ends(self, row: Row) -> None:
-        """Write a row's numbers under their names in ``results.csv``."""
-        if self._writer is None:
-            return
-        for name, value in row.items():
-            if name != "epoch" and not isinstance(value, str):
-                self._writer.add_scalar(name, value, int(row["epoch"]))
-        self._writer.flush()
+        yield write

@@ -147,6 +147,7 @@ def _task(
     processes: Processes,
     symmetry: SymmetryGroup,
 ) -> Task:
+    shared = config.batch_size, config.data.workers, processes
     if isinstance(model, SecondLookNetwork) and looks_twice(model.config):
         keypoints = data.keypoints if config.object_loss.keypoints > 0 else NO_KEYPOINTS
         loss = ObjectObjective(model, config.object_loss, len(keypoints), symmetry).to(device)
@@ -161,19 +162,10 @@ def _task(
             symmetry,
             device,
         )
-        return ObjectTask(
-            patches,
-            data.val_set,
-            loss,
-            config.batch_size,
-            config.data.workers,
-            processes,
-        )
+        return ObjectTask(data.val_set, loss, *shared, patches)
     assert data.train_set is not None
     joint_loss = _joint_loss(config.loss, model).to(device)
-    return FrameTask(
-        data.train_set, data.val_set, joint_loss, config.batch_size, config.data.workers, processes
-    )
+    return FrameTask(data.val_set, joint_loss, *shared, data.train_set)
 
 
 def _joint_loss(config: LossConfig, model: BaseNetwork) -> JointLoss:

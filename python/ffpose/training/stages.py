@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ffpose.errors import expect
+
 if TYPE_CHECKING:
     from torch import nn
 
@@ -31,8 +33,7 @@ class Stage:
     freeze: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.epochs < 1:
-            raise ValueError(f"stage {self.name!r}: expected at least 1 epoch, got {self.epochs}")
+        expect(self.epochs >= 1, f"stage {self.name!r}", "at least 1 epoch", self.epochs)
 
 
 JOINT_STAGE = Stage("joint", 500)
@@ -111,12 +112,9 @@ def check_stages(parts: Sequence[str], stages: Sequence[Stage]) -> None:
     if len(set(names)) < len(names):
         raise ValueError(f"stages: expected names that differ, got {', '.join(names)}")
     for stage in stages:
-        missing = [part for part in stage.freeze if part not in parts]
-        if missing:
-            raise ValueError(
-                f"stage {stage.name!r}: expected parts out of {', '.join(parts)}, "
-                f"got {missing[0]!r}"
-            )
+        for part in stage.freeze:
+            among = f"parts out of {', '.join(parts)}"
+            expect(part in parts, f"stage {stage.name!r}", among, part)
         if set(stage.freeze) == set(parts):
             raise ValueError(
                 f"stage {stage.name!r}: nothing is left to train, all parts are frozen"

@@ -13,6 +13,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from ffpose.training.config import DataConfig
 from ffpose.training.losses import JointLoss, LossTerms
 from ffpose.training.object_objective import ObjectObjective
 from ffpose.training.patches import PatchBatch, PatchBatches, StoredBatch
-from ffpose.training.processes import ALONE, Processes
+from ffpose.training.processes import Processes
 from ffpose.training.provenance import describe_data, describe_images
 
 LEAST_BATCHES = 4
@@ -40,20 +41,28 @@ VALIDATION_BATCH = 20
 """Batch size for validating a network with a second look on whole images."""
 
 
+@dataclass(eq=False)
 class Task(ABC):
     """Interface between the training loop and the data and loss of a network.
 
-    ``val_set`` are whole validation images, which select the best epoch.
+    Attributes:
+        val_set: Whole validation images, which select the best epoch.
+        loss: Its parameters are trained without weight decay and not saved with weights.
+        batch_size: Number of images of a batch, in each process.
+        workers: Number of processes that prepare batches.
+        processes: This process's place among those that train together.
     """
 
+    val_set: PoseDataset
     loss: nn.Module
-    """The loss; its parameters are trained without weight decay and not saved with weights."""
+    batch_size: int
+    workers: int
+    processes: Processes
 
-    def __init__(
-        self, val_set: PoseDataset, batch_size: int, workers: int, processes: Processes
-    ) -> None:
-        self.val_set, self.preprocessing = val_set, val_set.preprocessing
-        self.batch_size, self.workers, self.processes = batch_size, workers, processes
+    @property
+    def preprocessing(self) -> Preprocessing:
+        """Preprocessing of the validation images."""
+        return self.val_set.preprocessing
 
     @property
     @abstractmethod
@@ -81,9 +90,9 @@ class Task(ABC):
     def names(self, batch: Any) -> str:
         """Return the names of a batch's images, for error messages."""
 
-    @abstractmethod
     def weights(self) -> dict[str, float]:
         """Return the learnable weights of the loss, for the table of results."""
+        return {}
 
     def validation(self) -> Iterator[Sample]:
         """Iterate over this process's share of the validation split."""
@@ -108,22 +117,12 @@ class Objective(nn.Module):
         return self._task.terms(self.model, batch, self._device)
 
 
+@dataclass(eq=False)
 class FrameTask(Task):
     """Pose from whole images: a network's two losses, joined."""
 
     loss: JointLoss
-
-    def __init__(
-        self,
-        train_set: PoseDataset,
-        val_set: PoseDataset,
-        loss: JointLoss,
-        batch_size: int,
-        workers: int,
-        processes: Processes = ALONE,
-    ) -> None:
-        super().__init__(val_set, batch_size, workers, processes)
-        self.train_set, self.loss = train_set, loss
+    train_set: PoseDataset
 
     @property
     def images(self) -> int:
@@ -178,6 +177,7 @@ class FrameTask(Task):
         return describe_images(self.train_set, config)
 
 
+@dataclass(eq=False)
 class ObjectTask(Task):
     """Pose with a second look, trained on stored patches.
 
@@ -186,18 +186,7 @@ class ObjectTask(Task):
     """
 
     loss: ObjectObjective
-
-    def __init__(
-        self,
-        patches: PatchBatches,
-        val_set: PoseDataset,
-        loss: ObjectObjective,
-        batch_size: int,
-        workers: int,
-        processes: Processes = ALONE,
-    ) -> None:
-        super().__init__(val_set, batch_size, processes.workers(workers), processes)
-        self.patches, self.loss = patches, loss
+    patches: PatchBatches
 
     @property
     def images(self) -> int:
@@ -212,7 +201,7 @@ class ObjectTask(Task):
     def batches(self, seed: int) -> Iterator[PatchBatch | StoredBatch]:
         """Iterate once over the training split, in an order drawn from ``seed``."""
         epoch = self.patches.epoch(seed, self.batch_size, self.processes)
-        workers = min(self.workers, len(epoch) // LEAST_BATCHES)
+        workers = min(self.processes.workers(self.workers), len(epoch) // LEAST_BATCHES)
         if workers == 0 or sys.platform != "linux":  # others copy the patches to each worker
             return prefetched(epoch[number] for number in range(len(epoch)))
         own = torch.Generator()  # or the network's random numbers would depend on the workers
@@ -240,10 +229,6 @@ class ObjectTask(Task):
     def names(self, batch: PatchBatch | StoredBatch) -> str:
         """Return the indices of a batch's patches."""
         return ", ".join(map(str, batch.index.tolist()))
-
-    def weights(self) -> dict[str, float]:
-        """Return no weights, as they are fixed."""
-        return {}
 
     def describe(self, config: DataConfig) -> dict[str, Any]:
         """Return name, sets, number, size, mean pose and digest of the training patches' labels."""

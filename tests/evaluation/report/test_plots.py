@@ -19,10 +19,10 @@ from ffpose.evaluation.report.plots import (
     error_histograms,
     errors_by_distance,
     errors_by_view,
+    gallery,
     predicted_angles,
     reliability_diagram,
     training_curves,
-    worst_gallery,
     write_evaluation_figures,
 )
 from ffpose.evaluation.report.results import format_table, write_results
@@ -135,7 +135,8 @@ def test_distances_are_true_distances(evaluation):
 def test_the_gallery_begins_with_the_worst(evaluation):
     names = evaluation.dataset.names
     order = np.argsort(-evaluation.errors.esa_score.numpy())
-    titles = [axes.get_title().splitlines()[0] for axes in worst_gallery(evaluation, 3).axes[:3]]
+    drawn = gallery(evaluation, evaluation.ranking[::-1][:3].tolist())
+    titles = [axes.get_title().splitlines()[0] for axes in drawn.axes[:3]]
     assert titles == [names[index] for index in order[:3]]
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from PIL import Image
 
 from ffpose import __version__
-from ffpose._internal.files import atomic_write, read_json, sha256
+from ffpose._internal.files import read_json, sha256, write_text
 from ffpose._internal.seeds import CHOICES, FINAL
 from ffpose.config import looks_twice
 from ffpose.errors import expect, require
@@ -193,9 +193,8 @@ def measure(
 def _write(document: dict[str, Any], out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
-    for name, content in (("card.json", text), ("card.md", format_card(document))):
-        with atomic_write(out / name) as path:
-            path.write_text(content, encoding="utf-8")
+    write_text(out / "card.json", text)
+    write_text(out / "card.md", format_card(document))
 
 
 def _plan(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -11,10 +10,8 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from PIL import Image
-
-from ffpose._internal.figures import embedded, image_tag
-from ffpose._internal.files import atomic_write
+from ffpose._internal.figures import embedded, jpeg_tag
+from ffpose._internal.files import write_text
 from ffpose.evaluation.evaluate import Evaluation
 from ffpose.evaluation.report.plots import (
     GALLERY_TILE,
@@ -95,8 +92,7 @@ def write_report(report: Report, path: Path) -> None:
         ),
         command=html.escape(report.command),
     )
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def _training(history: Sequence[Mapping[str, float | str]]) -> str:
@@ -129,17 +125,12 @@ def _groups(evaluation: Evaluation) -> list[tuple[str, list[int]]]:
 
 
 def _gallery(evaluation: Evaluation, heading: str, indices: list[int]) -> str:
-    tiles = "".join(
-        f"<figure>{_embed_image(draw_prediction(evaluation, index), caption(evaluation, index))}"
-        f"<figcaption>{html.escape(evaluation.dataset.names[index])}: "
-        f"{caption(evaluation, index)}</figcaption></figure>"
-        for index in indices
-    )
+    tiles = "".join(_tile(evaluation, index) for index in indices)
     return f'<h3>{heading}</h3><div class="gallery">{tiles}</div>'
 
 
-def _embed_image(image: Image.Image, text: str) -> str:
-    buffer = io.BytesIO()
+def _tile(evaluation: Evaluation, index: int) -> str:
+    image, text = draw_prediction(evaluation, index), caption(evaluation, index)
     image.thumbnail(GALLERY_TILE)
-    image.save(buffer, "JPEG", quality=88)
-    return image_tag("jpeg", buffer.getvalue(), text)
+    name = html.escape(evaluation.dataset.names[index])
+    return f"<figure>{jpeg_tag(image, text)}<figcaption>{name}: {text}</figcaption></figure>"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -196,17 +196,8 @@ def caption(evaluation: Evaluation, index: int) -> str:
     return f"{float(errors.translation_m[index]):.2f} m, {float(errors.rotation_deg[index]):.1f}°"
 
 
-def worst_gallery(evaluation: Evaluation, count: int = 16) -> Figure:
-    """Draw the ``count`` worst predictions on their images, worst first."""
-    return _gallery(evaluation, evaluation.ranking[::-1][:count].tolist())
-
-
-def typical_gallery(evaluation: Evaluation, count: int = 8) -> Figure:
-    """Draw the ``count`` predictions around the median of the ranking."""
-    return _gallery(evaluation, evaluation.typical(count))
-
-
-def _gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) -> Figure:
+def gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) -> Figure:
+    """Draw predictions on their images, with their errors."""
     rows = -(-len(indices) // columns)
     figure = new_figure(3.0 * columns, 2.5 * rows)
     grid = np.atleast_1d(figure.subplots(rows, columns)).ravel()
@@ -224,13 +215,13 @@ def _gallery(evaluation: Evaluation, indices: Sequence[int], columns: int = 4) -
 
 def write_evaluation_figures(evaluation: Evaluation, out: Path) -> list[Path]:
     """Write all figures of an evaluation to the folder ``out`` and return their paths."""
-    figures = {
+    figures: dict[str, Callable[[Evaluation], Figure]] = {
         "error_cdf.png": error_cdf,
         "error_histograms.png": error_histograms,
         "errors_by_distance.png": errors_by_distance,
         "predicted_angles.png": predicted_angles,
-        "typical.png": typical_gallery,
-        "worst.png": worst_gallery,
+        "typical.png": lambda each: gallery(each, each.typical(8)),
+        "worst.png": lambda each: gallery(each, each.ranking[::-1][:16].tolist()),
     }
     if evaluation.region_probabilities:
         figures["reliability.png"] = reliability_diagram

@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ffpose._internal.files import atomic_write
+from ffpose._internal.files import write_csv, write_json
 from ffpose.evaluation.evaluate import Evaluation
 from ffpose.geometry import FloatArray
 
 VECTOR = ("tx", "ty", "tz", "qw", "qx", "qy", "qz")
-
-ERRORS = {
-    "translation_error_m": "translation_m",
-    "rotation_error_deg": "rotation_deg",
-    "esa_score": "esa_score",
-    "speed_plus_score": "speed_plus_score",
-    "relative_translation_error": "relative_translation",
-    "in_plane_error_deg": "in_plane_deg",
-    "out_of_plane_error_deg": "out_of_plane_deg",
-}
-"""Error columns of ``predictions.csv``: name, and field of `PoseErrors`."""
 
 
 def format_table(summary: dict[str, Any]) -> str:
@@ -43,26 +30,18 @@ def format_table(summary: dict[str, Any]) -> str:
 def write_results(evaluation: Evaluation, out: Path) -> None:
     """Write ``results.json`` and ``predictions.csv`` (one row per image) to the folder ``out``."""
     out.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out / "results.json") as path:
-        path.write_text(json.dumps(evaluation.summary(), indent=2) + "\n", encoding="utf-8")
+    write_json(out / "results.json", evaluation.summary())
     columns = _columns(evaluation)
-    table = np.stack(list(columns.values()), axis=1)
-    with (
-        atomic_write(out / "predictions.csv") as path,
-        path.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.writer(file)
-        writer.writerow(["image", *columns])
-        for name, row in zip(evaluation.dataset.names, table.tolist(), strict=True):
-            writer.writerow([name, *row])
+    table = np.stack(list(columns.values()), axis=1).tolist()
+    rows = ([name, *row] for name, row in zip(evaluation.dataset.names, table, strict=True))
+    write_csv(out / "predictions.csv", [["image", *columns], *rows])
 
 
 def _columns(evaluation: Evaluation) -> dict[str, FloatArray]:
     """Return the columns ``(N,)`` of ``predictions.csv`` after the name."""
     columns = dict(zip(VECTOR, evaluation.dataset.poses.T, strict=True))
     columns |= {f"predicted_{n}": c for n, c in zip(VECTOR, evaluation.predicted.T, strict=True)}
-    errors = {name: getattr(evaluation.errors, field).numpy() for name, field in ERRORS.items()}
-    columns |= {name: each for name, each in errors.items() if not np.isnan(each).any()}
+    columns |= evaluation.errors.named()
     if evaluation.translation_covariance is not None:
         columns |= _deviations("t{}_m", evaluation.translation_covariance)
     if evaluation.rotation_covariance is not None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +75,7 @@ class Manifest:
 
     def write(self, target: Path) -> None:
         """Write the manifest into a file, whole or not at all."""
-        content = {"parameters": self.parameters, "versions": self.versions, "files": self.files}
-        write_json(target, content, 1)
+        write_json(target, asdict(self), 1)
 
 
 def part_name(indices: range) -> str:

@@ -7,7 +7,6 @@ import time
 from collections import deque
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,29 +21,13 @@ from ffpose._internal.files import (
 from ffpose._internal.seeds import refuse_final
 from ffpose.errors import DataError, expect
 from ffpose.geometry import CAMERA_FILE
-from ffpose.render.dataset.writer import LEAST_BYTES_PER_PIXEL, PNG_LEVEL, prepare
+from ffpose.render.dataset.writer import LEAST_BYTES_PER_PIXEL, PNG_LEVEL, Written, prepare
 from ffpose.render.processes import in_processes
 from ffpose.render.sequence import SEQUENCE, Sequence, render_frame
 
 FRAMES = "frames.csv"
 PARAMETERS = "sequence.json"
 COLUMNS = ("image", "time", "tx", "ty", "tz", "qw", "qx", "qy", "qz")
-
-
-class WrittenFrames(NamedTuple):
-    """Result of a run.
-
-    Attributes:
-        folder: Folder of the sequence.
-        rendered: Number of frames rendered by this run.
-        kept: Number of frames of earlier runs that were kept.
-        seconds: Wall time.
-    """
-
-    folder: Path
-    rendered: int
-    kept: int
-    seconds: float
 
 
 def frame_name(index: int) -> str:
@@ -58,7 +41,7 @@ def write_sequence(
     *,
     drop: float = 0.0,
     workers: int = 1,
-) -> WrittenFrames:
+) -> Written:
     """Render the frames of a sequence into a folder, with ``frames.csv`` and ``camera.json``.
 
     The same arguments give the same bytes, for any number of workers and however often the run was
@@ -91,7 +74,7 @@ def write_sequence(
     rows = ([frame_name(n), float(times[n]), *sequence.pose(n).vector.tolist()] for n in wanted)
     write_csv(folder / FRAMES, [COLUMNS, *rows])
     seconds = time.perf_counter() - begin
-    return WrittenFrames(folder, len(missing), len(wanted) - len(missing), seconds)
+    return Written(folder, len(missing), len(wanted) - len(missing), seconds, closed=True)
 
 
 def _claim(folder: Path, parameters: dict[str, object]) -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ffpose._internal import urso
-from ffpose._internal.files import atomic_write, write_csv
+from ffpose._internal.files import write_csv, write_text
 from ffpose.geometry import CAMERA_FILE, Camera, Pose
 from ffpose.render.renderer import situation
 from ffpose.render.sampler import meets_earth, visible_share
@@ -81,10 +81,9 @@ def write_tables(folder: Path, poses: Mapping[int, Pose], camera: Camera) -> lis
     for split in urso.SPLITS:
         members = [index for index in poses if split_of(index) == split]
         if members:
-            names += [urso.images_file(split), urso.poses_file(split)]
-            with atomic_write(folder / names[-2]) as path:
-                lines = [f"{urso.image_name(index)}\n" for index in members]
-                path.write_text("".join(lines), encoding="utf-8")
+            names += [urso.LISTS[split], urso.TABLES[split]]
+            lines = [f"{urso.image_name(index)}\n" for index in members]
+            write_text(folder / names[-2], "".join(lines))
             _write_poses(folder / names[-1], [poses[index] for index in members])
     return names
 

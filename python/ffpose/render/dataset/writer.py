@@ -57,7 +57,7 @@ class Job(NamedTuple):
 
 
 class Written(NamedTuple):
-    """Result of a run.
+    """Result of a run over a set, or a sequence.
 
     Attributes:
         folder: Folder of the set.
@@ -275,7 +275,6 @@ def _readable(path: Path, size: tuple[int, int]) -> bool:
 
 @contextmanager
 def _bar(total: int, done: int, show: bool) -> Iterator[Callable[[], None]]:
-    require("rich", "render")
     from rich.console import Console
     from rich.progress import (
         BarColumn,

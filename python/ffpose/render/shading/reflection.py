@@ -19,6 +19,7 @@ from ffpose.render.shading.rays import View
 from ffpose.render.shading.tracer import Tracer
 from ffpose.render.shading.vectors import Floats, column, dot, unit
 from ffpose.render.spacecraft.craft import Craft
+from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS
 
 EARTH_COLOR = (0.26, 0.31, 0.38)
 """Mean radiance of the sunlit Earth below, clouds and sea together."""
@@ -34,9 +35,6 @@ EDGE_ON = 0.25
 
 LEAST_SLANT = 0.125
 """Cosine to which a texture seen from the side is averaged, as if no more slanted."""
-
-LEAST_ROUGHNESS = np.float32(0.05)
-"""Roughness below which a sample of the sun's highlight would be a single spark."""
 
 LIFT_M = 2e-3
 """Offset of a shadow ray's origin from the surface, so that no point shadows itself, meters."""
@@ -88,7 +86,7 @@ class MaterialTable:
         other = copy.copy(self)
         other._color = np.minimum(self._color * stops(spread, self._color.shape, rng), 1)
         rough = self._roughness * stops(spread, self._roughness.shape, rng)
-        other._roughness = np.clip(rough, np.float32(0.05), 1)
+        other._roughness = np.clip(rough, LEAST_ROUGHNESS, 1)
         return other
 
     def surface(self, view: View, footprint: Floats, samples: int = 1) -> Surface:

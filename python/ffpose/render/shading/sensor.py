@@ -111,7 +111,7 @@ def expose(
     signal *= np.float32(CURVE_STEPS / CURVE_TOP)
     np.clip(signal, 0, CURVE_STEPS - 1, out=signal)
     image = _curve().take(signal.astype(np.int32))
-    return _through_jpeg(image, sensor.jpeg_quality) if sensor.jpeg_quality else image
+    return through_jpeg(image, sensor.jpeg_quality) if sensor.jpeg_quality else image
 
 
 def _luminance(rgb: Floats) -> Floats:
@@ -183,7 +183,8 @@ def _moved(padded: Floats, reach: int, x: float, y: float, shape: tuple[int, ...
     return moved
 
 
-def _through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+def through_jpeg(image: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    """Return an image ``(H, W, 3)`` as a JPEG file of a quality has it, read-only."""
     pillow = require("PIL.Image", "render")
     file = io.BytesIO()
     pillow.fromarray(image).save(file, "JPEG", quality=quality)

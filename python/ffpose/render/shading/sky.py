@@ -42,7 +42,7 @@ def draw_stars(
     warmth = rng.normal(0.0, 0.18, total)
     ahead = rays[:, 2] > 0
     pixel = camera.project(rays[ahead])
-    # Through a lens that distorts, rays far outside of the image have numbers beyond any pixel's.
+    # Rays along the image plane have numbers beyond any pixel's.
     near = ((pixel > -1) & (pixel < (camera.width + 1, camera.height + 1))).all(axis=1)
     pixel = pixel[near]
     flux = STAR_FLUX * 10 ** (-0.4 * magnitude[ahead]) * (camera.fx * side / 640.0) ** 0.5

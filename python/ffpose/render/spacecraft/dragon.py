@@ -46,6 +46,7 @@ RADIUS = 1.85
 TRUNK_AFT = -3.65
 CONE_FOOT = (0.28, 1.83)
 CONE_TOP = (2.95, 1.02)
+CONE_DEG = float(np.degrees(np.arctan2(CONE_FOOT[1] - CONE_TOP[1], CONE_TOP[0] - CONE_FOOT[0])))
 HINGE = (3.06, 0.0, -0.97)
 OPENING_DEG = 138.0
 FIN_TIPS = {45.0: 2.60, 135.0: 2.60, 225.0: 2.25, 315.0: 2.25}
@@ -130,10 +131,9 @@ def _nose() -> list[Mesh]:
 
 def _engines() -> list[Mesh]:
     """Build four pods with two nozzles each, sunk into the cone."""
-    slope = np.degrees(np.arctan2(CONE_FOOT[1] - CONE_TOP[1], CONE_TOP[0] - CONE_FOOT[0]))
     # A fairing twice as wide as it is high covers each pair of nozzles.
     fairing = lathe(ellipse_arc(0.0, 0.85, 0.30, 180.0, 0.0, 17), SHELL, 36)
-    pod = fairing.moved(np.diag((1.0, 1.0, 2.0))).moved(turn("z", -float(slope)), (1.02, 1.58, 0.0))
+    pod = fairing.moved(np.diag((1.0, 1.0, 2.0))).moved(turn("z", -CONE_DEG), (1.02, 1.58, 0.0))
     nozzles = [tube((0.34, 1.83, z), (0.62, 1.78, z), 0.15, BLACK, 20) for z in (-0.28, 0.28)]
     return [
         part.moved(turn("x", angle))
@@ -149,8 +149,7 @@ def _openings() -> list[Mesh]:
         share = (x - CONE_FOOT[0]) / (CONE_TOP[0] - CONE_FOOT[0])
         away = CONE_FOOT[1] + share * (CONE_TOP[1] - CONE_FOOT[1])
         plug = tube((0.0, -0.3, 0.0), (0.0, lift, 0.0), radius, number, 32)
-        slope = np.degrees(np.arctan2(CONE_FOOT[1] - CONE_TOP[1], CONE_TOP[0] - CONE_FOOT[0]))
-        return plug.moved(turn("z", -float(slope)), (x, away, 0.0)).moved(turn("x", degrees))
+        return plug.moved(turn("z", -CONE_DEG), (x, away, 0.0)).moved(turn("x", degrees))
 
     parts = []
     for x, degrees, radius, glass in (

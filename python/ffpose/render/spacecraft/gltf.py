@@ -32,23 +32,16 @@ Header = dict[str, Any]
 Key = tuple[int, int]
 Shape = dict[str, NDArray[Any]]
 
-KNOWN_EXTENSIONS = (
-    "KHR_draco_mesh_compression",
-    "KHR_mesh_quantization",
-    "EXT_meshopt_compression",
-    "KHR_meshopt_compression",
-    "KHR_texture_transform",
-    "KHR_lights_punctual",
-    "KHR_node_visibility",
-    "KHR_xmp_json_ld",
-    "EXT_texture_webp",
-    "EXT_mesh_gpu_instancing",
-    "KHR_materials_",
-)
-"""Beginnings of the names of extensions that are read, or that change neither shape nor color."""
-
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 """Extensions of buffer views by which they are compressed."""
+
+KNOWN_EXTENSIONS = (
+    *MESHOPT,
+    *("KHR_draco_mesh_compression", "KHR_mesh_quantization", "EXT_mesh_gpu_instancing"),
+    *("KHR_texture_transform", "EXT_texture_webp", "KHR_materials_"),
+    *("KHR_lights_punctual", "KHR_node_visibility", "KHR_xmp_json_ld"),
+)
+"""Beginnings of the names of extensions that are read, or that change neither shape nor color."""
 
 CORNERS = 3
 """Corners of a triangle."""

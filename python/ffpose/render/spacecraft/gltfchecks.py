@@ -15,43 +15,16 @@ from ffpose.errors import DataError
 logger = logging.getLogger(__name__)
 
 COUNTS = {
-    "attributes",
-    "buffer",
-    "bufferView",
-    "byteLength",
-    "byteOffset",
-    "byteStride",
-    "children",
-    "count",
-    "index",
-    "indices",
-    "joints",
-    "material",
-    "mesh",
-    "node",
-    "nodes",
-    "sampler",
-    "scene",
-    "skeleton",
-    "skin",
-    "source",
-    "texCoord",
+    *("attributes", "buffer", "bufferView", "byteLength", "byteOffset", "byteStride", "count"),
+    *("scene", "node", "nodes", "children", "mesh", "indices", "index", "skin", "skeleton"),
+    *("joints", "material", "sampler", "source", "texCoord"),
 }
 """Names of what is an index, a number or a size, or consists of indices."""
 
+SHARES = ("baseColor", "metallic", "roughness", "emissive", "diffuse", "specular", "glossiness")
 FACTORS = {
-    "baseColorFactor": 1.0,
-    "metallicFactor": 1.0,
-    "roughnessFactor": 1.0,
-    "emissiveFactor": 1.0,
-    "diffuseFactor": 1.0,
-    "specularFactor": 1.0,
-    "glossinessFactor": 1.0,
-    "transmissionFactor": 1.0,
-    "alphaCutoff": math.inf,
-    "emissiveStrength": math.inf,
-    "ior": math.inf,
-    "specularColorFactor": math.inf,
+    **{f"{name}Factor": 1.0 for name in (*SHARES, "transmission")},
+    **dict.fromkeys(("alphaCutoff", "emissiveStrength", "ior", "specularColorFactor"), math.inf),
 }
 """Largest values of materials' numbers, of which zero is the smallest."""
 

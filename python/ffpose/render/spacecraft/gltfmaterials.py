@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffpose.errors import DataError
-from ffpose.render.spacecraft.materials import Material, Texture
+from ffpose.render.spacecraft.materials import LEAST_ROUGHNESS, Material, Texture
 from ffpose.render.spacecraft.meshassets import one_line, open_image
 from ffpose.render.spacecraft.textures import (
     CLAMP,
@@ -38,9 +38,6 @@ WRAPS = {33071: CLAMP, 33648: MIRROR, 10497: REPEAT}
 
 GLASS = 0.9
 """Share of a transmitting surface that is not there: its reflections remain."""
-
-LEAST_ROUGHNESS = 0.05
-"""Roughness below which a sample of the sun's highlight would be a single spark."""
 
 MEAN_SIDE = 64
 """Texels along a side of a texture of which only the mean is used."""

@@ -15,6 +15,10 @@ SLOTS = ("color_map", "roughness_map", "normal_map", "emission_map")
 """Fields of a `Material` that are textures."""
 
 
+LEAST_ROUGHNESS = 0.05
+"""Roughness below which a sample of the sun's highlight would be a single spark."""
+
+
 class Pattern(IntEnum):
     """Procedural pattern drawn over a material's base color."""
 

@@ -43,22 +43,8 @@ MATERIALS = (
     Material((0.02, 0.4, 0.05), 0.5, emission=(0.08, 2.2, 0.25)),  # GREEN
     Material((0.75, 0.22, 0.04), 0.55),  # ORANGE
 )
-(
-    ORBITAL,
-    DESCENT,
-    SERVICE,
-    RADIATOR,
-    FOIL,
-    CELLS,
-    WING_BACK,
-    METAL,
-    WHITE,
-    BLACK,
-    GLASS,
-    RED,
-    GREEN,
-    ORANGE,
-) = range(len(MATERIALS))
+ORBITAL, DESCENT, SERVICE, RADIATOR, FOIL, CELLS, WING_BACK = range(7)
+METAL, WHITE, BLACK, GLASS, RED, GREEN, ORANGE = range(7, 14)
 
 WING_X = -2.05
 WING_ROOT = 1.45
