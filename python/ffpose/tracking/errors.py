@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +26,8 @@ SETTLED_S = 20.0
 @dataclass(frozen=True, eq=False)
 class TrackErrors:
     """Errors of each frame; NaN where there is no track, no pose or no truth.
+
+    True velocities are differences of true poses, and of one pose alone they are NaN.
 
     Attributes:
         times: ``(N,)`` seconds.
@@ -104,7 +106,7 @@ def track_errors(followed: Sequence[Followed]) -> TrackErrors:
             continue
         place = places[row]
         if place and since[row] > 0:
-            passed = truth.times[place] - truth.times[place - 1]
+            passed = min(truth.times[place] - truth.times[place - 1], since[row])
             way += float(np.degrees(np.linalg.norm(truth.w[place]))) * passed
         turned[row] = way
         turn = rotation_vector(multiply(conjugate(one.q), pose.q))
@@ -126,7 +128,11 @@ def _truth(followed: Sequence[Followed]) -> tuple[Trajectory, dict[int, int]]:
     ]
     places = {row: place for place, (row, _, _) in enumerate(known)}
     times = np.array([time for _, time, _ in known])
-    return Trajectory.through(times, [pose for _, _, pose in known]), places
+    truth = Trajectory.through(times, [pose for _, _, pose in known])
+    if len(known) == 1:
+        unknown = np.full((1, 3), np.nan)
+        truth = replace(truth, v=unknown, w=unknown)
+    return truth, places
 
 
 def _median(values: FloatArray) -> float:
