@@ -10,6 +10,7 @@ from ffpose._internal.files import sha256
 from ffpose.cli import main
 from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.geometry.symmetry import IDENTITY
 from ffpose.inference.load import load
 from ffpose.models import build_network
 from ffpose.models.virtual_camera import pyramid, render_virtual
@@ -120,6 +121,7 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
     class Estimator:
         class metadata:
             locates = "object"
+            symmetry = IDENTITY
 
         near, camera, white = True, None, None
 
@@ -148,6 +150,7 @@ def test_a_pose_that_a_tracker_cannot_take_is_coasted_over(tmp_path):
     class Estimator:
         class metadata:
             locates = "object"
+            symmetry = IDENTITY
 
         near = camera = white = None
 

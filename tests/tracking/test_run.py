@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from ffpose.cli import main
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, PoseUncertainty
+from ffpose.geometry.symmetry import IDENTITY
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.errors import track_errors
 from ffpose.tracking.follow import COLUMNS, OVERLAY, REPORT, TRAJECTORY, Followed, follow, run
@@ -25,6 +26,7 @@ class Estimator:
     class metadata:
         locates = "object"
         tracking = degrees_of_freedom = None
+        symmetry = IDENTITY
 
     camera = CAMERA
     near = white = None
