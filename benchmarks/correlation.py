@@ -22,6 +22,7 @@ from benchmarks.tracking import predicted
 from ffpose._internal.zoo import resolve
 from ffpose.geometry import FloatArray, Pose
 from ffpose.geometry.rotations import conjugate, multiply, rotation_vector
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import read_metadata
 from ffpose.models.weights import write_weights
 from ffpose.tracking.frames import read_frames
@@ -46,22 +47,26 @@ def run(options: argparse.Namespace) -> None:
         poses = predicted(options.weights, folder, frames)
         pairs = [(one.pose, pose) for one, pose in zip(frames, poses, strict=True)]
         sequences.append([(truth, pose) for truth, pose in pairs if truth and pose])
-    found = correlation_angles(sequences)
+    path = resolve(options.weights)
+    found = correlation_angles(sequences, read_metadata(path).symmetry)
     print(json.dumps(found, indent=1))
     if options.out is not None:
-        path = resolve(options.weights)
         write_weights(options.out, load_file(path), replace(read_metadata(path), tracking=found))
 
 
-def correlation_angles(sequences: Sequence[Sequence[tuple[Pose, Pose]]]) -> dict[str, float]:
+def correlation_angles(
+    sequences: Sequence[Sequence[tuple[Pose, Pose]]], symmetry: SymmetryGroup = IDENTITY
+) -> dict[str, float]:
     """Return ``position_angle`` and ``attitude_angle``, degrees, of pairs of true and found poses.
+
+    Errors are to the nearest attitude of the same look by ``symmetry``.
 
     Raises:
         ValueError: No two frames of a sequence are 1 to 60 degrees apart.
     """
     turned, multiplied = [np.empty(0)], [np.empty((0, 4))]
     for pairs in sequences:
-        found = [(truth.q, _error(truth, pose)) for truth, pose in pairs]
+        found = [(truth.q, _error(truth, pose, symmetry)) for truth, pose in pairs]
         kept = [(q, error) for q, error in found if error is not None]
         q = np.array([q for q, _ in kept]).reshape(-1, 4)
         errors = np.array([error for _, error in kept]).reshape(-1, 2, 3)
@@ -85,13 +90,14 @@ def correlation_angles(sequences: Sequence[Sequence[tuple[Pose, Pose]]]) -> dict
     }
 
 
-def _error(truth: Pose, pose: Pose) -> FloatArray | None:
+def _error(truth: Pose, pose: Pose, symmetry: SymmetryGroup) -> FloatArray | None:
     """Return errors of position and attitude ``(2, 3)`` in standard deviations; None of a flip.
 
     Those of the position are along the camera's axes, those of the attitude along the object's.
     """
     said = pose.uncertainty
-    turn = rotation_vector(multiply(conjugate(truth.q), pose.q))
+    nearest = symmetry.nearest(pose.q[None], truth.q[None])[0]
+    turn = rotation_vector(multiply(conjugate(nearest), pose.q))
     if said is None or pose.flagged or np.linalg.norm(turn) > np.radians(FLIP_DEG):
         return None
     deviations = [

@@ -20,6 +20,7 @@ from ffpose._internal.files import atomic_write, sha256
 from ffpose._internal.seeds import CHOICES
 from ffpose._internal.zoo import resolve
 from ffpose.geometry import Camera, FloatArray, Pose
+from ffpose.geometry.symmetry import SymmetryGroup
 from ffpose.inference.load import load
 from ffpose.inference.prediction import Failure, predict
 from ffpose.render import find_scene
@@ -27,7 +28,7 @@ from ffpose.render.dataset.sequence_writer import write_sequence
 from ffpose.render.motion import KINDS, inertia
 from ffpose.render.scene import Scene
 from ffpose.render.sequence import Sequence as Frames
-from ffpose.tracking import Settings, Tracker
+from ffpose.tracking import Settings, Tracker, Unfolding
 from ffpose.tracking.errors import NEES_BOUNDS, SETTLED_S, TrackErrors, track_errors
 from ffpose.tracking.follow import Followed, follow
 from ffpose.tracking.frames import Frame, read_frames
@@ -68,6 +69,7 @@ def run(options: argparse.Namespace) -> None:
         told = {"inertia": moments(scene), "asymmetry": KNOWN} | told
     estimator = load(options.weights, threads=1, track=True, warm_up=0)
     settings = Settings.of(estimator.metadata, told)
+    symmetry = estimator.metadata.symmetry
     measured = []
     for number in range(options.first, options.first + options.sequences):
         kind = KINDS[number % len(KINDS)]
@@ -85,13 +87,13 @@ def run(options: argparse.Namespace) -> None:
         sequence = read_frames(folder)
         poses = predicted(options.weights, folder, sequence)
         if options.whole:
-            followed = of_poses(sequence, poses, Tracker(settings))
+            followed = of_poses(sequence, poses, Tracker(settings), symmetry)
         else:
             camera = Camera.read(folder / "camera.json")
             estimator = load(options.weights, camera=camera, threads=1, track=True, warm_up=0)
             looked = follow(estimator, sequence, Tracker(settings))
             followed = [one._replace(alone=pose) for one, pose in zip(looked, poses, strict=True)]
-        measured.append(track_errors(followed))
+        measured.append(track_errors(followed, symmetry))
         summary = {"sequence": folder.name, **measured[-1].summary()}
         print(json.dumps(summary), file=sys.stderr, flush=True)
     document = {"settings": asdict(settings), **together(measured)}
@@ -129,10 +131,16 @@ def _pose(plain: object) -> Pose | None:
     return Pose(t, q, PoseUncertainty(**said))
 
 
-def of_poses(sequence: list[Frame], poses: list[Pose | None], tracker: Tracker) -> list[Followed]:
+def of_poses(
+    sequence: list[Frame], poses: list[Pose | None], tracker: Tracker, symmetry: SymmetryGroup
+) -> list[Followed]:
     """Track through the poses of whole frames."""
-    steps = [tracker.step(one.time, pose) for one, pose in zip(sequence, poses, strict=True)]
-    return [Followed(*each, each[2].outcome) for each in zip(sequence, poses, steps, strict=True)]
+    unfolded, followed = Unfolding(symmetry), []
+    for one, pose in zip(sequence, poses, strict=True):
+        pose = pose and unfolded(tracker, one.time, pose)
+        step = tracker.step(one.time, pose)
+        followed.append(Followed(one, pose, step, step.outcome))
+    return followed
 
 
 def moments(scene: Scene) -> tuple[float, ...]:

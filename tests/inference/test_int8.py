@@ -10,6 +10,7 @@ from PIL import Image
 from ffpose.cli import main
 from ffpose.config import CONFIGS
 from ffpose.errors import DataError
+from ffpose.geometry import Camera
 from ffpose.imaging.images import image_files
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.inference.load import load
@@ -134,6 +135,22 @@ def test_the_metadata_names_precision_and_images(graph, images, tmp_path):
     digest = hashlib.sha256("".join(digests).encode()).hexdigest()
     assert before.precision == "float32"
     assert after == replace(before, precision="int8", calibration_sha256=digest)
+
+
+@pytest.mark.parametrize("camera", [None, Camera(32, 16, 20.0, 20.0, 16.0, 8.0)])
+def test_images_for_a_network_of_undistorted_ones_are_taken_as_such(
+    graph, images, tmp_path, camera
+):
+    plain = int8.quantize_graph(graph, tmp_path / "plain.onnx", images)
+    metadata = replace(read_model_metadata(graph), undistorted=True, camera=camera)
+    model = onnx.load(graph)
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, metadata.to_entries())
+    graph.write_bytes(sealed(model.SerializeToString()))
+    quantized = int8.quantize_graph(graph, tmp_path / "int8.onnx", images)
+    assert read_model_metadata(quantized.path).undistorted
+    np.testing.assert_array_equal(quantized.translation_m, plain.translation_m)
+    np.testing.assert_array_equal(quantized.rotation_deg, plain.rotation_deg)
 
 
 def test_images_are_sorted_and_other_files_left_out(images):

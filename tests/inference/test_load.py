@@ -10,7 +10,7 @@ from PIL import Image
 
 import ffpose
 from ffpose._internal.zoo import FOLDER
-from ffpose.inference.in_torch import TorchSession
+from ffpose.inference.in_torch import TorchSession, torch_threads
 from ffpose.models import load_network
 from pages import ROOT
 
@@ -70,6 +70,16 @@ class Counting(torch.nn.Module):
     def forward(self, images):
         self.threads = torch.get_num_threads()
         return torch.nn.functional  # has no _asdict
+
+
+def test_runs_that_overlap_leave_the_number_of_threads_as_it_was():
+    before = torch.get_num_threads()
+    own, default = torch_threads(before + 1), torch_threads(None)
+    own.__enter__()
+    with default:
+        own.__exit__(None, None, None)
+        assert torch.get_num_threads() == before
+    assert torch.get_num_threads() == before
 
 
 def test_threads_are_the_networks_alone():

@@ -10,6 +10,7 @@ from ffpose._internal.files import sha256
 from ffpose.cli import main
 from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
+from ffpose.geometry.symmetry import IDENTITY
 from ffpose.inference.load import load
 from ffpose.models import build_network
 from ffpose.models.virtual_camera import pyramid, render_virtual
@@ -100,6 +101,10 @@ def test_points_that_are_none(weights):
     for points in (np.zeros((2, 3)), np.full((1, 3), np.nan)):
         with pytest.raises(ValueError, match=r"points: expected finite numbers of shape \(1, 3\)"):
             estimator.run(x, points)
+    for point in ([0, 0, 0], [1, 2, 0], [0, 0, -5], [0, 0, 1e-30], [0, 0, 1e-60], [1, 0, 1e30]):
+        points = np.array([[0.0, 0.0, 9.0], point])
+        with pytest.raises(ValueError, match=r"points: expected in front of the camera, .* got \["):
+            estimator.run(np.concatenate([x, x]), points)
     with pytest.raises(ValueError, match=r"points: expected an estimator of ffpose.load"):
         load(weights, device="cpu", warm_up=0).run(x, np.ones((1, 3)))
 
@@ -120,6 +125,7 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
     class Estimator:
         class metadata:
             locates = "object"
+            symmetry = IDENTITY
 
         near, camera, white = True, None, None
 
@@ -148,6 +154,7 @@ def test_a_pose_that_a_tracker_cannot_take_is_coasted_over(tmp_path):
     class Estimator:
         class metadata:
             locates = "object"
+            symmetry = IDENTITY
 
         near = camera = white = None
 

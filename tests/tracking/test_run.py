@@ -7,11 +7,13 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from ffpose.cli import main
 from ffpose.errors import DataError
 from ffpose.geometry import Camera, Pose, PoseUncertainty
+from ffpose.geometry.symmetry import IDENTITY
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.errors import track_errors
-from ffpose.tracking.follow import COLUMNS, Followed, run
+from ffpose.tracking.follow import COLUMNS, OVERLAY, REPORT, TRAJECTORY, Followed, follow, run
 from ffpose.tracking.frames import Frame, read_frames
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 32.0, 24.0)
@@ -24,6 +26,7 @@ class Estimator:
     class metadata:
         locates = "object"
         tracking = degrees_of_freedom = None
+        symmetry = IDENTITY
 
     camera = CAMERA
     near = white = None
@@ -84,6 +87,41 @@ def test_a_row_for_each_frame_and_the_other_files(tmp_path):
         assert overlay.n_frames > 1  # frames that look the same are one
 
 
+@pytest.mark.parametrize("posed", [[], [6], [0, 5, 9]])
+def test_true_poses_may_be_known_for_some_frames_or_none(tmp_path, monkeypatch, posed):
+    """As a user brings a sequence: images, and a file of their times."""
+    sequence, out = frames(tmp_path / "set", 12), tmp_path / "out"
+    header, empty = "image,time", ""
+    if posed:
+        header, empty = header + ",tx,ty,tz,qw,qx,qy,qz", ",,,,,,,"
+    lines = [header]
+    for step, one in enumerate(sequence):
+        values = [*one.pose.t, *one.pose.q] if step in posed else []
+        lines.append(f"{step}.png,{one.time}" + ("".join(f",{v}" for v in values) or empty))
+    (tmp_path / "times.csv").write_text("\n".join(lines) + "\n")
+    network = Estimator([pose(step) for step in range(12)])
+    monkeypatch.setattr("ffpose.inference.load.load", lambda *_, **__: network)
+    words = ["track", "soyuz", tmp_path / "set", "--times", tmp_path / "times.csv", "--out", out]
+    assert main(list(map(str, words))) == 0
+    assert {path.name for path in out.iterdir()} == {TRAJECTORY, REPORT, OVERLAY}
+    page = (out / REPORT).read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64") == 3
+    assert ("Errors, true minus estimated" in page) == (len(posed) > 1)
+    assert [row["reason"] for row in rows(out)[3:]] == ["accepted"] * 9
+
+
+def test_the_true_velocity_of_one_pose_is_not_known(tmp_path):
+    sequence = [
+        one._replace(pose=one.pose if one.time == 5 else None) for one in frames(tmp_path, 20)
+    ]
+    network = Estimator([pose(step) for step in range(20)])
+    measured = track_errors(list(follow(network, sequence, Tracker())))
+    seen = np.isfinite(measured.errors[10])
+    assert seen.tolist() == 2 * [*3 * [True], *3 * [False]]
+    assert not np.isfinite(measured.nees).any()
+    assert not np.isfinite(np.delete(measured.errors, 10, 0)).any()
+
+
 def test_an_image_that_cannot_be_used_is_coasted_over_and_told(tmp_path):
     sequence = frames(tmp_path / "set", 12)
     (tmp_path / "set/6.png").unlink()
@@ -141,6 +179,12 @@ TIMES = "image,time\na.png,0\nb.png,0.5\n"
         (TIMES.replace("0.5", "-1"), r"t\.csv:3: time: expected later"),
         (TIMES.replace("0.5", "nan"), r"t\.csv:3: time: expected a finite number"),
         (TIMES.replace("time", "when"), r"t\.csv:1: expected the columns image, time"),
+        (
+            TIMES.replace("time", "time,tx,ty,tz,qw,qx,qy,qz")
+            .replace("0\n", "0,,,,,,,\n")
+            .replace("0.5", "0.5,1,2,,1,0,0,0"),
+            r"t\.csv:3: tz: expected a finite number, got ''",
+        ),
         (TIMES.replace("b.png", "a.png"), r"t\.csv:3: a\.png is on line 2 already"),
         ("image,time\n", r"t\.csv: expected at least one row"),
     ],

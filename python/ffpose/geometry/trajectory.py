@@ -37,9 +37,12 @@ class Trajectory:
 
     @classmethod
     def through(cls, times: FloatArray, poses: Sequence[Pose]) -> Trajectory:
-        """Return the trajectory through poses, with velocities by differences of neighbors."""
-        t = np.array([pose.t for pose in poses])
-        q = np.array([pose.q for pose in poses])
+        """Return the trajectory through poses, with velocities by differences of neighbors.
+
+        One pose alone stands still; of none the arrays are empty.
+        """
+        t = np.array([pose.t for pose in poses]).reshape(-1, 3)
+        q = np.array([pose.q for pose in poses]).reshape(-1, 4)
         count = len(times)
         before = np.maximum(np.arange(count) - 1, 0)
         after = np.minimum(np.arange(count) + 1, count - 1)

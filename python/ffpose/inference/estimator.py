@@ -132,8 +132,8 @@ class PoseEstimator:
 
         Args:
             inputs: Images ``(B, 3, h, w)``, float32, standardized as by `preprocess`.
-            points: Where the objects are expected ``(B, 3)``, meters, camera frame, for a single
-                look there; None for everywhere.
+            points: Where the objects are expected ``(B, 3)``, meters, camera frame, in front of
+                the camera, for a single look there; None for everywhere.
 
         Returns:
             ``translation (B, 3)``, meters, and ``orientation (B, 4)``, scalar first and of either
@@ -143,8 +143,8 @@ class PoseEstimator:
 
         Raises:
             TypeError: The dtype is not float32.
-            ValueError: A shape is not as above, a number is not finite, or there are points and the
-                network's single look was not opened.
+            ValueError: A shape is not as above, a number is not finite, a point is not in front of
+                the camera, or there are points and the network's single look was not opened.
         """
         expected = (3, *self.preprocessing.size)
         if inputs.dtype != np.float32:
@@ -162,7 +162,14 @@ class PoseEstimator:
             raise ValueError(
                 f"points: expected finite numbers of shape ({len(inputs)}, 3), got {points}"
             )
-        return self.near.run(inputs, points.astype(np.float32))
+        with np.errstate(over="ignore", under="ignore"):  # the network computes so
+            near = points.astype(np.float32)
+            squared = (near * near).sum(axis=1)
+        behind = (near[:, 2] <= 0) | (squared == 0) | ~np.isfinite(squared)
+        if behind.any():
+            got = points[behind.argmax()].tolist()
+            raise ValueError(f"points: expected in front of the camera, z above 0, got {got}")
+        return self.near.run(inputs, near)
 
     def warm_up(self, runs: int) -> None:
         """Run the network on a black image, so that memory is allocated and plans are made."""

@@ -40,12 +40,16 @@ class TorchSession:
 
 @contextmanager
 def torch_threads(count: int | None) -> Iterator[None]:
-    """Let torch use ``count`` threads within the block; None for as many as before."""
+    """Let torch use ``count`` threads within the block; None leaves their number alone.
+
+    It is one for the process: threads that run networks with counts of their own see each other's.
+    """
     before = torch.get_num_threads()
-    if count is not None and count != before:
-        torch.set_num_threads(count)
+    if count is None or count == before:
+        yield
+        return
+    torch.set_num_threads(count)
     try:
         yield
     finally:
-        if torch.get_num_threads() != before:
-            torch.set_num_threads(before)
+        torch.set_num_threads(before)

@@ -50,6 +50,8 @@ def quantize_graph(
 ) -> Quantized:
     """Write the int8 form of a graph of ``ffpose export``, calibrated on typical images.
 
+    Images for a network that was trained on undistorted ones are taken as without distortion.
+
     Raises:
         FileNotFoundError: The graph, an image or the operator's library does not exist.
         ValueError: There are no images, the graph is already int8, or an image's aspect ratio
@@ -68,7 +70,9 @@ def quantize_graph(
         calibration_sha256=hashlib.sha256(digests.encode()).hexdigest(),
     )
     onnx = require("onnx", "export")
-    estimator = PoseEstimator(open_session(Path(graph), metadata.filter), metadata)
+    taken = {"camera": metadata.camera, "resize": metadata.camera is None}
+    read: dict[str, Any] = taken if metadata.undistorted else {}
+    estimator = PoseEstimator(open_session(Path(graph), metadata.filter), metadata, **read)
     with tempfile.TemporaryDirectory(prefix="ffpose-int8-") as folder:
         say(f"calibrating with {len(images)} images")
         out = Path(folder) / "int8.onnx"
@@ -80,7 +84,7 @@ def quantize_graph(
     with atomic_write(path) as temporary:
         temporary.write_bytes(data)
         say("comparing with float32")
-        quantized = PoseEstimator(open_session(temporary, metadata.filter), metadata)
+        quantized = PoseEstimator(open_session(temporary, metadata.filter), metadata, **read)
         found = [[each(image) for image in images] for each in (estimator, quantized)]
     (t, q), (t_hat, q_hat) = (
         map(np.stack, zip(*((pose.t, pose.q) for pose in poses), strict=True)) for poses in found

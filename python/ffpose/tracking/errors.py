@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ffpose.geometry import FloatArray
 from ffpose.geometry.rotations import conjugate, multiply, rotation_vector
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.trajectory import Trajectory
+from ffpose.tracking.symmetry import Compared
 
 if TYPE_CHECKING:
     from ffpose.tracking.follow import Followed
@@ -27,6 +29,8 @@ SETTLED_S = 20.0
 class TrackErrors:
     """Errors of each frame; NaN where there is no track, no pose or no truth.
 
+    True velocities are differences of true poses, and of one pose alone they are NaN.
+
     Attributes:
         times: ``(N,)`` seconds.
         errors: ``(N, 12)`` true minus estimated position (m), velocity (m/s), attitude (deg, about
@@ -35,6 +39,7 @@ class TrackErrors:
         nees: ``(N,)`` normalized estimation error squared, of 12 degrees of freedom.
         nis: ``(N,)`` normalized innovation squared, of 6 degrees of freedom.
         alone: ``(N, 2)`` errors of the frame alone: position (m) and attitude (deg).
+        q: True attitudes ``(N, 4)`` that the track is compared with.
         turned: ``(N,)`` degrees that the object has turned since acquisition, along its way.
         since: ``(N,)`` seconds since the track was acquired, or acquired again.
     """
@@ -45,6 +50,7 @@ class TrackErrors:
     nees: FloatArray
     nis: FloatArray
     alone: FloatArray
+    q: FloatArray
     turned: FloatArray
     since: FloatArray
 
@@ -79,20 +85,30 @@ class TrackErrors:
         }
 
 
-def track_errors(followed: Sequence[Followed]) -> TrackErrors:
-    """Compare a track with the frames' poses; frames without one leave gaps."""
+def track_errors(followed: Sequence[Followed], symmetry: SymmetryGroup = IDENTITY) -> TrackErrors:
+    """Compare a track with the frames' poses; frames without one leave gaps.
+
+    Errors of the track are modulo one rotation of ``symmetry`` (`Compared`), those of frames alone
+    modulo any.
+    """
     count = len(followed)
     errors, deviations = np.full((2, count, 12), np.nan)
     nees, nis, turned, since = np.full((4, count), np.nan)
-    alone = np.full((count, 2), np.nan)
+    alone, attitudes = np.full((count, 2), np.nan), np.full((count, 4), np.nan)
+    compared = Compared(symmetry)
     truth, places = _truth(followed)
     start, way = np.nan, 0.0
     for row, each in enumerate(followed):
         one, pose = each.step.estimate, each.frame.pose
         nis[row] = np.nan if each.step.nis is None else each.step.nis
         if pose is not None and each.alone is not None and not each.alone.flagged:
-            turn = rotation_vector(multiply(conjugate(each.alone.q), pose.q))
+            nearest = symmetry.nearest(each.alone.q[None], pose.q[None])[0]
+            turn = rotation_vector(multiply(conjugate(each.alone.q), nearest))
             alone[row] = np.linalg.norm(pose.t - each.alone.t), np.degrees(np.linalg.norm(turn))
+        place = places.get(row)
+        true = compared(each, np.zeros(3) if place is None else truth.w[place])
+        if pose is not None and len(symmetry) == 1:
+            attitudes[row] = pose.q
         if one is None:
             start = np.nan
             continue
@@ -100,21 +116,21 @@ def track_errors(followed: Sequence[Followed]) -> TrackErrors:
         if np.isnan(start):
             start, way = each.frame.time, 0.0
         since[row] = each.frame.time - start
-        if pose is None:
+        if pose is None or place is None or true is None:
             continue
-        place = places[row]
         if place and since[row] > 0:
-            passed = truth.times[place] - truth.times[place - 1]
+            passed = min(truth.times[place] - truth.times[place - 1], since[row])
             way += float(np.degrees(np.linalg.norm(truth.w[place]))) * passed
         turned[row] = way
-        turn = rotation_vector(multiply(conjugate(one.q), pose.q))
-        rate = truth.w[place] - np.radians(one.w)
+        attitudes[row], w = true
+        turn = rotation_vector(multiply(conjugate(one.q), attitudes[row]))
+        rate = w - np.radians(one.w)
         error = np.concatenate([pose.t - one.t, truth.v[place] - one.v, turn, rate])
         nees[row] = error @ np.linalg.solve(one.covariance, error)
         error[6:] = np.degrees(error[6:])
         errors[row] = error
     times = np.array([each.frame.time for each in followed])
-    return TrackErrors(times, errors, deviations, nees, nis, alone, turned, since)
+    return TrackErrors(times, errors, deviations, nees, nis, alone, attitudes, turned, since)
 
 
 def _truth(followed: Sequence[Followed]) -> tuple[Trajectory, dict[int, int]]:
@@ -126,7 +142,11 @@ def _truth(followed: Sequence[Followed]) -> tuple[Trajectory, dict[int, int]]:
     ]
     places = {row: place for place, (row, _, _) in enumerate(known)}
     times = np.array([time for _, time, _ in known])
-    return Trajectory.through(times, [pose for _, _, pose in known]), places
+    truth = Trajectory.through(times, [pose for _, _, pose in known])
+    if len(known) == 1:
+        unknown = np.full((1, 3), np.nan)
+        truth = replace(truth, v=unknown, w=unknown)
+    return truth, places
 
 
 def _median(values: FloatArray) -> float:

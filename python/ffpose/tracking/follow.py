@@ -14,6 +14,7 @@ from ffpose.inference.estimator import PoseEstimator
 from ffpose.inference.prediction import Failure, predict
 from ffpose.tracking.frames import Frame
 from ffpose.tracking.report import write_overlay, write_report
+from ffpose.tracking.symmetry import Unfolding
 from ffpose.tracking.tracker import Settings, Step, Tracker
 
 TRAJECTORY, REPORT, OVERLAY = "trajectory.csv", "report.html", "overlay.webp"
@@ -52,7 +53,8 @@ def follow(
     An image that cannot be used is coasted over, and so is a pose whose covariances the tracker
     refuses, as rounding can leave them without an inverse. If the network's single look was opened,
     it looks where the object is expected, and searches a whole frame where that is not known
-    (`Tracker.expected`). The tracker goes on from where it is.
+    (`Tracker.expected`). The tracker goes on from where it is. Attitudes of a network that was
+    trained modulo a symmetry are those of the same look that continue the track (`Unfolding`).
 
     Raises:
         ValueError: The network has no uncertainty or locates the camera, or a time is not later
@@ -60,11 +62,14 @@ def follow(
     """
     if estimator.metadata.locates == "camera":
         raise ValueError("weights: expected some that locate an object, got ones of a camera")
+    unfolded = Unfolding(estimator.metadata.symmetry)
     for frame in frames:
         point = None if estimator.near is None else tracker.expected(frame.time)
         (answer,) = predict(estimator, [frame.image], point=point)
         alone = None if isinstance(answer, Failure) else answer.pose
         try:
+            if alone is not None:
+                alone = unfolded(tracker, frame.time, alone)
             step = tracker.step(frame.time, alone)
             reason = explain(answer.error) if isinstance(answer, Failure) else step.outcome
         except ValueError as error:
@@ -119,7 +124,7 @@ def run(
             said(each)
     finally:
         write_trajectory(followed, out / TRAJECTORY)
-    write_report(followed, out / REPORT, title)
+    write_report(followed, out / REPORT, title, estimator.metadata.symmetry)
     if estimator.camera is not None:
         write_overlay(followed, estimator.camera, out / OVERLAY, estimator.white)
     lost = [each for each in followed if each.alone is None]

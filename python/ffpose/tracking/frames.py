@@ -25,8 +25,8 @@ def read_frames(folder: Path, times: Path | None = None) -> list[Frame]:
     """Read the frames of a folder, in the order of their times.
 
     ``times`` is a CSV file with the columns ``image`` (a path within the folder) and ``time``
-    (seconds) and perhaps ``tx, ty, tz, qw, qx, qy, qz``; None for ``frames.csv`` in the folder, as
-    ``ffpose render approach`` writes it.
+    (seconds) and perhaps ``tx, ty, tz, qw, qx, qy, qz``, empty where a pose is not known; None for
+    ``frames.csv`` in the folder, as ``ffpose render approach`` writes it.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -52,7 +52,7 @@ def read_frames(folder: Path, times: Path | None = None) -> list[Frame]:
             before = frames[-1].time
             raise entry.error(f"time: expected later than {before} s, the row before, got {time} s")
         pose = None
-        if posed:
+        if posed and any(entry.values[name].strip() for name in POSE):
             values = entry.parsed(POSE)
             pose = entry.made(Pose, values[:3], values[3:])
         frames.append(Frame(image, time, pose))

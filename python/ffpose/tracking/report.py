@@ -13,8 +13,9 @@ from PIL import Image, ImageDraw
 from ffpose._internal.figures import embedded, new_figure, style_axes
 from ffpose._internal.files import atomic_write
 from ffpose.errors import DataError
-from ffpose.geometry import Camera, FloatArray
+from ffpose.geometry import Camera, FloatArray, Pose
 from ffpose.geometry.rotations import rotation_vector
+from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.imaging.images import read_rgb
 from ffpose.imaging.overlay import draw_axes
 from ffpose.tracking.errors import NEES_BOUNDS, NIS_BOUNDS, TrackErrors, track_errors
@@ -36,14 +37,16 @@ MARKS = {"gated": "#ffb000", "flagged": "#8a8f98", "coasted": "#8a8f98"}
 """Border of the frames that did not correct the track."""
 
 
-def write_report(followed: Sequence[Followed], path: Path, title: str) -> None:
-    """Write a track as one self-contained HTML page."""
-    measured = track_errors(followed)
+def write_report(
+    followed: Sequence[Followed], path: Path, title: str, symmetry: SymmetryGroup = IDENTITY
+) -> None:
+    """Write a track as one self-contained HTML page; ``symmetry`` is as of `track_errors`."""
+    measured = track_errors(followed, symmetry)
     known = bool(np.isfinite(measured.nees).any())
     figures = [
         (_over_time(followed, measured, known), "position, velocity, attitude and rate over time"),
         (_consistency(measured), "normalized squared errors against their bounds"),
-        (_about_target(followed), "the camera's way in the frame of the target"),
+        (_about_target(followed, measured), "the camera's way in the frame of the target"),
     ]
     rows = {**_counts(followed), **(measured.summary() if known else {})}
     table = "".join(
@@ -172,11 +175,14 @@ def _consistency(measured: TrackErrors) -> Figure:
     return figure
 
 
-def _about_target(followed: Sequence[Followed]) -> Figure:
+def _about_target(followed: Sequence[Followed], measured: TrackErrors) -> Figure:
     """Draw where the camera was in the target's frame: tracked, and true where that is known."""
     figure = new_figure(9, 4.2)
     tracked = [each.step.estimate.pose for each in followed if each.step.estimate is not None]
-    true = [each.frame.pose for each in followed if each.frame.pose is not None]
+    known = zip(followed, measured.q, strict=True)
+    true = [
+        Pose(each.frame.pose.t, q) for each, q in known if each.frame.pose and np.isfinite(q[0])
+    ]
     for axes, (across, up) in zip(figure.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
         for poses, color, label in ((true, "#8a8f98", "true"), (tracked, "#d64545", "tracked")):
             if poses:
