@@ -146,9 +146,16 @@ def test_the_virtual_camera_holds_the_whole_spacecraft(tmp_path):
 
 @pytest.mark.parametrize(
     ("device", "gpus", "trained_by"),
-    [("cpu", 1, 16), ("auto", 0, 16), ("auto", 1, 1), ("cuda", 2, 2), ("cuda:1", 2, 1)],
+    [
+        ("cpu", 1, 4),
+        ("auto", 0, 4),
+        ("auto", 1, 1),
+        ("cuda", 2, 2),
+        ("cuda", 8, 4),
+        ("cuda:1", 2, 1),
+    ],
 )
-def test_one_process_trains_on_each_gpu_and_all_prepare_its_batches(
+def test_at_most_four_train_one_on_each_gpu_and_all_prepare_their_batches(
     tmp_path, monkeypatch, device, gpus, trained_by
 ):
     found = torch.device("cuda", 0) if gpus and device != "cpu" else torch.device("cpu")

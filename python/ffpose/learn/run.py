@@ -85,8 +85,8 @@ class LearnConfig:
         camera: Camera of the images.
         distance_m: Least and greatest distance; None for 1.5 to 8 diameters of the bounding sphere.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
-        processes: Processes that render and prepare batches, and that train together, on GPUs one
-            each; 0 for one a core.
+        processes: Processes that render and prepare batches, and of which up to four train
+            together, on GPUs one each; 0 for one a core.
         seed: Seed of everything.
         device: "auto" (a GPU if there is one) or a device that torch knows.
         test_images: Number of images of the test.
