@@ -166,6 +166,20 @@ def test_at_most_four_train_one_on_each_gpu_and_all_prepare_their_batches(
     assert config.batch_size * config.processes == 32
 
 
+def test_an_interrupted_run_goes_on_with_as_many_that_train(tmp_path, monkeypatch):
+    """On other cores, and with other spellings of its paths."""
+    monkeypatch.chdir(tmp_path)
+    record = run._Record.open(LearnConfig(Path("craft.stl"), tmp_path))
+    record.plans, record.speed = (TrainingPlan("first", 40, 1),) * 2, Speed(9.0, 99.0)
+    record.world = 2
+    record.write(tmp_path)
+    found = run._Record.open(LearnConfig(tmp_path / "craft.stl", tmp_path, processes=16))
+    config = planned(tmp_path, processes=16, world=found.world)
+    assert (config.processes, config.batch_size, config.data.workers) == (2, 16, 16)
+    with pytest.raises(ValueError, match=r"expected mesh craft\.stl as the run in"):
+        run._Record.open(LearnConfig(Path("other.stl"), tmp_path))
+
+
 def test_where_the_origin_lies_far_outside_the_camera_keeps_clear_of_the_spacecraft(tmp_path):
     box = trimesh.creation.box((2.0, 1.0, 1.0))
     box.apply_translation((0.0, 0.0, 30.0))

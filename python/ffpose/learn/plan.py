@@ -236,6 +236,7 @@ def training(
     device: str,
     init: Path | None,
     symmetry: Path | None = None,
+    world: int | None = None,
 ) -> TrainConfig:
     """Return the configuration of a training.
 
@@ -253,10 +254,11 @@ def training(
         device: As of `ffpose.training.TrainConfig`.
         init: Weights to start from.
         symmetry: As of `ffpose.training.TrainConfig`.
+        world: Number of those that train; None for `training_processes`.
     """
     counts: dict[str, Any] = {name: max(1, round(KINDS[name] * plan.views)) for name in KINDS}
     held_out = min(MOST_HELD_OUT, max(LEAST_HELD_OUT, plan.views // 40))
-    world = training_processes(device, processes)
+    world = world or training_processes(device, processes)
     return TrainConfig(
         data=DataConfig(
             "scenes",
