@@ -25,7 +25,10 @@ from typing import Any
 
 import torch
 from torch import Tensor, distributed, nn
-from torch.distributed import ProcessGroup, TCPStore
+from torch.distributed import (
+    ProcessGroup,
+    TCPStore,  # type: ignore[attr-defined]  # torch does not say that it exports it
+)
 from torch.distributed.distributed_c10d import PrefixStore, Store
 from torch.distributed.rendezvous import rendezvous
 from torch.nn.parallel import DistributedDataParallel
@@ -177,6 +180,7 @@ def current() -> Processes:
     world = distributed.get_world_size()
     here = int(os.environ.get("LOCAL_WORLD_SIZE", world))
     patient = distributed.new_group(backend="gloo", timeout=LONGEST_WAIT)
+    assert isinstance(patient, ProcessGroup)  # every process is of it
     return Processes(distributed.get_rank(), world, here, patient)
 
 
