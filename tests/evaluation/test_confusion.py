@@ -1,5 +1,7 @@
 """The turn that errors gather about, against SciPy's rotations."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -32,3 +34,16 @@ def test_errors_in_all_directions_gather_about_no_turn():
     true, predicted = attitudes()
     assert most_confused(quaternion(predicted), quaternion(true)).share < 0.03
     assert most_confused(quaternion(true), quaternion(true)).share == 0
+
+
+def test_many_errors_are_compared_in_little_memory():
+    """All pairs of 4000 at once would be 128 MB, and as much again for their absolute values."""
+    rng = np.random.default_rng(0)
+    gathered = Rotation.from_rotvec([np.radians(90), 0, 0])
+    predicted = Rotation.concatenate([Rotation.random(3500, rng=rng), *[gathered] * 500])
+    tracemalloc.start()
+    found = most_confused(quaternion(predicted), np.tile([1.0, 0, 0, 0], (4000, 1)))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 100e6
+    np.testing.assert_allclose(found.rotation_vector_deg, [90, 0, 0], atol=1)

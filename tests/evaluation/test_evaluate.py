@@ -443,6 +443,7 @@ def uncertain(evaluation):
         rotation_covariance=np.tile(0.0001 * np.eye(3), (6, 1, 1)),
         in_view=np.array([0.4, 0.9, 0.9, 0.95, 0.99, 1.0]),
         in_view_empty=np.array([0.1, 0.9, 0.3, 0.2]),
+        in_view_threshold=0.5,
     )
 
 
@@ -459,6 +460,14 @@ def test_coverage_and_flag_by_hand(uncertain):
         "miss_rate": 0.25,
         "auroc": pytest.approx((3 + 2 * 3.5 + 3 * 4) / 24),
     }
+
+
+def test_without_a_threshold_nothing_is_flagged(uncertain):
+    told = replace(uncertain, in_view_threshold=None).summary()
+    assert told["uncertainty"]["in_view"] == {"auroc": pytest.approx(22 / 24)}
+    assert "flagged" not in uncertainty_table(told)
+    alone = replace(uncertain, in_view_threshold=None, in_view_empty=None).summary()
+    assert "in_view" not in alone["uncertainty"]
 
 
 @pytest.mark.parametrize("symmetric", [False, True])

@@ -155,6 +155,22 @@ def test_processes_add_up_to_the_whole():
     torch.testing.assert_close(metric.compute(), whole.compute())
 
 
+@pytest.mark.filterwarnings("ignore:The ``compute`` method")
+def test_a_process_without_samples_adds_none():
+    tensors, sent = batch(3), []
+    other = PoseError()
+    other.update(*tensors)
+    remote = iter([torch.cat(getattr(other, name)) for name in other._defaults])
+
+    def gather(state, group):
+        sent.append(state.dtype)  # torch gathers tensors of one dtype alone
+        return [state, next(remote)]
+
+    empty = PoseError(dist_sync_fn=gather, distributed_available_fn=lambda: True)
+    assert empty.compute() == other.compute()
+    assert set(sent) == {torch.float64}
+
+
 def test_half_precision_is_read_exactly():
     tensors = batch(dtype=torch.bfloat16)
     exact = pose_error(*(tensor.double() for tensor in tensors))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ffpose.config import PRESETS, axis_length
 from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.imaging.overlay import draw_axes
 
@@ -27,6 +28,17 @@ def test_axes_point_along_the_camera_frame_for_the_identity():
     assert y[:, 1].max() == pytest.approx(304, abs=1.5)
     assert np.abs(y[:, 0] - 320).max() < 3
     assert np.asarray(image).max() == 0  # the image that came is as it was
+
+
+def test_axes_of_an_object_of_unknown_size_are_a_tenth_of_its_distance():
+    pose = Pose([0, 0, 10], [1, 0, 0, 0])
+    shown = [
+        np.asarray(draw_axes(Image.new("RGB", (64, 48)), pose, URSO_CAMERA, length))
+        for length in (None, 1.0)
+    ]
+    np.testing.assert_array_equal(*shown)
+    assert axis_length(PRESETS["polar"]) == PRESETS["polar"].object_radius_m / 3
+    assert axis_length(PRESETS["base"]) is None
 
 
 def test_the_nearest_axis_lies_on_top():

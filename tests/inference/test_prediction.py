@@ -137,7 +137,7 @@ AHEAD = Pose([0, 0, 10], [1, 0, 0, 0])
 
 
 def test_an_overlay_draws_at_the_projected_origin(picture, tmp_path):
-    path = write_overlay(Prediction(picture, AHEAD, URSO_CAMERA), tmp_path / "drawn")
+    path = write_overlay(Prediction(picture, AHEAD, URSO_CAMERA, axis_m=2.0), tmp_path / "drawn")
     assert path == tmp_path / "drawn/view_pose.png"
     drawn, plain = np.asarray(Image.open(path), int), np.asarray(read_rgb(picture), int)
     changed = np.argwhere(np.abs(drawn - plain).sum(axis=2) > 0)

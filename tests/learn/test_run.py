@@ -146,9 +146,16 @@ def test_the_virtual_camera_holds_the_whole_spacecraft(tmp_path):
 
 @pytest.mark.parametrize(
     ("device", "gpus", "trained_by"),
-    [("cpu", 1, 16), ("auto", 0, 16), ("auto", 1, 1), ("cuda", 2, 2), ("cuda:1", 2, 1)],
+    [
+        ("cpu", 1, 4),
+        ("auto", 0, 4),
+        ("auto", 1, 1),
+        ("cuda", 2, 2),
+        ("cuda", 8, 4),
+        ("cuda:1", 2, 1),
+    ],
 )
-def test_one_process_trains_on_each_gpu_and_all_prepare_its_batches(
+def test_at_most_four_train_one_on_each_gpu_and_all_prepare_their_batches(
     tmp_path, monkeypatch, device, gpus, trained_by
 ):
     found = torch.device("cuda", 0) if gpus and device != "cpu" else torch.device("cpu")
@@ -157,6 +164,20 @@ def test_one_process_trains_on_each_gpu_and_all_prepare_its_batches(
     config = planned(tmp_path, device=device, processes=16)
     assert (config.processes, config.data.workers) == (trained_by, 16)
     assert config.batch_size * config.processes == 32
+
+
+def test_an_interrupted_run_goes_on_with_as_many_that_train(tmp_path, monkeypatch):
+    """On other cores, and with other spellings of its paths."""
+    monkeypatch.chdir(tmp_path)
+    record = run._Record.open(LearnConfig(Path("craft.stl"), tmp_path))
+    record.plans, record.speed = (TrainingPlan("first", 40, 1),) * 2, Speed(9.0, 99.0)
+    record.world = 2
+    record.write(tmp_path)
+    found = run._Record.open(LearnConfig(tmp_path / "craft.stl", tmp_path, processes=16))
+    config = planned(tmp_path, processes=16, world=found.world)
+    assert (config.processes, config.batch_size, config.data.workers) == (2, 16, 16)
+    with pytest.raises(ValueError, match=r"expected mesh craft\.stl as the run in"):
+        run._Record.open(LearnConfig(Path("other.stl"), tmp_path))
 
 
 def test_where_the_origin_lies_far_outside_the_camera_keeps_clear_of_the_spacecraft(tmp_path):

@@ -274,6 +274,34 @@ def test_weights_there_and_back(model, tmp_path):
 
 
 @pytest.mark.slow
+def test_autocast_leaves_the_geometry_in_float32(model, monkeypatch):
+    """With the same outputs of the learned parts the poses are the same bit for bit."""
+    recorded, within = {}, []
+
+    def record(name, part):
+        def called(*args):
+            within.append(torch.is_autocast_enabled("cpu"))
+            return recorded.setdefault((name, len(within)), part(*args))
+
+        return called
+
+    for name in ("locate", "encode", "decode"):
+        monkeypatch.setattr(model, name, record(name, getattr(model, name)))
+    with torch.no_grad():
+        for predict in (model, lambda some: model.predict_near(some, POINTS)):
+            within.clear()
+            recorded.clear()
+            plain = predict(images())
+            assert not any(within)
+            within.clear()
+            with torch.autocast("cpu", torch.bfloat16):
+                half = predict(images())
+                assert torch.is_autocast_enabled("cpu")
+            assert all(within)
+            for ours, expected in zip(half, plain, strict=True):
+                assert torch.equal(ours, expected)
+
+
 def test_an_exported_network_takes_batches_of_any_size(model):
     shapes = ({0: torch.export.Dim("batch")},)
     program = torch.export.export(model, (images(2),), dynamic_shapes=shapes).module()

@@ -2,7 +2,7 @@
 
 import json
 import shlex
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from ffpose._internal.seeds import CALIBRATION
 from ffpose.cli import build_parser, main, words_of
 from ffpose.models import FilterformerPose, read_metadata
-from ffpose.training.calibrate_weights import calibrate_weights
+from ffpose.training.calibrate_weights import _as_trained, calibrate_weights
 from ffpose.training.calibration_images import command_of
 from ffpose.training.config import CalibrationImages
 from ffpose.training.engine import train
@@ -114,6 +114,24 @@ def test_the_kinds_are_those_that_training_saw(trained, tmp_path):
     distances = np.linalg.norm(np.concatenate(places), axis=1)
     assert distances.min() > 0.75 * 8
     assert distances.max() < 1.5 * 22
+
+
+def test_ranges_are_those_of_the_training_unless_they_are_given():
+    seen = {"distance": [0.75, 1.5], "attitude_range_deg": [30.0, 20.0, 10.0]}
+    header = replace(read_metadata("soyuz"), recipe={"data": seen})
+    taken = _as_trained(CalibrationImages(), header)
+    assert (taken.distance, taken.attitude_range_deg) == ((0.75, 1.5), (30.0, 20.0, 10.0))
+    given = CalibrationImages(distance=(0.9, 1.1), attitude_range_deg=(9.0, 8.0, 7.0))
+    kept = _as_trained(given, header)
+    assert (kept.distance, kept.attitude_range_deg) == ((0.9, 1.1), (9.0, 8.0, 7.0))
+
+
+def test_weights_of_learn_ask_for_the_file_of_their_set():
+    header = replace(
+        read_metadata("soyuz"), data={"sets": [{"scene": "craft", "seed": 0, "count": 1}]}
+    )
+    with pytest.raises(ValueError, match=r"'craft'.* --data\.scene runs/craft/scene\.json"):
+        _as_trained(CalibrationImages(), header)
 
 
 def test_a_network_that_looks_once_is_refused(tmp_path):

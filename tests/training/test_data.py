@@ -187,6 +187,8 @@ def test_a_second_look_needs_an_object_and_a_pinhole(scene, own):
     config = DataConfig("csv", own, holdout=2)
     with pytest.raises(ValueError, match=r"camera without distortion \(--data\.undistort\)"):
         second_look(config)
+    with pytest.raises(ValueError, match=r"data\.mode: expected resize, .* got 'center_crop'"):
+        second_look(replace(config, mode="center_crop"))
     small = replace(CONFIGS["compact"], image_size=(64, 64))
     undistorted = replace(config, undistort=True)
     data = open_training_data(undistorted, small, Preprocessing((64, 64)), coordinates=False)

@@ -405,6 +405,19 @@ def test_part_of_the_samples_have_frames(model, dotted):
     assert len(all_of(batches(model, [dotted], frames=0.0)).frames) == 1  # the loss needs one
 
 
+@pytest.mark.parametrize("size", [2, 4, 8])
+def test_batches_of_any_size_have_the_shares_that_are_asked_for(model, dotted, size):
+    """In the mean: of four samples a share of 0.12 is none when it is rounded to the nearest."""
+    views = batches(model, [dotted], [green(2)], empty=0.12, frames=0.6)
+    generator, count = torch.Generator().manual_seed(0), 800 // size
+    made = [views.stored(torch.arange(size), generator) for _ in range(count)]
+    lacking = sum(size - len(each.windows) for each in made) / 800
+    frames = sum(len(each.frames) for each in made) / 800
+    assert lacking == pytest.approx(0.12, abs=0.04)
+    assert frames == pytest.approx(0.6, abs=0.06)
+    assert {len(each.windows) for each in made} == {size, size - 1}
+
+
 def test_sets_follow_one_another(model, poses, origins):
     parts = [
         {name: array[rows] for name, array in origins.items()}

@@ -85,18 +85,69 @@ def test_one_process_is_alone_and_starts_none(monkeypatch):
         assert not torch.distributed.is_initialized()
 
 
+def test_processes_of_torchrun_start_no_others(monkeypatch):
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(ValueError, match=r"processes: expected 1 under torchrun, .* got 3"):
+        started(3, None).__enter__()
+
+
+TOGETHER = """
+import functools, os, sys, time, torch
+from datetime import timedelta
+from ffpose.training import processes
+
+impatient = functools.partial(torch.distributed.init_process_group, timeout=timedelta(seconds=10))
+processes.distributed.init_process_group = impatient
+
+def work(leads):
+    with processes.joined("cpu") as own:
+        with own.leader_first():
+            time.sleep(14 * leads)
+        assert own.total(torch.ones(1)) == 2
+
+def die(leads):
+    if not leads:
+        os._exit(9)
+    work(leads)
+
+if __name__ == "__main__":
+    together = {"work": work, "die": die}[sys.argv[1]]
+    with processes.started(2, together, False):
+        together(True)
+"""
+
+
+def run_together(tmp_path, what):
+    (tmp_path / "together.py").write_text(TOGETHER)
+    command = [sys.executable, tmp_path / "together.py", what]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+
+
+@pytest.mark.slow
+def test_processes_wait_for_the_leader_for_longer_than_for_gradients(tmp_path):
+    done = run_together(tmp_path, "work")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_where_a_process_ends_before_it_joins_the_leader_ends(tmp_path):
+    done = run_together(tmp_path, "die")
+    assert done.returncode == 1
+    assert "process 1 of 1 beside this one ended with code 9 before the" in done.stderr
+
+
 LEADER = """
 import os, sys, time
 from pathlib import Path
-from ffpose.training.processes import started
+from ffpose.training.processes import joined, started
 
 def follow(path):
     Path(path).write_text(f"{os.getpid()}\\n")
     time.sleep(600)
 
 if __name__ == "__main__":
-    with started(2, follow, sys.argv[1]):
-        time.sleep(600)
+    with started(2, follow, sys.argv[1]), joined("cpu"):  # the other never does
+        raise AssertionError
 """
 
 

@@ -104,6 +104,15 @@ def test_a_frozen_part_gets_no_gradient_and_stands_in_evaluation():
     assert not any(module.training for module in model.orientation_branch.modules())
 
 
+def test_the_orientation_head_is_frozen_with_its_branch():
+    model = Parts()
+    model.orientation = nn.Linear(4, 4)
+    enter_stage(model, PoseLoss(), PAPER_STAGES[1])
+    assert trainable(model) == {"translation_branch"}
+    enter_stage(model, PoseLoss(), PAPER_STAGES[2])
+    assert trainable(model) == {"orientation_branch", "orientation"}
+
+
 def test_the_next_stage_thaws_what_it_does_not_freeze():
     model = Parts()
     enter_stage(model, PoseLoss(), PAPER_STAGES[1])

@@ -8,6 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from ffpose.training import OptimizerConfig
+from ffpose.training.processes import Processes
 from ffpose.training.run import build_run
 from ffpose.training.tasks import prefetched
 from tiny_runs import MODEL_FIELDS, train_config, write_set
@@ -54,6 +55,26 @@ def test_a_head_with_its_own_loss_learns_eight_images(tmp_path, head):
         batch.orientation, scalar_first=True
     )
     assert np.degrees(np.median(turn.magnitude())) < 30
+
+
+def test_processes_augment_each_its_own_way(tmp_path):
+    root = write_set(tmp_path / "set", train=8, val=2, test=2)
+    config = train_config(root, tmp_path / "run")
+    task = build_run(replace(config, data=replace(config.data, workers=1))).task
+    task.train_set.records = [task.train_set.records[0]] * 8
+    seen = []
+    for rank in range(2):
+        task.processes = Processes(rank, 2)
+        seen.append(torch.cat([batch.image for batch in task.batches(0)]))
+    assert not torch.equal(*seen)
+
+
+def test_more_processes_than_images_are_refused(tmp_path):
+    root = write_set(tmp_path / "set", train=2, val=2, test=2)
+    task = build_run(train_config(root, tmp_path / "run")).task
+    task.processes = Processes(0, 3)
+    with pytest.raises(ValueError, match="processes: expected at most 2, one an image, got 3"):
+        task.batches(0)
 
 
 def test_what_is_made_ahead_comes_in_order():

@@ -65,6 +65,17 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
+def same_place(one: object, other: object) -> bool:
+    """Return whether two values are equal, or paths of one file however they are written."""
+    if one == other:
+        return True
+    return (
+        isinstance(one, str | Path)
+        and isinstance(other, str | Path)
+        and (Path(one).resolve() == Path(other).resolve())
+    )
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write text in UTF-8 into a file, whole or not at all."""
     with atomic_write(path) as temporary:

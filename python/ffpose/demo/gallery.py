@@ -21,6 +21,7 @@ from ffpose.render import find_scene, label, write_dataset
 from ffpose.render.variations import ALL_ATTITUDES
 
 SHIPPED, SCENE, SEED, SIZE = "soyuz", "soyuz_easy", CHOICES.start, (512, 384)
+AXIS_M = 2.0
 
 PAGE = """<!doctype html>
 <html lang="en">
@@ -96,6 +97,6 @@ def _page(document: dict[str, Any], figures: Iterable[str]) -> str:
 
 def _figure(path: Path, found: Pose, truth: Pose, camera: Camera, caption: str) -> str:
     with Image.open(path) as image:
-        drawn = draw_axes(image.convert("RGB"), truth, camera, colors=TRUTH_COLORS, width=6)
-    picture = jpeg_tag(draw_axes(drawn, found, camera, width=2), f"{path.stem}: {caption}")
+        drawn = draw_axes(image.convert("RGB"), truth, camera, AXIS_M, TRUTH_COLORS, width=6)
+    picture = jpeg_tag(draw_axes(drawn, found, camera, AXIS_M, width=2), f"{path.stem}: {caption}")
     return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>"

@@ -267,12 +267,15 @@ def choose_threshold(with_object: ArrayLike, without: ArrayLike) -> FlagRates:
 
 
 def summarize_flag(
-    with_object: ArrayLike, without: ArrayLike | None, threshold: float
+    with_object: ArrayLike, without: ArrayLike | None, threshold: float | None
 ) -> dict[str, float]:
     """Return `FlagRates` and ``auroc``; without empty images the false-alarm rate alone.
 
-    Images of a lower probability than the threshold are flagged; else as `auroc`.
+    Images of a lower probability than the threshold are flagged; where there is none, there are no
+    rates. Else as `auroc`.
     """
+    if threshold is None:
+        return {} if without is None else {"auroc": auroc(with_object, without)}
     rates = flag_rates(with_object, with_object if without is None else without, threshold)
     if without is None:
         return {"threshold": threshold, "false_alarm_rate": rates.false_alarm_rate}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ffpose.geometry.rotations import (
     FloatArray,
@@ -17,6 +17,10 @@ from ffpose.geometry.rotations import (
 
 LARGE_DEG, CONFUSED_DEG = 30.0, 15.0
 """Least error that counts as a confusion, and largest angle between two that are the same."""
+
+
+BLOCK = 1000
+"""Number of errors that are compared with all others at once, as memory allows."""
 
 
 class Confusion(NamedTuple):
@@ -50,7 +54,13 @@ def most_confused(q_hat: ArrayLike, q: ArrayLike) -> Confusion:
     large = turns[np.abs(turns[:, 0]) < np.cos(np.radians(LARGE_DEG) / 2)]
     if not len(large):
         return Confusion(np.zeros(3), 0.0)
-    near = np.abs(large @ large.T) > np.cos(np.radians(CONFUSED_DEG) / 2)
-    gathered = large[near[near.sum(axis=1).argmax()]]
+    blocks = (large[start : start + BLOCK] for start in range(0, len(large), BLOCK))
+    near = np.concatenate([_near(block, large).sum(axis=1) for block in blocks])
+    gathered = large[_near(large[near.argmax()], large)]
     mean = np.linalg.eigh(gathered.T @ gathered)[1][:, -1]
     return Confusion(np.degrees(rotation_vector(mean)), len(gathered) / len(turns))
+
+
+def _near(some: FloatArray, all_of_them: FloatArray) -> NDArray[np.bool_]:
+    """Return which turns ``(N, 4)`` are the same as one, or as each of some."""
+    return np.asarray(np.abs(some @ all_of_them.T) > np.cos(np.radians(CONFUSED_DEG) / 2))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
 from ffpose import arrays
-from ffpose.config import looks_twice
+from ffpose.config import axis_length, looks_twice
 from ffpose.datasets import (
     Conditions,
     Decoding,
@@ -73,7 +73,8 @@ class Evaluation:
     images without it; ``alternative`` are second most likely attitudes ``(N, 4)``, and
     ``probabilities (N, 2)`` those of the predicted and of these. All of these are None for a
     network without uncertainty, the last two for one that tells no second mode too. Errors, of the
-    baseline too, are to the nearest attitude of the same look by ``symmetry``.
+    baseline too, are to the nearest attitude of the same look by ``symmetry``. ``axis_m`` is the
+    length of axes as they are drawn, as of `ffpose.imaging.overlay.draw_axes`.
 
     Raises:
         ValueError: A covariance is not symmetric and positive definite, a probability is outside
@@ -90,10 +91,11 @@ class Evaluation:
     degrees_of_freedom: tuple[float, float] | None = None
     in_view: FloatArray | None = None
     in_view_empty: FloatArray | None = None
-    in_view_threshold: float = 0.5
+    in_view_threshold: float | None = None
     symmetry: SymmetryGroup = IDENTITY
     alternative: FloatArray | None = None
     probabilities: FloatArray | None = None
+    axis_m: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("translation_covariance", "rotation_covariance"):
@@ -272,7 +274,7 @@ class Evaluation:
             }
         if self.in_view is not None:
             flag = summarize_flag(self.in_view, self.in_view_empty, self.in_view_threshold)
-            result["in_view"] = flag
+            result |= {"in_view": flag} if flag else {}
         return result
 
 
@@ -328,8 +330,8 @@ def evaluate(
     told: dict[str, Any] = {name: outputs[name] for name in UNCERTAINTY if name in outputs}
     told["degrees_of_freedom"] = metadata.degrees_of_freedom
     told["symmetry"] = metadata.symmetry if symmetry is None else symmetry
-    if metadata.in_view_threshold is not None:
-        told["in_view_threshold"] = metadata.in_view_threshold
+    told["in_view_threshold"] = metadata.in_view_threshold
+    told["axis_m"] = axis_length(metadata.config)
     if empty_images:
         if "in_view" not in told:
             raise ValueError(

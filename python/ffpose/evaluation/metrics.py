@@ -162,6 +162,7 @@ class PoseError(Metric):
     def __init__(self, target: Target = "object", **kwargs: Any) -> None:
         """Build an empty metric of poses that locate ``target``; see `torchmetrics.Metric`."""
         super().__init__(**kwargs)
+        self.set_dtype(torch.float64)  # also of no samples, as a process may have
         self.target = target
         for name in PoseErrors._fields:
             self.add_state(name, default=[], dist_reduce_fx="cat")

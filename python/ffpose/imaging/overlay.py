@@ -21,7 +21,7 @@ def draw_axes(
     image: Image.Image,
     pose: Pose,
     camera: Camera,
-    length: float = 2.0,
+    length: float | None = None,
     colors: Sequence[str] = AXIS_COLORS,
     width: int | None = None,
 ) -> Image.Image:
@@ -31,7 +31,7 @@ def draw_axes(
         image: RGB image of any size.
         pose: The object's pose.
         camera: The camera, resized to the image, which must show the camera's whole view.
-        length: Length of each axis, meters.
+        length: Length of each axis, meters; None for a tenth of the object's distance.
         colors: Colors of the three axes.
         width: Width of the lines in pixels; None for a width suited to the image.
 
@@ -43,7 +43,7 @@ def draw_axes(
     """
     expect(image.mode == "RGB", "image", "mode RGB", image.mode)
     drawn = image.copy()
-    tips = length * np.eye(3)
+    tips = (length or np.linalg.norm(pose.t) / 10) * np.eye(3)
     view = camera.resized(*image.size)
     origin, ends = pose.project(np.zeros(3), view), pose.project(tips, view)
     depths = pose.transform(tips)[:, 2]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ffpose._internal.files import atomic_write
 from ffpose.arrays import quaternion_to_euler
+from ffpose.config import axis_length
 from ffpose.errors import DataError, explain
 from ffpose.geometry import (
     CAMERA_FILE,
@@ -32,7 +33,8 @@ class Prediction:
     """The pose seen in one image: of the object, or of the world if the network locates the camera.
 
     The camera may be for another image size, and None where unknown; ``white`` is the level of an
-    image of more than 8 bits that becomes 255.
+    image of more than 8 bits that becomes 255; ``axis_m`` the length of axes that are drawn, as
+    of `ffpose.imaging.overlay.draw_axes`.
     """
 
     image: Path
@@ -40,6 +42,7 @@ class Prediction:
     camera: Camera | None = None
     locates: Target = "object"
     white: float | str | None = None
+    axis_m: float | None = None
 
     @property
     def center(self) -> FloatArray:
@@ -133,10 +136,9 @@ def predict(
     if batch < 1:
         raise ValueError(f"batch: expected at least 1, got {batch}")
     paths, metadata = iter(images), estimator.metadata
+    about = estimator.camera, metadata.locates, estimator.white, axis_length(metadata.config)
     return (
-        Failure(path, answer)
-        if isinstance(answer, Exception)
-        else Prediction(path, answer, estimator.camera, metadata.locates, estimator.white)
+        Failure(path, answer) if isinstance(answer, Exception) else Prediction(path, answer, *about)
         for some in iter(lambda: list(islice(paths, batch)), [])
         for path, answer in zip(some, _answers(estimator, some, point), strict=True)
     )
@@ -245,7 +247,7 @@ def write_overlay(prediction: Prediction, folder: Path) -> Path:
     path = overlay_path(prediction.image, folder)
     drawn = read_rgb(prediction.image, prediction.white)
     if not prediction.pose.flagged:
-        drawn = draw_axes(drawn, prediction.pose, prediction.camera)
+        drawn = draw_axes(drawn, prediction.pose, prediction.camera, prediction.axis_m)
     with atomic_write(path) as temporary:
         drawn.save(temporary)
     return path

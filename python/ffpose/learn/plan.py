@@ -57,7 +57,8 @@ LEAST_HELD_OUT, MOST_HELD_OUT = 8, 200
 
 LEAST_EPOCHS, MOST_EPOCHS = 4, 150
 
-BATCH = 32
+BATCH, LEAST_BATCH = 32, 8
+"""Samples of a step, over all processes; and of each of them, by which batch norm normalizes."""
 
 LEAST_PIXELS = 5
 """Pixels of the first look that the bounding sphere covers at the farthest, or more."""
@@ -211,10 +212,14 @@ def first_stride(radius_m: float, farthest_m: float, camera: Camera) -> int:
 
 
 def training_processes(device: str, processes: int) -> int:
-    """Return how many of ``processes`` train together: one for each GPU; all on a CPU."""
+    """Return how many of ``processes`` train together: one for each GPU, on a CPU all.
+
+    At most so many that each has `LEAST_BATCH` samples of a step; the others prepare batches.
+    """
+    most = min(processes, BATCH // LEAST_BATCH)
     if find_device(device).type != "cuda":
-        return processes
-    return 1 if ":" in device else min(processes, torch.cuda.device_count())  # as cuda:1
+        return most
+    return 1 if ":" in device else min(most, torch.cuda.device_count())  # as cuda:1
 
 
 def training(
@@ -231,6 +236,7 @@ def training(
     device: str,
     init: Path | None,
     symmetry: Path | None = None,
+    world: int | None = None,
 ) -> TrainConfig:
     """Return the configuration of a training.
 
@@ -243,15 +249,16 @@ def training(
         plan: Which of the two trainings.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
         seed: Of the views and of the network.
-        processes: Processes that render and prepare batches, and that train together: on GPUs one
-            each, on a CPU all.
+        processes: Processes that render and prepare batches, of which some train together
+            (`training_processes`).
         device: As of `ffpose.training.TrainConfig`.
         init: Weights to start from.
         symmetry: As of `ffpose.training.TrainConfig`.
+        world: Number of those that train; None for `training_processes`.
     """
     counts: dict[str, Any] = {name: max(1, round(KINDS[name] * plan.views)) for name in KINDS}
     held_out = min(MOST_HELD_OUT, max(LEAST_HELD_OUT, plan.views // 40))
-    world = training_processes(device, processes)
+    world = world or training_processes(device, processes)
     return TrainConfig(
         data=DataConfig(
             "scenes",

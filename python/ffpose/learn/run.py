@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from ffpose import __version__
-from ffpose._internal.files import atomic_write, read_json, sha256, write_json, write_text
+from ffpose._internal.files import (
+    atomic_write,
+    read_json,
+    same_place,
+    sha256,
+    write_json,
+    write_text,
+)
 from ffpose._internal.machine import cores
 from ffpose._internal.seeds import CHOICES, matching
 from ffpose._internal.zoo import resolve_initial
@@ -40,6 +47,7 @@ from ffpose.learn.plan import (
     plan_trainings,
     replanned,
     training,
+    training_processes,
 )
 from ffpose.learn.speed import measure_speed
 from ffpose.models import build_network
@@ -85,8 +93,8 @@ class LearnConfig:
         camera: Camera of the images.
         distance_m: Least and greatest distance; None for 1.5 to 8 diameters of the bounding sphere.
         attitude_range_deg: Limits of the absolute roll, pitch and yaw, degrees.
-        processes: Processes that render and prepare batches, and that train together, on GPUs one
-            each; 0 for one a core.
+        processes: Processes that render and prepare batches, and of which up to four train
+            together, on GPUs one each; 0 for one a core.
         seed: Seed of everything.
         device: "auto" (a GPU if there is one) or a device that torch knows.
         test_images: Number of images of the test.
@@ -188,9 +196,11 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
             device=config.device,
             init=init,
             symmetry=folds if len(group) > 1 else None,
+            world=record.world,
         )
         return made if record.autocast is None else replace(made, autocast=record.autocast)
 
+    record.world = record.world or training_processes(config.device, processes)
     if symmetries is not None:
         say("measuring the speed of this machine")
         speed, record.autocast = measure_speed(
@@ -222,7 +232,13 @@ def learn(config: LearnConfig, say: Say = lambda _: None) -> dict[str, Any]:
     evaluation = _tested(config, scene_file, processes, say)
     if config.card_images > 0:
         say(f"card: {config.card_images} images of each condition")
-        card = measure(config.out / WEIGHTS, str(path), count=config.card_images, workers=processes)
+        card = measure(
+            config.out / WEIGHTS,
+            str(path),
+            count=config.card_images,
+            workers=processes,
+            device=config.device,
+        )
         write_text(config.out / "card.md", format_card(card))
     summary = evaluation.summary()
     _report(config, evaluation, final, radius, scene_file)
@@ -341,7 +357,7 @@ def _tested(config: LearnConfig, scene: SceneFile, processes: int, say: Say) -> 
         matching(CHOICES, config.seed),
         workers=processes,
     )
-    evaluation = evaluate(config.out / WEIGHTS, "urso", written.folder, "all")
+    evaluation = evaluate(config.out / WEIGHTS, "urso", written.folder, "all", device=config.device)
     write_results(evaluation, config.out)
     write_evaluation_figures(evaluation, config.out)
     return evaluation
@@ -449,12 +465,16 @@ def _command(config: LearnConfig) -> list[str]:
 
 @dataclass
 class _Record:
-    """``learn.json``: the settings of a folder's run, and what was planned from the speed."""
+    """``learn.json``: the settings of a folder's run, and what was planned from the speed.
+
+    An interrupted run goes on with ``world`` processes that train, on any number of cores.
+    """
 
     settings: dict[str, Any]
     plans: tuple[TrainingPlan, TrainingPlan] | None = None
     autocast: Any = None
     speed: Speed | None = None
+    world: int | None = None
 
     @classmethod
     def open(cls, config: LearnConfig) -> _Record:
@@ -473,12 +493,12 @@ class _Record:
             remedy = "remove the folder, or write to another"
             raise DataError(f"expected the record of a run: {error}; {remedy}", path) from error
         for name, value in settings.items():
-            if there.get(name) != value:
+            if not same_place(there.get(name), value):
                 raise ValueError(
                     f"out: expected {name} {there.get(name)} as the run in {config.out}, got"
                     f" {value}; remove the folder, or write to another"
                 )
-        return cls(settings, (one, two), autocast, speed)
+        return cls(settings, (one, two), autocast, speed, found.get("world"))
 
     def write(self, out: Path) -> None:
         write_json(out / RECORD, asdict(self), 1)

@@ -67,8 +67,8 @@ def measure_speed(config: TrainConfig, scene: Scene) -> tuple[Speed, str]:
         device=device,
     )
     threads = torch.get_num_threads()
-    alone = processes == 1 and device.type == "cpu"  # workers have one thread each
-    torch.set_num_threads(threads if alone else 1)
+    own = threads // processes if device.type == "cpu" else 1  # workers have one thread each
+    torch.set_num_threads(max(1, own))
     try:
         rates = {
             autocast: _rate(replace(config, autocast=autocast), model, loss, batches, device)

@@ -31,6 +31,7 @@ from ffpose.models.second_look import (
     SecondLookOutput,
     calibrated,
     covariances,
+    half_in_learned_parts,
     in_front,
     points_at,
     split_output,
@@ -236,6 +237,7 @@ class FilterformerPose(FrameNetwork):
         translation = self.in_meters(self.translation_branch(maps[0]))
         return translation, self.orientation_branch(maps[1])
 
+    @half_in_learned_parts
     def _look_twice(self, images: Tensor) -> UncertainPose:
         """Locate the object in the frame, then look at it ``config.looks`` times."""
         levels = pyramid(images)

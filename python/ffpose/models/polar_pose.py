@@ -32,6 +32,7 @@ from ffpose.models.second_look import (
     SecondLookOutput,
     calibrated,
     covariances,
+    half_in_learned_parts,
     in_front,
     points_at,
 )
@@ -101,6 +102,7 @@ class PolarPose(BaseNetwork):
         self.register_buffer("intrinsics", torch.tensor(config.camera), persistent=False)
         self.register_buffer("variance_scales", torch.ones(2))
 
+    @half_in_learned_parts
     def forward(self, images: Tensor) -> UncertainPose:
         """Predict the pose of the object in each image, as `BaseNetwork.forward`."""
         self.check_images(images)
@@ -130,6 +132,7 @@ class PolarPose(BaseNetwork):
         pose = _mean(self._place(output, view), self._pose(*turned))
         return calibrated(pose, self.config)
 
+    @half_in_learned_parts
     def predict_near(self, images: Tensor, points: Tensor) -> UncertainPose:
         """Predict the poses of objects that are known to be near given points.
 

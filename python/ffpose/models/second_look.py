@@ -15,8 +15,10 @@ the object (`ffpose.models.virtual_camera`) and predicts, in that camera's frame
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import wraps
+from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -32,6 +34,8 @@ OFFSET_LIMIT = 4.0
 
 LOG_SIGMA_LIMITS = (-6.0, 1.5)
 """Bounds on the log standard deviations, beyond which float32 covariances lose precision."""
+
+Predict = TypeVar("Predict", bound=Callable[..., UncertainPose])
 
 SMALL_OUTPUTS = 3 + 6 + 1
 """Number of outputs besides the orientation's: offset, log standard deviations, logit."""
@@ -87,6 +91,36 @@ class SecondLookHead(nn.Module):
     def forward(self, z: Tensor) -> Tensor:
         """Return ``(B, SMALL_OUTPUTS + features)`` for a latent vector ``z``."""
         return torch.cat((self.small(z), self.orientation(z)), dim=1)
+
+
+def half_in_learned_parts(predict: Predict) -> Predict:
+    """Let ``torch.autocast`` change `locate`, `encode` and `decode` alone, not the geometry.
+
+    In bfloat16 a pose would be off by degrees; ``predict`` takes float32 images and gives float32.
+    """
+
+    @wraps(predict)
+    def exact(self: nn.Module, images: Tensor, *args: Any, **named: Any) -> UncertainPose:
+        kind = images.device.type
+        if not torch.is_autocast_enabled(kind):
+            return predict(self, images, *args, **named)
+        network = copy.copy(self)  # which shares all weights
+        half = torch.autocast(kind, torch.get_autocast_dtype(kind))
+        for name in ("locate", "encode", "decode"):
+            setattr(network, name, _in_float(half(getattr(self, name))))
+        with torch.autocast(kind, enabled=False):
+            return predict(network, images.float(), *args, **named)
+
+    return cast("Predict", exact)
+
+
+def _in_float(part: Callable[..., Any]) -> Callable[..., Any]:
+    def called(*args: Any) -> Any:
+        found = part(*args)
+        is_pair = type(found) is tuple
+        return tuple(each.float() for each in found) if is_pair else found.float()
+
+    return called
 
 
 def split_output(output: Tensor) -> SecondLookOutput:

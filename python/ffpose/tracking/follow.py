@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ffpose._internal.files import atomic_write
+from ffpose.config import axis_length
 from ffpose.errors import DataError, explain
 from ffpose.geometry import Pose
 from ffpose.inference.estimator import PoseEstimator
@@ -126,7 +127,8 @@ def run(
         write_trajectory(followed, out / TRAJECTORY)
     write_report(followed, out / REPORT, title, estimator.metadata.symmetry)
     if estimator.camera is not None:
-        write_overlay(followed, estimator.camera, out / OVERLAY, estimator.white)
+        axis_m = axis_length(estimator.metadata.config)
+        write_overlay(followed, estimator.camera, out / OVERLAY, estimator.white, axis_m)
     lost = [each for each in followed if each.alone is None]
     if lost:
         first = f"the first: {lost[0].reason}"

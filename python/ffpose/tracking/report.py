@@ -75,14 +75,18 @@ velocity are about the object's.</p>
 
 
 def write_overlay(
-    followed: Sequence[Followed], camera: Camera, path: Path, white: float | str | None = None
+    followed: Sequence[Followed],
+    camera: Camera,
+    path: Path,
+    white: float | str | None = None,
+    axis_m: float | None = None,
 ) -> None:
     """Write the frames with the track's axes as an animation (WebP).
 
     Frames that did not correct the track have a colored border. Files that cannot be read, with
-    ``white`` as of `read_rgb`, are left out.
+    ``white`` as of `read_rgb`, are left out; ``axis_m`` is as of `draw_axes`.
     """
-    pictures = _pictures(followed, camera, white)
+    pictures = _pictures(followed, camera, white, axis_m)
     first = next(pictures, None)
     if first is None:
         return
@@ -102,7 +106,7 @@ def write_overlay(
 
 
 def _pictures(
-    followed: Sequence[Followed], camera: Camera, white: float | str | None
+    followed: Sequence[Followed], camera: Camera, white: float | str | None, axis_m: float | None
 ) -> Iterator[Image.Image]:
     for each in followed:
         try:
@@ -112,7 +116,7 @@ def _pictures(
         height = round(camera.height * OVERLAY_WIDTH / camera.width)
         image = image.resize((OVERLAY_WIDTH, height), Image.Resampling.BILINEAR)
         if each.step.estimate is not None:
-            image = draw_axes(image, each.step.estimate.pose, camera)
+            image = draw_axes(image, each.step.estimate.pose, camera, axis_m)
             mark = MARKS.get(each.step.outcome)
             if mark:
                 box = (0, 0, image.width - 1, image.height - 1)

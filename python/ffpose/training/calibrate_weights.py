@@ -24,6 +24,7 @@ from ffpose.models import (
     read_metadata,
 )
 from ffpose.models.weights import write_weights
+from ffpose.render import SCENES
 from ffpose.training.calibrate import Calibration, calibrate
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
 from ffpose.training.config import CalibrationImages
@@ -93,16 +94,30 @@ def _labeled(images: CalibrationImages, metadata: WeightsMetadata) -> Calibratio
 
 
 def _as_trained(images: CalibrationImages, metadata: WeightsMetadata) -> CalibrationImages:
-    """Return images as of the weights' first training set, of all kinds that training saw."""
+    """Return images as of the weights' first training set, of all kinds that training saw.
+
+    Ranges that differ from the defaults were asked for, and stay.
+    """
     sets = (metadata.data or {}).get("sets", [])
     seen = (metadata.recipe or {}).get("data", {})
+    scene, plain = sets[0]["scene"] if sets else None, CalibrationImages()
+    if scene is not None and scene not in SCENES:
+        raise ValueError(
+            f"data.scene: expected the file of {scene!r}, which the weights were trained on and"
+            f" ffpose learn writes beside them, as --data.scene runs/{scene}/scene.json; got none"
+        )
+    ranges: dict[str, Any] = {
+        name: tuple(seen[name])
+        for name in ("distance", "attitude_range_deg")
+        if name in seen and getattr(images, name) == getattr(plain, name)
+    }
     return replace(
         images,
-        scene=sets[0]["scene"] if sets else None,
+        scene=scene,
         cut=images.cut or seen.get("cut", 0) > 0,
         randomized=images.randomized or seen.get("randomized", 0) > 0,
         dusk=images.dusk or seen.get("dusk", 0) > 0,
-        distance=tuple(seen.get("distance", images.distance)),
+        **ranges,
     )
 
 

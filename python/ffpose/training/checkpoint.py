@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from ffpose._internal.files import atomic_write, remove_leftovers, write_csv, write_text
+from ffpose._internal.files import atomic_write, remove_leftovers, same_place, write_csv, write_text
 from ffpose.errors import DataError
 from ffpose.training.config import TrainConfig
 from ffpose.training.options import dump_config, flatten, load_config
@@ -36,6 +36,9 @@ FREE_FIELDS = {
     "data.workers",
 }
 """Fields that may change when a run is resumed: where it runs, and for how long."""
+
+PATHS = {"data.scene", "symmetry", "init"}
+"""Fields that may be paths, of which another spelling is the same."""
 
 DIGEST_SIZE = hashlib.sha256().digest_size
 """Number of bytes of the SHA-256 at the end of a checkpoint."""
@@ -138,7 +141,9 @@ class RunFolder:
         changed = [
             f"{name}: expected {saved[name]!r}, got {given[name]!r}"
             for name in saved
-            if name not in FREE_FIELDS and saved[name] != given[name]
+            if name not in FREE_FIELDS
+            and saved[name] != given[name]
+            and not (name in PATHS and same_place(saved[name], given[name]))
         ]
         if changed:
             raise ValueError(

@@ -72,6 +72,8 @@ def open_training_data(
     """
     if config.kind == "scenes":
         return _scenes(config, model, preprocessing)
+    fits = config.mode == "resize" or not looks_twice(model)
+    expect(fits, "data.mode", "resize, with a network that looks twice", config.mode)
     train_set, val_set = _open_splits(config, preprocessing, calibrated=looks_twice(model))
     camera = None if train_set.camera is None else preprocessing.camera(train_set.camera)
     if not looks_twice(model):

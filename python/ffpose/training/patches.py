@@ -184,8 +184,8 @@ class PatchBatches:
         ``generator`` is on the CPU, and draws the seed of the augmentation.
         """
         a, count = self.augmentation, len(index)
-        first = max(1, round(a.frames * count))
-        lacking = min(round(a.empty * count), count - 1)
+        first = max(1, _rounded(a.frames * count, generator))
+        lacking = min(_rounded(a.empty * count, generator), count - 1)
         scenes = lacking - lacking // 2 if self.empty else 0
         empty = np.zeros((0, *self.sets[0]["windows"].shape[1:]), np.uint8)
         if scenes:
@@ -383,6 +383,11 @@ class PatchEpoch(Dataset[PatchBatch | StoredBatch]):
         index = self.order[start : start + self.batch_size].clone()
         stored = self.patches.stored(index, torch.Generator().manual_seed(int(seed)))
         return self.patches.augmented(stored) if self.patches.device.type == "cpu" else stored
+
+
+def _rounded(number: float, generator: torch.Generator) -> int:
+    """Round down or up, so that the mean is the number: of few samples a share is below a half."""
+    return math.floor(number + draw(generator))
 
 
 def _span(places: Tensor, side: int) -> tuple[int, int]:

@@ -14,31 +14,51 @@ import signal
 import socket
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from datetime import timedelta
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 import torch
 from torch import Tensor, distributed, nn
+from torch.distributed import (
+    ProcessGroup,
+    TCPStore,  # type: ignore[attr-defined]  # torch does not say that it exports it
+)
 from torch.distributed.distributed_c10d import PrefixStore, Store
 from torch.distributed.rendezvous import rendezvous
 from torch.nn.parallel import DistributedDataParallel
 
 from ffpose._internal.machine import environment
+from ffpose.errors import expect
 
 BACKENDS = "cpu:gloo,cuda:nccl"
 """Backends of processes with a GPU: gradients are on it, sums and metrics on the CPU."""
 
+LONGEST_WAIT = timedelta(days=7)
+"""For what one process does alone, such as rendering; where one dies, its connections close."""
+
+JOINED = "joined"
+
+_others: list[BaseProcess] = []
+"""What `started` has started beside this process, which waits until all of them have joined."""
+
 
 @dataclass(frozen=True)
 class Processes:
-    """This process's rank among those that train together, and how many of them are here."""
+    """This process's rank among those that train together, and how many of them are here.
+
+    ``patient`` is the group that waits for as long as it takes.
+    """
 
     rank: int = 0
     world: int = 1
     here: int = 1
+    patient: ProcessGroup | None = field(default=None, compare=False, repr=False)
 
     @property
     def leads(self) -> bool:
@@ -56,7 +76,7 @@ class Processes:
     def wait(self) -> None:
         """Wait until every process is here."""
         if self.world > 1:
-            distributed.barrier()
+            distributed.barrier(self.patient)
 
     def total(self, values: Tensor) -> Tensor:
         """Return the sum of all processes' values."""
@@ -132,8 +152,24 @@ def _store() -> Store:
     ``torchrun`` keeps one store over its restarts of a group (PyTorch issue 135712): a process that
     is early would find the addresses of those that ended, and wait for them. On one machine the
     starts are counted; on several the counts differ, and docs/training.md names the remedy.
+
+    Raises:
+        ChildProcessError: A process that `started` has started ended instead of coming here.
     """
+    if _others:  # torch would wait for the dead, deaf to signals
+        port = int(os.environ["MASTER_PORT"])
+        own = TCPStore("127.0.0.1", port, is_master=True, wait_for_workers=False)
+        while own.add(JOINED, 0) < len(_others):
+            for rank, process in enumerate(_others, start=1):
+                if process.exitcode is not None:
+                    raise ChildProcessError(
+                        f"process {rank} of {len(_others)} beside this one ended with code"
+                        f" {process.exitcode} before the training began"
+                    )
+            time.sleep(0.05)
+        return own
     store: Store = next(iter(rendezvous("env://")))[0]
+    store.add(JOINED, 1)
     start = os.environ.get("TORCHELASTIC_RESTART_COUNT", "0")
     one_machine = os.environ.get("LOCAL_WORLD_SIZE") == os.environ["WORLD_SIZE"]
     return PrefixStore(start, store) if one_machine else store
@@ -143,7 +179,9 @@ def current() -> Processes:
     """Return this process's place in the group that it has joined."""
     world = distributed.get_world_size()
     here = int(os.environ.get("LOCAL_WORLD_SIZE", world))
-    return Processes(distributed.get_rank(), world, here)
+    patient = distributed.new_group(backend="gloo", timeout=LONGEST_WAIT)
+    assert isinstance(patient, ProcessGroup)  # every process is of it
+    return Processes(distributed.get_rank(), world, here, patient)
 
 
 def accumulating(objective: nn.Module, *, last: bool) -> AbstractContextManager[None]:
@@ -161,10 +199,15 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     The environment says of each what ``torchrun`` would, and torch's threads are shared out. The
     others call ``work``, a function of a module. They end where the block raises, and where SIGTERM
     ends this process, which then exits with code 143.
+
+    Raises:
+        ValueError: ``torchrun`` has started processes already.
     """
     if count == 1:
         yield
         return
+    by_torchrun = int(os.environ.get("WORLD_SIZE", "1")) > 1
+    expect(not by_torchrun, "processes", "1 under torchrun, which starts them itself", count)
     threads = max(1, torch.get_num_threads() // count)
     place = {"WORLD_SIZE": str(count), "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(_free_port())}
     context = multiprocessing.get_context("spawn")
@@ -174,6 +217,7 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     ]
     for process in others:
         process.start()
+    _others.extend(others)
     own = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
@@ -186,6 +230,7 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     finally:
         for process in others:
             process.join()
+        _others.clear()
         torch.set_num_threads(own)
 
 

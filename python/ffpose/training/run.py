@@ -178,10 +178,11 @@ def _joint_loss(config: LossConfig, model: BaseNetwork) -> JointLoss:
 def translation_statistics(poses: NDArray[np.float64]) -> dict[str, tuple[float, ...]]:
     """Return the model's fields for mean and spread of the translations of poses ``(N, 7)``.
 
-    A coordinate that does not vary gets a spread of one: it is predicted by its mean.
+    A coordinate that does not vary, but for rounding, gets a spread of one: it is predicted by its
+    mean.
     """
     mean, std = poses[:, :3].mean(axis=0), poses[:, :3].std(axis=0)
-    spread = np.where(std > 0, std, 1.0)
+    spread = np.where(std > 1e-9 * np.maximum(1, np.abs(mean)), std, 1.0)
     return {
         "translation_mean": tuple(mean.tolist()),
         "translation_std": tuple(spread.tolist()),

@@ -36,6 +36,9 @@ class Stage:
         expect(self.epochs >= 1, f"stage {self.name!r}", "at least 1 epoch", self.epochs)
 
 
+HEADS = {"orientation_branch": "orientation"}
+"""Modules that are frozen with a part, whose outputs they turn into attitudes."""
+
 JOINT_STAGE = Stage("joint", 500)
 """First stage of the paper: everything is trained."""
 
@@ -136,5 +139,7 @@ def enter_stage(model: nn.Module, loss: nn.Module, stage: Stage) -> None:
         weight.requires_grad_(name not in {LOSS_WEIGHTS.get(part) for part in stage.freeze})
     model.train()
     model.requires_grad_(True)
-    for part in stage.freeze:
-        model.get_submodule(part).eval().requires_grad_(False)
+    frozen = {*stage.freeze, *(HEADS[part] for part in stage.freeze if part in HEADS)}
+    for name, part in model.named_children():
+        if name in frozen:
+            part.eval().requires_grad_(False)

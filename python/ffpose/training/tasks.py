@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from ffpose.datasets import PoseDataset, Sample
+from ffpose.errors import expect
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.models import BaseNetwork, FrameNetwork, SecondLookNetwork
 from ffpose.nn.orientation import QuaternionHead
@@ -136,10 +137,17 @@ class FrameTask(Task):
         return -(-(self.images // self.processes.world) // self.batch_size)
 
     def batches(self, seed: int) -> Iterator[Sample]:
-        """Iterate once over the training split, in an order drawn from ``seed``."""
+        """Iterate once over the training split, in an order drawn from ``seed``.
+
+        Raises:
+            ValueError: There are fewer images than processes.
+        """
+        count = len(self.train_set)
+        expect(self.images > 0, "processes", f"at most {count}, one an image", self.processes.world)
         generator = torch.Generator().manual_seed(seed)
-        order = torch.randperm(len(self.train_set), generator=generator)
+        order = torch.randperm(count, generator=generator)
         own = order[self.processes.share(self.images)].tolist()
+        generator.manual_seed(seed + self.processes.rank)  # of the workers, for the augmentation
         return self._loader(self.train_set, sampler=own, generator=generator)
 
     def _loader(self, images: PoseDataset, **options: Any) -> Iterator[Sample]:

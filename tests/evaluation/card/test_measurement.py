@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from ffpose.evaluation.card.statistics import Answers
 from ffpose.evaluation.card.tables import format_card
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.models import FilterformerPose
+from ffpose.render import find_scene
 from ffpose.render.dataset.tables import conditions_of
 from ffpose.render.renderer import situation
 from ffpose.render.variations import variations
@@ -215,6 +217,23 @@ def test_the_final_card_shows_the_seed_that_is_kept_for_it_and_is_measured_once(
     assert json.loads(capsys.readouterr().out) == printed
     words[words.index("--count") + 1] = "2"  # another card than that in the folder
     assert main(words) == 1
+
+
+def test_a_card_of_another_set_of_the_same_name_is_measured_anew(weights, tmp_path, monkeypatch):
+    for name, made in {"answer": {}, "_results": {}, "format_card": ""}.items():
+        monkeypatch.setattr(measurement, name, lambda *_, made=made: made)
+    nearer = replace(find_scene("soyuz_easy"), distance_m=(8.0, 12.0))
+    options = {"count": 1, "size": (64, 48), "out": tmp_path}
+    measured = measure(weights, nearer, **options)
+    assert measured["scene_parameters"]["distance_m"] == [8.0, 12.0]
+    monkeypatch.setattr(measurement, "load", None)
+    assert measure(weights, nearer, **options) == measured
+    for scene in ("soyuz_easy", replace(nearer, distance_m=(8.0, 13.0))):
+        with pytest.raises(TypeError):
+            measure(weights, scene, **options)
+    del measured["scene_parameters"]  # as in the cards of the built-in sets
+    (tmp_path / "card.json").write_text(json.dumps(measured))
+    assert measure(weights, "soyuz_easy", **options) == measured
 
 
 @pytest.mark.peer

@@ -12,6 +12,7 @@ from cambridge_sets import write_landmarks
 from ffpose._internal.figures import save_figure
 from ffpose.datasets import open_dataset
 from ffpose.evaluation.evaluate import Evaluation
+from ffpose.evaluation.report import plots
 from ffpose.evaluation.report.plots import (
     GALLERY_TILE,
     draw_prediction,
@@ -26,6 +27,7 @@ from ffpose.evaluation.report.plots import (
     write_evaluation_figures,
 )
 from ffpose.evaluation.report.results import format_table, write_results
+from ffpose.geometry.symmetry import Axis, SymmetryGroup
 from ffpose.imaging.preprocessing import Preprocessing
 from tiny_runs import write_set
 
@@ -145,6 +147,23 @@ def test_a_drawn_prediction_is_of_the_gallerys_size_and_shows_axes(evaluation):
     plain = evaluation.dataset.load_image(0).resize(drawn.size)
     assert drawn.width == GALLERY_TILE[0]
     assert np.abs(np.asarray(drawn, int) - np.asarray(plain, int)).max() > 100
+
+
+def test_the_true_axes_are_those_that_errors_are_to(evaluation, monkeypatch):
+    """Half a turn that leaves the look as it is makes no difference in a picture either."""
+    drawn = []
+    monkeypatch.setattr(
+        plots, "draw_axes", lambda image, pose, *_, **__: drawn.append(pose) or image
+    )
+    predicted = evaluation.dataset.poses.copy()
+    turned = Rotation.from_quat(predicted[:, 3:], scalar_first=True) * Rotation.from_rotvec(
+        [0, 0, np.pi]
+    )
+    predicted[:, 3:] = turned.as_quat(scalar_first=True)
+    group = SymmetryGroup((Axis((0, 0, 1), 2),))
+    draw_prediction(replace(evaluation, predicted=predicted, symmetry=group), 0)
+    true, found = drawn
+    np.testing.assert_allclose(true.rotation, found.rotation, atol=1e-6)
 
 
 def test_curves_show_each_epoch():

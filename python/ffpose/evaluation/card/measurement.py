@@ -38,7 +38,7 @@ from ffpose.inference.load import load
 from ffpose.inference.source import find_source
 from ffpose.models import WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
-from ffpose.render import Scene, find_scene
+from ffpose.render import SCENES, Scene, find_scene
 from ffpose.render.renderer import camera_of
 
 if TYPE_CHECKING:
@@ -118,6 +118,7 @@ def measure(
     keep: Path | None = None,
     out: Path | None = None,
     progress: bool = False,
+    device: str = "auto",
 ) -> dict[str, Any]:
     """Measure weights under each condition.
 
@@ -134,6 +135,7 @@ def measure(
         out: Folder for ``card.json``, and its tables as ``card.md``; a card there that is of these
             arguments is returned.
         progress: Show progress on standard error.
+        device: Of the network, as of `ffpose.load`.
 
     Returns:
         A JSON document. ``conditions`` have ``name``, ``about``, whether training had it (``seen``
@@ -163,12 +165,13 @@ def measure(
         "seed": seed,
         "final": final,
         "notes": [] if second_renderer else [ONE_RENDERER],
+        "scene_parameters": _parameters(scene),
     }
     if out is not None and (out / "card.json").exists():
         kept: dict[str, Any] = read_json(out / "card.json")
         if all(kept.get(name) == value for name, value in identity.items()):
             return kept
-    estimator = load(weights, camera=camera_of(scene, size), warm_up=0)
+    estimator = load(weights, camera=camera_of(scene, size), device=device, warm_up=0)
     metadata = estimator.metadata
     recipe = metadata.recipe if isinstance(metadata, WeightsMetadata) else None
     plan = _plan(scene, metadata, second_renderer, count, size, seed, workers, keep)
@@ -178,7 +181,7 @@ def measure(
     answers = {name: folded(each, symmetry) for name, each in shown.items()}
     document = {
         "weights": str(weights),
-        **identity,
+        **{name: value for name, value in identity.items() if value is not None},
         "distance_m": list(scene.distance_m),
         "in_view_threshold": metadata.in_view_threshold,
         "seconds": time.perf_counter() - began,
@@ -188,6 +191,14 @@ def measure(
     if out is not None:
         _write(document, out)
     return document
+
+
+def _parameters(scene: Scene) -> dict[str, Any] | None:
+    """Return what tells a set from others of its name, as JSON has it; None for a built-in one."""
+    if SCENES.get(scene.name) == scene:
+        return None
+    parameters: dict[str, Any] = json.loads(json.dumps(scene.parameters()))
+    return parameters
 
 
 def _write(document: dict[str, Any], out: Path) -> None:

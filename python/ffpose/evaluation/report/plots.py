@@ -186,8 +186,10 @@ def draw_prediction(evaluation: Evaluation, index: int) -> Image.Image:
         image = image.resize((GALLERY_TILE[0], round(image.height * scale)))
     record, wide = dataset.records[index], max(4, image.width // 80)
     camera = record.camera
-    image = draw_axes(image, record.label, camera, colors=TRUTH_COLORS, width=wide)
-    return draw_axes(image, evaluation.pose(index), camera, width=max(2, wide // 3))
+    truth = dataset.to_pose(evaluation.truth[index])  # of one look's, the nearest
+    length = evaluation.axis_m
+    image = draw_axes(image, truth, camera, length, TRUTH_COLORS, wide)
+    return draw_axes(image, evaluation.pose(index), camera, length, width=max(2, wide // 3))
 
 
 def caption(evaluation: Evaluation, index: int) -> str:

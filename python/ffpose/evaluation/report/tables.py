@@ -138,12 +138,14 @@ def uncertainty_table(summary: Summary) -> str:
         rows.append((off, _percent(modes["share_over_30_deg"])))
         both = f"{off}, the second most likely one too"
         rows.append((both, _percent(modes["share_over_30_deg_of_both"])))
-    if flag := told.get("in_view"):
+    flag = told.get("in_view", {})
+    if "threshold" in flag:
         rows.append(("flagged as without the object: below", f"{flag['threshold']:.3g}"))
         rows.append(("images with it that are flagged", _percent(flag["false_alarm_rate"])))
-        if "auroc" in flag:
-            rows.append(("images without it that are not flagged", _percent(flag["miss_rate"])))
-            rows.append(("area under the ROC curve", f"{flag['auroc']:.4f}"))
+    if "miss_rate" in flag:
+        rows.append(("images without it that are not flagged", _percent(flag["miss_rate"])))
+    if "auroc" in flag:
+        rows.append(("area under the ROC curve", f"{flag['auroc']:.4f}"))
     return _table(("", ""), rows)
 
 
