@@ -117,7 +117,7 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
 
     class Estimator:
         class metadata:
-            locates = "object"
+            locates, config = "object", None
 
         near, camera, white = True, None, None
 

@@ -23,7 +23,7 @@ class Estimator:
 
     class metadata:
         locates = "object"
-        tracking = degrees_of_freedom = None
+        tracking = degrees_of_freedom = config = None
 
     camera = CAMERA
     near = white = None
