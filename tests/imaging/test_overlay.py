@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ffpose.config import PRESETS, axis_length
+from ffpose.config import PRESETS
 from ffpose.geometry import URSO_CAMERA, Pose
 from ffpose.imaging.overlay import draw_axes
+from ffpose.inference.prediction import axis_length
 
 COLORS = ("#ff0000", "#00ff00", "#0000ff")
 

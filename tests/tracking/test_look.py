@@ -124,7 +124,7 @@ def test_a_track_looks_where_the_object_is_expected(tmp_path):
 
     class Estimator:
         class metadata:
-            locates = "object"
+            locates, config = "object", None
             symmetry = IDENTITY
 
         near, camera, white = True, None, None

@@ -25,7 +25,7 @@ class Estimator:
 
     class metadata:
         locates = "object"
-        tracking = degrees_of_freedom = None
+        tracking = degrees_of_freedom = config = None
         symmetry = IDENTITY
 
     camera = CAMERA

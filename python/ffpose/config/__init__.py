@@ -63,11 +63,6 @@ def looks_twice(config: NetworkConfig) -> TypeGuard[SecondLookConfig]:
     return isinstance(config, SecondLookConfig) and config.looks_twice
 
 
-def axis_length(config: NetworkConfig) -> float | None:
-    """Return the length of an object's axes where they are drawn, meters; None of unknown size."""
-    return config.object_radius_m / 3 if looks_twice(config) else None
-
-
 def degrees_of_freedom(config: NetworkConfig) -> tuple[float, float] | None:
     """Return those of the errors' t distributions; None for Gaussian errors and for no covariances.
 

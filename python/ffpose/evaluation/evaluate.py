@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
 from ffpose import arrays
-from ffpose.config import axis_length, looks_twice
+from ffpose.config import looks_twice
 from ffpose.datasets import (
     Conditions,
     Decoding,
@@ -52,6 +52,7 @@ from ffpose.imaging.images import image_files, read_rgb
 from ffpose.imaging.preprocessing import Preprocessing
 from ffpose.imaging.reprojection import Reprojection, agree, bends
 from ffpose.inference.load import load
+from ffpose.inference.prediction import axis_length
 from ffpose.models import PosePrediction, WeightsMetadata
 from ffpose.onnx.metadata import ModelMetadata
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ffpose._internal.files import atomic_write
 from ffpose.arrays import quaternion_to_euler
-from ffpose.config import axis_length
+from ffpose.config import NetworkConfig, looks_twice
 from ffpose.errors import DataError, explain
 from ffpose.geometry import (
     CAMERA_FILE,
@@ -170,6 +170,11 @@ def _answers(
     if inputs:
         answers.update(zip(inputs, posed([*inputs]), strict=True))
     return [answers[place] for place in range(len(paths))]
+
+
+def axis_length(config: NetworkConfig) -> float | None:
+    """Return the length of an object's axes where they are drawn, meters; None of unknown size."""
+    return config.object_radius_m / 3 if looks_twice(config) else None
 
 
 def camera_beside(images: Iterable[Path]) -> Camera | None:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ffpose._internal.files import atomic_write
-from ffpose.config import axis_length
 from ffpose.errors import DataError, explain
 from ffpose.geometry import Pose
 from ffpose.inference.estimator import PoseEstimator
-from ffpose.inference.prediction import Failure, predict
+from ffpose.inference.prediction import Failure, axis_length, predict
 from ffpose.tracking.frames import Frame
 from ffpose.tracking.report import write_overlay, write_report
 from ffpose.tracking.symmetry import Unfolding

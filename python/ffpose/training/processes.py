@@ -25,10 +25,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, distributed, nn
-from torch.distributed import (
-    ProcessGroup,
-    TCPStore,  # type: ignore[attr-defined]  # torch does not say that it exports it
-)
+from torch.distributed import ProcessGroup, TCPStore  # type: ignore[attr-defined]  # undeclared
 from torch.distributed.distributed_c10d import PrefixStore, Store
 from torch.distributed.rendezvous import rendezvous
 from torch.nn.parallel import DistributedDataParallel

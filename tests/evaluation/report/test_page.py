@@ -102,6 +102,7 @@ def test_the_page_shows_parts_conditions_and_uncertainty(dataset, tmp_path):
         rotation_covariance=np.tile(np.eye(3), (5, 1, 1)),
         in_view=np.linspace(0.2, 1, 5),
         in_view_empty=np.array([0.1]),
+        in_view_threshold=0.5,
     )
     told = page(sure, tmp_path / "told.html")
     assert "Predicted uncertainty" in told
