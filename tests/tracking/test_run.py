@@ -158,6 +158,17 @@ def test_fewer_poses_than_must_agree_are_no_track(tmp_path):
         )
 
 
+def test_frames_that_are_too_far_apart_are_told(tmp_path):
+    poses, sequence = (
+        [pose(step) for step in range(6)],
+        frames(tmp_path / "set", 6, lambda s: 20 * s),
+    )
+    with pytest.raises(DataError, match=r"flagged, and all are more than 10 s apart, .* coasting$"):
+        run(Estimator(poses), sequence, tmp_path / "out")
+    settings = Settings(coasting=50)
+    run(Estimator(poses), sequence, tmp_path / "out", settings=settings)
+
+
 def test_what_was_done_before_an_interruption_is_written(tmp_path):
     def stop(followed):
         if followed.frame.time == 3:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -138,5 +139,11 @@ def run(
         rest = "the others' poses do not agree" if poses else "none has a pose"
         if 0 < poses < settings.agreeing:
             rest = f"a track needs {settings.agreeing} poses that agree, got {poses}"
+        apart = [b.frame.time - a.frame.time for a, b in pairwise(followed)]
+        if poses >= settings.agreeing and min(apart, default=0.0) > settings.coasting:
+            rest = (
+                f"all are more than {settings.coasting:g} s apart, after which a track is lost:"
+                " settings want a larger coasting"
+            )
         raise DataError(f"no track: of {len(followed)} frames {flagged} are flagged, and {rest}")
     return followed

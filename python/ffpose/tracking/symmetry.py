@@ -69,7 +69,7 @@ class Unfolding:
             return q
         wanted = np.array(near)
         found = self._symmetry.nearest(wanted, np.tile(q, (len(near), 1)))
-        return found[np.abs((found * wanted).sum(axis=1)).argmax()]
+        return np.asarray(found[np.abs((found * wanted).sum(axis=1)).argmax()])
 
 
 def _expected(tracker: Tracker, time: float, camera_rate: ArrayLike) -> list[FloatArray]:
@@ -110,4 +110,4 @@ class Compared:
 
     @staticmethod
     def _nearest(group: SymmetryGroup, q_hat: FloatArray, q: FloatArray) -> FloatArray:
-        return group.nearest(q_hat[None], q[None])[0]
+        return np.asarray(group.nearest(q_hat[None], q[None])[0])
