@@ -6,6 +6,7 @@ import os
 from base64 import b64encode
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -190,6 +191,18 @@ def test_where_the_origin_lies_far_outside_the_camera_keeps_clear_of_the_spacecr
     # Training goes to 0.7 of the nearest distance.
     assert 0.7 * scene.distance_m[0] - 30 > np.sqrt(1.5)
     assert scene.distance_m[1] / scene.distance_m[0] == pytest.approx(8 / 1.5)
+
+
+def test_the_test_is_on_the_device_that_is_asked_for(tmp_path, monkeypatch):
+    on = []
+    written = SimpleNamespace(folder=tmp_path)
+    monkeypatch.setattr(run, "write_dataset", lambda *_, **__: written)
+    monkeypatch.setattr(run, "evaluate", lambda *_, device="auto": on.append(device))
+    for name in ("write_results", "write_evaluation_figures"):
+        monkeypatch.setattr(run, name, lambda *_: None)
+    config = LearnConfig(Path("craft.stl"), tmp_path, device="cpu")
+    run._tested(config, SimpleNamespace(scene=lambda: None), 1, on.append)
+    assert on[-1] == "cpu"
 
 
 def test_the_reports_command_has_all_options(tmp_path):
