@@ -153,7 +153,7 @@ def test_a_pose_that_a_tracker_cannot_take_is_coasted_over(tmp_path):
 
     class Estimator:
         class metadata:
-            locates = "object"
+            locates, config = "object", None
             symmetry = IDENTITY
 
         near = camera = white = None

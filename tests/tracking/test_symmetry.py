@@ -35,7 +35,8 @@ class Network:
 
     def __init__(self, symmetry, told, wrong=(), shares=(1.0, 0.0)):
         self._symmetry, self._wrong, self._shares = symmetry, wrong, shares
-        self.metadata = type("metadata", (), {"locates": "object", "symmetry": told})
+        fields = {"locates": "object", "symmetry": told, "config": None}
+        self.metadata = type("metadata", (), fields)
         rng = np.random.default_rng(0)
         self._noise = rng.normal(size=(FRAMES, 6)) * ([0.03] * 3 + [np.radians(NOISE_DEG)] * 3)
 
