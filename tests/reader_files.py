@@ -132,6 +132,7 @@ OF_PAGES = {
     "docs/onboard.md": {"look.safetensors": write_looking},
     "docs/own-spacecraft.md": {
         "satellite.glb": write_mesh,
+        "camera.json": write_camera,
         "image.png": write_picture,
         "real": write_csv_set,
     },
