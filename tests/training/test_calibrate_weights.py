@@ -109,7 +109,7 @@ def test_the_kinds_are_those_that_training_saw(trained, tmp_path):
     for word in ("--data.cut", "--data.randomized", "--data.dusk", "--data.distance 0.75,1.5"):
         assert word in said["command"]
     labels = sorted((tmp_path / "images").glob("frames-*/gt.csv"))
-    assert len(labels) == 3
+    assert len(labels) == 4
     places = [np.loadtxt(path, delimiter=",", skiprows=1, usecols=(0, 1, 2)) for path in labels]
     distances = np.linalg.norm(np.concatenate(places), axis=1)
     assert distances.min() > 0.75 * 8

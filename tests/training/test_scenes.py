@@ -145,9 +145,9 @@ def test_a_polar_second_look_learns_and_is_calibrated_on_the_same_scenes(root, t
     fields = {name: FIELDS[name] for name in ("image_size", "first_stride", "distance_m")}
     small = {"object_size": [16, 48], "first_reduction": 4, "directions": 50, "latent": 16}
     fields |= small
-    config = scenes_config(root, tmp_path / "run", epochs=6, model="polar", model_fields=fields)
+    config = scenes_config(root, tmp_path / "run", epochs=18, model="polar", model_fields=fields)
     losses = [row["train_loss"] for row in train(config, quiet=True).history]
-    assert sum(losses[3:]) < sum(losses[:3])
+    assert sum(losses[9:]) < sum(losses[:9])  # of twelve samples each, some without the object
     best = tmp_path / "run" / "best.safetensors"
     model = load_network(best)
     assert isinstance(model, PolarPose)
