@@ -904,7 +904,7 @@ def overview() -> argparse.ArgumentParser:
 def plain_help(formatter: type[argparse.HelpFormatter]) -> type[argparse.HelpFormatter]:
     """Return a formatter that names paths as such, and no default that is nothing."""
 
-    class Plain(formatter):  # type: ignore[misc, valid-type]
+    class Plain(formatter):  # type: ignore[misc, valid-type]  # known at run time, by the extra
         def _expand_help(self, action: argparse.Action) -> str:
             text = str(super()._expand_help(action)).replace("<class 'Path'>", "path")
             text = re.sub(r",? ?default: (null|False)\)$", ")", text)

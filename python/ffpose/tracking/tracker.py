@@ -104,13 +104,13 @@ class Settings:
             ValueError: ``tracking`` or ``settings`` has a field that is none.
         """
         told: dict[str, Any] = {}
-        for name, given in (("tracking", network.tracking), ("settings", settings)):
+        for source, given in (("tracking", network.tracking), ("settings", settings)):
             told |= {
                 name: math.inf if value == INFINITE else value
                 for name, value in (given or {}).items()
             }
             if unknown := told.keys() - {field.name for field in fields(cls)}:
-                raise ValueError(f"{name}: expected fields of Settings, got {', '.join(unknown)}")
+                raise ValueError(f"{source}: expected fields of Settings, got {', '.join(unknown)}")
         if network.degrees_of_freedom is not None:
             told = {"tails": min(network.degrees_of_freedom), **told}
         return cls(**told)
