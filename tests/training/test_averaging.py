@@ -1,6 +1,7 @@
 """The moving average: the recursion by hand, and what a run makes of it."""
 
 import copy
+from pathlib import Path
 
 import pytest
 import torch
@@ -8,6 +9,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from ffpose.evaluation.evaluate import evaluate
+from ffpose.training import Stage
 from ffpose.training.averaging import WARM_UP, AveragedModel
 from ffpose.training.engine import train
 from tiny_runs import train_config, write_set
@@ -27,10 +29,13 @@ def move(model, generator):
 
 
 @pytest.mark.parametrize("decay", [0.5, 0.9])
-def test_the_average_follows_the_recursion_by_hand(decay):
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_the_average_follows_the_recursion_by_hand(decay, share):
+    """A share of the initial weights is left in it: interpolated between both."""
     model, generator = network(), torch.Generator().manual_seed(1)
-    average = AveragedModel(model, decay)
+    average = AveragedModel(model, decay, share)
     expected = {name: value.double() for name, value in model.state_dict().items()}
+    initial = copy.deepcopy(expected)
     for step in range(1, 120):
         move(model, generator)
         average.update()
@@ -42,7 +47,8 @@ def test_the_average_follows_the_recursion_by_hand(decay):
     averaged = average.model.state_dict()
     assert averaged.pop("1.num_batches_tracked") == 119
     for name, value in averaged.items():
-        torch.testing.assert_close(value.double(), expected[name], rtol=1e-4, atol=1e-5)
+        between = (1 - share) * expected[name] + share * initial[name]
+        torch.testing.assert_close(value.double(), between, rtol=1e-4, atol=1e-5)
         assert not torch.allclose(value, model.state_dict()[name], atol=1e-2)
 
 
@@ -66,13 +72,14 @@ def test_without_decay_the_network_itself_is_the_average():
     assert average.state_dict() == {}
 
 
-def test_a_state_goes_on_as_if_it_had_not_been_interrupted():
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_a_state_goes_on_as_if_it_had_not_been_interrupted(share):
     model, generator = network(), torch.Generator().manual_seed(1)
-    whole = AveragedModel(model, 0.9)
+    whole = AveragedModel(model, 0.9, share)
     for _ in range(5):
         move(model, generator)
         whole.update()
-    resumed = AveragedModel(model, 0.9)
+    resumed = AveragedModel(model, 0.9, share)
     resumed.load_state_dict(copy.deepcopy(whole.state_dict()))
     for _ in range(5):
         move(model, generator)
@@ -97,3 +104,34 @@ def test_the_average_of_a_run_is_what_is_validated_and_saved(tmp_path):
     found = evaluate(result.folder.last, "urso", root, "val").summary()
     for name in ("median_translation_error_m", "median_rotation_error_deg"):
         assert result.history[0][f"val_{name}"] == pytest.approx(found[name], rel=1e-4)
+
+
+def test_a_share_of_the_initial_weights_stays_in_those_that_are_saved(tmp_path):
+    """Between stages too, the second of which goes on from the best of the first."""
+    root = write_set(tmp_path / "set")
+    stages = (Stage("first", 1), Stage("second", 1))
+    started = train(train_config(root, tmp_path / "first", epochs=1), quiet=True).folder.last
+    config = train_config(
+        root, tmp_path / "run", stages=stages, epochs=None, ema=0.5, init=started, init_share=0.25
+    )
+    folder = train(config, quiet=True).folder
+    average = folder.load_state().average
+    initial, saved = load_file(started), load_file(folder.last)
+    assert all(torch.equal(initial[name], value) for name, value in average["initial"].items())
+    assert any(not torch.equal(saved[name], value) for name, value in initial.items())
+
+
+@pytest.mark.parametrize(
+    ("fields", "got"),
+    [
+        ({"init_share": 0.5, "ema": 0.9}, "init None and ema 0.9"),
+        (
+            {"init_share": 0.5, "init": Path("first.safetensors")},
+            "init first.safetensors and ema 0",
+        ),
+        ({"init_share": 1.0}, "1.0"),
+    ],
+)
+def test_a_share_of_no_initial_weights_is_refused(tmp_path, fields, got):
+    with pytest.raises(ValueError, match=f"^init_share: .*got {got}$"):
+        train_config(tmp_path, tmp_path, **fields)

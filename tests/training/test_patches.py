@@ -575,3 +575,51 @@ def test_a_share_of_the_windows_is_as_jpeg_has_it(model, dotted):
     assert 4 <= changed.sum() <= 20  # of 24
     away = (plain.windows.int() - rough.windows.int()).abs()
     assert away.float().mean() < 3
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["coordinates", "none"])
+def test_a_border_hides_what_is_beyond_a_line_through_the_object(model, poses, dotted, known):
+    white = dotted | {"windows": np.full_like(dotted["windows"], 255)}
+    if not known:
+        white["coordinates"] = np.zeros_like(dotted["coordinates"])
+    cut = batches(model, [white], border=1.0).stored(
+        torch.arange(COUNT), torch.Generator().manual_seed(0)
+    )
+    beyond = (cut.windows == 0).numpy()
+    assert (beyond == beyond[..., :1]).all()
+    beyond = beyond[:, ::2, ::2, 0]
+    np.testing.assert_array_equal(cut.labels, dotted["labels"].astype(np.float32))
+    places = np.arange(beyond.shape[1])
+    for each in beyond:
+        assert each.any()
+        assert not each.all()
+        # On either side of the line that separates the two best.
+        side = np.where(each, 1.0, -1.0)
+        rows, columns = np.meshgrid(places, places, indexing="ij")
+        near = (side != np.roll(side, 1, 0)) | (side != np.roll(side, 1, 1))
+        near[0] = near[:, 0] = False
+        line = np.stack([rows[near], columns[near]], axis=1)
+        across = np.linalg.svd(line - line.mean(0), full_matrices=True)[2][1]
+        distance = np.stack([rows, columns], axis=-1) @ across - line.mean(0) @ across
+        far = np.abs(distance) > 2
+        assert abs((np.sign(distance) * side)[far].mean()) == 1
+    shown = dotted["coordinates"][..., 3] > 0
+    left = (shown & ~beyond).sum((1, 2)) / shown.sum((1, 2))
+    if known:
+        hidden = np.where(beyond[..., None], 0, dotted["coordinates"])
+        np.testing.assert_array_equal(cut.coordinates, hidden)
+        assert left.min() >= 0.24  # a cell less
+    assert left.min() < 0.45
+    assert left.max() > 0.75
+    assert 0.5 < left.mean() < 0.75
+
+
+def test_the_object_of_a_part_of_the_views_is_cut(model, dotted):
+    plain, cut = (
+        batches(model, [dotted], border=share).stored(
+            torch.arange(COUNT), torch.Generator().manual_seed(0)
+        )
+        for share in (0.0, 0.5)
+    )
+    changed = (plain.coordinates != cut.coordinates).flatten(1).any(1)
+    assert 4 <= changed.sum() <= 20  # of 24

@@ -4,6 +4,10 @@ Polyak and Juditsky, "Acceleration of Stochastic Approximation by Averaging", 19
 the last steps lies nearer to the minimum than any one of them. Batch norm's running statistics are
 averaged with the weights. The decay is smaller in the first steps, so that the initial weights are
 soon forgotten.
+
+A share of weights that a training began from may be kept in the average: halfway between weights
+and those fine-tuned from them there often lie weights that are as good as either where it is good
+(WiSE-FT; Wortsman et al., "Robust fine-tuning of zero-shot models", CVPR 2022).
 """
 
 from __future__ import annotations
@@ -21,13 +25,24 @@ Model = TypeVar("Model", bound=nn.Module)
 
 
 class AveragedModel(Generic[Model]):
-    """A copy of a network whose weights are the moving average of its; the decay 0 keeps none."""
+    """A copy of a network whose weights are the moving average of its; the decay 0 keeps none.
 
-    def __init__(self, model: Model, decay: float) -> None:
+    Args:
+        model: The network that is trained.
+        decay: Of the moving average, 0 for none.
+        init_share: Share of the present weights in the copy's from now on.
+    """
+
+    def __init__(self, model: Model, decay: float, init_share: float = 0.0) -> None:
         self.decay = decay
+        self.init_share = init_share
         self.steps = 0
         self.trained = model
         self.model = deepcopy(model).requires_grad_(False) if decay > 0 else model
+        self.initial = {}
+        if init_share > 0:
+            state = self.model.state_dict()
+            self.initial = {name: value.clone() for name, value in state.items()}
 
     @torch.no_grad()
     def update(self) -> None:
@@ -37,20 +52,26 @@ class AveragedModel(Generic[Model]):
         self.steps += 1
         decay = min(self.decay, self.steps / (self.steps + WARM_UP))
         move = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]  # torch's own
-        states = (each.state_dict().values() for each in (self.model, self.trained))
-        pairs = list(zip(*states, strict=True))
-        averages, values = zip(*(p for p in pairs if p[0].is_floating_point()), strict=True)
-        move(averages, values, None)
-        for average, value in pairs:
-            if not average.is_floating_point():
-                average.copy_(value)
+        averages, values = self.model.state_dict(), self.trained.state_dict()
+        moved = [name for name, value in averages.items() if value.is_floating_point()]
+        # The average of interpolated weights is the interpolated average.
+        targets = [
+            values[name].lerp(self.initial[name], self.init_share) if self.initial else values[name]
+            for name in moved
+        ]
+        move([averages[name] for name in moved], targets, None)
+        for name in averages.keys() - moved:
+            averages[name].copy_(values[name])
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the average and the number of steps, as `load_state_dict` takes them."""
-        return {"steps": self.steps, "model": self.model.state_dict()} if self.decay > 0 else {}
+        """Return the averages and the number of steps, as `load_state_dict` takes them."""
+        if self.decay == 0:
+            return {}
+        return {"steps": self.steps, "model": self.model.state_dict(), "initial": self.initial}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
         if self.decay > 0:
             self.steps = state["steps"]
             self.model.load_state_dict(state["model"])
+            self.initial = state["initial"]

@@ -319,6 +319,8 @@ class PatchAugmentation:
             30 to 90.
         monochrome: Fraction of the images of either look that are as a camera without colors has
             them: of three random weights of the colors each, noise included.
+        border: Fraction of the second look's images of the object that lack what lies beyond a
+            random line through it, as of an object that the image's border cuts.
         empty: Fraction of samples without the object.
         frames: Fraction of samples whose frame trains the first look, which learns sooner.
     """
@@ -333,6 +335,7 @@ class PatchAugmentation:
     blur: float = 0.5
     jpeg: float = 0.0
     monochrome: float = 0.0
+    border: float = 0.0
     empty: float = 0.1
     frames: float = 0.25
 
@@ -373,6 +376,9 @@ class TrainConfig:
             is that on a GPU, and on a processor that has instructions for it: on another, which
             has to convert, steps take several times as long.
         init: Weights to start from, a file or a name such as soyuz, of the same architecture.
+        init_share: Share of the initial weights in those that are validated and saved, such as 0.5
+            where fine-tuning on a few images must not lose what was learned before (WiSE-FT). It
+            needs ``init`` and ``ema``.
         optimizer: Optimizer and learning rate schedule.
         loss: Loss of a network that looks at the frame alone.
         object_loss: Loss of a network with a second look.
@@ -401,6 +407,7 @@ class TrainConfig:
     ema: float = 0.0
     autocast: Literal["none", "bfloat16", "auto"] = "none"
     init: Path | None = None
+    init_share: float = 0.0
     optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     object_loss: ObjectLossConfig = field(default_factory=ObjectLossConfig)
@@ -417,6 +424,12 @@ class TrainConfig:
         expect(self.epochs is None or self.epochs >= 1, "epochs", "1 or more", self.epochs)
         expect_least(self, patience=0, batch_size=1, accumulate=1, processes=1, seed=0)
         expect(0 <= self.ema < 1, "ema", "0 <= ema < 1", self.ema)
+        expect(0 <= self.init_share < 1, "init_share", "0 <= init_share < 1", self.init_share)
+        if self.init_share > 0 and (self.init is None or self.ema == 0):
+            raise ValueError(
+                "init_share: expected with init and with ema above 0, got init "
+                f"{self.init} and ema {self.ema:g}"
+            )
         self._check_keypoints()
         fields = {k: list(v) if isinstance(v, tuple) else v for k, v in self.model_fields.items()}
         object.__setattr__(self, "model_fields", fields)

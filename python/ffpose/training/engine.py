@@ -185,7 +185,9 @@ def _keep_best(run: Run, state: TrainState) -> None:
 def _return_to_best(run: Run, state: TrainState) -> None:
     """Continue from the best weights so far, as a stage does after another."""
     run.model.load_state_dict(state.best)
-    run.average = AveragedModel(run.model, run.config.ema)
+    initial = run.average.initial
+    run.average = AveragedModel(run.model, run.config.ema, run.config.init_share)
+    run.average.initial = initial
 
 
 def _restore(run: Run, state: TrainState, resumed: WeightsMetadata) -> None:

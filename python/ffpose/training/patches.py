@@ -14,6 +14,9 @@ of other resolutions, which they do not know.
 A CPU makes each view from the part of its patch that it shows. A GPU makes all views of a batch at
 once from whole patches, and processes on the CPU only read those (`PatchBatches.stored`).
 
+An image border that cuts the object hides what lies beyond a straight line. Some samples get such a
+line of their own, so that a network sees more kinds of cut objects than are rendered.
+
 Some samples are negatives, so that the network learns whether the object is in view: empty scenes,
 and images that are not scenes at all.
 """
@@ -55,6 +58,9 @@ CPU = torch.device("cpu")
 
 OUTLIER = 5.0
 """Errors of a first look that misses relative to those of one that does not."""
+
+LEAST_VISIBLE = 0.25
+"""Least share of the object's visible pixels that a random border leaves."""
 
 FRAME_MARGIN = 0.02
 """Least distance of the object's origin from the border after a rotation, relative to the frame."""
@@ -192,16 +198,25 @@ class PatchBatches:
             chosen = torch.randint(len(self.empty_places), (scenes,), generator=generator)
             empty = _rows(self.empty, self.empty_places, "windows", chosen)
         windows = self._gather("windows", index[lacking:])
+        coordinates, labels = (self._gather(name, index) for name in ("coordinates", "labels"))
         if a.jpeg > 0:
             for window in (*empty, *windows):
                 if draw(generator) < a.jpeg:
                     window[:] = through_jpeg(window, round(30 + 60 * draw(generator)))
+        for window, places, label in zip(
+            windows, coordinates[lacking:], labels[lacking:], strict=True
+        ):
+            if a.border > 0 and draw(generator) < a.border:
+                shown = places[..., 3] > 0
+                if not shown.any():
+                    shown = _disc(label, self.model.config.object_radius_m / 2, len(places))
+                places[_cut(window, shown, generator)] = 0
         return StoredBatch(
             torch.from_numpy(self._gather("frames", index[:first])),
             torch.from_numpy(windows),
             torch.from_numpy(empty),
-            torch.from_numpy(self._gather("coordinates", index)),
-            torch.from_numpy(self._gather("labels", index)).float(),
+            torch.from_numpy(coordinates),
+            torch.from_numpy(labels).float(),
             index,
             int(torch.randint(1 << 62, (), generator=generator)),
         )
@@ -383,6 +398,33 @@ class PatchEpoch(Dataset[PatchBatch | StoredBatch]):
         index = self.order[start : start + self.batch_size].clone()
         stored = self.patches.stored(index, torch.Generator().manual_seed(int(seed)))
         return self.patches.augmented(stored) if self.patches.device.type == "cpu" else stored
+
+
+def _cut(
+    window: NDArray[Any], shown: NDArray[np.bool_], generator: torch.Generator
+) -> NDArray[np.bool_]:
+    """Blacken a window ``(S, S, 3)`` beyond a random line through the object.
+
+    Returns:
+        What is beyond ``(S / 2, S / 2)``: at most three quarters of what is ``shown`` of the
+        object, as of the renderer's cut images.
+    """
+    angle = 2 * math.pi * draw(generator)
+    share = LEAST_VISIBLE + (1 - LEAST_VISIBLE) * draw(generator)
+    places = np.arange(len(shown))
+    along = math.sin(angle) * places[:, None] + math.cos(angle) * places
+    beyond = along > np.quantile(along[shown], share) if shown.any() else shown
+    window[beyond.repeat(2, axis=0).repeat(2, axis=1)] = 0
+    return np.asarray(beyond)
+
+
+def _disc(label: NDArray[Any], radius: float, side: int) -> NDArray[np.bool_]:
+    """Return the cells of a window's map within ``radius`` meters of the object's origin."""
+    fx, fy, cx, cy = label[7:11] / 2
+    x, y, depth = label[:3]
+    places = np.arange(side) + 0.5
+    rows, columns = (places - cy) / fy - y / depth, (places - cx) / fx - x / depth
+    return np.asarray(np.hypot(rows[:, None], columns) < radius / depth)
 
 
 def _rounded(number: float, generator: torch.Generator) -> int:

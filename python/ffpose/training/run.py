@@ -125,7 +125,7 @@ def build_run(
         init = origin(initial)
     task = _task(config, model, data, device, processes, symmetry)
     optimizer = build_optimizer(model, task.loss, config.optimizer)
-    average = AveragedModel(model, config.ema)
+    average = AveragedModel(model, config.ema, config.init_share)
     images = data.calibration
     return Run(config, model, average, optimizer, task, device, processes, init, images, symmetry)
 
