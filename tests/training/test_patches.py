@@ -623,3 +623,35 @@ def test_the_object_of_a_part_of_the_views_is_cut(model, dotted):
     )
     changed = (plain.coordinates != cut.coordinates).flatten(1).any(1)
     assert 4 <= changed.sum() <= 20  # of 24
+
+
+def test_a_first_look_errs_more_about_objects_that_a_border_cuts(model, dotted):
+    """A random border, or the image's."""
+    generator = np.random.default_rng(0)
+    beside = [
+        Pose([0.62 * z, 0, z], Rotation.random(rng=generator).as_quat(scalar_first=True))
+        for z in generator.uniform(9, 14, COUNT)
+    ]  # of 0.68, where the image ends
+    at_border = stored(beside, lambda pose: dots(CAMERA, pose.transform(DOTS), 3.0), disk)
+    whole, hidden, cut = (
+        torch.cat(
+            [
+                all_of(
+                    batches(
+                        model,
+                        [arrays],
+                        border=share,
+                        look_outliers=0.0,
+                        look_lateral=0.04,
+                        look_distance=0.04,
+                    ),
+                    seed,
+                ).offset
+                for seed in range(12)
+            ]
+        ).std(0)
+        for arrays, share in ((dotted, 0.0), (dotted, 1.0), (at_border, 0.0))
+    )
+    assert whole[2] == pytest.approx(4 * 0.04, rel=0.1)
+    torch.testing.assert_close(hidden, 3 * whole, rtol=0.15, atol=0)
+    torch.testing.assert_close(cut, 3 * whole, rtol=0.15, atol=0)

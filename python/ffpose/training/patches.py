@@ -39,7 +39,7 @@ from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.patches import Arrays
 from ffpose.models import SecondLookNetwork
-from ffpose.models.second_look import in_front, offset_of
+from ffpose.models.second_look import in_front, offset_of, truncation
 from ffpose.models.virtual_camera import (
     VirtualCamera,
     sample,
@@ -58,6 +58,12 @@ CPU = torch.device("cpu")
 
 OUTLIER = 5.0
 """Errors of a first look that misses relative to those of one that does not."""
+
+CUT = 3.0
+"""Errors of a first look at an object that a border cuts, relative to those at a whole one."""
+
+LEAST_CUT = 0.25
+"""Least share of the object's view beyond the border (`truncation`) of an object that is cut."""
 
 LEAST_VISIBLE = 0.25
 """Least share of the object's visible pixels that a random border leaves."""
@@ -106,6 +112,7 @@ class StoredBatch(NamedTuple):
         empty: ``(N, S, S, 3)`` uint8, windows without an object for the first N samples.
         coordinates: ``(B, S/2, S/2, 4)`` uint8.
         labels: ``(B, 13)`` float32.
+        cut: ``(B,)`` bool, whether a random border cuts the object.
         index: ``(B,)``, indices of the samples in the set.
         seed: Of the random numbers of their augmentation.
     """
@@ -115,6 +122,7 @@ class StoredBatch(NamedTuple):
     empty: Tensor
     coordinates: Tensor
     labels: Tensor
+    cut: Tensor
     index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
     seed: int
 
@@ -203,20 +211,21 @@ class PatchBatches:
             for window in (*empty, *windows):
                 if draw(generator) < a.jpeg:
                     window[:] = through_jpeg(window, round(30 + 60 * draw(generator)))
-        for window, places, label in zip(
-            windows, coordinates[lacking:], labels[lacking:], strict=True
-        ):
+        cut = torch.zeros(count, dtype=torch.bool)
+        for row, window in enumerate(windows, start=lacking):
             if a.border > 0 and draw(generator) < a.border:
-                shown = places[..., 3] > 0
+                cut[row] = True
+                shown = coordinates[row, ..., 3] > 0
                 if not shown.any():
-                    shown = _disc(label, self.model.config.object_radius_m / 2, len(places))
-                places[_cut(window, shown, generator)] = 0
+                    shown = _disc(labels[row], self.model.config.object_radius_m / 2, len(shown))
+                coordinates[row, _cut(window, shown, generator)] = 0
         return StoredBatch(
             torch.from_numpy(self._gather("frames", index[:first])),
             torch.from_numpy(windows),
             torch.from_numpy(empty),
             torch.from_numpy(coordinates),
             torch.from_numpy(labels).float(),
+            cut,
             index,
             int(torch.randint(1 << 62, (), generator=generator)),
         )
@@ -225,10 +234,10 @@ class PatchBatches:
         """Return what both looks see of stored samples, on the device of this set."""
         a, device, count = self.augmentation, self.device, len(stored.labels)
         generator = torch.Generator(device).manual_seed(stored.seed)
-        frames, windows, empty, coordinates, labels = (part.to(device) for part in stored[:5])
+        frames, windows, empty, coordinates, labels, cut = (part.to(device) for part in stored[:6])
         t, rotation = labels[:, :3], quaternion_to_matrix(labels[:, 3:7])
         frames, t_frame = self._turned_frames(_images(frames), t[: len(frames)], generator)
-        points = self._looked_at(t, generator)
+        points = self._looked_at(t, cut, generator)
         shares = torch.rand(count, generator=generator, device=device)
         view = self.model.view_at(points, math.radians(a.twist_deg) * (2 * shares - 1))
         turn = self._canonical(view.rotation @ rotation)
@@ -289,11 +298,16 @@ class PatchBatches:
         planes = source_planes(homographies, self.frame_pixels)
         return sample_planes(frames, *planes), torch.where(inside[:, None], moved, t)
 
-    def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
-        """Return positions where a first look might have found objects at ``t (B, 3)``."""
+    def _looked_at(self, t: Tensor, cut: Tensor, generator: torch.Generator) -> Tensor:
+        """Return positions where a first look might have found objects at ``t (B, 3)``.
+
+        It errs more about those that are ``cut (B,)``, or that the border of the image cuts: what
+        is seen of them could be of a whole one that is farther.
+        """
         a, device = self.augmentation, self.device
         outlier = torch.rand(len(t), generator=generator, device=device) < a.look_outliers
-        scale = 1 + (OUTLIER - 1) * outlier[:, None].float()
+        cut = cut | (truncation(t, self.model.config) > LEAST_CUT)
+        scale = torch.where(outlier, OUTLIER, torch.where(cut, CUT, 1.0))[:, None]
         error = torch.randn(len(t), 3, generator=generator, device=device) * scale
         lateral = a.look_lateral * self.model.config.object_radius_m * error[:, :2]
         distance = t.norm(dim=-1, keepdim=True)
