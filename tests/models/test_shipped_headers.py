@@ -42,6 +42,7 @@ SAME = (
     "stages",
     "batch_size",
     "ema",
+    "init_share",
     "optimizer",
     "views",
     "seed",
@@ -85,8 +86,8 @@ def test_the_trainings_in_the_header_are_those_of_the_configurations(name):
     configs = [load_config(CONFIGS / f"{stem}.yaml") for stem in TRAININGS[name]]
     for got, config in zip(trainings(header.recipe), configs, strict=True):
         expected = json.loads(json.dumps(recipe(config, None)))
-        # Trainings from before there were images without colors, and at dusk, had none.
-        got = got | {"views": {"monochrome": 0.0} | got["views"]}
+        # Those from before there were shares, images without colors, and at dusk, had none.
+        got = {"init_share": 0.0} | got | {"views": {"monochrome": 0.0} | got["views"]}
         assert [got[field] for field in SAME] == [expected[field] for field in SAME]
         # How many images calibrate is another field of the header.
         here, there = {"dusk": 0} | got["data"], expected["data"]

@@ -319,8 +319,6 @@ class PatchAugmentation:
             30 to 90.
         monochrome: Fraction of the images of either look that are as a camera without colors has
             them: of three random weights of the colors each, noise included.
-        border: Fraction of the second look's images of the object that lack what lies beyond a
-            random line through it, as of an object that the image's border cuts.
         empty: Fraction of samples without the object.
         frames: Fraction of samples whose frame trains the first look, which learns sooner.
     """
@@ -335,7 +333,6 @@ class PatchAugmentation:
     blur: float = 0.5
     jpeg: float = 0.0
     monochrome: float = 0.0
-    border: float = 0.0
     empty: float = 0.1
     frames: float = 0.25
 

@@ -14,9 +14,6 @@ of other resolutions, which they do not know.
 A CPU makes each view from the part of its patch that it shows. A GPU makes all views of a batch at
 once from whole patches, and processes on the CPU only read those (`PatchBatches.stored`).
 
-An image border that cuts the object hides what lies beyond a straight line. Some samples get such a
-line of their own, so that a network sees more kinds of cut objects than are rendered.
-
 Some samples are negatives, so that the network learns whether the object is in view: empty scenes,
 and images that are not scenes at all.
 """
@@ -39,7 +36,7 @@ from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.geometry.warping import pixel_centers, sample_planes, source_planes
 from ffpose.imaging.patches import Arrays
 from ffpose.models import SecondLookNetwork
-from ffpose.models.second_look import in_front, offset_of, truncation
+from ffpose.models.second_look import in_front, offset_of
 from ffpose.models.virtual_camera import (
     VirtualCamera,
     sample,
@@ -58,15 +55,6 @@ CPU = torch.device("cpu")
 
 OUTLIER = 5.0
 """Errors of a first look that misses relative to those of one that does not."""
-
-CUT = 3.0
-"""Errors of a first look at an object that a border cuts, relative to those at a whole one."""
-
-LEAST_CUT = 0.25
-"""Least share of the object's view beyond the border (`truncation`) of an object that is cut."""
-
-LEAST_VISIBLE = 0.25
-"""Least share of the object's visible pixels that a random border leaves."""
 
 FRAME_MARGIN = 0.02
 """Least distance of the object's origin from the border after a rotation, relative to the frame."""
@@ -112,7 +100,6 @@ class StoredBatch(NamedTuple):
         empty: ``(N, S, S, 3)`` uint8, windows without an object for the first N samples.
         coordinates: ``(B, S/2, S/2, 4)`` uint8.
         labels: ``(B, 13)`` float32.
-        cut: ``(B,)`` bool, whether a random border cuts the object.
         index: ``(B,)``, indices of the samples in the set.
         seed: Of the random numbers of their augmentation.
     """
@@ -122,7 +109,6 @@ class StoredBatch(NamedTuple):
     empty: Tensor
     coordinates: Tensor
     labels: Tensor
-    cut: Tensor
     index: Tensor  # type: ignore[assignment]  # hides tuple.index, which means nothing here
     seed: int
 
@@ -206,26 +192,16 @@ class PatchBatches:
             chosen = torch.randint(len(self.empty_places), (scenes,), generator=generator)
             empty = _rows(self.empty, self.empty_places, "windows", chosen)
         windows = self._gather("windows", index[lacking:])
-        coordinates, labels = (self._gather(name, index) for name in ("coordinates", "labels"))
         if a.jpeg > 0:
             for window in (*empty, *windows):
                 if draw(generator) < a.jpeg:
                     window[:] = through_jpeg(window, round(30 + 60 * draw(generator)))
-        cut = torch.zeros(count, dtype=torch.bool)
-        for row, window in enumerate(windows, start=lacking):
-            if a.border > 0 and draw(generator) < a.border:
-                cut[row] = True
-                shown = coordinates[row, ..., 3] > 0
-                if not shown.any():
-                    shown = _disc(labels[row], self.model.config.object_radius_m / 2, len(shown))
-                coordinates[row, _cut(window, shown, generator)] = 0
         return StoredBatch(
             torch.from_numpy(self._gather("frames", index[:first])),
             torch.from_numpy(windows),
             torch.from_numpy(empty),
-            torch.from_numpy(coordinates),
-            torch.from_numpy(labels).float(),
-            cut,
+            torch.from_numpy(self._gather("coordinates", index)),
+            torch.from_numpy(self._gather("labels", index)).float(),
             index,
             int(torch.randint(1 << 62, (), generator=generator)),
         )
@@ -234,10 +210,10 @@ class PatchBatches:
         """Return what both looks see of stored samples, on the device of this set."""
         a, device, count = self.augmentation, self.device, len(stored.labels)
         generator = torch.Generator(device).manual_seed(stored.seed)
-        frames, windows, empty, coordinates, labels, cut = (part.to(device) for part in stored[:6])
+        frames, windows, empty, coordinates, labels = (part.to(device) for part in stored[:5])
         t, rotation = labels[:, :3], quaternion_to_matrix(labels[:, 3:7])
         frames, t_frame = self._turned_frames(_images(frames), t[: len(frames)], generator)
-        points = self._looked_at(t, cut, generator)
+        points = self._looked_at(t, generator)
         shares = torch.rand(count, generator=generator, device=device)
         view = self.model.view_at(points, math.radians(a.twist_deg) * (2 * shares - 1))
         turn = self._canonical(view.rotation @ rotation)
@@ -298,16 +274,11 @@ class PatchBatches:
         planes = source_planes(homographies, self.frame_pixels)
         return sample_planes(frames, *planes), torch.where(inside[:, None], moved, t)
 
-    def _looked_at(self, t: Tensor, cut: Tensor, generator: torch.Generator) -> Tensor:
-        """Return positions where a first look might have found objects at ``t (B, 3)``.
-
-        It errs more about those that are ``cut (B,)``, or that the border of the image cuts: what
-        is seen of them could be of a whole one that is farther.
-        """
+    def _looked_at(self, t: Tensor, generator: torch.Generator) -> Tensor:
+        """Return positions where a first look might have found objects at ``t (B, 3)``."""
         a, device = self.augmentation, self.device
         outlier = torch.rand(len(t), generator=generator, device=device) < a.look_outliers
-        cut = cut | (truncation(t, self.model.config) > LEAST_CUT)
-        scale = torch.where(outlier, OUTLIER, torch.where(cut, CUT, 1.0))[:, None]
+        scale = 1 + (OUTLIER - 1) * outlier[:, None].float()
         error = torch.randn(len(t), 3, generator=generator, device=device) * scale
         lateral = a.look_lateral * self.model.config.object_radius_m * error[:, :2]
         distance = t.norm(dim=-1, keepdim=True)
@@ -412,33 +383,6 @@ class PatchEpoch(Dataset[PatchBatch | StoredBatch]):
         index = self.order[start : start + self.batch_size].clone()
         stored = self.patches.stored(index, torch.Generator().manual_seed(int(seed)))
         return self.patches.augmented(stored) if self.patches.device.type == "cpu" else stored
-
-
-def _cut(
-    window: NDArray[Any], shown: NDArray[np.bool_], generator: torch.Generator
-) -> NDArray[np.bool_]:
-    """Blacken a window ``(S, S, 3)`` beyond a random line through the object.
-
-    Returns:
-        What is beyond ``(S / 2, S / 2)``: at most three quarters of what is ``shown`` of the
-        object, as of the renderer's cut images.
-    """
-    angle = 2 * math.pi * draw(generator)
-    share = LEAST_VISIBLE + (1 - LEAST_VISIBLE) * draw(generator)
-    places = np.arange(len(shown))
-    along = math.sin(angle) * places[:, None] + math.cos(angle) * places
-    beyond = along > np.quantile(along[shown], share) if shown.any() else shown
-    window[beyond.repeat(2, axis=0).repeat(2, axis=1)] = 0
-    return np.asarray(beyond)
-
-
-def _disc(label: NDArray[Any], radius: float, side: int) -> NDArray[np.bool_]:
-    """Return the cells of a window's map within ``radius`` meters of the object's origin."""
-    fx, fy, cx, cy = label[7:11] / 2
-    x, y, depth = label[:3]
-    places = np.arange(side) + 0.5
-    rows, columns = (places - cy) / fy - y / depth, (places - cx) / fx - x / depth
-    return np.asarray(np.hypot(rows[:, None], columns) < radius / depth)
 
 
 def _rounded(number: float, generator: torch.Generator) -> int:
