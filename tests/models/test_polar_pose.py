@@ -413,12 +413,13 @@ def test_both_modes_are_those_of_the_last_view_in_the_cameras_frame():
         ((-20.0, 0.0, 20.0), 0.5),  # on the left border
         ((0.0, 15.0, 20.0), 0.5),  # on the lower one
         ((19.0, 0.0, 20.0), 0.25),  # 1 m of 2 within
-        ((20.0, 15.0, 20.0), 0.5),
+        ((20.0, 15.0, 20.0), 0.75),  # in a corner
+        ((19.0, 15.5, 20.0), 1 - 0.75 * 0.375),
         ((21.0, 0.0, 20.0), 0.75),
         ((40.0, 0.0, 20.0), 1.0),
     ],
 )
-def test_truncation_is_the_share_of_a_view_beyond_the_nearest_side(position, share):
+def test_truncation_is_the_share_of_a_view_beyond_the_frame(position, share):
     """Of a view of 2 m to each side, in an image with a field of view of 90 by 74 degrees."""
     config = PRESETS["polar"].with_fields(
         {"image_size": (384, 512), "camera": (256.0, 256.0, 256.0, 192.0), "object_radius_m": 2.0}
@@ -434,8 +435,19 @@ def test_the_uncertainty_grows_with_the_share_that_the_border_cuts_off():
     cut = truncation(expected.translation, plain.config)[:, None, None]
     assert (cut > 0.1).sum() == 2
     for name, growth in (("translation_covariance", 6), ("rotation_covariance", 2)):
-        factor = (1 + growth * cut) ** 2
+        factor = (1 + growth * cut**2) ** 2
         torch.testing.assert_close(getattr(got, name), factor * getattr(expected, name))
+
+
+def test_what_the_border_cuts_comes_nearer():
+    plain, nearer = build(), build(truncation_distance=0.8)
+    points = torch.tensor([[0.0, 0.0, 20.0], [-20.0, 3.0, 21.0], [4.0, 14.0, 20.0]])
+    with torch.no_grad():
+        got, expected = (each.predict_near(images(), points) for each in (nearer, plain))
+    cut = truncation(expected.translation, plain.config)[:, None]
+    assert (cut > 0.1).sum() == 2
+    torch.testing.assert_close(got.translation, expected.translation * torch.exp(-0.8 * cut**2))
+    torch.testing.assert_close(got.translation_covariance, expected.translation_covariance)
 
 
 def test_the_offset_of_a_look_at_a_point_is_divided_by_its_slopes():

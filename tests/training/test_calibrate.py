@@ -1,11 +1,12 @@
 """Calibration of residuals that are drawn from known t distributions."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.spatial.transform import Rotation
 from scipy.stats import f, multivariate_t
 
@@ -20,6 +21,7 @@ from ffpose.training.calibrate import (
     LEAST_SLOPE,
     calibrate,
     fit_tails,
+    truncation_distance,
 )
 
 COUNT = 2000
@@ -130,11 +132,11 @@ def test_the_fit_has_the_largest_likelihood():
     """As SciPy's simplex finds it from SciPy's density of F, which differs by a constant."""
     rng = np.random.default_rng(2)
     doubt, cut = rng.random(500) ** 4, rng.random(500)
-    grown = (1 + 5 * doubt) ** 2 * (1 + 2 * cut) ** 2
+    grown = (1 + 5 * doubt) ** 2 * (1 + 2 * cut**2) ** 2
     d2 = 3 * f.rvs(3, 4.5, size=500, random_state=rng) * 1.7 * grown
 
     def loss(x):
-        scales = np.exp(x[0]) * (1 + x[1] ** 2 * doubt) ** 2 * (1 + x[3] ** 2 * cut) ** 2
+        scales = np.exp(x[0]) * (1 + x[1] ** 2 * doubt) ** 2 * (1 + x[3] ** 2 * cut**2) ** 2
         return -(f.logpdf(d2 / scales / 3, 3, 3 + np.exp(x[2])) - np.log(scales)).sum()
 
     options = {"xatol": 1e-7, "fatol": 1e-9, "maxiter": 5000}
@@ -149,10 +151,10 @@ def test_the_fit_has_the_largest_likelihood():
 @pytest.mark.parametrize("growths", [(0.0, 0.0), (7.0, 0.0), (7.0, 2.0)])
 def test_the_growths_are_what_doubtful_and_cut_errors_lack(growths):
     rng = np.random.default_rng(3)
-    shares = rng.uniform(0, 1, (2, 20000))
+    doubt, cut = rng.uniform(0, 1, (2, 20000))
     samples = multivariate_t.rvs(np.zeros(3), np.eye(3), df=5, size=20000, random_state=rng)
-    grown = np.prod([(1 + k * share) ** 2 for k, share in zip(growths, shares, strict=True)], 0)
-    found = fit_tails((samples**2).sum(1) * grown, *shares)
+    grown = (1 + growths[0] * doubt) ** 2 * (1 + growths[1] * cut**2) ** 2
+    found = fit_tails((samples**2).sum(1) * grown, doubt, cut)
     assert found[1:3] == pytest.approx(growths, rel=0.05, abs=0.05)
 
 
@@ -221,6 +223,53 @@ def test_distances_that_are_all_wrong_by_a_factor_come_right(wrong):
     torch.testing.assert_close(found.variance_scales, right, rtol=2e-3, atol=0)
 
 
+def test_the_correction_of_cut_distances_has_the_least_absolute_errors():
+    rng = np.random.default_rng(0)
+    shares = np.maximum(rng.uniform(-0.5, 0.5, 999), 0)
+    too_far = 0.3 * shares**2 + rng.laplace(scale=0.1, size=999)
+    found = truncation_distance(too_far, shares)
+    best = minimize_scalar(lambda k: np.abs(too_far - k * shares**2).sum(), (0, 1))
+    assert found == pytest.approx(best.x, abs=1e-6)
+    assert found == pytest.approx(0.3, abs=0.1)
+    assert truncation_distance(too_far, np.zeros(999)) == 0
+
+
+class Beside(Drawn):
+    """Finds what dark pictures show on the left border of the frame, and other objects ahead."""
+
+    beside = (-2.56, 0.0, 1.0)
+
+    def forward(self, images):
+        dark = images.flatten(1).mean(1)[:, None] < 0.6
+        found = (
+            super()
+            .forward(images)
+            ._replace(
+                translation=torch.where(dark, 20 * torch.tensor(self.beside), torch.tensor(AHEAD)),
+            )
+        )
+        return calibrated(found, self.config)
+
+
+def test_objects_that_the_border_cuts_come_nearer():
+    """Half of their view is beyond it, and they are found too far by a tenth."""
+    model = Beside()
+    cut = [
+        batch._replace(
+            translation=math.exp(-0.1)
+            * 20
+            * torch.tensor([model.beside]).double().expand(len(batch.image), 3)
+        )
+        for batch in split(5, level=0.5)
+    ]
+    found = calibrate(model, split(0, level=0.8), absent(), cut)
+    assert found.truncation_distance == pytest.approx(0.4, abs=4e-3)  # as the scale, over a quarter
+    assert found.distance_scale == pytest.approx(1.0, abs=1e-3)
+    model.config = replace(model.config, truncation_distance=found.truncation_distance)
+    nearer = model(cut[0].image).translation
+    torch.testing.assert_close(nearer.double(), cut[0].translation, rtol=1e-3, atol=0)
+
+
 def test_the_threshold_parts_what_can_be_parted():
     threshold = calibrate(Drawn(), split(0), absent(0.2)).in_view_threshold
     assert 0.2 < threshold < 0.8
@@ -241,7 +290,7 @@ def test_growth_with_a_truncation_that_all_images_have_is_as_good_as_their_scale
     """Half of each view is beyond the border, as its middle is on it."""
     cut = Drawn(truncation_sigma=before, camera=ON_THE_BORDER)
     found, plain = (calibrate(each, split(0), absent()) for each in (cut, Drawn()))
-    grown = (1 + 0.5 * np.array(found.truncation_sigma)) ** 2
+    grown = (1 + 0.25 * np.array(found.truncation_sigma)) ** 2
     scales = found.variance_scales.numpy() * grown
     np.testing.assert_allclose(scales, plain.variance_scales, rtol=1e-3)
     assert found.degrees_of_freedom == pytest.approx(plain.degrees_of_freedom, rel=1e-2)

@@ -30,12 +30,15 @@ class SecondLookConfig(NetworkConfig):
         distance_m: Smallest and largest distance in training, meters.
         distance_scale: Factor on the predicted translation, found by calibration, that removes the
             median error of the distance.
+        truncation_distance: Correction of the distance with the share ``s`` of the view of
+            ``object_radius_m`` that the border of the frame cuts off, as an object of which less is
+            seen looks farther: it is multiplied by ``exp(-truncation_distance s²)``; found by
+            calibration.
         doubt_sigma: Growth of the standard deviations of translation and rotation with the
             probability ``p`` that the attitude is not near the predicted one: they are multiplied
             by ``1 + doubt_sigma p``; found by calibration.
-        truncation_sigma: Their growth with the share ``s`` of the view of ``object_radius_m`` that
-            the border of the frame cuts off: they are multiplied by ``1 + truncation_sigma s``;
-            found by calibration.
+        truncation_sigma: Their growth with that share: they are multiplied by
+            ``1 + truncation_sigma s²``; found by calibration.
         degrees_of_freedom: Of the multivariate t distributions of the errors of translation and
             rotation, whose covariances the network predicts; found by calibration. None for
             Gaussian errors.
@@ -48,6 +51,7 @@ class SecondLookConfig(NetworkConfig):
     object_radius_m: float = 6.6
     distance_m: tuple[float, float] = (8.0, 42.0)
     distance_scale: float = 1.0
+    truncation_distance: float = 0.0
     doubt_sigma: tuple[float, float] = (0.0, 0.0)
     truncation_sigma: tuple[float, float] = (0.0, 0.0)
     degrees_of_freedom: tuple[float, float] | None = None
@@ -79,7 +83,7 @@ class SecondLookConfig(NetworkConfig):
         Of probabilities (`doubt_sigma`) and shares (`truncation_sigma`), arrays or tensors.
         """
         for by_doubt, by_cut in zip(self.doubt_sigma, self.truncation_sigma, strict=True):
-            yield (1 + doubt * by_doubt) * (1 + cut * by_cut)
+            yield (1 + doubt * by_doubt) * (1 + cut**2 * by_cut)
 
     def _check_values(self) -> None:
         super()._check_values()
@@ -94,6 +98,8 @@ class SecondLookConfig(NetworkConfig):
         for name in ("doubt_sigma", "truncation_sigma"):
             growths = getattr(self, name)
             expect(all(0 <= each < math.inf for each in growths), name, "0 or more each", growths)
+        nearer = self.truncation_distance
+        expect(math.isfinite(nearer), "truncation_distance", "a finite number", nearer)
         degrees = self.degrees_of_freedom or ()
         expected = f"above 2 and up to {MOST_DEGREES_OF_FREEDOM} each, or None"
         proper = all(2 < each <= MOST_DEGREES_OF_FREEDOM for each in degrees)

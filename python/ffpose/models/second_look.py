@@ -212,13 +212,16 @@ def in_front(points: Tensor) -> Tensor:
 
 
 def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
-    """Apply what calibration found: the factor on distances, and the growth of the uncertainty."""
+    """Apply what calibration found: factors on distances, and the growth of the uncertainty."""
     pose = pose._replace(translation=pose.translation * config.distance_scale)
-    if config.doubt_sigma == config.truncation_sigma == (0.0, 0.0):
+    found = (*config.doubt_sigma, *config.truncation_sigma, config.truncation_distance)
+    if not any(found):
         return pose
     doubt, cut = 1 - pose.probabilities[:, 0], truncation(pose.translation, config)
     translation, rotation = (growth.square()[:, None, None] for growth in config.growth(doubt, cut))
+    nearer = torch.exp(-config.truncation_distance * cut.square())
     return pose._replace(
+        translation=pose.translation * nearer[:, None],
         translation_covariance=pose.translation_covariance * translation,
         rotation_covariance=pose.rotation_covariance * rotation,
     )
@@ -227,17 +230,18 @@ def calibrated(pose: UncertainPose, config: SecondLookConfig) -> UncertainPose:
 def truncation(translation: Tensor, config: SecondLookConfig) -> Tensor:
     """Return the shares ``(B,)`` of objects' views that the border of the frame cuts off, 0 to 1.
 
-    Of the view's diameter, through the object's origin ``(B, 3)``, meters, towards the nearest side
-    of the frame: a half where the origin is on the border.
+    Of the area of the square about the view, through the object's origin ``(B, 3)``, meters.
     """
     assert config.camera is not None
     (fx, fy, cx, cy), (height, width) = config.camera, config.image_size
     x, y, z = translation.unbind(1)
+    radius, seen = config.object_radius_m, torch.ones_like(z)
     # Distances from the planes through the camera and the sides of the frame, along the image.
-    left, right = x + z * (cx / fx), z * ((width - cx) / fx) - x
-    top, bottom = y + z * (cy / fy), z * ((height - cy) / fy) - y
-    room = torch.minimum(torch.minimum(left, right), torch.minimum(top, bottom))
-    return (0.5 - room / (2 * config.object_radius_m)).clamp(0, 1)
+    for place, focal, center, side in ((x, fx, cx, width), (y, fy, cy, height)):
+        before, after = place + z * (center / focal), z * ((side - center) / focal) - place
+        inside = before.clamp(-radius, radius) + after.clamp(-radius, radius)
+        seen = seen * (inside / (2 * radius)).clamp_min(0)
+    return 1 - seen
 
 
 def sigma_loss(output: SecondLookOutput, residual: Tensor) -> Tensor:

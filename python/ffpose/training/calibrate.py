@@ -1,18 +1,19 @@
 """Calibration of a network's distances and of its uncertainty on held-out images.
 
 Translations are scaled by one factor, such that the median error of the logarithm of the distance
-is zero. Looks at points about the object tell by how much their offset follows the true one, where
-a network has such looks. The errors of translation, and those of rotation, are taken for
-multivariate t distributed (Lange, Little and Taylor, "Robust Statistical Modeling Using the t
-Distribution", JASA 1989): most are as small as the network says, and some are much larger. Those of
-the rotation are so about either of two modes, where a network tells two with their probabilities:
-it may not know which of two sides that look alike it sees. Found by maximum likelihood are the
-degrees of freedom, a scale of the covariances, and how the standard deviations grow with the
-network's own doubt of the attitude, the probability that its bins give to attitudes far from the
-most likely one, and with the share of the object's view that the border of the frame cuts off. This
-is the analog of temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural
-Networks", ICML 2017). The covariances are then those of the t distributions, not their scale
-matrices.
+is zero. An object that the border of the frame cuts looks farther than it is: the logarithm of its
+distance is reduced by a multiple of the squared share of its view that is cut off, the one with the
+least absolute errors. Looks at points about the object tell by how much their offset follows the
+true one, where a network has such looks. The errors of translation, and those of rotation, are
+taken for multivariate t distributed (Lange, Little and Taylor, "Robust Statistical Modeling Using
+the t Distribution", JASA 1989): most are as small as the network says, and some are much larger.
+Those of the rotation are so about either of two modes, where a network tells two with their
+probabilities: it may not know which of two sides that look alike it sees. Found by maximum
+likelihood are the degrees of freedom, a scale of the covariances, and how the standard deviations
+grow with the network's own doubt of the attitude, the probability that its bins give to attitudes
+far from the most likely one, and with the squared share that is cut off. This is the analog of
+temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neural Networks", ICML
+2017). The covariances are then those of the t distributions, not their scale matrices.
 """
 
 from __future__ import annotations
@@ -64,6 +65,7 @@ class Calibration(NamedTuple):
     """
 
     distance_scale: float
+    truncation_distance: float
     variance_scales: Tensor
     doubt_sigma: tuple[float, float]
     truncation_sigma: tuple[float, float]
@@ -116,10 +118,14 @@ def calibrate(
     if not seen:
         raise ValueError("labeled: expected images that show the object, got none")
     factor = distance_factor(seen["translation"], seen["true_translation"])
-    sets = [
-        _distances(model, each, factor) for each in (seen, _see_all(model, hard, symmetry)) if each
+    sets = [each for each in (seen, _see_all(model, hard, symmetry)) if each]
+    shares, too_far = zip(*(_too_far(model, each, factor) for each in sets), strict=True)
+    nearer = truncation_distance(np.concatenate(too_far), np.concatenate(shares))
+    parts = [
+        _distances(model, each, factor * np.exp(-nearer * share**2), share)
+        for each, share in zip(sets, shares, strict=True)
     ]
-    translation, rotation, doubt, cut, modes = map(np.concatenate, zip(*sets, strict=True))
+    translation, rotation, doubt, cut, modes = map(np.concatenate, zip(*parts, strict=True))
     tails = [
         fit_tails(distances, doubt, cut, probabilities)
         for distances, probabilities in ((translation, None), (rotation, modes))
@@ -127,6 +133,7 @@ def calibrate(
     scales, by_doubt, by_cut, degrees = zip(*tails, strict=True)
     return Calibration(
         model.config.distance_scale * factor,
+        model.config.truncation_distance + nearer,
         model.variance_scales.detach().cpu().float() * torch.tensor(scales),
         by_doubt,
         by_cut,
@@ -142,6 +149,23 @@ def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
     return float(np.exp(np.median(np.log(ratios))))
 
 
+def truncation_distance(too_far: ArrayLike, truncation: ArrayLike) -> float:
+    """Return the number ``k`` with the least sum of ``|too_far - k truncation²|``; 0 without cuts.
+
+    Args:
+        too_far: Logarithms of predicted over true distances ``(N,)``.
+        truncation: Shares that are cut off ``(N,)``, 0 to 1.
+    """
+    shares = np.asarray(truncation, np.float64) ** 2
+    cut = shares > 0
+    if not cut.any():
+        return 0.0
+    slopes, weights = np.asarray(too_far, np.float64)[cut] / shares[cut], shares[cut]
+    order = np.argsort(slopes)
+    middle = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
+    return float(slopes[order][middle])
+
+
 def fit_tails(
     squared_distance: ArrayLike,
     doubt: ArrayLike,
@@ -151,7 +175,7 @@ def fit_tails(
     """Return the t distribution of the largest likelihood of errors in three dimensions.
 
     With a doubt ``p`` and a truncation ``s`` ``(N,)``, 0…1, the scale matrix is that without them
-    times ``(1 + k p)² (1 + l s)²``; where all are zero no growth is found. Degrees of freedom are
+    times ``(1 + k p)² (1 + l s²)²``; where all are zero no growth is found. Degrees of freedom are
     `LEAST_DEGREES_OF_FREEDOM` to `ffpose.config.second_look.MOST_DEGREES_OF_FREEDOM`.
 
     Args:
@@ -165,7 +189,7 @@ def fit_tails(
         ValueError: There are no distances, or one is negative or not finite.
     """
     d2 = np.asarray(squared_distance, np.float64)
-    shares = np.stack([np.asarray(each, np.float64) for each in (doubt, truncation)])
+    shares = np.stack([np.asarray(doubt, np.float64), np.asarray(truncation, np.float64) ** 2])
     if probabilities is None:
         d2 = d2[..., None]
     if d2.ndim != 2 or d2.size == 0 or not (np.isfinite(d2) & (d2 >= 0)).all():
@@ -211,7 +235,7 @@ def negative_log_likelihood(
     """Return the mean of a mixture of multivariate t distributions', up to a constant.
 
     ``d2`` are errors from each mode ``(N, K)``, ``log_p`` the modes' logarithmic probabilities;
-    ``growths (2,)`` belong to ``shares (2, N)``, doubt and truncation.
+    ``growths (2,)`` belong to ``shares (2, N)``, doubt and squared truncation.
     """
     log_scales = log_scale + 2 * torch.log1p(growths[:, None] * shares).sum(0)
     normalization = torch.lgamma((nu + 3) / 2) - torch.lgamma(nu / 2) - 1.5 * nu.log()
@@ -257,20 +281,28 @@ def _see_all(
     }
 
 
-def _distances(
+def _too_far(
     model: SecondLookNetwork, seen: Mapping[str, FloatArray], factor: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the shares that are cut off, and how much too far log distances are, ``(N,)`` each."""
+    found = seen["translation"] * factor
+    cut = _array(truncation(torch.from_numpy(found), model.config))
+    true_distance = np.linalg.norm(seen["true_translation"], axis=1)
+    return cut, np.log(np.linalg.norm(found, axis=1) / true_distance)
+
+
+def _distances(
+    model: SecondLookNetwork, seen: Mapping[str, FloatArray], factor: FloatArray, cut: FloatArray
 ) -> tuple[FloatArray, ...]:
     """Return squared distances, without growth; doubt, truncation; probabilities of the modes.
 
-    Those of the translation ``(N,)``, whose prediction is multiplied by ``factor``, and of the
-    rotation from either mode ``(N, 2)``, as the probabilities; else ``(N,)``.
+    Those of the translation ``(N,)``, whose prediction is multiplied by ``factor (N,)``, and of the
+    rotation from either mode ``(N, 2)``, as the probabilities; else ``(N,)``, as the share ``cut``.
     """
     config, found = model.config, seen["translation"]
     doubt = 1 - seen["probabilities"][:, 0]
-    before, after = (
-        _array(truncation(torch.from_numpy(t), config)) for t in (found, found * factor)
-    )
-    moved = seen["true_translation"] - found * factor
+    before = _array(truncation(torch.from_numpy(found), config))
+    moved = seen["true_translation"] - found * factor[:, None]
     turned = [
         rotation_error_vector(seen[name], seen[f"true_{name}"])
         for name in ("orientation", "alternative")
@@ -283,7 +315,7 @@ def _distances(
         )
         * rotation[:, None] ** 2,
         doubt,
-        after,
+        cut,
         seen["probabilities"],
     )
 
