@@ -34,6 +34,18 @@ FILTERFORMER = {
     "dim": 16,
     "heads": 2,
 }
+LOOKING = {
+    "first_stride": 2,
+    "object_size": [16, 96],
+    "object_width": 32,
+    "channels": [4, 8, 12],
+    "blocks": [1, 1],
+    "directions": 50,
+    # An export takes as long as the network has looks.
+    "looks": 1,
+    "candidates": 1,
+}
+"""A network with a second look."""
 
 
 def write_checkout(folder):
@@ -60,10 +72,7 @@ def write_filterformer(path):
 
 def write_looking(path):
     """Write weights of a network with a second look."""
-    fields = {"first_stride": 2, "object_size": [16, 96], "directions": 50, "blocks": [1, 1]}
-    # An export takes as long as the network has looks.
-    fields |= {"object_width": 32, "channels": [4, 8, 12], "looks": 1, "candidates": 1}
-    write_weights(path, "polar", fields)
+    write_weights(path, "polar", LOOKING)
 
 
 def write_picture(path, seed=0):

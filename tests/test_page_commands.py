@@ -16,6 +16,8 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
+from PIL import Image
 
 from benchmarks.__main__ import main as benchmarks
 from benchmarks.filter import run as bench
@@ -30,12 +32,14 @@ from ffpose.learn.plan import Speed, TrainingPlan
 from ffpose.onnx import pose_graph
 from option_words import changes_of, options_of
 from pages import TEXTS, blocks_in_order, code_blocks
-from reader_files import FILTERFORMER, OF_PAGES, POSENET, write_files
+from reader_files import FILTERFORMER, LOOKING, OF_PAGES, POSENET, write_files
 from shell_lines import commands
 from studies.__main__ import main as studies
 
 TRAINING = "--epochs 1 --backbone-weights none"
+SMALL_LOOKING = {**LOOKING, "image_size": [96, 128]}
 VIEWS = (
+    f"{shlex.join(options_of(SMALL_LOOKING))} "
     "--data.count 8 --data.empty 2 --data.decoys 2 --data.cut 2 --data.randomized 2 "
     "--data.validation 2 --data.calibration 2 --data.workers 0 --batch-size 4 --config stages.yaml"
 )
@@ -45,8 +49,7 @@ SCENES = {"count": 8, "empty": 2, "decoys": 2, "validation": 2, "calibration": 2
 RENDERED = f"--changes {shlex.join(changes_of({'data': SCENES, 'batch_size': 4}))}"
 ON_DISK = "--changes data.workers=0 backbone-weights=none "
 INPUT = {"image_size": [48, 64]}
-
-ONE_LOOK = "--looks 1 --candidates 1"
+TWO_LOOKS = f"{RENDERED} model.image-size=96,128 model.first-stride=4"
 
 SMALL = {
     # scenes: tenths of the sizes, and images enough for each split
@@ -67,14 +70,15 @@ SMALL = {
     "configs/dragon.yaml": f"configs/dragon.yaml {VIEWS}",
     "--count 60": "--count 2 --size 64x48",
     "--data.count 200": "--data.count 2",
+    "--minutes 60": "--minutes 60 --init none",  # initial weights are of a larger network
     "--epochs 40": "--epochs 1 --batch-size 2 --data.workers 0 --processes 1",
     # studies: one run of a variant or two
     "--seeds 3 --minutes 3": "--seeds 1 --minutes 0.0001 --test-images 2"
     f" --variants tokens posenet {RENDERED}",
     "--seeds 2 --minutes 10": "--seeds 1 --minutes 0.0001 --test-images 2"
-    f" --variants base {RENDERED}",
+    f" --variants base {TWO_LOOKS}",
     "--seeds 1 --minutes 5": "--seeds 1 --minutes 0.0001 --test-images 2"
-    f" --variants filter {RENDERED}",
+    f" --variants filter {TWO_LOOKS}",
     "--out runs/table3 --seeds 3": "--out runs/table3 --seeds 1 --epochs 3"
     " --variants soyuz_hard-tokens soyuz_hard-none"
     f" {ON_DISK}{shlex.join(changes_of({'model': {**FILTERFORMER, **INPUT}}))}",
@@ -83,11 +87,14 @@ SMALL = {
     "--out runs/table5": "--out runs/table5 --seeds 1 --epochs 3 --variants KingsCollege-posenet"
     f" {ON_DISK}{shlex.join(changes_of({'model': {**POSENET, **INPUT}}))}",
     # graphs: torch takes a minute to record those of the shipped networks
-    ONE_LOOK: "",  # as the network in their place has; test_graph exports one with fewer looks
+    "--looks 1 --candidates 1": "",  # as those in their place have; test_graph exports with fewer
     "export soyuz --track": "export look.safetensors",  # whose network cannot look at a point
+    "export soyuz --out soyuz-standard.onnx": "export runs/small/best.safetensors"
+    " --out soyuz-standard.onnx",
     "export soyuz": "export look.safetensors",
-    "export runs/tuned/best.safetensors": f"export runs/tuned/best.safetensors {ONE_LOOK}",
-    "model soyuz": "model look.safetensors",
+    # whose network is the learned one in other numbers
+    "export runs/tuned/best.safetensors": "export runs/satellite/best.safetensors",
+    "model soyuz": "model runs/small/best.safetensors",
 }
 """Words of commands, and those that run in their place."""
 
@@ -179,6 +186,11 @@ def exported_once(graphs, monkeypatch):
     monkeypatch.setattr(model_bench, "export_weights", copied)
 
 
+def narrowed(config):
+    """Return a training whose network is small."""
+    return replace(config, model_fields=config.model_fields | SMALL_LOOKING)
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch, exported_once):
     """A folder to work in, where what no option makes small is small too."""
@@ -192,10 +204,16 @@ def folder(tmp_path, monkeypatch, exported_once):
     monkeypatch.setattr(learn, "measure_speed", lambda config, scene: (Speed(9.0, 99.0), "none"))
     tiny = (TrainingPlan("first", 40, 1), TrainingPlan("second", 40, 1))
     monkeypatch.setattr(learn, "plan_trainings", lambda *_: tiny)
-    exported = partial(pose_graph.export_weights, looks=1, candidates=1)
-    monkeypatch.setattr(learn, "export_weights", exported)
-    small = partial(learn.LearnConfig, test_images=3, card_images=2, processes=1)
-    monkeypatch.setattr(learn, "LearnConfig", lambda *given, **named: small(*given[:7], **named))
+    # Matplotlib takes seconds to draw the figures of one evaluation; tests/evaluation draws them.
+    blank = Image.new("L", (1, 1))
+    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: blank.save(file, "PNG"))
+    training = learn.training
+    monkeypatch.setattr(
+        learn, "training", lambda *given, **named: narrowed(training(*given, **named))
+    )
+    monkeypatch.setattr(learn, "export_weights", pose_graph.export_weights)  # which keeps graphs
+    few = partial(learn.LearnConfig, test_images=3, card_images=2)
+    monkeypatch.setattr(learn, "LearnConfig", few)
     return tmp_path
 
 

@@ -10,8 +10,10 @@ import pytest
 import torch
 from PIL import Image
 
+from ffpose._internal.files import sha256
 from ffpose._internal.seeds import CHOICES
 from ffpose.cli import main
+from ffpose.errors import DataError
 from ffpose.evaluation.evaluate import evaluate
 from ffpose.geometry import Camera
 from ffpose.imaging.images import read_rgb
@@ -21,7 +23,8 @@ from ffpose.inference.in_torch import TorchSession
 from ffpose.inference.load import load
 from ffpose.models import FilterformerPose, PolarPose, build_network, read_metadata
 from ffpose.onnx.backends import openvino_takes_bfloat16
-from ffpose.onnx.metadata import read_model_metadata
+from ffpose.onnx.metadata import read_model_metadata, sealed
+from ffpose.onnx.pose_graph import graph_entries
 from ffpose.render import render
 from tiny_runs import write_set
 
@@ -108,6 +111,7 @@ def files(request, folder):
             in_view_threshold=0.5,
         )
         arguments = [str(weights), "--out", str(graph), "--filter", "matmul"]
+        arguments += ["--track"] if preset == "polar" else []
         assert main(["export", *arguments]) == 0
     return weights, graph
 
@@ -141,16 +145,18 @@ def test_the_pose_is_that_of_torch(files, picture):
         assert expected.uncertainty.degrees_of_freedom == (5.0, 3.5)
 
 
-@pytest.mark.slow
-def test_a_located_camera_is_taken_to_the_origin(tmp_path, picture):
-    torch.manual_seed(0)
+@pytest.mark.parametrize("files", ["tokens"], indirect=True)
+def test_a_located_camera_is_taken_to_the_origin(files, tmp_path, picture):
+    """A graph of the same network says so in its metadata alone."""
     weights, graph = tmp_path / "scene.safetensors", tmp_path / "scene.onnx"
-    fields = {**SMALL, **NARROW}
-    network = FilterformerPose.from_config("tiny", backbone_weights="none", **fields)
+    network = FilterformerPose.from_pretrained(files[0])
     network.save_pretrained(
         weights, preprocessing=Preprocessing((64, 64)), data={"locates": "camera"}
     )
-    assert main(["export", str(weights), "--out", str(graph), "--filter", "matmul"]) == 0
+    model = onnx.load(files[1])
+    entries = graph_entries(weights, read_metadata(weights))("matmul")
+    onnx.helper.set_model_props(model, entries)
+    graph.write_bytes(sealed(model.SerializeToString()))
     image = read_rgb(picture)
     with torch.inference_mode():
         center = network.eval()(Preprocessing((64, 64))(image)[None]).translation[0]
@@ -173,6 +179,27 @@ def test_the_graph_knows_what_it_is_of(files):
     onnx.checker.check_model(model)
     assert {opset.domain for opset in model.opset_import} == {""}
     assert model.graph.input[0].type.tensor_type.shape.dim[0].dim_param  # any batch
+
+
+@pytest.mark.parametrize("files", [SLOW[1]], indirect=True)
+def test_the_graph_beside_gives_the_looks_of_torch(files):
+    weights, graph = files
+    beside = graph.with_suffix(".track.onnx")
+    assert read_model_metadata(beside).takes_point
+    assert read_model_metadata(beside).filter == "matmul"
+    assert not read_model_metadata(graph).takes_point
+    assert read_model_metadata(graph).track_sha256 == sha256(beside)
+    network, ours = (load(each, track=True, warm_up=1) for each in (weights, graph))
+    patches = np.random.default_rng(0).integers(0, 256, (3, 12, 16, 3), dtype=np.uint8)
+    images = [Image.fromarray(p).resize((128, 96), Image.Resampling.BICUBIC) for p in patches]
+    x = np.stack([network.preprocess(image) for image in images])
+    points = np.array([[1.0, -0.5, 14.0], [0.0, 0.0, 9.0], [-3.0, 2.0, 30.0]])
+    got, wanted = ours.run(x, points), network.run(x, points)
+    np.testing.assert_allclose(got["translation"], wanted["translation"], atol=1e-4)
+    signs = np.sign((got["orientation"] * wanted["orientation"]).sum(1, keepdims=True))
+    np.testing.assert_allclose(signs * got["orientation"], wanted["orientation"], atol=1e-5)
+    with pytest.raises(DataError, match="expected a graph of whole frames, got one of single"):
+        load(beside)
 
 
 def test_every_kind_of_image_gives_one_pose(files, picture):
@@ -285,8 +312,6 @@ def test_a_missing_library_is_named(files, folder, monkeypatch):
     model = onnx.load(graph)
     onnx.helper.set_model_props(model, metadata.to_entries())
     path = folder / "custom.onnx"
-    from ffpose.onnx.metadata import sealed
-
     path.write_bytes(sealed(model.SerializeToString()))
     monkeypatch.setattr("ffpose.onnx.library.ELF_NAME", "nowhere.so")
     monkeypatch.setattr("ffpose.onnx.library.NAMES", {})

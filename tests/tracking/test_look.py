@@ -1,4 +1,4 @@
-"""The single look where a track expects the object: that of the network, as a graph, unbiased."""
+"""The single look where a track expects the object: that of the network, and unbiased."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,12 @@ import torch
 from PIL import Image
 
 from benchmarks.look import median_slopes
-from ffpose._internal.files import sha256
 from ffpose.cli import main
-from ffpose.errors import DataError
 from ffpose.geometry import Pose, PoseUncertainty
 from ffpose.geometry.symmetry import IDENTITY
 from ffpose.inference.load import load
 from ffpose.models import build_network
 from ffpose.models.virtual_camera import pyramid, render_virtual
-from ffpose.onnx.metadata import read_model_metadata
 from ffpose.tracking import Settings, Tracker
 from ffpose.tracking.follow import follow
 from ffpose.tracking.frames import Frame
@@ -46,17 +43,8 @@ def weights(tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module")
-def graph(weights):
-    pytest.importorskip("onnxscript")
-    pytest.importorskip("onnxruntime")
-    out = weights.with_suffix(".onnx")
-    assert main(["export", str(weights), "--out", str(out), "--track"]) == 0
-    return out
-
-
-def picture(seed=0):
-    pixels = np.random.default_rng(seed).integers(0, 256, (12, 16, 3), dtype=np.uint8)
+def picture():
+    pixels = np.random.default_rng(0).integers(0, 256, (12, 16, 3), dtype=np.uint8)
     return Image.fromarray(pixels).resize((128, 96), Image.Resampling.BICUBIC)
 
 
@@ -76,23 +64,6 @@ def test_it_is_the_second_look_alone(weights):
     np.testing.assert_allclose(got["in_view"], wanted.in_view, atol=1e-6)
     np.testing.assert_allclose(got["orientation"], wanted.orientation, atol=1e-5)
     assert np.linalg.norm(got["translation"] - estimator.run(x)["translation"]) > 1e-3
-
-
-@pytest.mark.slow
-def test_the_graph_beside_gives_the_looks_of_torch(weights, graph):
-    beside = graph.with_suffix(".track.onnx")
-    assert read_model_metadata(beside).takes_point
-    assert not read_model_metadata(graph).takes_point
-    assert read_model_metadata(graph).track_sha256 == sha256(beside)
-    network, ours = (load(each, track=True, warm_up=1) for each in (weights, graph))
-    x = np.stack([network.preprocess(picture(seed)) for seed in range(3)])
-    points = np.array([[1.0, -0.5, 14.0], [0.0, 0.0, 9.0], [-3.0, 2.0, 30.0]])
-    got, wanted = ours.run(x, points), network.run(x, points)
-    np.testing.assert_allclose(got["translation"], wanted["translation"], atol=1e-4)
-    signs = np.sign((got["orientation"] * wanted["orientation"]).sum(1, keepdims=True))
-    np.testing.assert_allclose(signs * got["orientation"], wanted["orientation"], atol=1e-5)
-    with pytest.raises(DataError, match="expected a graph of whole frames, got one of single"):
-        load(beside)
 
 
 def test_points_that_are_none(weights):

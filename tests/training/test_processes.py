@@ -40,16 +40,21 @@ def config_of(image_set, out, **fields):
     return replace(config, data=DataConfig("urso", image_set, augment=False))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("accumulate", [1, 2])
-def test_two_processes_are_one_of_twice_the_batch(image_set, tmp_path, accumulate):
+@pytest.fixture(scope="module")
+def alone(image_set, tmp_path_factory):
+    """A training by one process."""
+    return train(config_of(image_set, tmp_path_factory.mktemp("one"), batch_size=4), quiet=True)
+
+
+@pytest.fixture(scope="module")
+def together(image_set, tmp_path_factory):
+    """A training by two processes."""
+    out = tmp_path_factory.mktemp("two")
+    return train(config_of(image_set, out, batch_size=2, processes=2), quiet=True)
+
+
+def are_one(both, alone):
     """Their means over halves of a batch have the mean of the whole: in 21 steps here."""
-    alone = train(config_of(image_set, tmp_path / "one", batch_size=4), quiet=True)
-    batch_size = 2 // accumulate
-    together = config_of(
-        image_set, tmp_path / "two", batch_size=batch_size, processes=2, accumulate=accumulate
-    )
-    both = train(together, quiet=True)
     assert len(both.history) == 7
     for one, two in zip(alone.history, both.history, strict=True):
         for name in ("train_loss", "val_mean_translation_error_m", "val_median_rotation_error_deg"):
@@ -57,6 +62,17 @@ def test_two_processes_are_one_of_twice_the_batch(image_set, tmp_path, accumulat
     ours, theirs = load_file(both.folder.last), load_file(alone.folder.last)
     for name, tensor in ours.items():
         torch.testing.assert_close(tensor, theirs[name], rtol=1e-4, atol=1e-5, msg=name)
+
+
+@pytest.mark.slow
+def test_two_processes_are_one_of_twice_the_batch(alone, together):
+    are_one(together, alone)
+
+
+@pytest.mark.slow
+def test_two_processes_that_accumulate_are_one_of_four_times_the_batch(image_set, tmp_path, alone):
+    config = config_of(image_set, tmp_path / "two", batch_size=1, processes=2, accumulate=2)
+    are_one(train(config, quiet=True), alone)
 
 
 @pytest.mark.slow
@@ -192,7 +208,7 @@ engine.train(load_config(Path(sys.argv[1])), resume=True, quiet=True)
 
 
 @pytest.mark.slow
-def test_a_killed_rank_is_restarted_and_the_run_finishes(image_set, tmp_path):
+def test_a_killed_rank_is_restarted_and_the_run_finishes(image_set, tmp_path, together):
     """Three steps an epoch: the second of two ranks is killed in the second epoch."""
     config = config_of(image_set, tmp_path / "killed", batch_size=2)
     (tmp_path / "config.yaml").write_text(dump_config(config))
@@ -209,9 +225,8 @@ def test_a_killed_rank_is_restarted_and_the_run_finishes(image_set, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "begun").exists()
-    whole = train(replace(config, out=tmp_path / "whole", processes=2), quiet=True)
     rows = read_results(tmp_path / "killed/results.csv")
     assert [row["epoch"] for row in rows] == [1, 2, 3, 4, 5, 6, 7]
-    for row, expected in zip(rows, whole.history, strict=True):
+    for row, expected in zip(rows, together.history, strict=True):
         assert row["train_loss"] == pytest.approx(expected["train_loss"], rel=1e-5)
     assert "exitcode: -9" in done.stderr
