@@ -121,6 +121,27 @@ def test_a_share_of_the_initial_weights_stays_in_those_that_are_saved(tmp_path):
     assert any(not torch.equal(saved[name], value) for name, value in initial.items())
 
 
+def test_what_a_training_saves_lies_between_its_initial_weights_and_those_saved_without_share(
+    tmp_path,
+):
+    root = write_set(tmp_path / "set")
+    started = train(train_config(root, tmp_path / "first", epochs=1), quiet=True).folder.last
+    whole, shared = (
+        load_file(
+            train(
+                train_config(
+                    root, tmp_path / str(share), epochs=1, ema=0.5, init=started, init_share=share
+                ),
+                quiet=True,
+            ).folder.last
+        )
+        for share in (0.0, 0.25)
+    )
+    for name, initial in load_file(started).items():
+        if initial.is_floating_point():
+            torch.testing.assert_close(shared[name], whole[name].lerp(initial, 0.25))
+
+
 @pytest.mark.parametrize(
     ("fields", "got"),
     [

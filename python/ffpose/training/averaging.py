@@ -63,6 +63,11 @@ class AveragedModel(Generic[Model]):
         for name in averages.keys() - moved:
             averages[name].copy_(values[name])
 
+    def restart(self) -> None:
+        """Average anew from the network's present weights; those kept a share of stay."""
+        self.steps = 0
+        self.model.load_state_dict(self.trained.state_dict())
+
     def state_dict(self) -> dict[str, Any]:
         """Return the averages and the number of steps, as `load_state_dict` takes them."""
         if self.decay == 0:
@@ -74,4 +79,4 @@ class AveragedModel(Generic[Model]):
         if self.decay > 0:
             self.steps = state["steps"]
             self.model.load_state_dict(state["model"])
-            self.initial = state["initial"]
+            self.initial = state.get("initial", {})  # which older checkpoints lack

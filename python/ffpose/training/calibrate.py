@@ -19,7 +19,9 @@ temperature scaling for probabilities (Guo et al., "On Calibration of Modern Neu
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -95,9 +97,9 @@ def calibrate(
 ) -> Calibration:
     """Find the distribution of a network's errors, and the threshold that flags images.
 
-    New scales are the current ones times what was found, so a network that is already calibrated
-    keeps them. The threshold is that of `ffpose.evaluation.calibration.choose_threshold`. The
-    network is put in evaluation mode and otherwise left as it is.
+    What an earlier calibration found does not count, so the same images always give the same
+    numbers. The threshold is that of `ffpose.evaluation.calibration.choose_threshold`. The network
+    is put in evaluation mode and otherwise left as it is.
 
     Args:
         model: A network with a second look.
@@ -113,34 +115,50 @@ def calibrate(
     if not looks_twice(model.config):
         raise ValueError("model: expected one with a second look, got one that sees the frame")
     model.eval()
-    seen = _see_all(model, labeled, symmetry, pointed_off=True)
-    absent = [_see(model, images)["in_view"] for images in empty]
-    if not seen:
-        raise ValueError("labeled: expected images that show the object, got none")
+    with _uncalibrated(model):
+        seen = _see_all(model, labeled, symmetry, pointed_off=True)
+        absent = [_see(model, images)["in_view"] for images in empty]
+        if not seen:
+            raise ValueError("labeled: expected images that show the object, got none")
+        sets = [each for each in (seen, _see_all(model, hard, symmetry)) if each]
     factor = distance_factor(seen["translation"], seen["true_translation"])
-    sets = [each for each in (seen, _see_all(model, hard, symmetry)) if each]
     shares, too_far = zip(*(_too_far(model, each, factor) for each in sets), strict=True)
     nearer = truncation_distance(np.concatenate(too_far), np.concatenate(shares))
     parts = [
-        _distances(model, each, factor * np.exp(-nearer * share**2), share)
+        _distances(each, factor * np.exp(-nearer * share**2))
         for each, share in zip(sets, shares, strict=True)
     ]
-    translation, rotation, doubt, cut, modes = map(np.concatenate, zip(*parts, strict=True))
+    translation, rotation, modes = map(np.concatenate, zip(*parts, strict=True))
     tails = [
-        fit_tails(distances, doubt, cut, probabilities)
+        fit_tails(distances, 1 - modes[:, 0], np.concatenate(shares), probabilities)
         for distances, probabilities in ((translation, None), (rotation, modes))
     ]
     scales, by_doubt, by_cut, degrees = zip(*tails, strict=True)
     return Calibration(
-        model.config.distance_scale * factor,
-        model.config.truncation_distance + nearer,
-        model.variance_scales.detach().cpu().float() * torch.tensor(scales),
+        factor,
+        nearer,
+        torch.tensor(scales),
         by_doubt,
         by_cut,
         degrees,
         choose_threshold(seen["in_view"], np.concatenate(absent)).threshold if absent else None,
-        _look_slope(model, seen["slopes"]) if isinstance(model, PolarPose) else None,
+        _look_slope(seen["slopes"]) if isinstance(model, PolarPose) else None,
     )
+
+
+@contextmanager
+def _uncalibrated(model: SecondLookNetwork) -> Iterator[None]:
+    """Let a network predict as if it had never been calibrated."""
+    config, scales = model.config, model.variance_scales.clone()
+    plain = type(config)()
+    names = {field.name for field in fields(plain)} & set(Calibration._fields)
+    model.config = replace(config, **{name: getattr(plain, name) for name in names})
+    model.variance_scales.fill_(1)
+    try:
+        yield
+    finally:
+        model.config = config
+        model.variance_scales.copy_(scales)
 
 
 def distance_factor(predicted: FloatArray, truth: FloatArray) -> float:
@@ -243,12 +261,10 @@ def negative_log_likelihood(
     return (1.5 * log_scales - torch.logsumexp(log_p - far, dim=1)).mean() - normalization
 
 
-def _look_slope(model: PolarPose, measured: FloatArray) -> tuple[float, float]:
-    """Return the median slopes across and along the ray, those of the config included."""
+def _look_slope(measured: FloatArray) -> tuple[float, float]:
+    """Return the median slopes across and along the ray."""
     across, along = np.median(measured[:, :2]), np.median(measured[:, 2])
-    before = model.config.look_slope
-    across, along = np.maximum(np.multiply(before, (across, along)), LEAST_SLOPE).tolist()
-    return across, along
+    return max(float(across), LEAST_SLOPE), max(float(along), LEAST_SLOPE)
 
 
 def _see_all(
@@ -292,30 +308,23 @@ def _too_far(
 
 
 def _distances(
-    model: SecondLookNetwork, seen: Mapping[str, FloatArray], factor: FloatArray, cut: FloatArray
-) -> tuple[FloatArray, ...]:
-    """Return squared distances, without growth; doubt, truncation; probabilities of the modes.
+    seen: Mapping[str, FloatArray], factor: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return squared distances, and the probabilities of the modes ``(N, 2)``.
 
     Those of the translation ``(N,)``, whose prediction is multiplied by ``factor (N,)``, and of the
-    rotation from either mode ``(N, 2)``, as the probabilities; else ``(N,)``, as the share ``cut``.
+    rotation from either mode ``(N, 2)``.
     """
-    config, found = model.config, seen["translation"]
-    doubt = 1 - seen["probabilities"][:, 0]
-    before = _array(truncation(torch.from_numpy(found), config))
-    moved = seen["true_translation"] - found * factor[:, None]
+    moved = seen["true_translation"] - seen["translation"] * factor[:, None]
     turned = [
         rotation_error_vector(seen[name], seen[f"true_{name}"])
         for name in ("orientation", "alternative")
     ]
-    translation, rotation = config.growth(doubt, before)
     return (
-        squared_mahalanobis(moved, seen["translation_covariance"]) * translation**2,
+        squared_mahalanobis(moved, seen["translation_covariance"]),
         np.stack(
             [squared_mahalanobis(each, seen["rotation_covariance"]) for each in turned], axis=1
-        )
-        * rotation[:, None] ** 2,
-        doubt,
-        cut,
+        ),
         seen["probabilities"],
     )
 

@@ -128,12 +128,6 @@ def write_calibrated(
     path, metadata = resolve(weights), read_metadata(weights)
     model = load_network(path)
     assert isinstance(model, SecondLookNetwork)
-    # From scratch, so that the same images always give the same numbers.
-    model.variance_scales.fill_(1)
-    plain = type(model.config)()
-    names = [field.name for field in fields(plain) if field.name in Calibration._fields]
-    begin = {name: getattr(plain, name) for name in names if name != "degrees_of_freedom"}
-    model.config = replace(model.config, **begin)
     preprocessing = images.whole.preprocessing
     others = [] if images.strangers is None else standardized(images.strangers, preprocessing)
     hard = chain.from_iterable(map(_batches, images.hard))
@@ -143,6 +137,7 @@ def write_calibrated(
         "images": images.about,
     }
     threshold = metadata.in_view_threshold if images.strangers is None else found.in_view_threshold
+    names = {field.name for field in fields(model.config)} & set(Calibration._fields)
     values = {name: getattr(found, name) for name in names}
     header = replace(
         metadata,

@@ -24,7 +24,6 @@ from ffpose.errors import require
 from ffpose.evaluation.metrics import PoseError
 from ffpose.geometry import Target
 from ffpose.models import WeightsMetadata, read_metadata
-from ffpose.training.averaging import AveragedModel
 from ffpose.training.calibrate_weights import LEAST_IMAGES, write_calibrated
 from ffpose.training.checkpoint import Row, RunFolder, TrainState
 from ffpose.training.config import TrainConfig
@@ -185,9 +184,7 @@ def _keep_best(run: Run, state: TrainState) -> None:
 def _return_to_best(run: Run, state: TrainState) -> None:
     """Continue from the best weights so far, as a stage does after another."""
     run.model.load_state_dict(state.best)
-    initial = run.average.initial
-    run.average = AveragedModel(run.model, run.config.ema, run.config.init_share)
-    run.average.initial = initial
+    run.average.restart()
 
 
 def _restore(run: Run, state: TrainState, resumed: WeightsMetadata) -> None:
