@@ -119,7 +119,8 @@ SMALL_CODE = {"range(5000)": "range(4)"}
 """Code of the pages, and what runs in its place."""
 
 NEEDED = {"import ray": "ray"}
-"""Code of the pages that runs where a package is installed."""
+"""Code of the pages that runs where a package is installed: not in CI, as Ray gives up on a busy
+machine, which takes longer than 30 seconds to start it."""
 
 PROGRAMS = {"benchmarks": benchmarks, "studies": studies}
 """What ``python -m`` runs."""

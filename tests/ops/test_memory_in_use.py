@@ -121,26 +121,37 @@ def test_a_tensor_that_gets_other_memory_during_a_call_is_told(x, weight):
     assert "x must keep its memory during a call, got other memory" in str(error)
 
 
-# The child has none of the thread whose call may use `out` as it forks.
+# The child does not have the thread that uses `out`, or looks up what a process looks up once.
 FORK_DURING_CALLS = """
-import os, sys, threading
+import os, sys, threading, time, types
 import torch
 from ffpose.ops import spectral_filter
 torch.set_num_threads(1)
 x, weight = torch.randn(16, 28, 28, 64), torch.randn(28, 15, 64, 2)
-out, done = torch.empty_like(x), threading.Event()
+out, looks_up, done = torch.empty_like(x), threading.Event(), threading.Event()
+class Slow(types.ModuleType):
+    @property
+    def Tensor(self):
+        looks_up.set()
+        time.sleep(0.5)
+        return torch.Tensor
 def work():
     while not done.is_set():
         spectral_filter(x, weight, "grid", out=out)
-thread = threading.Thread(target=work)
-thread.start()
-codes = []
-for _ in range(5):
+def fork():
     child = os.fork()
     if child == 0:
+        sys.modules["torch"] = torch
         spectral_filter(x, weight, "grid", out=out)
         os._exit(0)
-    codes.append(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+sys.modules["torch"] = Slow("torch")
+thread = threading.Thread(target=work)
+thread.start()
+assert looks_up.wait(20), "what is looked up at the first call is looked up elsewhere"
+codes = [fork()]
+sys.modules["torch"] = torch
+codes += [fork() for _ in range(4)]
 done.set()
 thread.join()
 sys.exit(max(codes, key=abs))

@@ -1,16 +1,16 @@
 //! The one door between Python and ffpose-core.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::OnceLock;
 
 use ffpose_core::{Error, Real};
 use ffpose_scene::textures::{MOST_SIDE, Wrap};
 use numpy::{
-    Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
+    Element, PyArray1, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
     PyReadwriteArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::sync::PyOnceLock;
 
 use crate::in_use::{self, Use};
 use crate::tensor::check_place;
@@ -163,12 +163,33 @@ fn checked<'a, 'py, T: Element>(
 pub(crate) fn empty_like<'py, T: Element>(
     like: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
-    static EMPTY_LIKE: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    static EMPTY_LIKE: OnceLock<Py<PyAny>> = OnceLock::new();
     let py = like.py();
+    let empty_like = once(&EMPTY_LIKE, || of_numpy(py, "empty_like"))?.bind(py);
     let (dtype, order, subclass) = (py.None(), "C", false);
-    let array =
-        EMPTY_LIKE.import(py, "numpy", "empty_like")?.call1((like, dtype, order, subclass))?;
-    Ok(array.cast_into()?)
+    Ok(empty_like.call1((like, dtype, order, subclass))?.cast_into()?)
+}
+
+/// What `cell` keeps, made at first.
+///
+/// Nobody waits for a thread that makes it, which may give Python's lock away meanwhile: a forked child does not have that thread,
+/// and would wait for ever, as it does for pyo3's `PyOnceLock`. Two threads may make it; one value stays.
+pub(crate) fn once<T>(cell: &OnceLock<T>, make: impl FnOnce() -> PyResult<T>) -> PyResult<&T> {
+    if let Some(value) = cell.get() {
+        return Ok(value);
+    }
+    let value = make()?;
+    Ok(cell.get_or_init(|| value))
+}
+
+fn of_numpy(py: Python<'_>, name: &str) -> PyResult<Py<PyAny>> {
+    Ok(py.import("numpy")?.getattr(name)?.unbind())
+}
+
+/// Has the numpy crate look up what it keeps in `PyOnceLock`s, before this process can be forked meanwhile.
+pub(crate) fn initialize(py: Python<'_>) -> PyResult<()> {
+    drop(PyArray1::<f64>::zeros(py, 1, false).try_readwrite()?);
+    Ok(())
 }
 
 fn untyped<'a, 'py>(
@@ -188,8 +209,9 @@ impl<'a, 'py, T: FromPyObject<'a, 'py>> FromPyObject<'a, 'py> for Numbers<T> {
     type Error = PyErr;
 
     fn extract(argument: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
-        static IS_COMPLEX: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
-        let is_complex = IS_COMPLEX.import(argument.py(), "numpy", "iscomplexobj")?;
+        static IS_COMPLEX: OnceLock<Py<PyAny>> = OnceLock::new();
+        let py = argument.py();
+        let is_complex = once(&IS_COMPLEX, || of_numpy(py, "iscomplexobj"))?.bind(py);
         // what NumPy makes no array of gets its error below
         if is_complex.call1((argument,)).and_then(|answer| answer.is_truthy()).unwrap_or(false) {
             let got = argument.as_any();

@@ -50,9 +50,10 @@ mod _rust {
     use super::tracking::PyTracker;
 
     #[pymodule_init]
-    fn init(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         super::expect_processor()?;
         super::pool::watch_forks();
+        super::border::initialize(module.py())?;
         super::spectral::initialize();
         Ok(())
     }

@@ -7,15 +7,16 @@ use std::ffi::{c_int, c_void};
 use std::mem::MaybeUninit;
 use std::ops::Range;
 use std::ptr::NonNull;
+use std::sync::OnceLock;
 
 use ffpose_core::{Bf16, Number};
 use numpy::ndarray::{ArrayViewD, ArrayViewMutD, Dimension, IxDyn};
 use pyo3::exceptions::{PyImportError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::ffi;
 use pyo3::prelude::*;
-use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyCapsule, PyType};
 
+use crate::border::once;
 use crate::in_use::Use;
 
 /// `DLTensor`: a tensor as its owner describes it.
@@ -243,8 +244,8 @@ fn describe(name: &str, argument: &Bound<'_, PyAny>) -> PyResult<Description> {
 
 /// The class of tensors, and what describes them.
 fn torch(py: Python<'_>) -> PyResult<&(Py<PyType>, Describe)> {
-    static TORCH: PyOnceLock<(Py<PyType>, Describe)> = PyOnceLock::new();
-    TORCH.get_or_try_init(py, || {
+    static TORCH: OnceLock<(Py<PyType>, Describe)> = OnceLock::new();
+    once(&TORCH, || {
         let class = py.import("torch")?.getattr("Tensor")?.cast_into::<PyType>()?;
         let capsule = class.getattr("__dlpack_c_exchange_api__")?.cast_into::<PyCapsule>()?;
         let newest = capsule.pointer_checked(Some(c"dlpack_exchange_api"))?.cast::<Header>();

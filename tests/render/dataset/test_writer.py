@@ -369,20 +369,6 @@ def test_workers_end_with_their_parent_and_the_next_run_carries_on(folder, tmp_p
     assert contents(tmp_path / "set") == contents(folder)
 
 
-@pytest.mark.peer
-@pytest.mark.filterwarnings("ignore")  # Ray's own
-def test_a_scheduler_renders_the_same_image():
-    ray = pytest.importorskip("ray")
-    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
-    try:
-        there = ray.get(ray.remote(render).remote("soyuz_easy", seed=7, index=1, size=SIZE))
-    finally:
-        ray.shutdown()
-    here = render("soyuz_easy", seed=7, index=1, size=SIZE)
-    np.testing.assert_array_equal(there.image, here.image)
-    np.testing.assert_array_equal(there.pose.vector, here.pose.vector)
-
-
 def test_a_second_renderer_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     scene = replace(SCENES["soyuz_easy"], renderer="mitsuba")
