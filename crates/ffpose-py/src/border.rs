@@ -188,6 +188,7 @@ fn of_numpy(py: Python<'_>, name: &str) -> PyResult<Py<PyAny>> {
 
 /// Has the numpy crate look up what it keeps in `PyOnceLock`s, before this process can be forked meanwhile.
 pub(crate) fn initialize(py: Python<'_>) -> PyResult<()> {
+    py.import("numpy")?; // whose error, where it cannot be imported, would be a panic below
     drop(PyArray1::<f64>::zeros(py, 1, false).try_readwrite()?);
     Ok(())
 }
