@@ -168,6 +168,9 @@ def test_splits_without_labels_are_counted_and_decoded(tmp_path):
     (root / "b.png").write_bytes(b"none")
     with pytest.raises(DataError, match=r"flight\.csv:3: .*b\.png: cannot be read"):
         inspect_folder("csv", root, tmp_path / "other")
+    (root / "train.csv").unlink()
+    with pytest.raises(ValueError, match=r"expected labels in a split .*, got none in flight$"):
+        inspect_folder("csv", root, tmp_path / "other")
 
 
 @pytest.mark.usefixtures("unwritten")

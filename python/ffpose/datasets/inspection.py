@@ -92,6 +92,11 @@ def inspect_folder(
         if each[0].pose is not None
     }
     others = {split: each for split, each in records.items() if split not in labeled}
+    if not labeled:
+        raise ValueError(
+            f"{root}: expected labels in a split at least, as they are what is checked and drawn,"
+            f" got none in {', '.join(others)}"
+        )
     return inspect_dataset(labeled, out, unlabeled=others)
 
 
