@@ -11,6 +11,7 @@ from PIL import Image
 
 from beacons import beacon_scene
 from ffpose._internal.seeds import CHOICES, FINAL
+from ffpose._internal.zoo import GRAPH, WEIGHTS, resolve
 from ffpose.cli import main
 from ffpose.errors import MissingExtraError
 from ffpose.evaluation.card import measurement
@@ -57,15 +58,17 @@ def document(weights):
 
 
 @pytest.mark.slow
-def test_a_graph_has_the_card_of_its_weights(weights, document, tmp_path):
-    pytest.importorskip("onnxscript")
-    graph = tmp_path / "look.onnx"
-    assert main(["export", str(weights), "--out", str(graph), "--filter", "matmul"]) == 0
-    of_graph = measure(graph, beacon_scene(), count=COUNT, size=(64, 48))
-    for got, expected in zip(of_graph["conditions"], document["conditions"], strict=True):
+def test_a_graph_has_the_card_of_its_weights():
+    pytest.importorskip("onnxruntime")
+    scene = find_scene("soyuz_easy")
+    of_weights, of_graph = (
+        measure(resolve("soyuz", suffix), scene, count=2, size=(320, 240))
+        for suffix in (WEIGHTS, GRAPH)
+    )
+    for got, expected in zip(of_graph["conditions"], of_weights["conditions"], strict=True):
         assert got["name"] == expected["name"]
         assert got["median_translation_error_m"] == pytest.approx(
-            expected["median_translation_error_m"], rel=1e-4
+            expected["median_translation_error_m"], rel=1e-3
         )
 
 
