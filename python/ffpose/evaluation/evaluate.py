@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
 from ffpose import arrays
+from ffpose._internal.cached import cached_property
 from ffpose.config import looks_twice
 from ffpose.datasets import (
     Conditions,

@@ -8,13 +8,13 @@ BOP's MSSD takes the least distance (Hodan et al., "BOP Challenge 2020", ECCVW 2
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose._internal.cached import cached_property
 from ffpose._internal.files import read_json, shortened, write_json
 from ffpose.errors import DataError, expect
 from ffpose.geometry.rotations import FloatArray, conjugate, multiply, rotation_matrix

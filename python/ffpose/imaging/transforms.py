@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import roma
@@ -20,6 +19,7 @@ import torch
 from torch import Tensor
 from torchvision.transforms import v2
 
+from ffpose._internal.cached import cached_property
 from ffpose.arrays import canonical_quaternion
 from ffpose.errors import expect
 from ffpose.geometry import Camera, FloatArray

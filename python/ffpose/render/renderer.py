@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator, default_rng  # at once: a fork finds no import begun
 from numpy.typing import NDArray
 
 from ffpose.errors import expect
@@ -200,25 +201,25 @@ def prepared(craft: Craft) -> tuple[Tracer, MaterialTable]:
     return Tracer(craft.mesh, AlphaTest(craft, materials.maps)), materials
 
 
-def materials_of(scene: Scene, rng: np.random.Generator) -> MaterialTable:
+def materials_of(scene: Scene, rng: Generator) -> MaterialTable:
     """Return the material tables of a scene's spacecraft, varied as its randomization says."""
     materials, spread = prepared(scene.build())[1], scene.randomization.materials
     return materials.varied(spread, rng) if spread > 0 else materials
 
 
-def _streams(seed: int, index: int) -> list[np.random.Generator]:
+def _streams(seed: int, index: int) -> list[Generator]:
     """Seed independent generators for pose, light, stars, sensor, surface and randomization."""
     if seed < 0 or index < 0:
         raise ValueError(f"seed and index: expected at least 0, got {seed} and {index}")
-    return np.random.default_rng([seed, index]).spawn(6)
+    return default_rng([seed, index]).spawn(6)
 
 
 def background(
     scene: Scene,
     camera: Camera,
     around: Surroundings,
-    star_rng: np.random.Generator,
-    odd_rng: np.random.Generator,
+    star_rng: Generator,
+    odd_rng: Generator,
     side: int,
     turn: NDArray[np.float64] | None = None,
 ) -> Floats:
@@ -256,7 +257,7 @@ class Subject(NamedTuple):
     craft: Craft
     materials: MaterialTable
     light: Light
-    rng: np.random.Generator
+    rng: Generator
 
 
 def draw_craft(radiance: Floats, camera: Camera, pose: Pose, subject: Subject) -> Floats:
@@ -270,7 +271,7 @@ def draw_craft(radiance: Floats, camera: Camera, pose: Pose, subject: Subject) -
 def draw_alone(craft: Craft, pose: Pose, camera: Camera, light: Light, gray: float = 0.0) -> Floats:
     """Render the radiance (H, W, 3) of a spacecraft before gray, with the same random numbers."""
     radiance = np.full((camera.height, camera.width, 3), gray, np.float32)
-    subject = Subject(craft, prepared(craft)[1], light, np.random.default_rng(0))
+    subject = Subject(craft, prepared(craft)[1], light, default_rng(0))
     draw_craft(radiance, camera, pose, subject)
     return radiance
 
@@ -309,7 +310,7 @@ def sample_count(window: Window, camera: Camera) -> int:
     return next(samples for most, samples in SAMPLES if share <= most)
 
 
-def object_light(pose: Pose, around: Surroundings, scene: Scene, rng: np.random.Generator) -> Light:
+def object_light(pose: Pose, around: Surroundings, scene: Scene, rng: Generator) -> Light:
     """Return the lights in the object frame, varied as the set's randomization says."""
     spread = scene.randomization.light
     back = pose.rotation.T

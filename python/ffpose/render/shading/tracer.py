@@ -6,12 +6,12 @@ bounding volume hierarchy (BVH) is built once for a spacecraft and serves every 
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose._internal.cached import cached_property
 from ffpose.errors import require
 from ffpose.render.shading.alpha_test import AlphaTest
 from ffpose.render.shading.maps import Points

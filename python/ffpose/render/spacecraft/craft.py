@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffpose._internal.cached import cached_property
 from ffpose.render.spacecraft import dragon, soyuz
 from ffpose.render.spacecraft.materials import Material
 from ffpose.render.spacecraft.mesh import Mesh
