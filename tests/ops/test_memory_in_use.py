@@ -158,10 +158,48 @@ sys.exit(max(codes, key=abs))
 """
 
 
-@pytest.mark.slow
+# Memory that the other thread uses is refused before the fork and after it: it came meanwhile.
+FORK_WITH_ARRAYS_IN_USE = """
+import os, sys, threading
+import numpy as np
+import ffpose
+x, weight = np.ones((64, 28, 28, 64), np.float32), np.ones((28, 15, 64, 2), np.float32)
+out, done = np.empty_like(x), threading.Event()
+def filters(images):
+    try:
+        ffpose.spectral_filter(x[:images], weight, "grid", out=out[:images])
+        return True
+    except ValueError as error:
+        assert "that a call there writes to" in str(error), error
+        return False
+def work():
+    while not done.is_set():
+        filters(64)
+def fork():
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if filters(1) else 1)
+    meanwhile = not filters(1)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), meanwhile
+thread = threading.Thread(target=work)
+thread.start()
+meanwhile = False
+while not meanwhile:
+    while filters(1):
+        pass
+    code, meanwhile = fork()
+done.set()
+thread.join()
+sys.exit(code)
+"""
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
-def test_a_forked_child_does_not_wait_for_its_parent_s_calls():
-    command = [sys.executable, "-W", "ignore", "-c", FORK_DURING_CALLS]
+@pytest.mark.parametrize(
+    "code", [pytest.param(FORK_DURING_CALLS, marks=pytest.mark.slow), FORK_WITH_ARRAYS_IN_USE]
+)
+def test_a_forked_child_does_not_wait_for_its_parent_s_calls(code):
+    command = [sys.executable, "-W", "ignore", "-c", code]
     with subprocess.Popen(command, start_new_session=True) as process:
         try:
             assert process.wait(timeout=120) == 0

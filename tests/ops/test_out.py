@@ -157,7 +157,7 @@ def test_memory_of_arrays_that_overlaps_in_part(other):
         (
             lambda x: np.frombuffer(x.tobytes(), x.dtype).reshape(x.shape),
             ValueError,
-            "out: .* not writeable",
+            "out must be writeable, got a read-only array",
         ),
     ],
 )

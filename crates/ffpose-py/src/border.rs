@@ -3,12 +3,8 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::OnceLock;
 
-use ffpose_core::{Error, Real};
+use ffpose_core::Error;
 use ffpose_scene::textures::{MOST_SIDE, Wrap};
-use numpy::{
-    Element, PyArray1, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn,
-    PyReadwriteArrayDyn, PyUntypedArray, PyUntypedArrayMethods,
-};
 use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
@@ -17,32 +13,6 @@ use crate::tensor::check_place;
 
 /// Elements from which on other Python threads may run meanwhile: about 20 microseconds of work.
 const WORTH_THE_GIL: usize = 1 << 14;
-
-/// Axes that `ndarray` views of NumPy arrays may have.
-const MOST_AXES: usize = 32;
-
-/// The element type of a call: that of its first array.
-pub(crate) enum Dtype {
-    F32,
-    F64,
-}
-
-/// `$body` with `$T` standing for the element type of `$array`.
-macro_rules! with_dtype {
-    ($array:ident, $T:ident => $body:expr) => {
-        match $crate::border::dtype(stringify!($array), $array)? {
-            $crate::border::Dtype::F32 => {
-                type $T = f32;
-                $body
-            }
-            $crate::border::Dtype::F64 => {
-                type $T = f64;
-                $body
-            }
-        }
-    };
-}
-pub(crate) use with_dtype;
 
 /// Computes without the GIL; an error of the core becomes a `ValueError`. So is memory of `uses` that a call of another thread
 /// writes to meanwhile, or reads where this one writes.
@@ -90,86 +60,6 @@ fn raised(error: Error) -> PyErr {
     }
 }
 
-/// The element type of an array.
-pub(crate) fn dtype(name: &str, array: &Bound<'_, PyAny>) -> PyResult<Dtype> {
-    let (py, dtype) = (array.py(), untyped(name, array)?.dtype());
-    if dtype.is_equiv_to(&f32::get_dtype(py)) {
-        Ok(Dtype::F32)
-    } else if dtype.is_equiv_to(&f64::get_dtype(py)) {
-        Ok(Dtype::F64)
-    } else {
-        Err(PyTypeError::new_err(format!("{name} must be float32 or float64, got {dtype}")))
-    }
-}
-
-/// An argument as an array to read, in place: of elements `T`, C-contiguous and aligned.
-pub(crate) fn array<'py, T: Element>(
-    name: &str,
-    argument: &Bound<'py, PyAny>,
-) -> PyResult<PyReadonlyArrayDyn<'py, T>> {
-    let array = checked::<T>(name, argument)?.try_readonly();
-    array.map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
-}
-
-/// As [`array`], to write, with memory that none of `others` has, whose names are given. NumPy's owners do not tell: two
-/// arrays may have been made of the same memory.
-pub(crate) fn array_mut<'py, T: Real + Element>(
-    name: &str,
-    argument: &Bound<'py, PyAny>,
-    others: &[(&str, &Bound<'py, PyAny>)],
-) -> PyResult<PyReadwriteArrayDyn<'py, T>> {
-    let array = checked::<T>(name, argument)?;
-    let bytes = |array: &Bound<'py, PyArrayDyn<T>>| {
-        let start = array.data().addr();
-        start..start.saturating_add(array.len() * size_of::<T>())
-    };
-    let range = bytes(array);
-    for (other_name, other) in others {
-        let other = bytes(checked::<T>(other_name, other)?);
-        if range.start < other.end && other.start < range.end {
-            let text = format!("{name} must have memory of its own, got that of {other_name}");
-            return Err(PyValueError::new_err(text));
-        }
-    }
-    array.try_readwrite().map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
-}
-
-fn checked<'a, 'py, T: Element>(
-    name: &str,
-    argument: &'a Bound<'py, PyAny>,
-) -> PyResult<&'a Bound<'py, PyArrayDyn<T>>> {
-    let untyped = untyped(name, argument)?;
-    let array = argument.cast::<PyArrayDyn<T>>().map_err(|_| {
-        let expected = T::get_dtype(argument.py());
-        PyTypeError::new_err(format!("{name} must be {expected}, got {}", untyped.dtype()))
-    })?;
-    if untyped.ndim() > MOST_AXES {
-        let got = untyped.ndim();
-        return Err(PyValueError::new_err(format!(
-            "{name} must have at most {MOST_AXES} axes, got {got}"
-        )));
-    }
-    if !untyped.is_c_contiguous() || array.data().addr() % align_of::<T>() != 0 {
-        let got = untyped.strides();
-        return Err(PyValueError::new_err(format!(
-            "{name} must be C-contiguous and aligned, got strides {got:?} at address {:#x}",
-            array.data().addr()
-        )));
-    }
-    Ok(array)
-}
-
-/// A new array of the shape and element type of `like`, with any content.
-pub(crate) fn empty_like<'py, T: Element>(
-    like: &Bound<'py, PyAny>,
-) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
-    static EMPTY_LIKE: OnceLock<Py<PyAny>> = OnceLock::new();
-    let py = like.py();
-    let empty_like = once(&EMPTY_LIKE, || of_numpy(py, "empty_like"))?.bind(py);
-    let (dtype, order, subclass) = (py.None(), "C", false);
-    Ok(empty_like.call1((like, dtype, order, subclass))?.cast_into()?)
-}
-
 /// What `cell` keeps, made at first.
 ///
 /// Nobody waits for a thread that makes it, which may give Python's lock away meanwhile: a forked child does not have that thread,
@@ -182,25 +72,9 @@ pub(crate) fn once<T>(cell: &OnceLock<T>, make: impl FnOnce() -> PyResult<T>) ->
     Ok(cell.get_or_init(|| value))
 }
 
-fn of_numpy(py: Python<'_>, name: &str) -> PyResult<Py<PyAny>> {
+/// A function of NumPy's.
+pub(crate) fn of_numpy(py: Python<'_>, name: &str) -> PyResult<Py<PyAny>> {
     Ok(py.import("numpy")?.getattr(name)?.unbind())
-}
-
-/// Has the numpy crate look up what it keeps in `PyOnceLock`s, before this process can be forked meanwhile.
-pub(crate) fn initialize(py: Python<'_>) -> PyResult<()> {
-    py.import("numpy")?; // whose error, where it cannot be imported, would be a panic below
-    drop(PyArray1::<f64>::zeros(py, 1, false).try_readwrite()?);
-    Ok(())
-}
-
-fn untyped<'a, 'py>(
-    name: &str,
-    array: &'a Bound<'py, PyAny>,
-) -> PyResult<&'a Bound<'py, PyUntypedArray>> {
-    array.cast().map_err(|_| {
-        let got = array.get_type();
-        PyTypeError::new_err(format!("{name} must be a numpy.ndarray, got {got}"))
-    })
 }
 
 /// Real numbers, one or in sequences. NumPy's complex numbers are refused: Python would drop their imaginary part.

@@ -4,8 +4,8 @@ use ffpose_scene::earth::{Earth, Seen, shade};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
-use crate::border::{Numbers, Octaves, array, enter};
-use crate::in_use::Use;
+use crate::array::Array;
+use crate::border::{Numbers, Octaves, enter};
 
 /// Radiance (3, N) of the Earth along rays (3, N), and the part (N,) of what lies behind that still shows; float32.
 #[pyfunction]
@@ -20,7 +20,7 @@ pub(crate) fn shade_earth<'py>(
     detail: Octaves,
     pixel_angle: Numbers<f32>,
 ) -> PyResult<(Bound<'py, PyArray2<f32>>, Bound<'py, PyArray1<f32>>)> {
-    let rays = array::<f32>("rays", rays)?;
+    let rays = Array::<f32>::new("rays", rays)?;
     let earth = Earth {
         nadir: nadir.0,
         altitude: altitude.0,
@@ -29,8 +29,8 @@ pub(crate) fn shade_earth<'py>(
         detail: detail.0,
         pixel_angle: pixel_angle.0,
     };
-    let uses = [Use::of_array("rays", &rays, false)];
-    let rays = rays.as_array();
+    let uses = [rays.used(false)];
+    let rays = rays.view();
     let Seen { radiance, behind } = enter(py, &uses, || shade(&earth, rays))?;
     Ok((PyArray2::from_owned_array(py, radiance), PyArray1::from_owned_array(py, behind)))
 }

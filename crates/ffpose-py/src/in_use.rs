@@ -5,7 +5,6 @@
 use std::ops::Range;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use numpy::{Element, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -39,19 +38,6 @@ static CALLS: Mutex<Calls> = Mutex::new(Calls { last: 0, entries: Vec::new() });
 /// A call whose memory others leave alone, until it is dropped.
 pub(crate) struct Held {
     call: usize,
-}
-
-impl<'a> Use<'a> {
-    /// An array that is read, or written to.
-    pub(crate) fn of_array<T: Element>(
-        name: &'a str,
-        array: &Bound<'_, PyArrayDyn<T>>,
-        writes: bool,
-    ) -> Self {
-        let start = array.data().addr();
-        let bytes = start..start.saturating_add(array.len() * size_of::<T>());
-        Self { name, bytes, writes, tensor: None }
-    }
 }
 
 /// That no call of another thread stands in the way of these.

@@ -1,5 +1,6 @@
 //! `ffpose._rust`: ffpose-core, ffpose-scene and ffpose-track for NumPy arrays and torch tensors. Every function checks, releases the GIL, computes and maps errors.
 
+mod array;
 mod border;
 mod earth;
 mod in_use;
@@ -53,7 +54,7 @@ mod _rust {
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         super::expect_processor()?;
         super::pool::watch_forks();
-        super::border::initialize(module.py())?;
+        super::array::initialize(module.py())?;
         super::spectral::initialize();
         Ok(())
     }

@@ -5,22 +5,22 @@ use ffpose_core::quaternion;
 use numpy::PyArray;
 use pyo3::prelude::*;
 
-use crate::border::{array, enter, with_dtype};
-use crate::in_use::Use;
+use crate::array::{Array, with_dtype};
+use crate::border::enter;
 
 /// `compute` on the views of arrays of one element type.
 macro_rules! on_arrays {
     ([$first:ident $(, $other:ident)*], $T:ident => $compute:expr) => {
         with_dtype!($first, $T => {
             let py = $first.py();
-            let $first = array::<$T>(stringify!($first), $first)?;
-            $(let $other = array::<$T>(stringify!($other), $other)?;)*
+            let $first = Array::<$T>::new(stringify!($first), $first)?;
+            $(let $other = Array::<$T>::new(stringify!($other), $other)?;)*
             let uses = [
-                Use::of_array(stringify!($first), &$first, false),
-                $(Use::of_array(stringify!($other), &$other, false),)*
+                $first.used(false),
+                $($other.used(false),)*
             ];
-            let $first = $first.as_array();
-            $(let $other = $other.as_array();)*
+            let $first = $first.view();
+            $(let $other = $other.view();)*
             let result = enter(py, &uses, || $compute)?;
             Ok(PyArray::from_owned_array(py, result).into_any())
         })

@@ -7,12 +7,11 @@ use ffpose_core::tuning::{SCRATCH_KEPT, SCRATCH_KEPT_FOR_A_CORE};
 use ffpose_core::{
     Bf16, Error, Gradients, Isa, Planned, Scratch, Scratches, Shape, SpectralFilter, StdThreads,
 };
-use numpy::{Element, PyArrayDyn, PyArrayMethods, PyReadwriteArrayDyn};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 
-use crate::border::{Threads, array, array_mut, empty_like, enter, enter_sized, with_dtype};
-use crate::in_use::Use;
+use crate::array::{Array, empty_like, with_dtype};
+use crate::border::{Threads, enter, enter_sized};
 use crate::pool::TorchPool;
 use crate::tensor::{Dtype, Tensor, TensorElement};
 
@@ -47,25 +46,23 @@ pub(crate) fn spectral_filter<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let pool = StdThreads(num_threads.0);
     with_dtype!(x, T => {
-        let owned = [("x", x), ("weight", weight)];
-        let weight = array::<T>("weight", weight)?;
-        let reads_weight = Use::of_array("weight", &weight, false);
-        let weight = weight.as_array();
+        let weight = Array::<T>::new("weight", weight)?;
         if out.is_some_and(|out| out.is(x)) {
-            let mut images = array_mut::<T>("out", x, &owned[1..])?;
-            let uses = [reads_weight, Use::of_array("out", &images, true)];
-            let images = images.as_array_mut();
+            let images = Array::new("out", x)?;
+            let uses = [weight.used(false), images.used(true)];
+            let images = images.view_mut(&[&weight])?;
+            let weight = weight.view();
             enter(py, &uses, || {
                 let filter = planned(layout, images.shape())?;
                 with_scratch(|scratch| filter.forward_in_place(images, weight, &pool, scratch))
             })?;
             return Ok(x.clone());
         }
-        let y = out.map_or_else(|| Ok(empty_like::<T>(x)?.into_any()), |out| Ok::<_, PyErr>(out.clone()))?;
-        let (x, mut out) = (array::<T>("x", x)?, array_mut::<T>("out", &y, &owned)?);
-        let uses =
-            [reads_weight, Use::of_array("x", &x, false), Use::of_array("out", &out, true)];
-        let (x, out) = (x.as_array(), out.as_array_mut());
+        let y = out.map_or_else(|| empty_like(x), |out| Ok(out.clone()))?;
+        let (x, out) = (Array::new("x", x)?, Array::new("out", &y)?);
+        let uses = [x.used(false), weight.used(false), out.used(true)];
+        let out = out.view_mut(&[&x, &weight])?;
+        let (x, weight) = (x.view(), weight.view());
         enter(py, &uses, || {
             let filter = planned(layout, x.shape())?;
             with_scratch(|scratch| filter.forward(x, weight, out, &pool, scratch))
@@ -92,27 +89,26 @@ pub(crate) fn spectral_filter_backward<'py>(
     num_threads: Threads,
 ) -> PyResult<(Gradient<'py>, Gradient<'py>)> {
     with_dtype!(x, T => {
-        let grad_x = need_x.then(|| empty_like::<T>(x)).transpose()?;
-        let grad_weight = need_weight.then(|| empty_like::<T>(weight)).transpose()?;
-        let (grad, x, weight) = (array::<T>("grad", grad)?, array("x", x)?, array("weight", weight)?);
-        let uses = [
-            Use::of_array("grad", &grad, false),
-            Use::of_array("x", &x, false),
-            Use::of_array("weight", &weight, false),
-        ];
-        let (mut out_x, mut out_weight) = (writable(grad_x.as_ref())?, writable(grad_weight.as_ref())?);
-        let (grad, x, weight) = (grad.as_array(), x.as_array(), weight.as_array());
-        let gradients = Gradients {
-            x: out_x.as_mut().map(|g| g.as_array_mut()),
-            weight: out_weight.as_mut().map(|g| g.as_array_mut()),
-        };
+        let grad_x = need_x.then(|| empty_like(x)).transpose()?;
+        let grad_weight = need_weight.then(|| empty_like(weight)).transpose()?;
+        let inputs = [Array::<T>::new("grad", grad)?, Array::new("x", x)?, Array::new("weight", weight)?];
+        let out_x = grad_x.as_ref().map(|g| Array::new("grad_x", g)).transpose()?;
+        let out_weight = grad_weight.as_ref().map(|g| Array::new("grad_weight", g)).transpose()?;
+        let reads = inputs.iter().map(|array| array.used(false));
+        let writes = out_x.iter().chain(&out_weight).map(|array| array.used(true));
+        let uses: Vec<_> = reads.chain(writes).collect();
+        let [grad, x, weight] = &inputs;
+        let others: Vec<_> = inputs.iter().chain(&out_weight).collect();
+        let out_x = out_x.map(|g| g.view_mut(&others)).transpose()?;
+        let out_weight = out_weight.map(|g| g.view_mut(&[grad, x, weight])).transpose()?;
+        let gradients = Gradients { x: out_x, weight: out_weight };
+        let (grad, x, weight) = (grad.view(), x.view(), weight.view());
         enter(py, &uses, || {
             let filter = planned(layout, x.shape())?;
             let pool = StdThreads(num_threads.0);
             with_scratch(|scratch| filter.backward(grad, x, weight, gradients, &pool, scratch))
         })?;
-        drop((out_x, out_weight));
-        Ok((grad_x.map(Bound::into_any), grad_weight.map(Bound::into_any)))
+        Ok((grad_x, grad_weight))
     })
 }
 
@@ -228,13 +224,6 @@ fn planned<T: Planned>(layout: &str, x: &[usize]) -> Result<SpectralFilter<T>, E
 /// Runs `compute` with a scratch of the process.
 fn with_scratch<R>(compute: impl FnOnce(&mut Scratch) -> R) -> R {
     SCRATCHES.lend(compute)
-}
-
-/// A new array as one to write.
-fn writable<'py, T: Element>(
-    array: Option<&Bound<'py, PyArrayDyn<T>>>,
-) -> PyResult<Option<PyReadwriteArrayDyn<'py, T>>> {
-    Ok(array.map(PyArrayMethods::try_readwrite).transpose()?)
 }
 
 /// The names of the instruction sets that this machine has, slowest first.

@@ -4,8 +4,8 @@ use ffpose_scene::textures::{Faces, Points, Texture, sample};
 use numpy::PyArray2;
 use pyo3::prelude::*;
 
-use crate::border::{Side, Wrapping, array, enter};
-use crate::in_use::Use;
+use crate::array::Array;
+use crate::border::{Side, Wrapping, enter};
 
 /// Values (4, N) of a texture at points on faces; float32.
 #[pyfunction]
@@ -22,30 +22,30 @@ pub(crate) fn sample_texture<'py>(
     levels: &Bound<'py, PyAny>,
     shares: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-    let texels = array::<u16>("texels", texels)?;
-    let corners = array::<f32>("corners", corners)?;
-    let means = array::<u16>("means", means)?;
-    let face = array::<i32>("face", face)?;
-    let weights = array::<f32>("weights", weights)?;
-    let levels = array::<f32>("levels", levels)?;
-    let shares = array::<f32>("shares", shares)?;
+    let texels = Array::<u16>::new("texels", texels)?;
+    let corners = Array::<f32>::new("corners", corners)?;
+    let means = Array::<u16>::new("means", means)?;
+    let face = Array::<i32>::new("face", face)?;
+    let weights = Array::<f32>::new("weights", weights)?;
+    let levels = Array::<f32>::new("levels", levels)?;
+    let shares = Array::<f32>::new("shares", shares)?;
     let uses = [
-        Use::of_array("texels", &texels, false),
-        Use::of_array("corners", &corners, false),
-        Use::of_array("means", &means, false),
-        Use::of_array("face", &face, false),
-        Use::of_array("weights", &weights, false),
-        Use::of_array("levels", &levels, false),
-        Use::of_array("shares", &shares, false),
+        texels.used(false),
+        corners.used(false),
+        means.used(false),
+        face.used(false),
+        weights.used(false),
+        levels.used(false),
+        shares.used(false),
     ];
     let (sides, wrap) = (sides.map(|side| side.0), wrap.map(|wrap| wrap.0));
-    let texture = Texture { texels: texels.as_array(), sides, wrap };
-    let faces = Faces { corners: corners.as_array(), means: means.as_array() };
+    let texture = Texture { texels: texels.view(), sides, wrap };
+    let faces = Faces { corners: corners.view(), means: means.view() };
     let points = Points {
-        face: face.as_array(),
-        weights: weights.as_array(),
-        levels: levels.as_array(),
-        shares: shares.as_array(),
+        face: face.view(),
+        weights: weights.view(),
+        levels: levels.view(),
+        shares: shares.view(),
     };
     let values = enter(py, &uses, || sample(&texture, &faces, &points))?;
     Ok(PyArray2::from_owned_array(py, values))
