@@ -1,7 +1,10 @@
 """`ffpose.load`: the shipped weights from Python, and what computes them."""
 
+import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -92,8 +95,95 @@ def test_threads_are_the_networks_alone():
     assert (model.threads, torch.get_num_threads()) == (before + 1, before)
 
 
+def test_threads_whose_runs_overlap_leave_torch_s_number_as_it_was():
+    before = torch.get_num_threads()
+    with ExitStack() as stack:
+        pools = [stack.enter_context(ThreadPoolExecutor(1)) for _ in range(4)]
+
+        def number(thread):
+            return pools[thread].submit(torch.get_num_threads).result()
+
+        def call(thread, function, *arguments):
+            pools[thread].submit(function, *arguments).result()
+
+        assert number(0) == before
+        runs = [torch_threads(before + 1 + thread) for thread in range(3)]
+        for thread, run in enumerate(runs):  # torch tells the second and third of the one before
+            call(thread, run.__enter__)
+            assert number(thread) == before + 1 + thread
+        for thread, run in enumerate(runs):
+            call(thread, run.__exit__, None, None, None)
+            assert number(thread) == before
+        assert number(3) == before  # what threads begin with
+    assert torch.get_num_threads() == before
+
+
+def test_a_run_within_a_run_leaves_that_one_its_number():
+    before = torch.get_num_threads()
+    with torch_threads(before + 1):
+        with torch_threads(before + 2):
+            assert torch.get_num_threads() == before + 2
+        assert torch.get_num_threads() == before + 1
+    assert torch.get_num_threads() == before
+
+
+# The child has neither the threads that torch has used, nor the one that changes their number.
+FORK_AFTER_USE = """
+import os, signal, sys, threading, warnings
+import torch
+from ffpose.inference.in_torch import torch_threads
+def work():
+    x = torch.ones(2000, 2000)
+    torch.exp(x @ x)
+asked = int(sys.argv[1]) or None
+change = torch.set_num_threads
+change(2)
+work()
+inside, done = threading.Event(), threading.Event()
+def slow_change(count):
+    inside.set()
+    done.wait()
+    change(count)
+def hold():
+    with torch_threads(3):
+        pass
+torch.set_num_threads = slow_change
+thread = threading.Thread(target=hold)
+thread.start()
+inside.wait()
+torch.set_num_threads = change
+child = os.fork()
+if child == 0:
+    signal.alarm(60)  # where it waits, it ends by this signal
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for _ in range(2):
+            with torch_threads(asked):
+                assert torch.get_num_threads() == 1
+                work()
+        with torch_threads(1):
+            work()
+    text, = [str(warning.message) for warning in told]
+    expected = f"torch uses 1 thread in a forked process, not {asked or 2}: it could wait"
+    os._exit(0 if text.startswith(expected) else 1)
+code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+done.set()
+thread.join()
+sys.exit(code)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+@pytest.mark.parametrize("asked", [0, 2])
+def test_a_forked_child_runs_on_one_thread_and_says_so(asked):
+    command = [sys.executable, "-W", "ignore", "-c", FORK_AFTER_USE, str(asked)]
+    assert subprocess.run(command, timeout=120, check=False).returncode == 0
+
+
 WITHOUT_PILLOW = """
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 sys.modules["PIL"] = None
 import ffpose
 try:
