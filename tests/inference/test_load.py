@@ -182,8 +182,6 @@ def test_a_forked_child_runs_on_one_thread_and_says_so(asked):
 
 WITHOUT_PILLOW = """
 import sys
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 sys.modules["PIL"] = None
 import ffpose
 try:

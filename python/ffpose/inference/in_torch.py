@@ -43,57 +43,61 @@ class TorchSession:
         return {name: values.cpu().numpy() for name, values in outputs.items()}
 
 
+class _Own(threading.local):
+    """How many blocks of `torch_threads` a Python thread is in."""
+
+    blocks = 0
+
+
 @dataclass
-class _Process:
-    """What this process has asked of torch's threads.
+class _Threads:
+    """Torch's number of threads, of which a process has one.
 
     Attributes:
         lock: Of ``blocks`` and ``outside``.
-        blocks: How many blocks of `torch_threads` each Python thread is in, where it is in any.
-        outside: Torch's number of threads before the first of these blocks.
+        blocks: How many blocks of `torch_threads` there are now, in all Python threads.
+        own: Those of a thread.
+        outside: The number before the first of them.
         forked: Whether another process was forked to make this one.
-        warned: Whether it has warned of that.
+        warned: Whether a warning has said what follows from it.
     """
 
     lock: threading.Lock = field(default_factory=threading.Lock)
-    blocks: dict[int, int] = field(default_factory=dict)
+    blocks: int = 0
+    own: _Own = field(default_factory=_Own)
     outside: int = 1
     forked: bool = False
     warned: bool = False
 
-    def fork(self) -> None:
-        """Become a child's: with the blocks, and the lock, of the one thread that it has."""
-        me = threading.get_ident()
-        self.lock, self.forked = threading.Lock(), True
-        self.blocks = {thread: blocks for thread, blocks in self.blocks.items() if thread == me}
-
-    def enter(self, count: int) -> int:
-        """Let torch use ``count`` threads; return the number to `leave` with."""
-        me = threading.get_ident()
+    def begin(self, count: int) -> int:
+        """Begin a block with ``count`` threads; return the number to `end` it with."""
         with self.lock:
             before = torch.get_num_threads()
-            if not self.blocks:
+            if self.blocks == 0:
                 self.outside = before
-            elif me not in self.blocks:
+            elif self.own.blocks == 0:
                 before = self.outside  # torch may tell the number of another thread's block
-            self.blocks[me] = self.blocks.get(me, 0) + 1
+            self.blocks += 1
+            self.own.blocks += 1
             torch.set_num_threads(count)
         return before
 
-    def leave(self, before: int) -> None:
-        """Restore the number of threads; the last block of a thread leaves that outside of all."""
-        me = threading.get_ident()
+    def end(self, before: int) -> None:
+        """End a block."""
         with self.lock:
-            self.blocks[me] -= 1
-            if not self.blocks[me]:
-                del self.blocks[me]
-                before = self.outside
+            self.blocks -= 1
+            self.own.blocks -= 1
             torch.set_num_threads(before)
 
+    def fork(self) -> None:
+        """Become a child's, which has none of the threads that may hold the lock."""
+        self.lock, self.forked = threading.Lock(), True
 
-_PROCESS = _Process()
+
+_THREADS = _Threads()
+
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_PROCESS.fork)
+    os.register_at_fork(after_in_child=_THREADS.fork)
 
 
 @contextmanager
@@ -107,24 +111,23 @@ def torch_threads(count: int | None) -> Iterator[None]:
     than asked for: where the parent has used several, torch waits in the child for ever for
     threads that only the parent has.
     """
-    count = _possible(count)
+    if _THREADS.forked:
+        _warn_of_one(torch.get_num_threads() if count is None else count)
+        count = 1
     if count is None:
         yield
         return
-    before = _PROCESS.enter(count)
+    before = _THREADS.begin(count)
     try:
         yield
     finally:
-        _PROCESS.leave(before)
+        _THREADS.end(before)
 
 
-def _possible(count: int | None) -> int | None:
-    """Return the number of threads that this process can have where ``count`` is asked for."""
-    if not _PROCESS.forked:
-        return count
-    asked = torch.get_num_threads() if count is None else count
-    if asked > 1 and not _PROCESS.warned:
-        _PROCESS.warned = True
+def _warn_of_one(asked: int) -> None:
+    """Warn once where a forked child asks for more than one thread."""
+    if asked > 1 and not _THREADS.warned:
+        _THREADS.warned = True
         warnings.warn(
             f"torch uses 1 thread in a forked process, not {asked}: it could wait forever for "
             "threads of the parent; for more, start processes with the method 'spawn' or "
@@ -132,4 +135,3 @@ def _possible(count: int | None) -> int | None:
             RuntimeWarning,
             stacklevel=4,
         )
-    return 1
