@@ -22,7 +22,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 from torch.nn import functional as F
 
-from ffpose.config import looks_twice
+from ffpose.config import SecondLookConfig, looks_twice
 from ffpose.config.second_look import MOST_DEGREES_OF_FREEDOM
 from ffpose.datasets import Sample
 from ffpose.evaluation.attitude import rotation_error_vector
@@ -39,6 +39,8 @@ from ffpose.geometry import FloatArray
 from ffpose.geometry.symmetry import IDENTITY, SymmetryGroup
 from ffpose.models import PolarPose, SecondLookNetwork
 from ffpose.models.second_look import truncation
+
+Config = TypeVar("Config", bound=SecondLookConfig)
 
 LEAST_DEGREES_OF_FREEDOM = 3.0
 """Below, a covariance, which exists above two, is mostly that of errors that were never seen."""
@@ -146,13 +148,17 @@ def calibrate(
     )
 
 
+def with_calibration(config: Config, found: Calibration | SecondLookConfig) -> Config:
+    """Return a config with the fields that a calibration has found, or with another config's."""
+    names = {field.name for field in fields(config)} & set(Calibration._fields)
+    return replace(config, **{name: getattr(found, name) for name in names})
+
+
 @contextmanager
 def _uncalibrated(model: SecondLookNetwork) -> Iterator[None]:
     """Let a network predict as if it had never been calibrated."""
     config, scales = model.config, model.variance_scales.clone()
-    plain = type(config)()
-    names = {field.name for field in fields(plain)} & set(Calibration._fields)
-    model.config = replace(config, **{name: getattr(plain, name) for name in names})
+    model.config = with_calibration(config, type(config)())
     model.variance_scales.fill_(1)
     try:
         yield

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from ffpose.models import (
 )
 from ffpose.models.weights import write_weights
 from ffpose.render import SCENES
-from ffpose.training.calibrate import Calibration, calibrate
+from ffpose.training.calibrate import Calibration, calibrate, with_calibration
 from ffpose.training.calibration_images import CalibrationSet, command_of, open_calibration
 from ffpose.training.config import CalibrationImages
 from ffpose.training.tasks import VALIDATION_BATCH, standardized
@@ -137,11 +137,9 @@ def write_calibrated(
         "images": images.about,
     }
     threshold = metadata.in_view_threshold if images.strangers is None else found.in_view_threshold
-    names = {field.name for field in fields(model.config)} & set(Calibration._fields)
-    values = {name: getattr(found, name) for name in names}
     header = replace(
         metadata,
-        config=replace(model.config, **values),
+        config=with_calibration(model.config, found),
         in_view_threshold=threshold,
         calibration=about,
         version=__version__,
