@@ -1,6 +1,7 @@
 """Poses by an exported graph: those of torch, from every kind of image, without torch."""
 
 import json
+import pickle
 import subprocess
 import sys
 from dataclasses import astuple, replace
@@ -371,6 +372,7 @@ def test_openvino_gives_the_same_pose(files, picture):
     expected = load(weights)(read_rgb(picture))
     estimator = load(graph, backend="openvino", threads=1)
     assert_same_pose(estimator(picture), expected)
+    assert_same_pose(pickle.loads(pickle.dumps(estimator))(picture), expected)
     for pose in estimator([picture, picture, picture]):
         assert_same_pose(pose, expected)
 

@@ -1,6 +1,8 @@
 """`ffpose.load`: the shipped weights from Python, and what computes them."""
 
+import copy
 import os
+import pickle
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -36,6 +38,20 @@ def test_the_pose_in_an_image_from_its_name():
     alone, beside = estimate([np.asarray(image), black])
     np.testing.assert_allclose(alone.vector, pose.vector, atol=1e-4)
     assert beside.flagged is True
+
+
+@pytest.mark.parametrize("backend", ["torch", "onnxruntime"])
+def test_copies_and_pickles_give_the_same_pose(backend, monkeypatch, tmp_path):
+    if backend == "onnxruntime":
+        pytest.importorskip("onnxruntime")
+    estimate = ffpose.load("soyuz", backend=backend, device="cpu", threads=1)
+    expected = estimate(UNSEEN)
+    sent = pickle.dumps(estimate)
+    monkeypatch.chdir(tmp_path)
+    for other in (pickle.loads(sent), copy.deepcopy(estimate)):
+        assert other.metadata == estimate.metadata
+        assert other.session is not estimate.session
+        np.testing.assert_array_equal(other(UNSEEN).vector, expected.vector)
 
 
 def test_weights_are_opened_by_their_path_and_their_folder(tmp_path):

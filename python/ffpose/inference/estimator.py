@@ -29,6 +29,8 @@ AnyImage = TypeVar("AnyImage", bound=ImageLike)
 class PoseEstimator:
     """A network with its preprocessing: poses from images; `ffpose.load` opens it.
 
+    It can be copied and pickled, as for worker processes.
+
     Args:
         session: The network.
         metadata: What its file says of it.

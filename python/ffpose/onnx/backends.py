@@ -70,7 +70,10 @@ def open_session(
 
 
 class OnnxRuntimeSession:
-    """A graph in ONNX Runtime; the arguments are those of `open_session`."""
+    """A graph in ONNX Runtime; the arguments are those of `open_session`.
+
+    Copies and pickles are sessions of their own, opened anew from the same arguments.
+    """
 
     def __init__(
         self,
@@ -81,6 +84,7 @@ class OnnxRuntimeSession:
         precision: Precision = "float32",
         data: bytes | None = None,
     ) -> None:
+        self.arguments = (model, filter, threads, providers, precision, data)
         self.runtime = require("onnxruntime", "onnx")
         wanted = list(DEFAULT_PROVIDERS if providers is None else providers)
         known = self.runtime.get_available_providers()
@@ -115,6 +119,9 @@ class OnnxRuntimeSession:
         self.inputs = [value.name for value in self.session.get_inputs()]
         self.outputs = [output.name for output in self.session.get_outputs()]
 
+    def __reduce__(self) -> tuple[type[OnnxRuntimeSession], tuple[Any, ...]]:
+        return type(self), self.arguments
+
     def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Return the graph's outputs by name, for its inputs in order."""
         results = self.session.run(self.outputs, dict(zip(self.inputs, inputs, strict=True)))
@@ -122,7 +129,7 @@ class OnnxRuntimeSession:
 
 
 class OpenVinoSession:
-    """A graph in OpenVINO; the arguments are those of `open_session`."""
+    """A graph in OpenVINO, copied and pickled as one in ONNX Runtime."""
 
     def __init__(
         self,
@@ -132,6 +139,7 @@ class OpenVinoSession:
         precision: Precision = "float32",
         data: bytes | None = None,
     ) -> None:
+        self.arguments = (model, filter, threads, precision, data)
         if filter == "custom":
             raise ValueError(
                 f"backend: OpenVINO expected a graph of standard operators, as `ffpose export MODEL"
@@ -156,6 +164,9 @@ class OpenVinoSession:
             ) from error
         # The compiled graph's outputs bear names of what was fused into them as well.
         self.outputs = [output.any_name for output in graph.outputs]
+
+    def __reduce__(self) -> tuple[type[OpenVinoSession], tuple[Any, ...]]:
+        return type(self), self.arguments
 
     def run(self, *inputs: NDArray[Any]) -> dict[str, NDArray[Any]]:
         """Return the graph's outputs by name, for its inputs in order."""
