@@ -42,9 +42,14 @@ def in_processes(
         yield from map(task, items)
         return
     count, context = worker_processes(workers, len(items)), multiprocessing.get_context(method)
-    with environment(**ONE_THREAD), ProcessPoolExecutor(count, context, _start, (task,)) as pool:
+    with ProcessPoolExecutor(count, context, _start, (task,)) as pool:
+
+        def submit(item: Item) -> Future[Result]:
+            with _starting, environment(**ONE_THREAD):  # it starts workers
+                return pool.submit(_run, item)
+
         try:
-            yield from ahead(lambda item: pool.submit(_run, item), items, AHEAD * count)
+            yield from ahead(submit, items, AHEAD * count)
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -61,6 +66,9 @@ def ahead(
     while waiting:
         yield waiting.popleft().result()
 
+
+_starting = threading.Lock()
+"""Lock of a thread that starts workers, as the environment is one for all threads."""
 
 _task: list[Callable[[Any], Any]] = []
 """Task of this worker process."""
