@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import shlex
 import shutil
@@ -607,6 +608,57 @@ def test_interruption_is_said_and_code_130(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("ffpose.render.dataset.writer.write_dataset", interrupt)
     assert main(["render", "soyuz_easy", "--out", str(tmp_path), "--count", "1"]) == 130
     assert "interrupted" in capsys.readouterr().err
+
+
+TERMINATED = """
+import signal, sys
+from importlib import import_module
+from itertools import count
+from ffpose.cli import main
+
+place, name, turn, *words = sys.argv[1:]
+module, calls = import_module(place), count(1)
+function = getattr(module, name)
+
+def terminated(*args, **options):
+    if next(calls) == int(turn):
+        signal.raise_signal(signal.SIGTERM)
+    return function(*args, **options)
+
+setattr(module, name, terminated)
+sys.exit(main(words))
+"""
+
+
+def terminate(place, name, turn, words, **environment):
+    """Run a command that gets SIGTERM in one of its calls of a function."""
+    command = [sys.executable, "-c", TERMINATED, place, name, str(turn), *map(str, words)]
+    environment = {**os.environ, **environment}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert (done.returncode, done.stderr) == (143, "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM ends a process at once")
+def test_a_terminated_track_keeps_what_it_has(tmp_path):
+    (tmp_path / "set").mkdir()
+    for number in range(5):
+        Image.new("RGB", (64, 48)).save(tmp_path / f"set/{number}.png")
+    times = "".join(f"{number}.png,{number}\n" for number in range(5))
+    (tmp_path / "times.csv").write_text(f"image,time\n{times}")
+    words = ["track", "soyuz", tmp_path / "set", "--times", tmp_path / "times.csv", "--whole"]
+    words += ["--device", "cpu", "--out", tmp_path / "out"]
+    terminate("ffpose.tracking.follow", "predict", 4, words)
+    lines = (tmp_path / "out/trajectory.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["time", "0.0", "1.0", "2.0"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM ends a process at once")
+def test_a_terminated_export_leaves_nothing(tmp_path):
+    place = tmp_path / "temporary"
+    place.mkdir()
+    words = ["export", "soyuz", "--out", tmp_path / "soyuz.onnx"]
+    terminate("ffpose.onnx.pose_graph", "write_graph", 1, words, TMPDIR=str(place))
+    assert list(tmp_path.rglob("*")) == [place]
 
 
 def test_an_interrupted_training_says_how_to_continue(image_set, monkeypatch, capsys, tmp_path):

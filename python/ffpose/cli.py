@@ -2,7 +2,7 @@
 
 Results that a program may read go to standard output, everything else to standard error. Exit code
 0: done; 1: failed, with one line of explanation (``--debug`` shows the traceback); 2: wrong usage;
-130: interrupted by Ctrl-C; 141: standard output was closed, as by ``head``.
+130: interrupted by Ctrl-C; 141: standard output was closed, as by ``head``; 143: ended by SIGTERM.
 Imports are deferred until a command runs, so that ``ffpose --help`` is fast and needs only NumPy.
 """
 
@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from ffpose._internal.files import expect_place, expect_writable
 from ffpose._internal.options import advice, check_spelling, is_usage, positionals_first, restyle
+from ffpose._internal.signals import exit_on_sigterm
 from ffpose.errors import DataError, MissingExtraError, explain, require
 
 if TYPE_CHECKING:
@@ -957,7 +958,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 done, 1 failed, 2 a value that cannot be, 130 interrupted, 141 nobody reads
-        the results. Arguments that cannot be parsed raise SystemExit with code 2.
+        the results. Arguments that cannot be parsed raise SystemExit with code 2, and SIGTERM one
+        with code 143.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     if sys.stdout is None:  # the next file to be opened would have its number, and its text
@@ -968,8 +970,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, TextIOWrapper):  # of a code page, on Windows: "±" must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        code = run_command(words)
-        sys.stdout.flush()
+        with exit_on_sigterm():
+            code = run_command(words)
+            sys.stdout.flush()
     except OSError as error:
         if not is_closed_pipe(error):
             raise

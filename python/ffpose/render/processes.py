@@ -80,6 +80,7 @@ _busy = threading.Lock()
 def _start(task: Callable[[Any], Any]) -> None:
     _task[:] = [task]
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a forked worker has its parent's handler
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -109,8 +109,9 @@ def run(
 ) -> list[Followed]:
     """Track the object through frames, and write `TRAJECTORY`, `REPORT` and `OVERLAY` to a folder.
 
-    Whatever ends the run, Ctrl-C included, the frames until then are in the trajectory. Settings
-    are those of the network (`Settings.of`) unless given; ``said`` is called with each frame.
+    Whatever exception ends the run, the frames until then are in the trajectory. Ctrl-C is one, and
+    in a command SIGTERM is (`ffpose.cli.main`). Settings are those of the network (`Settings.of`)
+    unless given; ``said`` is called with each frame.
 
     Raises:
         ValueError: The network has no uncertainty or locates the camera.

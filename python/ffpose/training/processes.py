@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import socket
-import sys
-import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -31,6 +28,7 @@ from torch.distributed.rendezvous import rendezvous
 from torch.nn.parallel import DistributedDataParallel
 
 from ffpose._internal.machine import environment
+from ffpose._internal.signals import exit_on_sigterm
 from ffpose.errors import expect
 
 BACKENDS = "cpu:gloo,cuda:nccl"
@@ -212,36 +210,26 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
         context.Process(target=_follow, args=(place, rank, threads, work, args))
         for rank in range(1, count)
     ]
-    for process in others:
-        process.start()
-    _others.extend(others)
     own = torch.get_num_threads()
-    torch.set_num_threads(threads)
     try:
-        with environment(RANK="0", LOCAL_RANK="0", **place), _exit_on_sigterm():
-            yield
+        with exit_on_sigterm():
+            for process in others:
+                process.start()
+            _others.extend(others)
+            torch.set_num_threads(threads)
+            with environment(RANK="0", LOCAL_RANK="0", **place):
+                yield
     except BaseException:
         for process in others:
-            process.terminate()
+            if process.is_alive():
+                process.terminate()
         raise
     finally:
         for process in others:
-            process.join()
+            if process.pid is not None:
+                process.join()
         _others.clear()
         torch.set_num_threads(own)
-
-
-@contextmanager
-def _exit_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM raise SystemExit in the block; only a main thread may handle signals."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _follow(
