@@ -183,6 +183,33 @@ def test_where_the_leader_is_terminated_the_others_end(tmp_path):
         os.kill(int(told.read_text()), 0)
 
 
+INTERRUPTED = """
+import signal, sys
+from pathlib import Path
+from ffpose.training.processes import started
+
+def follow(path):
+    Path(path).touch()
+
+if __name__ == "__main__":
+    with started(2, follow, sys.argv[1]):
+        pass
+else:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.raise_signal(signal.SIGINT)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="holds no signal back")
+def test_an_interrupt_is_left_to_the_leader_while_the_others_import(tmp_path):
+    (tmp_path / "leader.py").write_text(INTERRUPTED)
+    command = [sys.executable, tmp_path / "leader.py", tmp_path / "followed"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "followed").exists()
+
+
 WORKER = """
 import os, signal, sys, time
 from pathlib import Path

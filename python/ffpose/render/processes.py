@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,6 +12,7 @@ from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
 from ffpose._internal.machine import environment, worker_processes
+from ffpose._internal.signals import interrupts_held, leave_interrupts_to_parent
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -45,7 +45,7 @@ def in_processes(
     with ProcessPoolExecutor(count, context, _start, (task,)) as pool:
 
         def submit(item: Item) -> Future[Result]:
-            with _starting, environment(**ONE_THREAD):  # it starts workers
+            with _starting, environment(**ONE_THREAD), interrupts_held():  # it starts workers
                 return pool.submit(_run, item)
 
         try:
@@ -79,8 +79,7 @@ _busy = threading.Lock()
 
 def _start(task: Callable[[Any], Any]) -> None:
     _task[:] = [task]
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a forked worker has its parent's handler
+    leave_interrupts_to_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -28,7 +28,11 @@ from torch.distributed.rendezvous import rendezvous
 from torch.nn.parallel import DistributedDataParallel
 
 from ffpose._internal.machine import environment
-from ffpose._internal.signals import exit_on_sigterm
+from ffpose._internal.signals import (
+    exit_on_sigterm,
+    interrupts_held,
+    leave_interrupts_to_parent,
+)
 from ffpose.errors import expect
 
 BACKENDS = "cpu:gloo,cuda:nccl"
@@ -192,8 +196,8 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     """Start ``count - 1`` processes beside this one, which leads, for as long as the block runs.
 
     The environment says of each what ``torchrun`` would, and torch's threads are shared out. The
-    others call ``work``, a function of a module. They end where the block raises, and where SIGTERM
-    ends this process, which then exits with code 143.
+    others call ``work``, a function of a module, and leave Ctrl-C to this one. They end where the
+    block raises, and where SIGTERM ends this process, which then exits with code 143.
 
     Raises:
         ValueError: ``torchrun`` has started processes already.
@@ -213,8 +217,9 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
     own = torch.get_num_threads()
     try:
         with exit_on_sigterm():
-            for process in others:
-                process.start()
+            with interrupts_held():
+                for process in others:
+                    process.start()
             _others.extend(others)
             torch.set_num_threads(threads)
             with environment(RANK="0", LOCAL_RANK="0", **place):
@@ -235,6 +240,7 @@ def started(count: int, work: Callable[..., Any], *args: Any) -> Iterator[None]:
 def _follow(
     place: dict[str, str], rank: int, threads: int, work: Callable[..., Any], args: tuple[Any, ...]
 ) -> None:
+    leave_interrupts_to_parent()
     os.environ.update(place, RANK=str(rank), LOCAL_RANK=str(rank))
     torch.set_num_threads(threads)
     work(*args)
