@@ -59,7 +59,6 @@ class _Threads:
         own: Those of a thread.
         outside: The number before the first of them.
         forked: Whether another process was forked to make this one.
-        warned: Whether a warning has said what follows from it.
     """
 
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -67,7 +66,6 @@ class _Threads:
     own: _Own = field(default_factory=_Own)
     outside: int = 1
     forked: bool = False
-    warned: bool = False
 
     def begin(self, count: int) -> int:
         """Begin a block with ``count`` threads; return the number to `end` it with."""
@@ -90,8 +88,12 @@ class _Threads:
             torch.set_num_threads(before)
 
     def fork(self) -> None:
-        """Become a child's, which has none of the threads that may hold the lock."""
+        """Become a child's: it lacks the thread that may hold the lock, and those of torch's pool.
+
+        Torch would wait for the latter for ever, even to copy weights.
+        """
         self.lock, self.forked = threading.Lock(), True
+        torch.set_num_threads(1)
 
 
 _THREADS = _Threads()
@@ -105,33 +107,23 @@ def torch_threads(count: int | None) -> Iterator[None]:
     """Let torch use ``count`` threads within the block; None leaves their number alone.
 
     It is one for the process: threads that run networks with counts of their own see each other's.
-    After the last of them it is what it was before the first.
-
-    In a forked child it is one thread, with a `RuntimeWarning` the first time that this is fewer
-    than asked for: where the parent has used several, torch waits in the child for ever for
-    threads that only the parent has.
+    After the last of them it is what it was before the first. In a child forked from a process that
+    has imported this module it is 1, with a `RuntimeWarning` where ``count`` is greater.
     """
-    if _THREADS.forked:
-        _warn_of_one(torch.get_num_threads() if count is None else count)
-        count = 1
     if count is None:
         yield
         return
-    before = _THREADS.begin(count)
-    try:
-        yield
-    finally:
-        _THREADS.end(before)
-
-
-def _warn_of_one(asked: int) -> None:
-    """Warn once where a forked child asks for more than one thread."""
-    if asked > 1 and not _THREADS.warned:
-        _THREADS.warned = True
+    if _THREADS.forked and count > 1:
         warnings.warn(
-            f"torch uses 1 thread in a forked process, not {asked}: it could wait forever for "
+            f"torch uses 1 thread in a forked process, not {count}: it could wait forever for "
             "threads of the parent; for more, start processes with the method 'spawn' or "
             "'forkserver', or load the network with backend='onnxruntime'",
             RuntimeWarning,
             stacklevel=4,
         )
+        count = 1
+    before = _THREADS.begin(count)
+    try:
+        yield
+    finally:
+        _THREADS.end(before)
