@@ -448,7 +448,7 @@ def test_a_network_that_looks_once_has_no_fewer_looks(files, tmp_path):
 
 
 def test_a_graph_is_exported_with_fewer_looks(tmp_path, monkeypatch):
-    """Of the network that looks so: `files` has graphs of one that looks once."""
+    """Network and metadata have one second look; poses of such a graph are compared by `files`."""
     torch.manual_seed(0)
     weights, graph = tmp_path / "twice.safetensors", tmp_path / "quick.onnx"
     fields = NETWORKS["polar"][1] | {"looks": 2, "candidates": 2}

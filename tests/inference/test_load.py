@@ -174,6 +174,7 @@ if child == 0:
         warnings.simplefilter("always")
         estimator = ffpose.load("soyuz", backend="torch", threads=int(sys.argv[1]) or None)
         estimator(np.zeros((384, 512, 3), np.uint8))
+    assert torch.get_num_threads() == 1
     said = {str(warning.message)[:47] for warning in told}
     os._exit(0 if said == set(sys.argv[2:]) else 1)
 code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
@@ -189,6 +190,28 @@ sys.exit(code)
 )
 def test_a_forked_child_runs_on_one_thread_and_says_so(threads, said):
     command = [sys.executable, "-W", "ignore", "-c", FORK_AFTER_USE, str(threads), *said]
+    assert subprocess.run(command, timeout=120, check=False).returncode == 0
+
+
+FORK_WITH_SESSION = """
+import os, signal, sys
+import numpy as np
+import ffpose
+estimator = ffpose.load("soyuz", backend="onnxruntime", threads=2)
+image = np.zeros((384, 512, 3), np.uint8)
+pose = estimator(image)
+child = os.fork()
+if child == 0:
+    signal.alarm(100)  # where it waits, it ends by this signal
+    os._exit(0 if np.array_equal(estimator(image).t, pose.t) else 1)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+def test_a_session_of_onnx_runtime_gives_its_pose_in_a_forked_child():
+    pytest.importorskip("onnxruntime")
+    command = [sys.executable, "-W", "ignore", "-c", FORK_WITH_SESSION]
     assert subprocess.run(command, timeout=120, check=False).returncode == 0
 
 

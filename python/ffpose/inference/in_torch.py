@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from ffpose._internal.locks import Lock
 from ffpose.models import find_device
 
 
@@ -61,7 +62,7 @@ class _Threads:
         forked: Whether another process was forked to make this one.
     """
 
-    lock: threading.Lock = field(default_factory=threading.Lock)
+    lock: Lock = field(default_factory=Lock)
     blocks: int = 0
     own: _Own = field(default_factory=_Own)
     outside: int = 1
@@ -85,14 +86,14 @@ class _Threads:
         with self.lock:
             self.blocks -= 1
             self.own.blocks -= 1
-            torch.set_num_threads(before)
+            torch.set_num_threads(1 if self.forked else before)
 
     def fork(self) -> None:
-        """Become a child's: it lacks the thread that may hold the lock, and those of torch's pool.
+        """Become a forked child's, which lacks the threads of torch's pool.
 
-        Torch would wait for the latter for ever, even to copy weights.
+        Torch would hang, even where it copies weights.
         """
-        self.lock, self.forked = threading.Lock(), True
+        self.forked = True
         torch.set_num_threads(1)
 
 

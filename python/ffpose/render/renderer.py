@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.random import Generator, default_rng  # at once: a fork finds no import begun
+from numpy.random import Generator, default_rng  # not later: a fork during it would hang
 from numpy.typing import NDArray
 
 from ffpose.errors import expect
